@@ -19,12 +19,12 @@ from craftsim.cli import main as craftsim_command
 from craftsim.discrete.drawing import LEGEND, world_text
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.experiments.bundle import read_bundle
 from craftsim.rendering.frames import Look
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.writing import write_whole
-from craftsim.validation.replays.bundle import read_bundle
 from craftsim.validation.runs.once import record_once
 from craftsim.validation.shrinking.shrink import DependsError, Smallest, failing_actions, shrink
 from craftsim.validation.shrinking.words import sentence

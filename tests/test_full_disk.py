@@ -102,9 +102,9 @@ ELSEWHERE = {
     # A file to lock stays empty.
     "discrete/kernel/code_cache.py",
     # Lines are added to what is there; arrays and plots are written into memory.
-    "validation/campaign/store.py",
     "validation/html/svg.py",
-    "validation/replays/bundle.py",
+    "training/archive.py",
+    "experiments/bundle.py",
     "rendering/trajectory.py",
     # Examples in docstrings.
     "models/randomization.py",

@@ -8,15 +8,16 @@ import time
 
 import pytest
 from disturbances import pushed
+from sessions import cut_off
 
 from craftsim import cli
 from craftsim.checking import setup
 from craftsim.checking.attempt import Thresholds
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import perform
 from craftsim.validation import validation
-from craftsim.validation.campaign import campaign
-from craftsim.validation.campaign.items import answer_of
+from craftsim.validation.campaign import local
 from craftsim.validation.runs import run
 
 CROWDED = """
@@ -88,7 +89,7 @@ def test_a_disagreement_is_found_kept_to_replay_and_equal_however_it_is_run(fold
     assert report["figures"]["validation"]["trials"] == 2
     # As if killed while the second line was written.
     lines = (folder / "out" / "trials.jsonl").read_bytes()
-    (folder / "out" / "trials.jsonl").write_bytes(lines[: lines.index(b"\n") + 100])
+    cut_off(folder / "out", (0,))
     (folder / "out" / "report.json").unlink()
     assert _validate(*words, "--workers", "2", "--resume") == 1
     assert _report(folder / "out") == report
@@ -211,7 +212,7 @@ def test_a_killed_validation_goes_on_to_the_report_of_an_undisturbed_one(folder)
     kept = lines.read_bytes()
     assert 0 < kept.count(b"\n") < 8
     assert not (folder / "killed" / "report.json").exists()
-    assert cli.main(command[3:]) == 2, "an unfinished campaign is not overwritten"
+    assert cli.main(command[3:]) == 2, "an unfinished run is not overwritten"
     assert lines.read_bytes() == kept
     status = cli.main([*command[3:], "--resume", "--workers", "2"])
     assert cli.main([*command[3:-1], "whole"]) == status
@@ -300,7 +301,7 @@ def test_against_pairs_the_runs_with_those_of_an_earlier_campaign(folder, earlie
 def test_against_refuses_what_cannot_be_paired_before_anything_is_tried(folder, earlier, capsys):
     def refused(*words, out="out"):
         assert _validate(*(words or earlier), "--against", "earlier", out=out) == 2
-        assert not (folder / "out" / "campaign.json").exists()
+        assert not (folder / "out" / "session.db").exists()
         return capsys.readouterr().err
 
     kept = (folder / "earlier" / "trials.jsonl").read_bytes()
@@ -308,15 +309,15 @@ def test_against_refuses_what_cannot_be_paired_before_anything_is_tried(folder, 
     assert (folder / "earlier" / "trials.jsonl").read_bytes() == kept
     assert "has the seed 0, not 1" in refused(*earlier, "--seed", "1")
     assert "no trial in common" in refused("crowded.yaml", *earlier[1:])
-    (folder / "earlier" / "trials.jsonl").write_bytes(kept[: kept.index(b"\n") + 1])
-    assert "an unfinished campaign (1 of 2 trials)" in refused()
+    cut_off(folder / "earlier", (0,))
+    assert "an unfinished run (1 of 2 trials)" in refused()
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["crowded.yaml"], "no shipped plan"),
-        (["strip", "--against", "nowhere"], "nowhere holds no campaign"),
+        (["strip", "--against", "nowhere"], "nowhere holds no run"),
         (["missing.yaml"], "missing.yaml"),
         (["crowded.yaml", "--actions", "missing.txt"], "missing.txt"),
         (["crowded.yaml", "--plan", "unfold.txt"], "unfold.txt:1: 2 words, but a line is: tick car ACTION"),
@@ -339,4 +340,4 @@ def test_against_refuses_what_cannot_be_paired_before_anything_is_tried(folder, 
 def test_wrong_input_is_told_and_leaves_nothing(folder, capsys, words, message):
     assert _validate(*words) == 2
     assert message in capsys.readouterr().err
-    assert not (folder / "out" / "campaign.json").exists()
+    assert not (folder / "out" / "session.db").exists()

@@ -3,7 +3,7 @@
 A recipe is all that it takes to do something in physics again, in a form that JSON knows. It always starts from a
 reset: MuJoCo's state vector leaves out which trees sleep and what it keeps of them, and skills, localisers and noise
 have states of their own; a start and the actions since say it all. That the world before the last step is the same
-again is checked, not assumed (:mod:`craftsim.validation.replays.bundle`).
+again is checked, not assumed (:mod:`craftsim.experiments.bundle`).
 """
 
 from __future__ import annotations

@@ -61,6 +61,9 @@ def audit(
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest, shrinking
     from craftsim.validation.audit.audit import run_audit
+    from craftsim.validation.audit.quick import quick_rows
+    from craftsim.validation.audit.rows import audit_plan
+    from craftsim.validation.audit.trial import BATCH
     from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html
     from craftsim.validation.statistics.records import capped_steps, retried
@@ -87,12 +90,10 @@ def audit(
             "quick": quick,
             "randomize": campaign.randomize,
         },
-        workers=campaign.workers,
-        engine=campaign.engine,
-        resume=campaign.resume,
-        against=campaign.against,
-        batch=1 if quick else None,
-        progress=lambda total: counting(console, "trials", total, lambda record: record["error"] is None),
+        options=campaign.run(
+            lambda total: counting(console, "trials", total, lambda record: record["error"] is None)
+        ),
+        batch=1 if quick else BATCH,
         shrink=shrinking(console) if shrink else None,
     )
     if filming or record:

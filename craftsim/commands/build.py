@@ -64,12 +64,8 @@ def build(
         trials=campaign.trials,
         seed=campaign.seed,
         out=out,
-        progress=lambda total: counting(console, "buildings", total, _is_built),
-        workers=campaign.workers,
-        engine=campaign.engine,
+        options=campaign.run(lambda total: counting(console, "buildings", total, _is_built)),
         timeout_s=timeout,
-        resume=campaign.resume,
-        against=campaign.against,
         record=video,
     )
     if filming:

@@ -11,8 +11,8 @@ from rich.text import Text
 
 from craftsim.checking.attempt import Verdict
 from craftsim.commands.terminal import cell
+from craftsim.experiments.experiment import TrialRecord
 from craftsim.validation.builds import Builds
-from craftsim.validation.campaign import TrialRecord
 
 _SHOWN: Final = 40
 """Buildings that are printed; the report has all."""

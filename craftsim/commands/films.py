@@ -9,18 +9,15 @@ from typing import Final, TypeVar
 from rich.console import Console
 
 from craftsim.commands.progress import counting
+from craftsim.experiments.bundle import FILM, TRAJECTORY, Recorded, read_bundle
+from craftsim.experiments.experiment import TrialRecord
+from craftsim.experiments.replay import Replay
 from craftsim.rendering.backend import RenderingUnavailable, choose_backend
 from craftsim.rendering.frames import Look
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.storage.folders import directory_within
-from craftsim.validation.campaign import TrialRecord
-from craftsim.validation.replays.bundle import FILM, TRAJECTORY, Recorded, read_bundle
-from craftsim.validation.replays.recording import CLIP_S, record_bundle
-from craftsim.validation.replays.replay import Replay
-from craftsim.workers.pool import Pool, answered
-
-Job = TypeVar("Job")
+from craftsim.validation.recording import CLIP_S, record_bundle
 
 FILMS: Final = "films"
 SIZE: Final = (640, 360)

@@ -69,12 +69,10 @@ def margins(
             "quick": quick,
             "randomize": campaign.randomize,
         },
-        progress=lambda total: counting(console, "searches", total, lambda record: record["error"] is None),
+        options=campaign.run(
+            lambda total: counting(console, "searches", total, lambda record: record["error"] is None)
+        ),
         pair=(over[0], over[1]) if pair else None,
-        workers=campaign.workers,
-        engine=campaign.engine,
-        resume=campaign.resume,
-        against=campaign.against,
     )
     page = write_html(out, margins_page(result, command_again(margins, given)))
     print_margins(console, out, result)

@@ -15,6 +15,7 @@ from craftsim.storage.limits import SEED, TRIAL_COUNT, WORKERS
 
 if TYPE_CHECKING:
     from craftsim.checking.setup import Setup
+    from craftsim.experiments.experiment import Progress, RunOptions
 
     Verb = str
 else:
@@ -78,3 +79,9 @@ class CampaignOptions(PhysicsOptions):
     """Folder of an earlier run under other settings, to compare trial by trial."""
     resume: bool = False
     """Go on with what an interrupted run has left in the output folder."""
+
+    def run(self, progress: Progress) -> RunOptions:
+        """Return how an experiment is run, and what shows how far it is."""
+        from craftsim.experiments.experiment import RunOptions
+
+        return RunOptions(self.workers, self.engine, self.resume, self.against, progress)

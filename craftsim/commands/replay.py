@@ -20,10 +20,10 @@ from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
     from craftsim.checking.judge import Judge
+    from craftsim.experiments.bundle import Recorded
+    from craftsim.experiments.replay import Replay
     from craftsim.models.world import PhysicsWorld
     from craftsim.skills.executor import Observer
-    from craftsim.validation.replays.bundle import Recorded
-    from craftsim.validation.replays.replay import Replay
 
 
 @owning
@@ -61,8 +61,8 @@ def replay(
         raise InputError("--view needs a display, and there is none here; try --video")
     filming = video and rendering_works(Terminal())
 
-    from craftsim.validation.replays import replay as again
-    from craftsim.validation.replays.bundle import read_bundle
+    from craftsim.experiments import replay as again
+    from craftsim.experiments.bundle import read_bundle
 
     recorded = read_bundle(bundle)
     film = out / f"{resolved(bundle).name}.mp4"
@@ -82,7 +82,7 @@ def _shrink(folder: Path, out: Path) -> int:
     """Shrink what a bundle shows; exit status 0 when it fails from a fresh start, too."""
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest
-    from craftsim.validation.replays.bundle import read_bundle
+    from craftsim.experiments.bundle import read_bundle
     from craftsim.validation.shrinking.campaign import shrink_bundle
     from craftsim.validation.shrinking.shrink import MOST_TRIALS
 

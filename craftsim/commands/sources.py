@@ -52,10 +52,10 @@ def find_trajectory(
 
 
 def _in_folder(folder: Path, run: str | None) -> Trajectory:
+    from craftsim.experiments.bundle import TEXT, read_bundle
     from craftsim.rendering.recorded import name_of, trajectory_files
     from craftsim.rendering.trajectory import Trajectory
-    from craftsim.validation.replays.bundle import TEXT, read_bundle
-    from craftsim.validation.replays.recording import record_bundle
+    from craftsim.validation.recording import record_bundle
 
     if is_file(folder / TEXT) and run is None:
         return record_bundle(read_bundle(folder))[1]

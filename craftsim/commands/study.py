@@ -11,11 +11,11 @@ import tyro
 from craftsim.commands.options import Dir
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
+from craftsim.experiments.experiment import Engine
 from craftsim.report import write_report
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S, WORKERS
 from craftsim.training.extra import need_torch
-from craftsim.validation.campaign import Engine
 
 
 @owning
@@ -45,23 +45,15 @@ def study(
     need_torch()
     from craftsim.commands.study_progress import watching
     from craftsim.commands.study_text import conclusions, runs_table
-    from craftsim.commands.tables import show
+    from craftsim.experiments.experiment import RunOptions
     from craftsim.studies.results import figures_of, plot_results
     from craftsim.studies.runs import run_study
     from craftsim.studies.study import read_study
 
     asked = read_study(what)
     console, begun = Terminal(), time.perf_counter()
-    with watching(console, asked, out) as on_record:
-        records = run_study(
-            asked,
-            out,
-            workers=workers,
-            engine=engine,
-            timeout_s=timeout,
-            resume=resume,
-            on_record=on_record,
-        )
+    options = RunOptions(workers, engine, resume, progress=lambda total: watching(console, asked, out))
+    records = run_study(asked, out, options, timeout)
     figures = figures_of(asked, records)
     show([runs_table(asked, figures)], conclusions(figures), console, out / "study.md")
     pictures = plot_results(out, asked, figures)

@@ -14,10 +14,10 @@ from rich.text import Text
 
 from craftsim.commands.progress import LINE_EVERY_S
 from craftsim.commands.text import clean
+from craftsim.experiments.experiment import TrialRecord
 from craftsim.studies.runs import RUNS
 from craftsim.studies.study import Study, StudyRun
 from craftsim.training.curve import CURVE_FILE, read_last
-from craftsim.validation.campaign import TrialRecord
 
 EVERY_S: Final = LINE_EVERY_S
 """Without a terminal, a line says how far things are so often, if there is anything new."""

@@ -55,6 +55,7 @@ def tune(
     given = locals().copy()
     from craftsim.commands.progress import counting
     from craftsim.commands.tune_text import gains_table, verdict_table
+    from craftsim.experiments.experiment import RunOptions
     from craftsim.report import write_report
     from craftsim.tuning.gains.goal import Goal
     from craftsim.tuning.gains.page import sentence, tune_page
@@ -74,11 +75,13 @@ def tune(
         evaluations=evaluations,
         trials=trials,
         seed=physics.seed,
-        progress=lambda total: counting(
-            console, "evaluations", total, lambda record: record["error"] is None
+        options=RunOptions(
+            workers,
+            resume=resume,
+            progress=lambda total: counting(
+                console, "evaluations", total, lambda record: record["error"] is None
+            ),
         ),
-        workers=workers,
-        resume=resume,
     )
     command = command_again(tune, given)
     write_report(

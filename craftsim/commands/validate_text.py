@@ -16,8 +16,9 @@ from rich.table import Table
 from craftsim.checking.attempt import Verdict
 from craftsim.commands.terminal import cell
 from craftsim.commands.text import say
-from craftsim.validation.campaign import TrialRecord
-from craftsim.validation.play.play import ALL, NEIGHBOURS, Coverage
+from craftsim.experiments.experiment import TrialRecord
+from craftsim.validation.play.coverage import ALL, Coverage
+from craftsim.validation.play.neighbourhood import NEIGHBOURS
 from craftsim.validation.validation import Validation
 
 _SHOWN: Final = 20

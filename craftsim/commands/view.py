@@ -70,10 +70,10 @@ def view(
 
 def _runs(path: Path) -> Runs:
     """Return the recorded runs in a file or a folder, by name."""
+    from craftsim.experiments.bundle import TEXT, read_bundle
     from craftsim.rendering.recorded import name_of, trajectory_files
     from craftsim.rendering.trajectory import Trajectory
-    from craftsim.validation.replays.bundle import TEXT, read_bundle
-    from craftsim.validation.replays.recording import record_bundle
+    from craftsim.validation.recording import record_bundle
 
     if is_file(path / TEXT):
         return {path.name: lambda: record_bundle(read_bundle(path))[1]}

@@ -45,6 +45,7 @@ TRAJECTORY: Final = Limits("trajectory", 256 * MIB, 1024 * MIB)
 STARTS: Final = Limits("file of starts", 32 * MIB, 64 * MIB)
 RECORDING: Final = Limits("recording", 64 * MIB, 256 * MIB, line_bytes=MIB)
 HEADER: Final = _plain("campaign.json", 4 * MIB)
+SESSION: Final = _plain("session.db", 64 * 1024 * MIB)
 TRIALS: Final = _plain("trials.jsonl", 64 * 1024 * MIB, line_bytes=16 * MIB)
 POLICY: Final = _plain("policy file", 128 * MIB)
 RUN: Final = Limits("run file", 4096 * MIB, 4096 * MIB, members=1024)
@@ -110,17 +111,26 @@ RECORDED_DEPTH: Final = 64
 RECORDED_TICKS: Final = 1_000_000
 """Of an episode."""
 
-ALL: Final = tuple(one for one in list(vars().values()) if isinstance(one, Limits))
-"""Of all formats."""
-
-
-def _short(value: float) -> str:
-    return text if len(text := str(value)) <= 40 else f"{text[:37]}..."
-
-
-def _plain_number(value: float) -> str:
-    """Return a number without ".0": equal ranges look alike, whatever they are made of."""
-    return f"{value:.12g}" if isinstance(value, float) else str(value)
+ALL: Final = (
+    YAML,
+    TEXT,
+    BUNDLE,
+    ARRAYS,
+    TRAJECTORY,
+    STARTS,
+    RECORDING,
+    HEADER,
+    SESSION,
+    TRIALS,
+    POLICY,
+    RUN,
+    REPORT,
+    TABLE,
+    LOG,
+    PICTURE,
+    MESH,
+    BAG,
+)
 
 
 @dataclass(frozen=True)

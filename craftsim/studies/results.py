@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.experiments.experiment import TrialRecord
 from craftsim.storage.writing import whole
 from craftsim.studies.scores import TAUS, Runs, improvement, iqm_curve, measures, profile
 from craftsim.studies.study import Study, StudyRun
-from craftsim.validation.campaign import TrialRecord
 
 _POINTS: Final = 60
 """Of each curve."""

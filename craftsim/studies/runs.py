@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.session import ALONE, run_experiment
 from craftsim.storage.folders import directory_within, owned
 from craftsim.studies.study import Study, StudyRun
-from craftsim.validation.campaign import Done, Engine, Header, Item, TrialRecord, run_campaign
 
 RUNS = "runs"
 
 
 def run_study(
-    study: Study,
-    out: Path,
-    *,
-    workers: int = 1,
-    engine: Engine = "local",
-    timeout_s: float = 7200.0,
-    resume: bool = False,
-    on_record: Callable[[TrialRecord], None] = lambda record: None,
+    study: Study, out: Path, options: RunOptions = ALONE, timeout_s: float = 7200.0
 ) -> list[TrialRecord]:
     """Do all runs of a study and return a record of each, in the order of its runs.
 
@@ -33,12 +26,9 @@ def run_study(
 
     Args:
         study: what to do.
-        out: folder for ``campaign.json``, ``trials.jsonl`` and a folder of each run.
-        workers: processes to share the runs; nothing but the time depends on it.
-        engine: processes of this machine, or an existing Ray cluster that shares the folder.
+        out: folder for the session and a folder of each run; a Ray cluster shares it.
+        options: how.
         timeout_s: after which a run counts as hanging.
-        resume: go on with what is in the folder.
-        on_record: called with each record as it comes.
 
     Raises InputError where the folder holds another study.
     """
@@ -51,19 +41,9 @@ def run_study(
     digests = {
         name: task.digest for run in asked for name, task in {run.config.task: run.task, **run.tests}.items()
     }
-    header = Header("study", 0, {"study": asdict(study), "digests": digests})
-    records = run_campaign(
-        items,
-        train_and_evaluate,
-        out,
-        header,
-        workers=workers,
-        engine=engine,
-        timeout_s=timeout_s,
-        resume=resume,
-        on_record=on_record,
-    )
-    return list(records)
+    config = {"study": asdict(study), "digests": digests}
+    experiment = Experiment("study", 0, config, items, train_and_evaluate, timeout_s=timeout_s)
+    return list(run_experiment(experiment, out, options))
 
 
 def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Done:

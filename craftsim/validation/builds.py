@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,10 +17,9 @@ from craftsim.discrete.files.design import read_design
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.session import open_session
 from craftsim.planning import Planned, plan_building
-from craftsim.report import write_report
-from craftsim.storage.folders import owning
-from craftsim.validation.campaign import Engine, Header, Item, TrialRecord, run_campaign
 from craftsim.validation.forms import BUILDS
 from craftsim.validation.runs.choice import check_starts, subjects_of
 from craftsim.validation.runs.rebuilding import Rebuilding
@@ -30,7 +28,6 @@ from craftsim.validation.statistics.durations import write_durations
 from craftsim.validation.statistics.figures import Figures, campaign_figures
 from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
 from craftsim.validation.statistics.proportions import Proportion
-from craftsim.validation.validation import Progress
 
 COMMAND: Final = "build"
 
@@ -83,7 +80,6 @@ def read_goal(start: str, goal: Path | None) -> Task:
     return task
 
 
-@owning
 def build_all(
     task: Task,
     setup: Setup,
@@ -92,12 +88,8 @@ def build_all(
     trials: int,
     seed: int,
     out: Path,
-    progress: Progress,
-    workers: int = 1,
-    engine: Engine = "local",
+    options: RunOptions,
     timeout_s: float = 600.0,
-    resume: bool = False,
-    against: Path | None = None,
     record: bool = False,
 ) -> Builds:
     """Build what a task asks for many times, and write ``report.json``, ``trials.jsonl`` and bundles into a folder.
@@ -109,17 +101,12 @@ def build_all(
         trials: how many times.
         seed: decides all that is drawn.
         out: folder for results.
-        progress: shows what is done.
-        workers: processes to share the work; results do not depend on it.
-        engine: processes of this machine, or an existing Ray cluster.
+        options: how.
         timeout_s: after which a building counts as hanging.
-        resume: go on with what an interrupted run has left in ``out``.
-        against: folder of an earlier run under other settings, to compare building by building.
         record: write a trajectory of each.
 
     Raises InputError where something does not fit together, and NoPlanError where there is no plan from the start.
     """
-    started = time.perf_counter()
     subjects = subjects_of([task])
     check_starts(subjects, setup, seed)
     config: dict[str, Any] = {
@@ -132,28 +119,18 @@ def build_all(
     }
     terms = Terms(seed, setup, out.resolve(), record=record)
     items = [_item(task, episode, terms, asked) for episode in range(trials)]
-    earlier = None if against is None else read_earlier(against, COMMAND, out, seed, items, BUILDS)
+    experiment = Experiment(COMMAND, seed, config, items, do_run, BUILDS, timeout_s)
+    earlier = read_earlier(experiment, out, options)
     # Whether anything can be built is said before anything is begun; it may take long to find out.
     rng, rules = np.random.default_rng(seed), Rules(setup.rules)
     first = task.for_episode(rng)
     plan_building(first.draw(rng), first, rules, rounds=asked.rounds, time_s=math.inf, report=_enough)
-    with progress(trials) as on_record:
-        records = run_campaign(
-            *(items, do_run, out, Header(COMMAND, seed, config)),
-            workers=workers,
-            engine=engine,
-            timeout_s=timeout_s,
-            resume=resume,
-            on_record=on_record,
-            form=BUILDS,
-        )
-    figures = campaign_figures(records, seed)
-    builds = build_figures(records)
-    comparison = None if earlier is None else compare_runs(earlier, out, records)
-    wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
-    found = {"builds": builds, "validation": figures, "paired": comparison}
-    write_report(out, found, command=COMMAND, seed=seed, config=config | {"against": against}, wall=wall)
-    write_durations(out, figures.durations)
+    with open_session(experiment, out, options) as session:
+        records = session.run()
+        figures, builds = campaign_figures(records, seed), build_figures(records)
+        comparison = None if earlier is None else compare_runs(earlier, session)
+        session.write_report({"builds": builds, "validation": figures, "paired": comparison})
+        write_durations(out, figures.durations)
     return Builds(records, builds, figures, comparison)
 
 

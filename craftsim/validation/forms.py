@@ -8,8 +8,7 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from craftsim.checking.attempt import Attempt, Finding, Verdict
-from craftsim.validation.campaign import Form
-from craftsim.validation.campaign.schema import STRICT
+from craftsim.experiments.schema import STRICT, Form
 from craftsim.validation.margins.limit import Limit, RowFound
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]

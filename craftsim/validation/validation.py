@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import html
-import time
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -15,14 +14,13 @@ from craftsim.checking.setup import Randomize, setup_of
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import Engine, Experiment, Item, Progress, RunOptions, TrialRecord
+from craftsim.experiments.session import open_session
 from craftsim.mjcf.parameters import Drive, Machines
 from craftsim.models.sensing import SensorNoise
-from craftsim.report import write_report
 from craftsim.skills.executor import Observer
 from craftsim.skills.gains import Gains
 from craftsim.skills.library import SkillChoice
-from craftsim.storage.folders import owning
-from craftsim.validation.campaign import Engine, Header, Item, TrialRecord, run_campaign, run_here
 from craftsim.validation.forms import RUNS
 from craftsim.validation.play.play import Coverage
 from craftsim.validation.runs.choice import (
@@ -46,9 +44,6 @@ from craftsim.validation.statistics.paired import Comparison, compare_runs, read
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-Progress = Callable[[int], AbstractContextManager[Callable[[TrialRecord], None]]]
-"""Given the number of runs, opens what is called with each one's record."""
 
 COMMAND: Final = "validate"
 
@@ -118,7 +113,6 @@ class Validation:
         return f"<p><b>{html.escape(repr(self))}</b></p>{counts.to_html()}"
 
 
-@owning
 def validate(
     worlds: World | Iterable[World],
     *,
@@ -196,7 +190,6 @@ def validate(
         >>> craftsim.validate("strip", policy="random", randomize="mild", seed=3).agrees
         True
     """
-    started = time.perf_counter()
     if trials < 1 or workers < 1 or not timeout_s > 0:
         raise InputError("trials and workers must be at least 1, timeout_s above 0")
     several = [worlds] if isinstance(worlds, World) else list(worlds)
@@ -235,34 +228,17 @@ def validate(
     check_starts(subjects, setup, seed)
     terms = Terms(seed, setup, None if folder is None else folder.resolve(), tuple(observers), record)
     items = list(items_of(subjects, pilots, trials, terms))
-    earlier = None if against is None else read_earlier(Path(against), COMMAND, folder, seed, items, RUNS)
-    with progress(len(items)) as on_record:
-        records: Sequence[TrialRecord]
-        if folder is None:
-            records = run_here(items, do_run, on_record)
-        else:
-            records = run_campaign(
-                items,
-                do_run,
-                folder,
-                Header(COMMAND, seed, config),
-                workers=workers,
-                engine=engine,
-                timeout_s=timeout_s,
-                resume=resume,
-                on_record=on_record,
-                form=RUNS,
-            )
-    figures = campaign_figures(records, seed)
-    coverage = Coverage.of(records)
-    comparison = None if earlier is None or folder is None else compare_runs(earlier, folder, records)
-    smallest: tuple[Shrunk, ...] = ()
-    if folder is not None:
-        if shrink is not None:
-            smallest = shrink_failures(folder, records, workers, shrink, engine)
-        wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
+    experiment = Experiment(COMMAND, seed, config, items, do_run, RUNS, timeout_s)
+    earlier_run = None if against is None else Path(against)
+    options = RunOptions(workers, engine, resume, earlier_run, progress)
+    earlier = read_earlier(experiment, folder, options)
+    with open_session(experiment, folder, options) as session:
+        records = session.run()
+        figures, coverage = campaign_figures(records, seed), Coverage.of(records)
+        comparison = None if earlier is None else compare_runs(earlier, session)
+        smallest = () if shrink is None else shrink_failures(session, records, shrink)
         found = {"validation": figures, "paired": comparison, "coverage": coverage, "smallest": smallest}
-        asked = config | {"against": against}
-        write_report(folder, found, command=COMMAND, seed=seed, config=asked, wall=wall)
-        write_durations(folder, figures.durations)
+        session.write_report(found)
+        if folder is not None:
+            write_durations(folder, figures.durations)
     return Validation(records, figures, config, seed, items, comparison, coverage, smallest)

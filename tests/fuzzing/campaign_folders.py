@@ -1,9 +1,11 @@
-"""Mutated campaign folders: going on with one, and comparing with one, gives records or our own error."""
+"""Mutated folders of runs: going on with one, and comparing with one, gives records or our own error."""
 
 from __future__ import annotations
 
 import shutil
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,20 +14,30 @@ import numpy as np
 
 from craftsim.checking.attempt import Attempt
 from craftsim.commands.validate_text import runs_table
-from craftsim.validation.campaign import Done, Header, Item, Records, read_finished
-from craftsim.validation.campaign.header import CAMPAIGN
-from craftsim.validation.campaign.items import make_record
-from craftsim.validation.campaign.store import TRIALS, Store
+from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions
+from craftsim.experiments.records import DATABASE, OLD, TRIALS, Records, read_finished
+from craftsim.experiments.session import open_session, run_experiment
 from craftsim.validation.forms import RUNS
 from craftsim.validation.play.play import Coverage
 from craftsim.validation.shrinking.campaign import first_of_each_kind
 from craftsim.validation.statistics.audit_rows import audit_rows
 from craftsim.validation.statistics.figures import campaign_figures
 from craftsim.validation.statistics.paired import compare_paired
-from fuzzing.mutations import mutated_json
+from fuzzing.mutations import mutated_bytes, mutated_json
 
-HEADER = Header("validate", 7, {"worlds": {"strip": "shipped"}, "trials": 3, "setup": {"gains": [1.5, None]}})
-ITEMS = [Item(f"strip/play/{i:04d}", "play", 7, None, "strip", i) for i in range(3)]
+
+def _stored(number: int) -> Done:
+    """Return the result of a trial."""
+    return (
+        Done(True, [attempt(0), attempt(1)], extra=EXTRA),
+        Done(False, [attempt(0), attempt(1, result="failed")], "bundles/strip-play-0001", EXTRA),
+        Done(True, (), extra={**EXTRA, "does_not_stand": "two in one place"}),
+    )[number]
+
+
+CONFIG = {"worlds": {"strip": "shipped"}, "trials": 3, "setup": {"gains": [1.5, None]}}
+ITEMS = [Item(f"strip/play/{i:04d}", "play", 7, i, "strip", i) for i in range(3)]
+EXPERIMENT = Experiment("validate", 7, CONFIG, ITEMS, _stored, RUNS)
 EXTRA = {
     "ticks": 2,
     "forbidden": 0,
@@ -34,6 +46,8 @@ EXTRA = {
     "physics_success": False,
     "coverage": {"MOVE 1": {"all": 2, "wall": 1, "~on slopes": 1}},
 }
+BYTES = 0.2
+"""Share of the cases in which bytes of the database are mutated."""
 USED = 0.01
 """Share of the accepted cases of which all figures are made, which takes long."""
 
@@ -70,28 +84,13 @@ def attempt(tick: int, legal: bool = True, result: str = "as predicted") -> Atte
 
 
 @cache
-def valid() -> tuple[bytes, bytes]:
-    """Return the two files of a campaign."""
+def valid() -> tuple[bytes, bytes, bytes]:
+    """Return a run's database, its manifest, and its lines."""
     with TemporaryDirectory() as folder:
-        return _written(Path(folder))
-
-
-def _written(place: Path) -> tuple[bytes, bytes]:
-    answers = (
-        Done(True, [attempt(0), attempt(1)], extra=EXTRA),
-        Done(False, [attempt(0), attempt(1, result="failed")], "bundles/strip-play-0001", EXTRA),
-        Done(True, (), extra={**EXTRA, "does_not_stand": "two in one place"}),
-    )
-    store = Store(place, HEADER, ITEMS, resume=False, form=RUNS)
-    for index, answer in enumerate(answers):
-        record = make_record(ITEMS[index], index, answer)
-        record["attempts"] = [
-            vars(one) | {"differences": list(one.differences)} for one in record["attempts"]
-        ]
-        store.append(record)
-    store.finish()
-    store.close()
-    return (place / CAMPAIGN).read_bytes(), (place / TRIALS).read_bytes()
+        run_experiment(EXPERIMENT, place := Path(folder))
+        with closing(sqlite3.connect(place / DATABASE)) as database:
+            ((manifest,),) = database.execute("SELECT text FROM manifest")
+        return (place / DATABASE).read_bytes(), manifest.encode(), (place / TRIALS).read_bytes()
 
 
 def _shuffled(lines: bytes, rng: np.random.Generator) -> bytes:
@@ -102,14 +101,43 @@ def _shuffled(lines: bytes, rng: np.random.Generator) -> bytes:
     return b"".join(several[place] for place in rng.integers(0, len(several), len(several)))
 
 
-def _folder(rng: np.random.Generator, folder: Path, chance_of_header: float) -> Path:
-    header, trials = valid()
-    in_header = rng.random() < chance_of_header
+def _folder(rng: np.random.Generator, folder: Path, chance_of_manifest: float) -> Path:
+    """Return a run's folder, of which the database's bytes, or the JSON in it, is mutated."""
+    data, manifest, lines = valid()
     place = folder / "out"
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir()
-    (place / CAMPAIGN).write_bytes(mutated_json(header, rng) if in_header else header)
-    (place / TRIALS).write_bytes(trials if in_header else mutated_json(_shuffled(trials, rng), rng))
+    if rng.random() < BYTES:
+        (place / DATABASE).write_bytes(mutated_bytes(data, rng))
+        return place
+    (place / DATABASE).write_bytes(data)
+    with closing(sqlite3.connect(place / DATABASE)) as database, database:
+        if rng.random() < chance_of_manifest:
+            database.execute("UPDATE manifest SET text = ?", (_text(mutated_json(manifest, rng)),))
+            return place
+        database.execute("DELETE FROM trials")
+        for number, line in enumerate(mutated_json(_shuffled(lines, rng), rng).splitlines()[:5]):
+            database.execute("INSERT INTO trials VALUES (?, ?)", (number, _text(line)))
+    return place
+
+
+def _text(data: bytes) -> str | bytes:
+    """Return a text where there is one."""
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data
+
+
+def _old_folder(rng: np.random.Generator, folder: Path) -> Path:
+    """Return a mutated folder of craftsim 0.2."""
+    _, manifest, lines = valid()
+    in_manifest = rng.random() < 0.3
+    place = folder / "out"
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
+    (place / OLD).write_bytes(mutated_json(manifest, rng) if in_manifest else manifest)
+    (place / TRIALS).write_bytes(lines if in_manifest else mutated_json(_shuffled(lines, rng), rng))
     return place
 
 
@@ -125,21 +153,17 @@ def _use(rng: np.random.Generator, records: Records) -> None:
 
 
 def resume(rng: np.random.Generator, folder: Path) -> None:
-    """Go on with a mutated campaign."""
+    """Go on with a mutated run."""
     place = _folder(rng, folder, 0.2)
-    store = Store(place, HEADER, ITEMS, resume=True, form=RUNS)
-    try:
-        list(store.kept())
-        for index, item in list(store.missing()):
-            store.append(make_record(item, index, Done(True, extra=EXTRA)))
-        _use(rng, store.finish())
-    finally:
-        store.close()
+    with open_session(EXPERIMENT, place, RunOptions(resume=True)) as session:
+        left = [number for number, done in enumerate(session._done) if not done]
+        assert not left or session.state.startswith(f"{3 - len(left)} of 3")
 
 
 def against(rng: np.random.Generator, folder: Path) -> None:
-    """Compare with a mutated campaign."""
-    _use(rng, read_finished(_folder(rng, folder, 0.3), "validate", RUNS).records)
+    """Compare with a mutated run, of craftsim 0.2 half of the time."""
+    place = _folder(rng, folder, 0.3) if rng.random() < 0.5 else _old_folder(rng, folder)
+    _use(rng, read_finished(place, "validate", RUNS).records)
 
 
 TARGETS: dict[str, Callable[[np.random.Generator, Path], None]] = {"resume": resume, "against": against}

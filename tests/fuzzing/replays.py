@@ -13,7 +13,7 @@ from craftsim.checking.episode import Recipe, Step
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.validation.replays.bundle import AFTER, BEFORE, PHYSICS, TEXT, read_bundle, write_bundle
+from craftsim.experiments.bundle import AFTER, BEFORE, PHYSICS, TEXT, read_bundle, write_bundle
 from fuzzing.mutations import mutated_bytes, mutated_document
 
 

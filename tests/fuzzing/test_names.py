@@ -16,13 +16,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import write_bag
-from training_files import read_content, write_content
+from sessions import put
 
 from craftsim.checking.setup import Setup
 from craftsim.cli import main
 from craftsim.discrete.tasks import as_task, make_task
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.errors import InputError
+from craftsim.experiments.bundle import TEXT, read_bundle
+from craftsim.experiments.experiment import RunOptions
+from craftsim.experiments.records import DATABASE, OLD, TRIALS, read_finished
+from craftsim.experiments.session import open_session
 from craftsim.logs.files import read_logs
 from craftsim.logs.log import GROUPS, Log
 from craftsim.logs.tables import write_table
@@ -31,11 +35,7 @@ from craftsim.rendering.trajectory import Trajectory
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE
 from craftsim.training.config import TrainConfig
 from craftsim.training.trainer import Trainer
-from craftsim.validation.campaign import read_finished
-from craftsim.validation.campaign.header import CAMPAIGN
-from craftsim.validation.campaign.store import TRIALS, Store
 from craftsim.validation.forms import RUNS
-from craftsim.validation.replays.bundle import TEXT, read_bundle
 from craftsim.validation.runs.once import record_once
 from craftsim.validation.statistics.durations import read_durations
 from fuzzing import campaign_folders, replays, words
@@ -190,21 +190,29 @@ def _names_tasks(text: str) -> bool:
     return any(f'{key}: ["{NAME}"]' in text for key in ("tasks", "stages", "strip"))
 
 
-def test_a_campaign_goes_on_and_is_compared_with(place):
-    header, trials = campaign_folders.valid()
-    for name, data in ((CAMPAIGN, header), (TRIALS, trials)):
-        first, *rest = [data] if name == CAMPAIGN else data.splitlines(keepends=True)
-        for document in _documents(json.loads(first)):
-            changed = json.dumps(document).encode() + b"\n" + b"".join(rest)
-            for other, valid in ((CAMPAIGN, header), (TRIALS, trials)):
-                Path(other).write_bytes(changed if other == name else valid)
-            _read(read_finished, place, "validate", RUNS)
-            _read(_resume, place)
-            assert not _imported(place), document
+def test_a_run_goes_on_and_is_compared_with(place):
+    data, manifest, lines = campaign_folders.valid()
+    first, *_ = records = lines.decode().splitlines()
+    for document in [*_documents(json.loads(first)), *_documents(json.loads(manifest))]:
+        changed = json.dumps(document)
+        is_manifest = "command" in document
+        (place / DATABASE).write_bytes(data)
+        put(place, 0, first if is_manifest else changed, changed if is_manifest else None)
+        _read(read_finished, place, "validate", RUNS)
+        _read(_resume, place)
+        assert not _imported(place), document
+        (place / DATABASE).unlink()
+        (place / OLD).write_text(changed if is_manifest else manifest.decode())
+        (place / TRIALS).write_text("\n".join(records if is_manifest else [changed, *records[1:]]) + "\n")
+        _read(read_finished, place, "validate", RUNS)
+        (place / OLD).unlink()
+        (place / TRIALS).unlink()
+        assert not _imported(place), document
 
 
 def _resume(place: Path) -> None:
-    Store(place, campaign_folders.HEADER, campaign_folders.ITEMS, resume=True, form=RUNS).close()
+    with open_session(campaign_folders.EXPERIMENT, place, RunOptions(resume=True)):
+        pass
 
 
 def test_a_bundle_is_replayed(place):

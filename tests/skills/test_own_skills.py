@@ -11,14 +11,14 @@ import craftsim
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
+from craftsim.experiments.bundle import read_bundle
+from craftsim.experiments.replay import replay
 from craftsim.models.sensing import measure
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 from craftsim.skills.library import begin_of, own_skills, performers
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command, LawSkill, Skill
-from craftsim.validation.replays.bundle import read_bundle
-from craftsim.validation.replays.replay import replay
 
 
 class Nod(Skill):

@@ -2,9 +2,8 @@
 
 from contextlib import contextmanager
 
+from craftsim.experiments.experiment import Done, make_record
 from craftsim.tuning.gains.trials import Job
-from craftsim.validation.campaign import Done
-from craftsim.validation.campaign.items import make_record
 
 BEST = {"board.gain": 40.0, "board.acceleration": 1.0}
 
@@ -30,14 +29,14 @@ def trials_of(job: Job) -> list[dict]:
     return found
 
 
-class AnalyticRounds:
-    """Rounds of a campaign that needs no workers; counts what was asked for."""
+class AnalyticSession:
+    """A session that needs no workers; counts what was asked for."""
 
-    def __init__(self, items, on_record, lose, other):
-        self.items, self.on_record, self.lose, self.other = items, on_record, lose, other
+    def __init__(self, items, lose, other):
+        self.items, self.lose, self.other = items, lose, other
         self.jobs = {}
 
-    def do(self, jobs):
+    def run_some(self, jobs, on_record):
         assert not set(jobs) & set(self.jobs), "done twice"
         self.jobs |= jobs
         records = []
@@ -47,19 +46,17 @@ class AnalyticRounds:
                 trials = [{**trial, "agrees": False} for trial in trials]
             done = Done(True, trials, extra={"gains": dict(job.values) | self.other})
             records.append(make_record(self.items[number], number, done))
-            self.on_record(records[-1])
+            on_record(records[-1])
         return records
-
-    def finish(self):
-        assert set(self.jobs) == set(range(len(self.items))), "not all was done"
 
 
 def opener(made, lose=lambda job: False, other=None):
-    """What stands for open_rounds; ``made`` gets the rounds, and ``other`` gains stand in their records."""
+    """What stands for open_session; ``made`` gets the session, and ``other`` gains stand in their records."""
 
     @contextmanager
-    def open_them(items, work, out, header, *, on_record, **_):
-        made.append(AnalyticRounds(items, on_record, lose, other or {}))
+    def open_it(experiment, out, options):
+        made.append(AnalyticSession(experiment.items, lose, other or {}))
         yield made[-1]
+        assert set(made[-1].jobs) == set(range(len(experiment.items))), "not all was done"
 
-    return open_them
+    return open_it

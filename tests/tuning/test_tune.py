@@ -1,15 +1,17 @@
 """Tuning finds the best, never writes what is worse, and comes to the same end whoever does the work and when."""
 
 import json
-from contextlib import contextmanager
+import shutil
 
 import pytest
 import yaml
+from sessions import cut_off
 from tuning.analytic import BEST, opener
 
 from craftsim.checking.setup import setup_of
 from craftsim.cli import main
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import RunOptions
 from craftsim.skills.gains import load_gains
 from craftsim.tuning.gains import phases
 from craftsim.tuning.gains import tune as module
@@ -20,20 +22,15 @@ from craftsim.tuning.gains.writing import convergence, write_gains
 from craftsim.validation.html.writing import write_html
 
 
-@contextmanager
-def _quiet(total):
-    yield lambda record: None
-
-
 def _tune(monkeypatch, folder, goal=None, lose=lambda job: False, evaluations=120):
     made = []
-    monkeypatch.setattr(module, "open_rounds", opener(made, lose))
+    monkeypatch.setattr(module, "open_session", opener(made, lose))
     return _run(folder, goal or Goal.of(["time"]), evaluations), made[0]
 
 
 def _run(folder, goal, evaluations=10):
     setup = setup_of("mild", drive="reduced")
-    options = {"evaluations": evaluations, "trials": 2, "seed": 4, "progress": _quiet}
+    options = {"evaluations": evaluations, "trials": 2, "seed": 4, "options": RunOptions()}
     return module.tune("board", setup, folder, goal=goal, **options)
 
 
@@ -122,12 +119,8 @@ def test_a_tuning_that_was_cut_off_goes_on_and_ends_as_one_of_two_workers_does(t
         monkeypatch.setattr(phases, name, few)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     assert main([*ARGUMENTS, "--workers", "2", "--out", str(whole)]) in (0, 1)
-    cut.mkdir()
-    (cut / "campaign.json").write_bytes((whole / "campaign.json").read_bytes())
-    trials = (whole / "trials.jsonl").read_bytes()
-    lines = trials.splitlines(keepends=True)
-    # In another order, as two workers finish, and in the middle of a line, as a kill may leave it.
-    (cut / "trials.jsonl").write_bytes(b"".join((*lines[3::-1], *lines[4:14], lines[14][:99])))
+    shutil.copytree(whole, cut)
+    cut_off(cut, range(14))
     assert main([*ARGUMENTS, "--resume", "--out", str(cut)]) in (0, 1)
     for name in ("trials.jsonl", "gains.yaml", "report.html"):
         assert (whole / name).read_bytes() == (cut / name).read_bytes(), name
@@ -138,7 +131,7 @@ def test_a_tuning_that_was_cut_off_goes_on_and_ends_as_one_of_two_workers_does(t
 
 def test_evaluations_of_other_gains_are_not_taken_for_those_of_the_search(tmp_path, monkeypatch):
     made = []
-    monkeypatch.setattr(module, "open_rounds", opener(made, other={"board.gain": 3.0}))
+    monkeypatch.setattr(module, "open_session", opener(made, other={"board.gain": 3.0}))
     with pytest.raises(InputError, match="tried other gains than it would now"):
         _run(tmp_path, Goal.of())
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.setup import Setup
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import Item, TrialRecord
 from craftsim.skills.gains import load_gains
 from craftsim.tuning.gains.goal import Goal
 from craftsim.tuning.gains.knobs import Knob, Subject, knobs_of, turned, values_at
@@ -19,7 +20,6 @@ from craftsim.tuning.gains.objectives import Score, spread, undominated
 from craftsim.tuning.gains.search import FIRST_STEP, NEXT_STEP, Search, population
 from craftsim.tuning.gains.trials import Job
 from craftsim.tuning.gains.verdict import HeldOut, joined, verdict_on
-from craftsim.validation.campaign import Item, Rounds, TrialRecord
 
 FINALISTS: Final = 6
 """Candidates of the search that are tried again on fresh seeds."""
@@ -100,9 +100,9 @@ class TuningPlan:
 class Phases:
     """Carries a plan out; each phase goes by the results of those before."""
 
-    def __init__(self, plan: TuningPlan, rounds: Rounds) -> None:
-        """Evaluate in the rounds of a campaign."""
-        self.plan, self.knobs, self._rounds = plan, plan.knobs, rounds
+    def __init__(self, plan: TuningPlan, run_some: Callable[[Mapping[int, Job]], list[TrialRecord]]) -> None:
+        """Evaluate by what returns the records of items, by their numbers, each with its job."""
+        self.plan, self.knobs, self._run_some = plan, plan.knobs, run_some
         self._next = 0
         """The item that comes next: they are all done in their order."""
 
@@ -188,7 +188,7 @@ class Phases:
             setup = replace(plan.setup, gains=gains)
             jobs[self._next] = Job(plan.subject, setup, tuple(values.items()), plan.seed, tuple(blocks))
             self._next += 1
-        records = self._rounds.do(jobs)
+        records = self._run_some(jobs)
         for job, record in zip(jobs.values(), records, strict=True):
             if record["extra"]["gains"] != dict(job.values):
                 raise InputError(

@@ -18,11 +18,11 @@ from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import CraftsimError, StartError
+from craftsim.experiments.experiment import Done
+from craftsim.experiments.schema import STRICT, Form
 from craftsim.models.world import PhysicsWorld
 from craftsim.tuning.gains.knobs import Subject
 from craftsim.tuning.gains.situations import situations
-from craftsim.validation.campaign import Done, Form
-from craftsim.validation.campaign.schema import STRICT
 
 WORST: Final = 10.0
 """Share of a limit beyond which an error counts no more, nor one that is no number."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from craftsim.checking.setup import Setup
+from craftsim.experiments.experiment import Experiment, RunOptions
+from craftsim.experiments.session import open_session
 from craftsim.skills.gains import Gains
 from craftsim.tuning.gains.goal import Goal
 from craftsim.tuning.gains.knobs import Knob, Subject, turned
@@ -17,12 +19,9 @@ from craftsim.tuning.gains.phases import Candidate, Effect, Phases, TuningPlan
 from craftsim.tuning.gains.search import need_cma
 from craftsim.tuning.gains.trials import FORM, try_gains
 from craftsim.tuning.gains.verdict import HeldOut
-from craftsim.validation.campaign import Header, TrialRecord, open_rounds
 
 COMMAND: Final = "tune"
 GAINS_FILE: Final = "gains.yaml"
-Progress = Callable[[int], AbstractContextManager[Callable[[TrialRecord], None]]]
-"""Given how many evaluations there are, shows each as it is done."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,7 @@ def tune(
     evaluations: int,
     trials: int,
     seed: int,
-    progress: Progress,
-    workers: int = 1,
-    resume: bool = False,
+    options: RunOptions,
 ) -> Tuned:
     """Tune gains, and return the best with the verdict on them.
 
@@ -71,9 +68,7 @@ def tune(
         evaluations: candidates to try, about: whole generations of each search, at least one.
         trials: of each situation, for every candidate.
         seed: decides the candidates, and the physics and noise of all trials.
-        progress: shows what is done.
-        workers: processes to share the work.
-        resume: go on with what an interrupted tuning has left in the folder.
+        options: how.
 
     Raises InputError where cma is missing, and for a folder that holds something else.
     """
@@ -89,22 +84,19 @@ def tune(
         "setup": setup,
         "digests": setup.digests,
     }
-    header = Header(COMMAND, seed, config)
+    experiment = Experiment(COMMAND, seed, config, items, try_gains, FORM)
     with (
-        progress(len(items)) as on_record,
-        open_rounds(
-            items, try_gains, out, header, workers=workers, resume=resume, on_record=on_record, form=FORM
-        ) as rounds,
+        open_session(experiment, out, options) as session,
+        options.progress(len(items)) as on_record,
     ):
         # Of an earlier tuning in this folder.
         (out / GAINS_FILE).unlink(missing_ok=True)
-        phases = Phases(plan, rounds)
+        phases = Phases(plan, partial(session.run_some, on_record=on_record))
         searched, favourites = phases.search()
         finalists = phases.finals(searched, favourites)
         verdict = phases.judge(finalists[0])
         values = finalists[0].values if verdict.improved else plan.start
         sensitivity = phases.sensitivity(values)
-        rounds.finish()
     gains = turned(setup.gains, plan.knobs, values) if verdict.improved else setup.gains
     wall_s = time.perf_counter() - started
     return Tuned(goal, plan.knobs, gains, verdict, finalists, searched, sensitivity, config, seed, wall_s)

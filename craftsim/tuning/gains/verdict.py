@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from craftsim.experiments.experiment import TrialRecord
 from craftsim.tuning.gains.goal import Goal
 from craftsim.tuning.gains.objectives import Objective, Score
-from craftsim.validation.campaign import TrialRecord
 
 
 @dataclass(frozen=True)

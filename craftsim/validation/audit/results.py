@@ -3,33 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, Final
 
-from craftsim.audit.plan import PlanRow, corrections, rows_by_flag
-from craftsim.checking.attempt import Attempt
 from craftsim.discrete.rules import RuleSet
-from craftsim.errors import InputError
+from craftsim.experiments.bundle import write_bundles
+from craftsim.experiments.experiment import TrialRecord
+from craftsim.experiments.records import select
+from craftsim.experiments.session import Session
+from craftsim.validation.audit.corrections import corrections, rows_by_flag
+from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.suspects import SuspectFinding, find
-from craftsim.validation.audit.trial import Trial, recipe_of
-from craftsim.validation.campaign import (
-    Done,
-    Engine,
-    Failure,
-    Item,
-    TrialRecord,
-    do_all,
-    select,
-)
-from craftsim.validation.replays.bundle import TEXT, write_bundle
+from craftsim.validation.audit.trial import recipe_of
 from craftsim.validation.statistics.audit_rows import AuditRow, Judgement, audit_rows, verdict_counts
 
 AT_ONCE: Final = "order=at-once"
 """How the names of rows end that are evidence only."""
-
-BUNDLE_S: Final = 300.0
-"""After which a worker that writes a bundle is given up."""
 
 DISAGREEMENTS: Final = (Judgement.UNSOUND, Judgement.CONSERVATIVE)
 
@@ -93,12 +83,10 @@ def name_of(row: AuditRow) -> str:
     return f"{row.action}/{row.context}"
 
 
-def bundle_disagreements(
-    out: Path, items: Sequence[Item], records: Sequence[TrialRecord], workers: int, engine: Engine = "local"
-) -> dict[int, str]:
-    """Write the replay bundle of the first disagreement of each unsound or conservative row, unless it is there.
+def bundle_disagreements(session: Session, records: Sequence[TrialRecord]) -> dict[int, str]:
+    """Write the replay bundle of the first disagreement of each unsound or conservative row.
 
-    Returns the folders of the bundles, relative to ``out``, by the number of their record.
+    Returns the folders of the bundles, relative to the run's, by the number of their record.
 
     Raises:
         InputError: a bundle cannot be written; those that are finished are kept.
@@ -108,27 +96,5 @@ def bundle_disagreements(
     for index, record in enumerate(records):
         if record["group"] in shown and record["attempts"] and not record["agrees"]:
             first.setdefault(record["group"], index)
-    folders = {index: f"bundles/{index:05d}" for index in first.values()}
-    missing = [
-        replace(
-            items[index], job=(out.resolve() / folder, items[index].key, items[index].job, records[index])
-        )
-        for index, folder in folders.items()
-        if not (out / folder / TEXT).exists()
-    ]
-    doing = "writing replay bundles"
-    answers = do_all(missing, _bundle, out, doing, workers=workers, engine=engine, timeout_s=BUNDLE_S)
-    for item, answer in zip(missing, answers, strict=True):
-        if isinstance(answer, Failure):
-            raise InputError(
-                f"no replay bundle of the trial '{item.key}': {answer.text}; all trials are kept in {out}: "
-                "--resume tries the bundle again"
-            )
-    return folders
-
-
-def _bundle(job: tuple[Path, str, Trial, TrialRecord]) -> Done:
-    """Write one bundle; it must come out as its record has it."""
-    folder, key, trial, record = job
-    write_bundle(folder, key, recipe_of(trial), tuple(map(Attempt.of, record["attempts"])))
-    return Done(agrees=True)
+    items = session.experiment.items
+    return write_bundles(session, {index: partial(recipe_of, items[index].job) for index in first.values()})

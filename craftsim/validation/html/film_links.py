@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
+from craftsim.experiments.bundle import FILM, TRAJECTORY
 from craftsim.validation.html.page import Case
-from craftsim.validation.replays.bundle import FILM, TRAJECTORY
 
 BUDGET_BYTES: Final = 20_000_000
 """Of all films within one page, as base64: more would make it slow to open and hard to send."""

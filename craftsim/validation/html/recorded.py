@@ -10,14 +10,14 @@ from typing import Final
 from markupsafe import Markup
 
 from craftsim.errors import InputError
+from craftsim.experiments.bundle import TRAJECTORY
+from craftsim.experiments.experiment import Item, TrialRecord
 from craftsim.rendering.plots.figures import plots_of
 from craftsim.rendering.plots.signals import Signals
 from craftsim.rendering.plots.style import WIDTH_IN
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
-from craftsim.validation.campaign import Item, TrialRecord
 from craftsim.validation.html.page import Case
 from craftsim.validation.html.svg import canvas
-from craftsim.validation.replays.bundle import TRAJECTORY
 
 MOST_RUNS: Final = 4
 """Runs that a page draws."""

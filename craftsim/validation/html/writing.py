@@ -10,13 +10,13 @@ from typing import Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from craftsim.experiments.bundle import TRAJECTORY
 from craftsim.storage.folders import output_directory
 from craftsim.storage.writing import write_whole
 from craftsim.validation.html import plots
 from craftsim.validation.html.film_links import Films
 from craftsim.validation.html.page import Page, count, interval, percent
 from craftsim.validation.html.recorded import Drawn
-from craftsim.validation.replays.bundle import TRAJECTORY
 
 FILE_NAME: Final = "report.html"
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Final
 
 from craftsim.checking.attempt import Attempt
-from craftsim.validation.campaign import Done, Item
+from craftsim.experiments.experiment import Done, Item
 from craftsim.validation.margins.axes import Axis
 from craftsim.validation.margins.limit import End, Limit
 from craftsim.validation.margins.search import BASE, search

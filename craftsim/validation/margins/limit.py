@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from craftsim.validation.campaign import TrialRecord
-from craftsim.validation.campaign.schema import STRICT
+from craftsim.experiments.experiment import TrialRecord
+from craftsim.experiments.schema import STRICT
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 

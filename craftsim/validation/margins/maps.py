@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Final
 
-from craftsim.validation.campaign import Done, Item, TrialRecord
+from craftsim.experiments.experiment import Done, Item, TrialRecord
 from craftsim.validation.margins.axes import Axis
 from craftsim.validation.margins.limit import RowFound
 from craftsim.validation.margins.trial import Rig

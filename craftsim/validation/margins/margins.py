@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import Setup
 from craftsim.errors import InputError
-from craftsim.report import write_report
-from craftsim.storage.folders import owning
+from craftsim.experiments.bundle import write_bundles
+from craftsim.experiments.experiment import Done, Experiment, RunOptions, TrialRecord
+from craftsim.experiments.records import read_finished
+from craftsim.experiments.session import Session, open_session
 from craftsim.storage.paths import resolved
-from craftsim.validation.campaign import (
-    Done,
-    Engine,
-    Failure,
-    Header,
-    TrialRecord,
-    do_all,
-    read_finished,
-    run_campaign,
-)
 from craftsim.validation.forms import MARGINS
 from craftsim.validation.margins.axes import Axis
 from craftsim.validation.margins.finding import MarginSearch, find
@@ -32,8 +23,6 @@ from craftsim.validation.margins.maps import Map, MapRow, Pair, find_row, maps_o
 from craftsim.validation.margins.scenarios import Scenario
 from craftsim.validation.margins.search import SHARE, confidence
 from craftsim.validation.margins.trial import Rig
-from craftsim.validation.replays.bundle import TEXT, write_bundle
-from craftsim.validation.validation import Progress
 
 COMMAND: Final = "margins"
 TIMEOUT_S: Final = 600.0
@@ -117,7 +106,6 @@ class Margins:
         return ended and all(one.limit.end is not End.BASE for one in self.margins)
 
 
-@owning
 def run_margins(
     scenarios: Sequence[Scenario],
     axes: Sequence[Axis],
@@ -127,12 +115,8 @@ def run_margins(
     out: Path,
     *,
     asked: Mapping[str, Any],
-    progress: Progress,
+    options: RunOptions,
     pair: Pair | None = None,
-    workers: int = 1,
-    engine: Engine = "local",
-    resume: bool = False,
-    against: Path | None = None,
 ) -> Margins:
     """Search the margin of each scenario along each axis, and write report.json and replay bundles into a folder.
 
@@ -144,46 +128,31 @@ def run_margins(
         seed: decides the places and all that is drawn.
         out: the folder.
         asked: the options that chose all this, for the report.
-        progress: shows what is done.
+        options: how.
         pair: two axes of which a map is drawn for each scenario, too.
-        workers: processes to share the work.
-        engine: processes of this machine, or an existing Ray cluster.
-        resume: go on with what an interrupted search has left in the folder.
-        against: folder of an earlier search to compare with.
     """
-    started = time.perf_counter()
-    earlier = {} if against is None else _earlier(against, out)
+    earlier = _earlier(options.against, out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     rigs = [Rig(scenario, setup, seed) for scenario in scenarios]
     searches = [MarginSearch(rig, axis, trials) for rig in rigs for axis in axes]
     rows = [row for rig in rigs for row in rows_of(rig, pair, trials)] if pair else []
     jobs: list[MarginSearch | MapRow] = [*searches, *rows]
     items = [job.item for job in jobs]
-    with progress(len(items)) as on_record:
-        records = run_campaign(
-            items,
-            work,
-            out,
-            Header(COMMAND, seed, config),
-            workers=workers,
-            engine=engine,
-            timeout_s=TIMEOUT_S,
-            resume=resume,
-            on_record=on_record,
-            form=MARGINS,
-        )
-    ended = [
-        (search, record) for search, record in zip(searches, records, strict=False) if record["error"] is None
-    ]
-    margins = [_margin(search, record, earlier.get(record["key"])) for search, record in ended]
-    maps = maps_of((row, records[len(searches) + number]) for number, row in enumerate(rows))
-    result = Margins(records, tuple(margins), maps, config, seed)
-    folders = _bundles(result, ended, out, workers, engine)
-    bundled = tuple(replace(one, bundle=folders.get(one.key, "")) for one in margins)
-    result = replace(result, margins=bundled)
-    wall = {"total_s": time.perf_counter() - started, "workers": workers, "engine": engine}
-    figures = {"margins": _figures(result, trials)}
-    write_report(out, figures, command=COMMAND, seed=seed, config=config | {"against": against}, wall=wall)
+    experiment = Experiment(COMMAND, seed, config, items, work, MARGINS, TIMEOUT_S)
+    with open_session(experiment, out, options) as session:
+        records = session.run()
+        ended = [
+            (search, record)
+            for search, record in zip(searches, records, strict=False)
+            if record["error"] is None
+        ]
+        margins = [_margin(search, record, earlier.get(record["key"])) for search, record in ended]
+        maps = maps_of((row, records[len(searches) + number]) for number, row in enumerate(rows))
+        result = Margins(records, tuple(margins), maps, config, seed)
+        folders = _bundles(session, result, ended)
+        bundled = tuple(replace(one, bundle=folders.get(one.key, "")) for one in margins)
+        result = replace(result, margins=bundled)
+        session.write_report({"margins": _figures(result, trials)})
     return result
 
 
@@ -197,8 +166,10 @@ def _margin(search: MarginSearch, record: TrialRecord, before: Limit | None) -> 
     return Margin(scenario.action, scenario.name, search.axis, limit_of(record), before)
 
 
-def _earlier(folder: Path, out: Path) -> dict[str, Limit]:
+def _earlier(folder: Path | None, out: Path) -> dict[str, Limit]:
     """Return the margins that an earlier search found, by the keys of their records."""
+    if folder is None:
+        return {}
     if resolved(folder) == resolved(out):
         raise InputError(f"--against {folder} is the folder of this run; choose another --out")
     records = read_finished(folder, COMMAND, MARGINS).records
@@ -206,41 +177,22 @@ def _earlier(folder: Path, out: Path) -> dict[str, Limit]:
 
 
 def _bundles(
-    result: Margins,
-    ended: Sequence[tuple[MarginSearch, TrialRecord]],
-    out: Path,
-    workers: int,
-    engine: Engine,
+    session: Session, result: Margins, ended: Sequence[tuple[MarginSearch, TrialRecord]]
 ) -> dict[str, str]:
-    """Write the replay bundle of what fails first of each action along each axis, unless it is there.
+    """Write the replay bundle of what fails first of each action along each axis.
 
-    Returns the folders of the bundles, relative to ``out``, by the keys of their margins.
+    Returns the folders of the bundles, relative to the run's, by the keys of their margins.
     """
     shown = {one.key for by_axis in result.weakest.values() for one in by_axis.values() if one.limit.reason}
-    first = [(search, record) for search, record in ended if record["key"] in shown and record["attempts"]]
-    folders = {record["key"]: f"bundles/{record['index']:05d}" for _, record in first}
-    missing = [
-        replace(search.item, job=(out.resolve() / folders[record["key"]], search, record))
-        for search, record in first
-        if not (out / folders[record["key"]] / TEXT).exists()
-    ]
-    doing = "writing replay bundles"
-    answers = do_all(missing, _bundle, out, doing, workers=workers, engine=engine, timeout_s=TIMEOUT_S)
-    for item, answer in zip(missing, answers, strict=True):
-        if isinstance(answer, Failure):
-            raise InputError(f"no replay bundle of '{item.key}': {answer.text}; --resume tries it again")
-    return folders
-
-
-def _bundle(job: tuple[Path, MarginSearch, TrialRecord]) -> Done:
-    """Write one bundle; it must come out as its record has it."""
-    folder, search, record = job
-    limit = limit_of(record)
-    levels = () if limit.fails_at is None else ((search.axis, limit.fails_at),)
-    assert limit.trial is not None
-    recipe = search.rig.recipe(limit.trial, levels)
-    write_bundle(folder, record["key"], recipe, tuple(map(Attempt.of, record["attempts"])))
-    return Done(agrees=True)
+    wanted = {}
+    for search, record in ended:
+        if record["key"] in shown and record["attempts"]:
+            limit = limit_of(record)
+            levels = () if limit.fails_at is None else ((search.axis, limit.fails_at),)
+            assert limit.trial is not None
+            wanted[record["index"]] = partial(search.rig.recipe, limit.trial, levels)
+    folders = write_bundles(session, wanted)
+    return {session.records[index]["key"]: folder for index, folder in folders.items()}
 
 
 def _figures(result: Margins, trials: int) -> dict[str, Any]:

@@ -19,12 +19,12 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import Item
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.library import check_cars
 from craftsim.storage.paths import exists, resolved
 from craftsim.storage.writing import writable
 from craftsim.training.policy import is_shipped_policy
-from craftsim.validation.campaign import Item
 from craftsim.validation.play.worlds import MAX_CARS, RandomWorlds
 from craftsim.validation.runs.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
 from craftsim.validation.runs.run import Run, Terms

@@ -24,6 +24,8 @@ from craftsim.envs.parallel import ParallelConstruction
 from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import StartError
+from craftsim.experiments.bundle import write_bundle
+from craftsim.experiments.experiment import Done
 from craftsim.logs.log import Log
 from craftsim.logs.recorder import LogRecorder
 from craftsim.logs.tables import LOG_SUFFIX, write_table
@@ -31,10 +33,9 @@ from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.storage.folders import directory_within
-from craftsim.validation.campaign import Done
-from craftsim.validation.play.play import Play, covered, play
+from craftsim.validation.play.coverage import covered
+from craftsim.validation.play.play import Play, play
 from craftsim.validation.play.worlds import RandomWorlds
-from craftsim.validation.replays.bundle import write_bundle
 from craftsim.validation.runs.policies import PLANNER, Policy, make_policy
 from craftsim.validation.runs.rebuilding import Rebuilding, rebuild
 from craftsim.validation.runs.steps import PlanOrder, steps_of

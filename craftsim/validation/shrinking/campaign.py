@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Final
 
 from craftsim.discrete.files.blueprint import write_blueprint
+from craftsim.experiments.bundle import Bundle, read_bundle
+from craftsim.experiments.experiment import Answer, Done, Failure, Item, TrialRecord
+from craftsim.experiments.session import Session
 from craftsim.storage.folders import directory_within
 from craftsim.storage.writing import write_whole
-from craftsim.validation.campaign import Answer, Done, Engine, Failure, Item, TrialRecord, do_all
-from craftsim.validation.replays.bundle import Bundle, read_bundle
 from craftsim.validation.shrinking.shrink import DependsError, OnTrial, Smallest, failing_actions, shrink
 from craftsim.validation.shrinking.words import sentence
 from craftsim.validation.statistics.audit_rows import kind_of
@@ -79,36 +80,26 @@ def write_smallest(found: Smallest, folder: Path) -> None:
 
 
 def shrink_failures(
-    out: Path,
-    records: Iterable[TrialRecord],
-    workers: int,
-    progress: ShrinkProgress,
-    engine: Engine = "local",
+    session: Session, records: Iterable[TrialRecord], progress: ShrinkProgress
 ) -> tuple[Shrunk, ...]:
     """Shrink the first failure of each kind that has a replay bundle, and write the smallest worlds.
 
     Args:
-        out: folder of the campaign; the worlds go into ``smallest/`` there.
-        records: of the campaign.
-        workers: processes that share the work.
+        session: the run; the worlds go into ``smallest/`` in its folder.
+        records: its records, with their bundles.
         progress: shows what is done.
-        engine: processes of this machine, or an existing Ray cluster.
     """
     bundles = list(first_of_each_kind(records).values())
+    if not bundles or session.out is None:
+        return ()
+    out = session.out.resolve()
     items = [
-        Item(bundle, FOLDER, 0, (out.resolve(), bundle, f"{FOLDER}/{number:02d}"))
+        Item(bundle, FOLDER, 0, (out, bundle, f"{FOLDER}/{number:02d}"))
         for number, bundle in enumerate(bundles)
     ]
-    if not items:
-        return ()
     with progress(len(items)) as on_each:
-        answers = do_all(
-            items,
-            _shrink,
-            out,
-            "looking for the smallest worlds",
-            workers=workers,
-            engine=engine,
+        answers = session.map(
+            *(FOLDER, items, _shrink, "looking for the smallest worlds"),
             timeout_s=SHRINK_S,
             on_answer=lambda number, answer: on_each(_shrunk(bundles[number], answer)),
         )

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import Experiment, RunOptions
+from craftsim.experiments.records import Finished, differences, read_finished
+from craftsim.experiments.session import Session
 from craftsim.storage.paths import resolved
-from craftsim.validation.campaign import FinishedCampaign, Form, Item, read_finished
-from craftsim.validation.campaign.header import CAMPAIGN, differences, read_header
 from craftsim.validation.statistics.alike import Alike, alike
 from craftsim.validation.statistics.proportions import Proportion
 from craftsim.validation.statistics.records import Record, carried_out
@@ -59,42 +60,49 @@ class Comparison:
         )
 
 
-def read_earlier(
-    folder: Path, command: str, out: Path | None, seed: int, items: Sequence[Item], form: Form
-) -> FinishedCampaign:
-    """Return the campaign that a command left in a folder; call this before the other one begins in ``out``.
+def read_earlier(experiment: Experiment, out: Path | None, options: RunOptions) -> Finished | None:
+    """Return the earlier run to compare with, if one is wanted; call this before the other one begins in ``out``.
 
-    Raises InputError where the folder holds none, or none that has pairs with the items to be tried.
+    Raises InputError where the folder holds none, or none that has pairs with the trials of the experiment.
     """
+    folder, seed = options.against, experiment.seed
+    if folder is None:
+        return None
     if out is not None and resolved(folder) == resolved(out):
         raise InputError(f"--against {folder} is the folder of this run; choose another --out")
-    found = read_finished(folder, command, form)
-    if (other := found.header.get("seed")) != seed:
+    found = read_finished(folder, experiment.command, experiment.form)
+    if (other := found.manifest.get("seed")) != seed:
         raise InputError(
-            f"the campaign in {folder} has the seed {other}, not {seed}, so that nothing is paired; "
-            f"give --seed {other}"
+            f"the run in {folder} has the seed {other}, not {seed}, so that nothing is paired; give --seed {other}"
         )
-    keys = {item.key for item in items}
+    keys = {item.key for item in experiment.items}
     if not any(record["key"] in keys for record in found.records):
         raise InputError(
-            f"the campaign in {folder} has no trial in common with this one, so there are no pairs to compare; "
+            f"the run in {folder} has no trial in common with this one, so there are no pairs to compare; "
             "run both with the same contexts, worlds, plans or policies"
         )
     return found
 
 
 def compare_runs(
-    earlier: FinishedCampaign,
-    out: Path,
-    records: Iterable[Record],
-    chosen: Callable[[Iterable[Record]], Iterable[Record]] = iter,
+    earlier: Finished,
+    session: Session,
+    chosen: Callable[[Iterable[Record]], Iterable[Record]] = lambda records: records,
 ) -> Comparison:
-    """Return how the records of the campaign that has ended in ``out`` compare; ``chosen`` says which count."""
-    headers = (earlier.header, read_header(out / CAMPAIGN))
-    before, after = ({key: header.get(key) for key in ("config", "versions")} for header in headers)
-    trials = compare_paired(chosen(earlier.records), chosen(records))
-    actions = alike(chosen(earlier.records), chosen(records))
-    return Comparison(str(earlier.folder), dict(differences(before, after)), trials, actions)
+    """Return how the records of a run compare with those of an earlier one; ``chosen`` says which count."""
+    first, second = chosen(earlier.records), chosen(session.records)
+    return Comparison(
+        str(earlier.folder),
+        changes(earlier.manifest, session.manifest),
+        compare_paired(first, second),
+        alike(first, second),
+    )
+
+
+def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return the settings and versions that differ between two manifests, by their dotted names."""
+    old, new = ({key: manifest.get(key) for key in ("config", "versions")} for manifest in (before, after))
+    return dict(differences(old, new))
 
 
 def compare_paired(first: Iterable[Record], second: Iterable[Record]) -> Paired:

@@ -11,12 +11,10 @@ from typing import Any, Final
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.storage.paths import exists
-from craftsim.validation.campaign import FinishedCampaign, read_finished
-from craftsim.validation.campaign.header import CAMPAIGN, differences, read_header
+from craftsim.experiments.records import Finished, described, read_finished
 from craftsim.validation.forms import RUNS, TRIALS
 from craftsim.validation.statistics.alike import Alike, Tried, alike, paired_actions
-from craftsim.validation.statistics.paired import Paired, compare_paired
+from craftsim.validation.statistics.paired import Paired, changes, compare_paired
 from craftsim.validation.statistics.precision import Distribution, errors
 from craftsim.validation.statistics.proportions import CONFIDENCE, Proportion
 from craftsim.validation.statistics.ranking import Estimate, RankAgreement, agreement_of
@@ -85,18 +83,16 @@ class RealityGap:
         return self.trials.p_value >= 1 - CONFIDENCE
 
 
-def read_run(folder: Path) -> FinishedCampaign:
+def read_run(folder: Path) -> Finished:
     """Return the finished run in a folder; raise InputError for a folder that holds none of validate or audit."""
-    path = folder / CAMPAIGN
-    if not exists(path):
-        raise InputError(f"{folder} holds no run; give the --out of 'craftsim validate' or 'craftsim audit'")
-    command = read_header(path)["command"]
+    with described(folder, "give the --out of 'craftsim validate' or 'craftsim audit'") as (_, manifest):
+        command = manifest["command"]
     if command not in FORMS:
-        raise InputError(f"{folder} holds a campaign of another command; allowed: {', '.join(FORMS)}")
+        raise InputError(f"{folder} holds a run of another command; allowed: {', '.join(FORMS)}")
     return read_finished(folder, command, FORMS[command])
 
 
-def compare_with_reality(sim: FinishedCampaign, real: FinishedCampaign, seed: int = 0) -> RealityGap:
+def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> RealityGap:
     """Return how two runs agree on the trials that they share, paired by their keys; ``seed`` is the bootstrap's.
 
     Raises InputError for runs that share no trial.
@@ -108,10 +104,9 @@ def compare_with_reality(sim: FinishedCampaign, real: FinishedCampaign, seed: in
             "both need the same worlds, plans or policies, and trials of the same numbers"
         )
     one, other = ([r for r in run.records if r["key"] in shared] for run in (sim, real))
-    before, after = ({key: run.header.get(key) for key in ("config", "versions")} for run in (sim, real))
     plans = _plans(one, other)
     return RealityGap(
-        changed=dict(differences(before, after)),
+        changed=changes(sim.manifest, real.manifest),
         trials=compare_paired(one, other),
         actions=alike(one, other),
         by_verb=_by_verb(paired_actions(one, other)),

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Final, TypeAlias, TypeVar
 
 from craftsim.checking.attempt import Verdict
-from craftsim.validation.campaign.items import TrialRecord
+from craftsim.experiments.experiment import TrialRecord
 
 Record: TypeAlias = TrialRecord
 """One trial, a line of ``trials.jsonl``."""

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from sessions import put
 
 from craftsim import cli
 from craftsim.audit import plan as planned
@@ -10,11 +11,14 @@ from craftsim.audit.plan import audit_plan, corrections
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import setup_of
 from craftsim.errors import InputError
+from craftsim.experiments.bundle import read_bundle
+from craftsim.experiments.experiment import Experiment, RunOptions
+from craftsim.experiments.replay import replay
+from craftsim.experiments.session import open_session, run_experiment
+from craftsim.validation.audit import rows
+from craftsim.validation.audit.corrections import corrections
 from craftsim.validation.audit.results import Results, bundle_disagreements
 from craftsim.validation.audit.trial import BATCH, items_of, try_it
-from craftsim.validation.campaign import Header, run_campaign
-from craftsim.validation.replays.bundle import read_bundle
-from craftsim.validation.replays.replay import replay
 
 UNSOUND = {
     "FOLD/level=1/ground=flat/own=body-back/load=none/beyond=taken/room=free": "swinging_flap",
@@ -41,8 +45,10 @@ def records(tmp_path_factory):
     assert {row.name for row in plan} == wanted
     items = _items(plan)
     return [
-        run_campaign(
-            items, try_it, tmp_path_factory.mktemp("audit"), Header("audit", 0, {}), workers=n, batch=BATCH
+        run_experiment(
+            Experiment("audit", 0, {}, items, try_it, batch=BATCH),
+            tmp_path_factory.mktemp("audit"),
+            RunOptions(n),
         )
         for n in (1, 2)
     ]
@@ -91,17 +97,24 @@ def test_a_bundle_that_is_there_is_not_made_again_and_one_that_comes_out_otherwi
 ):
     name = "MOVE/scene=onto a second ramp"
     items = [item for item in _items(audit_plan("published")) if item.group == name]
-    found = [{**record, "index": i} for i, record in enumerate(r for r in records[0] if r["group"] == name)]
-    path = tmp_path / "campaign"
-    kept = path / "bundles" / "00000" / "bundle.json"
+    experiment = Experiment("audit", 0, {}, items, try_it, batch=BATCH)
+    path = tmp_path / "audit"
+    first = next(n for n, record in enumerate(run_experiment(experiment, path)) if not record["agrees"])
+    kept = path / "bundles" / f"{first:05d}" / "bundle.json"
     kept.parent.mkdir(parents=True)
     kept.write_text("mine")
-    assert bundle_disagreements(path, items, found, 1) == {0: "bundles/00000"}
+    with open_session(experiment, path, RunOptions(resume=True)) as session:
+        assert bundle_disagreements(session, session.run()) == {first: f"bundles/{first:05d}"}
     assert kept.read_text() == "mine"
-    found[0]["attempts"][0]["duration_s"] = 1e3
     kept.unlink()
-    with pytest.raises(InputError, match=r"no replay bundle of .*came out otherwise.*--resume"):
-        bundle_disagreements(path, items, found, 1)
+    record = json.loads((path / "trials.jsonl").read_text().splitlines()[first])
+    record["attempts"][0]["duration_s"] = 1e3
+    put(path, first, json.dumps(record))
+    with (
+        open_session(experiment, path, RunOptions(resume=True)) as session,
+        pytest.raises(InputError, match=r"no replay bundle of .*came out otherwise.*--resume"),
+    ):
+        bundle_disagreements(session, session.run())
 
 
 def test_physical_forbids_each_of_them():

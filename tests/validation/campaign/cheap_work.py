@@ -7,12 +7,18 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from craftsim.validation.campaign import Done, Item
+from craftsim.experiments.experiment import Done, Experiment, Item
 
 
 def items(n, **jobs):
     """Return n items; ``jobs`` gives some of them, by ``i`` and their number, something else to do."""
     return [Item(f"item {i}", f"group {i % 2}", 7, (i, jobs.get(f"i{i}", "add"))) for i in range(n)]
+
+
+def experiment(n_or_items, command="test", config=None, **options):
+    """Return the experiment of some items."""
+    some = items(n_or_items) if isinstance(n_or_items, int) else n_or_items
+    return Experiment(command, 7, config or {}, some, options.pop("work", work), **options)
 
 
 def work(job):
@@ -34,6 +40,8 @@ def work(job):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "bundles/one")
         case "large":
             return Done(True, [{"sum": number / 3, "text": "x" * 400}] * 60)
+        case ("text", int() as length):
+            return Done(True, [{"text": "x" * length}])
         case "slow":
             time.sleep(0.02)
         case ("slow while", Path() as mark) if mark.exists():

@@ -63,18 +63,20 @@ COMMANDS = {
             "validate strip block --policy planner random --randomize strong --trials 3 --workers 2 --video none"
         ),
         _trials,
-        "campaign.json",
+        "session.db",
     ),
     "play": Command(
         _words("validate random --cars 1 --max-steps 4 --trials 6 --workers 2 --video none"),
         _trials,
-        "campaign.json",
+        "session.db",
     ),
     "audit": Command(
         _words("audit --contexts 'MOVE/scene=on* a second ramp' --trials 2 --workers 2"),
         _trials,
-        "campaign.json",
+        "session.db",
     ),
+    "margins": Command(_words("margins --quick --scenarios 'lift*' --workers 2"), _trials, "session.db"),
+    "tune": Command(_words("tune board --evaluations 4 --trials 1 --workers 2"), _trials, "session.db"),
     "train": Command(_words("train --task strip --steps 60000 --worlds 50 --episodes 50"), _curve, "run.pt"),
 }
 
@@ -163,7 +165,7 @@ def _round(
     with tempfile.TemporaryDirectory(dir=folder) as place, tempfile.TemporaryDirectory(dir=folder) as scratch:
         out = Path(place) / "out"
         moments = [_kill(command, out, Path(scratch), rng, took_s, seen) for _ in range(KILLS)]
-        if not (out / "report.json").exists() or command.begun == "campaign.json":
+        if not (out / "report.json").exists() or command.begun == "session.db":
             _finish(command, out, Path(scratch))
         found, left = _results(command, out), _names(Path(scratch)) - caches
     same = found == expected and not left

@@ -3,15 +3,16 @@
 import os
 import signal
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import cheap_work
 from ray.cluster_utils import Cluster
 
 from craftsim.errors import InputError
-from craftsim.validation.campaign import Header, run_campaign
+from craftsim.experiments.experiment import RunOptions
+from craftsim.experiments.session import run_experiment
 
-HEADER = Header("ray", 0, {})
 N_ITEMS = 14
 
 
@@ -34,7 +35,8 @@ def main(out: Path) -> None:
                     os.kill(info.process.pid, signal.SIGKILL)
 
     try:
-        run_campaign(items(out), cheap_work.work, out, HEADER, workers=2, engine="ray", on_record=kill_head)
+        options = RunOptions(2, "ray", progress=lambda total: nullcontext(kill_head))
+        run_experiment(cheap_work.experiment(items(out)), out, options)
     except InputError as error:
         print(error)
 

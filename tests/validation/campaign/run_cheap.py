@@ -6,21 +6,25 @@ from pathlib import Path
 import cheap_work
 
 from craftsim.cli import main
-from craftsim.validation.campaign import Header, do_all, run_campaign
+from craftsim.experiments.experiment import RunOptions
+from craftsim.experiments.session import open_session, run_experiment
 
 ITEMS = cheap_work.items(40, **{f"i{i}": "slow" for i in range(40)})
 
 
 def cheap(resume: bool = False) -> int:
-    """Run the campaign as a command would."""
-    run_campaign(ITEMS, cheap_work.work, OUT, Header("cheap", 0, {}), workers=2, batch=3, resume=resume)
+    """Run the experiment as a command would."""
+    experiment = cheap_work.experiment(ITEMS, "cheap", batch=3)
+    run_experiment(experiment, OUT, RunOptions(workers=2, resume=resume))
     return 0
 
 
 def after(resume: bool = False) -> int:
-    """Do what a finished campaign still needs; each item leaves a file."""
+    """Do what a finished run still needs; each item leaves a file."""
     items = [cheap_work.left_in(OUT, item) for item in ITEMS]
-    do_all(items, cheap_work.leave, OUT, "leaving files", workers=2)
+    with open_session(cheap_work.experiment(1), OUT, RunOptions(workers=2, resume=resume)) as session:
+        session.run()
+        session.map(None, items, cheap_work.leave, "leaving files", timeout_s=60.0)
     return 0
 
 

@@ -18,7 +18,8 @@ from statistics import median
 import cheap_work
 
 from craftsim.checking.setup import setup_of
-from craftsim.validation.campaign import Header, Item, TrialRecord, run_campaign
+from craftsim.experiments.experiment import Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.session import run_experiment
 from craftsim.validation.runs.choice import PLAY, items_of, policy_pilot, subjects_of
 from craftsim.validation.runs.policies import RANDOM
 from craftsim.validation.runs.run import Terms, do_run
@@ -94,15 +95,8 @@ def _soak(
     what: str, items: Sequence[Item], work: Callable[..., object], memory: Memory, batch: int = 1
 ) -> None:
     with tempfile.TemporaryDirectory() as folder, contextlib.suppress(_EnoughError):
-        run_campaign(
-            items,
-            work,
-            Path(folder),
-            Header("soak", 0, {}),
-            workers=WORKERS,
-            batch=batch,
-            on_record=memory.on_record,
-        )
+        options = RunOptions(WORKERS, progress=lambda total: contextlib.nullcontext(memory.on_record))
+        run_experiment(Experiment("soak", 0, {}, items, work, batch=batch), Path(folder), options)
     memory.print_and_check(what)
 
 

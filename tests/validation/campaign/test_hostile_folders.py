@@ -1,32 +1,29 @@
-"""Campaign folders that are foreign, damaged or hostile are refused before anything is tried, and stay as they are."""
+"""Folders of runs that are foreign, damaged or hostile are refused before anything is tried, and stay as they are."""
 
 import json
 import os
 import pickle
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cheap_work
 import pytest
+from sessions import cut_off, make_old, manifest_of, put
 
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import Item, RunOptions, answer_of, text_of
+from craftsim.experiments.records import read_finished
+from craftsim.experiments.session import open_session, run_experiment
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS, TRIALS
-from craftsim.validation.campaign import Done, Header, Item, read_finished, run_campaign
-from craftsim.validation.campaign import records as records_module
-from craftsim.validation.campaign.items import answer_of, make_record
-from craftsim.validation.campaign.store import Store
 from craftsim.validation.forms import RUNS
 
 sys.path.append(str(Path(__file__).parents[2] / "fuzzing"))
 import campaign_folders
 
-HEADER = Header("validate", 7, {"trials": 3})
-ITEMS = cheap_work.items(3)
-
-
-def _nobody(job):
-    raise AssertionError("nothing may be tried")
+EXPERIMENT = replace(campaign_folders.EXPERIMENT, work=None)
+"""Nothing of it may be tried."""
 
 
 def _content(folder):
@@ -37,21 +34,18 @@ def _content(folder):
 
 @pytest.fixture
 def unfinished(tmp_path):
-    """Return the folder of a campaign of which the first of three items is done."""
-    store = Store(tmp_path, campaign_folders.HEADER, campaign_folders.ITEMS, resume=False, form=RUNS)
-    store.close()
-    header, trials = campaign_folders.valid()
-    (tmp_path / "campaign.json").write_bytes(header)
-    (tmp_path / "trials.jsonl").write_bytes(b"".join(trials.splitlines(keepends=True)[:2]))
+    """Return the folder of a run of which two of three trials are done."""
+    database, _, lines = campaign_folders.valid()
+    (tmp_path / "session.db").write_bytes(database)
+    (tmp_path / "trials.jsonl").write_bytes(lines)
+    cut_off(tmp_path, (0, 1))
     return tmp_path
 
 
 def _refused(folder, match, resume=True):
     before, begun = _content(folder), time.process_time()
     with pytest.raises(InputError, match=match):
-        run_campaign(
-            campaign_folders.ITEMS, _nobody, folder, campaign_folders.HEADER, resume=resume, form=RUNS
-        )
+        run_experiment(EXPERIMENT, folder, RunOptions(resume=resume))
     assert time.process_time() - begun < 10
     assert _content(folder) == before
 
@@ -60,22 +54,22 @@ def _refused(folder, match, resume=True):
 @pytest.mark.parametrize(
     "name", ["trials.jsonl", "report.json", "durations.csv", "worlds", "films", "smallest"]
 )
-def test_what_no_campaign_of_ours_wrote_is_never_overwritten(tmp_path, name, resume):
+def test_what_no_run_of_ours_wrote_is_never_overwritten(tmp_path, name, resume):
     if "." in name:
         (tmp_path / name).write_text("mine\n")
     else:
         (tmp_path / name).mkdir()
         (tmp_path / name / "mine").touch()
-    _refused(tmp_path, rf"holds {name}, but no campaign\.json .*choose another --out", resume)
+    _refused(tmp_path, rf"holds {name}, but no session\.db .*choose another --out", resume)
 
 
 @pytest.mark.parametrize("resume", [False, True])
-def test_records_whose_description_is_gone_are_not_lost(unfinished, resume):
-    (unfinished / "campaign.json").unlink()
-    _refused(unfinished, r"holds trials\.jsonl, but no campaign\.json .*put campaign\.json back", resume)
+def test_lines_whose_database_is_gone_are_not_lost(unfinished, resume):
+    (unfinished / "session.db").unlink()
+    _refused(unfinished, r"holds trials\.jsonl, but no session\.db .*put session\.db back", resume)
 
 
-@pytest.mark.parametrize("name", ["trials.jsonl", "campaign.json", "report.json", "durations.csv"])
+@pytest.mark.parametrize("name", ["trials.jsonl", "session.db", "report.json", "durations.csv"])
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: os.symlink("/dev/zero", path)])
 def test_pipes_devices_and_folders_in_the_place_of_files_are_refused(unfinished, name, make):
     (unfinished / name).unlink(missing_ok=True)
@@ -99,7 +93,7 @@ def _attempted(**changes):
 
 
 DAMAGED = {
-    "a key is missing": (lambda r: json.dumps({k: v for k, v in r.items() if k != "extra"}), "extra': Field required"),
+    "a key is missing": (lambda r: json.dumps(r).replace("extra", "more").encode(), "extra': Field required"),
     "a list for a key": (_changed(key=[]), "key': Input should be a valid string, not a list"),
     "attempts of another kind": (_changed(attempts=3), "attempts': "),
     "an attempt without a field": (_changed(attempts=[{"tick": 0}]), r"attempts\.0\.car': Field required"),
@@ -118,42 +112,51 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_a_damaged_record_is_named_with_its_line_before_anything_is_tried(unfinished, name):
+def test_a_damaged_record_is_named_before_anything_is_tried(unfinished, name):
     damage, message = DAMAGED[name]
-    path = unfinished / "trials.jsonl"
-    first, second = path.read_bytes().splitlines()
-    line = damage(json.loads(first))
-    path.write_bytes(second + b"\n" + (line if isinstance(line, bytes) else line.encode()) + b"\n")
-    _refused(unfinished, rf"trials\.jsonl:2: not a trial's record: .*{message}.*delete this line")
+    lines = (unfinished / "trials.jsonl").read_bytes().splitlines()
+    data = damage(json.loads(lines[0]))
+    put(unfinished, 0, data)
+    _refused(unfinished, rf"session\.db: trial 0: not a trial's record: .*{message}.*choose another --out")
+    old = make_old(unfinished)
+    (old / "trials.jsonl").write_bytes(lines[1] + b"\n" + data + b"\n")
+    with pytest.raises(
+        InputError, match=rf"trials\.jsonl:2: not a trial's record: .*{message}.*delete this line"
+    ):
+        read_finished(old, "validate", RUNS)
 
 
 def test_a_line_without_an_end_is_refused_without_reading_on(unfinished):
-    os.truncate(unfinished / "trials.jsonl", 30 * 2**30)
+    old = make_old(unfinished)
+    os.truncate(old / "trials.jsonl", 30 * 2**30)
     begun = time.process_time()
     with pytest.raises(InputError, match=r"trials\.jsonl:3: the line is longer"):
-        Store(unfinished, campaign_folders.HEADER, campaign_folders.ITEMS, resume=True, form=RUNS)
+        read_finished(old, "validate", RUNS)
     assert time.process_time() - begun < 10
 
 
 @pytest.mark.parametrize(
     "change", [{"items": 10**15}, {"items": True}, {"command": 3}, {"seed": "7"}, {"keys": None}]
 )
-def test_a_damaged_description_is_refused(unfinished, change):
-    path = unfinished / "campaign.json"
-    path.write_text(json.dumps({**json.loads(path.read_bytes()), **change}))
-    _refused(unfinished, rf"campaign\.json: not a campaign's description: key '{next(iter(change))}': ")
-    with pytest.raises(InputError, match="not a campaign's description"):
+def test_a_damaged_manifest_is_refused(unfinished, change):
+    record = (unfinished / "trials.jsonl").read_text().splitlines()[0]
+    put(unfinished, 0, record, json.dumps({**manifest_of(unfinished), **change}))
+    message = f"not a run's manifest: key '{next(iter(change))}': "
+    _refused(unfinished, message)
+    with pytest.raises(InputError, match=message):
         read_finished(unfinished, "validate", RUNS)
+    with pytest.raises(InputError, match=message):
+        read_finished(make_old(unfinished), "validate", RUNS)
 
 
 def test_what_utf_8_cannot_say_is_recorded_as_an_escape_and_read_back(tmp_path):
     odd = [Item("caf\udce9/0", "group \udce9", 7, (0, "odd"), "caf\udce9")]
-    header = Header("validate", 7, {"worlds": {"caf\udce9": "shipped"}})
-    (record,) = run_campaign(odd, cheap_work.work, tmp_path, header)
+    own = cheap_work.experiment(odd, "validate", {"worlds": {"caf\udce9": "shipped"}})
+    (record,) = run_experiment(own, tmp_path)
     assert record["key"] == "caf\\udce9/0"
     assert record["error"] == "ValueError: \\ud800"
     assert read_finished(tmp_path, "validate").records == [record]
-    assert run_campaign(odd, cheap_work.work, tmp_path, header, resume=True)[0]["error"] is not None
+    assert run_experiment(own, tmp_path, RunOptions(resume=True))[0]["error"] is not None
 
 
 def _verbose(job):
@@ -161,22 +164,20 @@ def _verbose(job):
 
 
 def test_a_record_that_is_too_long_gives_way_to_a_failure(tmp_path):
-    store = Store(tmp_path, HEADER, ITEMS, resume=False)
-    long = store.append(make_record(ITEMS[0], 0, Done(True, [{"text": "x" * TRIALS.line_bytes}])))
+    (item,) = cheap_work.items(1, i0=("text", TRIALS.line_bytes))
+    (long,) = run_experiment(cheap_work.experiment([item]), tmp_path)
     assert long["error"] == "its record has 16 MiB; allowed: at most 16 MiB"
-    said = store.append(make_record(ITEMS[1], 1, answer_of(_verbose, None)))
+    said = json.loads(text_of(item, 0, answer_of(_verbose, None)))
     assert len(said["error"]) < MAX_ERROR_CHARACTERS + 10
     assert len(said["extra"]["traceback"]) < MAX_ERROR_CHARACTERS + 10
-    store.close()
 
 
-@pytest.mark.parametrize("kept", [0, records_module.IN_MEMORY])
-def test_records_stay_as_they_were_when_another_campaign_begins(tmp_path, monkeypatch, kept):
-    monkeypatch.setattr(records_module, "IN_MEMORY", kept)
-    records = run_campaign(ITEMS, cheap_work.work, tmp_path, HEADER, workers=2)
+def test_records_stay_as_they_were_when_another_run_begins(tmp_path):
+    own = cheap_work.experiment(3)
+    records = run_experiment(own, tmp_path, RunOptions(workers=2))
     before = list(records)
-    Store(tmp_path, HEADER, ITEMS, resume=False).close()
-    assert records == before == records[:] == pickle.loads(pickle.dumps(records))
+    with open_session(own, tmp_path):
+        assert records == before == records[:] == pickle.loads(pickle.dumps(records))
     assert [records[-1], records[1]] == [before[2], before[1]]
     assert records.with_bundles({1: "bundles/1"})[1]["bundle"] == "bundles/1"
     assert records[1]["bundle"] is None

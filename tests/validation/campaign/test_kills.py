@@ -13,9 +13,11 @@ import cheap_work
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.validation.campaign import Header, run_campaign
+from craftsim.experiments.session import run_experiment
 
 SCRIPT = Path(__file__).parent / "run_cheap.py"
+LIMIT = 1 << 16
+"""Bytes that a file may have on a small disk."""
 
 
 def _start(out, *options, what="cheap", **popen):
@@ -98,16 +100,14 @@ def test_an_interrupted_campaign_says_how_to_go_on(tmp_path, undisturbed, number
 
 
 def test_a_disk_that_fills_up_stops_with_a_message_and_resume_goes_on(tmp_path, undisturbed):
-    limit = len(undisturbed) // 2 + 7
-
     def small_disk():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, LIMIT))
 
     process = _start(tmp_path, preexec_fn=small_disk)
     assert process.wait(60) == 2
     assert "what was finished is kept: make room, then --resume" in process.stderr.read()
     text = (tmp_path / "trials.jsonl").read_bytes()
-    assert 0 < len(text) < limit
+    assert 0 < len(text) < LIMIT
     assert text.endswith(b"\n"), "nothing half-written"
     process = _start(tmp_path, "--resume")
     assert process.wait(60) == 0, process.stderr.read()
@@ -116,15 +116,13 @@ def test_a_disk_that_fills_up_stops_with_a_message_and_resume_goes_on(tmp_path, 
 
 def test_a_full_file_system_stops_with_a_message(tmp_path):
     mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=16k", "tmpfs", tmp_path], capture_output=True, check=False
+        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], capture_output=True, check=False
     )
     if mounted.returncode:
         pytest.skip("this user may not mount a small file system")
     try:
-        items = cheap_work.items(400)
-        with pytest.raises(InputError, match=r"No space left on device; .*--resume"):
-            run_campaign(items, cheap_work.work, tmp_path, Header("full", 0, {}))
-        n = _finished(tmp_path)
-        assert 0 < n < 400
+        with pytest.raises(InputError, match=r"cannot write into .* make room, then --resume"):
+            run_experiment(cheap_work.experiment(4000), tmp_path)
+        assert 0 < _finished(tmp_path) < 4000
     finally:
         subprocess.run(["umount", tmp_path], check=True)

@@ -12,10 +12,10 @@ import pytest
 
 from craftsim.cli import main
 from craftsim.errors import InputError
-from craftsim.validation.campaign import Header, run_campaign
+from craftsim.experiments.experiment import RunOptions
+from craftsim.experiments.session import run_experiment
 
 pytest.importorskip("ray", reason="the extra 'ray' is not installed")
-HEADER = Header("ray", 0, {})
 pytestmark = pytest.mark.usefixtures("alone")
 
 
@@ -26,12 +26,11 @@ def test_records_are_those_of_local_workers_whatever_goes_wrong(tmp_path, ray_cl
     faults = {"i3": "raise", "i5": "die", "i9": "hang"}
     faults = {**faults, "i7": ("die once", tmp_path / "died")}
     items = cheap_work.items(12, **faults)
-    records = run_campaign(
-        items, cheap_work.work, tmp_path / "ray", HEADER, workers=2, engine="ray", timeout_s=1, batch=2
-    )
+    own = cheap_work.experiment(items, timeout_s=1, batch=2)
+    records = run_experiment(own, tmp_path / "ray", RunOptions(2, "ray"))
     assert [record["error"] is None for record in records] == [i not in (3, 5, 9) for i in range(12)]
     (tmp_path / "died").unlink()
-    local = run_campaign(items, cheap_work.work, tmp_path / "local", HEADER, workers=2, timeout_s=1)
+    local = run_experiment(own, tmp_path / "local", RunOptions(2))
     assert records == local
 
 
@@ -50,15 +49,15 @@ def test_a_lost_head_is_told_within_seconds_and_resume_goes_on_without_it(tmp_pa
     n = len((tmp_path / "trials.jsonl").read_bytes().splitlines())
     assert 10 <= n < lose_head.N_ITEMS
     (tmp_path / "slow").unlink()
-    items = lose_head.items(tmp_path)
-    records = run_campaign(items, cheap_work.work, tmp_path, lose_head.HEADER, workers=2, resume=True)
+    own = cheap_work.experiment(lose_head.items(tmp_path))
+    records = run_experiment(own, tmp_path, RunOptions(2, resume=True))
     assert all(record["agrees"] for record in records)
 
 
 def test_without_a_cluster_the_message_says_how_to_start_one(tmp_path, monkeypatch):
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     with pytest.raises(InputError, match="ray start --head"):
-        run_campaign(cheap_work.items(1), cheap_work.work, tmp_path, HEADER, engine="ray")
+        run_experiment(cheap_work.experiment(1), tmp_path, RunOptions(engine="ray"))
 
 
 @pytest.fixture
@@ -89,7 +88,7 @@ def test_a_cluster_of_this_machine_that_is_gone_is_refused_within_seconds(
     (tmp_path / "ray" / "ray_current_cluster").write_text(f"127.0.0.1:{nobodys_port}")
     begun = time.perf_counter()
     with pytest.raises(InputError, match=f"no Ray cluster answers at .*:{nobodys_port}"):
-        run_campaign(cheap_work.items(1), cheap_work.work, tmp_path / "out", HEADER, engine="ray")
+        run_experiment(cheap_work.experiment(1), tmp_path / "out", RunOptions(engine="ray"))
     assert time.perf_counter() - begun < 60
 
 
@@ -101,10 +100,10 @@ def test_an_address_that_never_answers_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setattr(socket, "create_connection", silent)
     monkeypatch.setenv("RAY_ADDRESS", "198.51.100.1:6379")
     with pytest.raises(InputError, match=r"198\.51\.100\.1:6379 \(timed out\)"):
-        run_campaign(cheap_work.items(1), cheap_work.work, tmp_path, HEADER, engine="ray")
+        run_experiment(cheap_work.experiment(1), tmp_path, RunOptions(engine="ray"))
 
 
 def test_an_address_that_is_none_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_ADDRESS", "here:there")
     with pytest.raises(InputError, match="HOST:PORT"):
-        run_campaign(cheap_work.items(1), cheap_work.work, tmp_path, HEADER, engine="ray")
+        run_experiment(cheap_work.experiment(1), tmp_path, RunOptions(engine="ray"))

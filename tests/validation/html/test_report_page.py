@@ -15,11 +15,11 @@ from craftsim.checking.setup import Setup
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
+from craftsim.experiments.experiment import Item
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import TRAJECTORIES
 from craftsim.validation.audit.audit import Audit
 from craftsim.validation.audit.results import Results, judged_by_rules
-from craftsim.validation.campaign import Item
 from craftsim.validation.html import film_links
 from craftsim.validation.html.audit import audit_page
 from craftsim.validation.html.validate import validate_page

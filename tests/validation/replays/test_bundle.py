@@ -19,9 +19,8 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.validation.audit.trial import Trial, recipe_of, try_it
-from craftsim.validation.replays import replay as replaying
-from craftsim.validation.replays.bundle import (
+from craftsim.experiments import replay as replaying
+from craftsim.experiments.bundle import (
     AFTER,
     BEFORE,
     PHYSICS,
@@ -30,8 +29,10 @@ from craftsim.validation.replays.bundle import (
     read_bundle,
     write_bundle,
 )
-from craftsim.validation.replays.recording import record_bundle
-from craftsim.validation.replays.replay import replay
+from craftsim.experiments.replay import replay
+from craftsim.validation.audit.rows import audit_plan
+from craftsim.validation.audit.trial import Trial, recipe_of, try_it
+from craftsim.validation.recording import record_bundle
 
 
 def _world() -> Grid:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from craftsim.checking.setup import Setup
+from craftsim.experiments.bundle import read_bundle
 from craftsim.models.world import PhysicsWorld
-from craftsim.validation.replays.bundle import read_bundle
 from craftsim.validation.runs.choice import items_of, policy_pilot, subjects_of
 from craftsim.validation.runs.policies import make_policy
 from craftsim.validation.runs.run import Terms, do_run

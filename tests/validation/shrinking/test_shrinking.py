@@ -13,7 +13,8 @@ from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, r
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.validation.replays.bundle import write_bundle
+from craftsim.experiments.bundle import write_bundle
+from craftsim.validation.audit.scenes import SCENES
 from craftsim.validation.shrinking.campaign import first_of_each_kind
 from craftsim.validation.shrinking.pieces import WorldPart, cropped, grid_of, lowered, pieces_of, without
 from craftsim.validation.shrinking.shrink import DependsError, Situated, failing_actions, shrink

@@ -8,12 +8,12 @@ from synthetic import attempt, record
 from craftsim import cli
 from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
-from craftsim.validation.campaign import FinishedCampaign
+from craftsim.experiments.records import Finished
 from craftsim.validation.statistics.reality import compare_with_reality, read_run
 
 
 def _run(tmp_path, records, **config):
-    return FinishedCampaign(tmp_path, {"config": config, "versions": {}}, records)
+    return Finished(tmp_path, {"config": config, "versions": {}}, records)
 
 
 def _runs(tmp_path, share, seconds=1.0):

@@ -1,19 +1,20 @@
-"""What a campaign's files may say: each value of its description and of its records is checked when it is read."""
+"""What a run's folder may say: each value of its manifest and of its records is checked when it is read."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import PurePosixPath
-from typing import Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError, create_model
 
 from craftsim.errors import InputError
 from craftsim.storage.limits import RUNS
 from craftsim.storage.reading import parse_json
-from craftsim.storage.records import first_mistake
-from craftsim.validation.campaign.items import TrialRecord
+
+if TYPE_CHECKING:
+    from craftsim.experiments.experiment import TrialRecord
 
 STRICT: Final = ConfigDict(strict=True, allow_inf_nan=False)
 """A number is a number and no text, and finite."""
@@ -45,8 +46,8 @@ class _Record:
 
 
 @dataclass(frozen=True)
-class _Description:
-    """``campaign.json``."""
+class _Manifest:
+    """What a run is."""
 
     __pydantic_config__ = STRICT
     schema_version: int
@@ -59,7 +60,7 @@ class _Description:
 
 
 _RECORD: Final = TypeAdapter(_Record)
-_DESCRIPTION: Final = TypeAdapter(_Description)
+_MANIFEST: Final = TypeAdapter(_Manifest)
 
 
 @dataclass(frozen=True)
@@ -92,10 +93,10 @@ ANY: Final = Form()
 """Of trials of which nothing more is known."""
 
 
-def description(data: bytes, where: str) -> dict[str, Any]:
-    """Return what a campaign is; raise InputError, beginning with ``where``, for what describes none."""
+def manifest_of(data: bytes, where: str) -> dict[str, Any]:
+    """Return what a run is; raise InputError, beginning with ``where``, for what is no manifest."""
     loaded: dict[str, Any] = parse_json(data, where)
-    _check(_DESCRIPTION, data, where)
+    _check(_MANIFEST, data, where)
     return loaded
 
 

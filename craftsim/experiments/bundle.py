@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,6 +19,8 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, check_recipe, do, run_up
 from craftsim.checking.judge import Judge
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import Done, Failure, Item, TrialRecord
+from craftsim.experiments.session import Session
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
@@ -44,6 +47,8 @@ FILM: Final = "film.mp4"
 TRAJECTORY: Final = "trajectory.npz"
 """Of the last step and what follows, where one was recorded; the film shows it."""
 
+BUNDLE_S: Final = 600.0
+"""After which a worker that writes a bundle is given up."""
 _LATE: Final = 1.25
 _LATE_S: Final = 4.0
 """By what factor, and by how much more, a replay may take longer than what it shows: versions differ."""
@@ -218,3 +223,34 @@ def _check_times(bundle: Bundle) -> None:
             f"recipe.steps: {n_acts} actions do not fit into the {bundle.end_s:.6g} s that end_s claims; "
             f"allowed: at most {fit}"
         )
+
+
+def write_bundles(session: Session, recipes: Mapping[int, Callable[[], Recipe]]) -> dict[int, str]:
+    """Write the bundles of trials, by their numbers, each with what returns its recipe, unless they are there.
+
+    Returns the folders, relative to the run's, by the same numbers. Raises InputError for one that cannot be written.
+    """
+    out, records = session.out, session.records
+    assert out is not None
+    folders = {number: f"bundles/{number:05d}" for number in recipes}
+    items = [
+        Item(records[number]["key"], "bundles", 0, (out.resolve() / folder, records[number], recipes[number]))
+        for number, folder in folders.items()
+        # A folder with this file is a whole bundle.
+        if not (out / folder / TEXT).exists()
+    ]
+    answers = session.map(None, items, _write_one, "writing replay bundles", timeout_s=BUNDLE_S)
+    for item, answer in zip(items, answers, strict=True):
+        if isinstance(answer, Failure):
+            raise InputError(
+                f"no replay bundle of the trial '{item.key}': {answer.text}; all trials are kept in {out}: "
+                "--resume tries the bundle again"
+            )
+    return folders
+
+
+def _write_one(job: tuple[Path, TrialRecord, Callable[[], Recipe]]) -> Done:
+    """Write one bundle; it must come out as its record has it."""
+    folder, record, recipe = job
+    write_bundle(folder, record["key"], recipe(), tuple(map(Attempt.of, record["attempts"])))
+    return Done(agrees=True)

@@ -1,18 +1,20 @@
 """Every item gets one record, whatever becomes of it, at any number of workers."""
 
 import json
+from contextlib import nullcontext
 
 import cheap_work
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.validation.campaign import Header, run_campaign
+from craftsim.experiments.experiment import RunOptions
+from craftsim.experiments.session import run_experiment
 
-HEADER = Header("test", 7, {"trials": 1, "nested": {"a": [1.5]}})
 
-
-def _run(out, items, **options):
-    return run_campaign(items, cheap_work.work, out, HEADER, **options)
+def _run(out, items, batch=1, timeout_s=60.0, **options):
+    return run_experiment(
+        cheap_work.experiment(items, batch=batch, timeout_s=timeout_s), out, RunOptions(**options)
+    )
 
 
 def test_what_goes_wrong_with_an_item_is_its_record_and_harms_no_other(tmp_path):
@@ -50,7 +52,8 @@ def test_a_full_disk_in_a_worker_stops_the_campaign_and_resume_goes_on(tmp_path)
     with pytest.raises(InputError, match=r"bundles/one: No space left on device; .*--resume"):
         _run(tmp_path, items)
     seen = []
-    records = _run(tmp_path, cheap_work.items(5), resume=True, on_record=lambda r: seen.append(r["index"]))
+    progress = lambda total: nullcontext(lambda record: seen.append(record["index"]))  # noqa: E731
+    records = _run(tmp_path, cheap_work.items(5), resume=True, progress=progress)
     assert seen == [0, 1, 2, 3, 4]
     assert all(record["agrees"] for record in records)
 

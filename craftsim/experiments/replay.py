@@ -16,10 +16,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import do, limit_time, start
 from craftsim.checking.judge import Judge
 from craftsim.errors import InputError
-from craftsim.report import versions
-from craftsim.skills.executor import Observer
-from craftsim.storage.reading import Arrays
-from craftsim.validation.replays.bundle import (
+from craftsim.experiments.bundle import (
     AFTER,
     BEFORE,
     PHYSICS,
@@ -28,6 +25,9 @@ from craftsim.validation.replays.bundle import (
     physics_of,
     state_of,
 )
+from craftsim.report import versions
+from craftsim.skills.executor import Observer
+from craftsim.storage.reading import Arrays
 
 DECISIVE: Final = ("craftsim", "mujoco", "numpy")
 """Packages whose version decides every bit; with other versions poses are compared with a tolerance."""

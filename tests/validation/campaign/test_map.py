@@ -1,4 +1,4 @@
-"""What a finished campaign still needs is done by workers that may hang, die and be stopped as those of its trials."""
+"""What a run needs besides its trials is done by workers that may hang, die and be stopped as those of its trials."""
 
 import os
 import signal
@@ -8,7 +8,14 @@ import pytest
 from test_kills import _alive, _children, _start, _wait_for
 
 from craftsim.errors import InputError
-from craftsim.validation.campaign import Done, Failure, do_all
+from craftsim.experiments.experiment import Done, Failure, RunOptions
+from craftsim.experiments.session import open_session
+
+
+def _map(out, items, options=RunOptions(workers=2), **more):  # noqa: B008
+    with open_session(cheap_work.experiment(1), out, options) as session:
+        session.run()
+        return session.map("more", items, cheap_work.work, "testing", timeout_s=1.0, **more)
 
 
 def test_what_goes_wrong_is_the_answer_and_harms_no_other(tmp_path):
@@ -16,15 +23,7 @@ def test_what_goes_wrong_is_the_answer_and_harms_no_other(tmp_path):
         8, i1="raise", i3="die", i4="hang", i6=("die once", tmp_path / "died"), i7="exit"
     )
     seen = []
-    answers = do_all(
-        items,
-        cheap_work.work,
-        tmp_path,
-        "testing",
-        workers=2,
-        timeout_s=1.0,
-        on_answer=lambda number, answer: seen.append(number),
-    )
+    answers = _map(tmp_path, items, on_answer=lambda number, answer: seen.append(number))
     assert sorted(seen) == list(range(8))
     assert {i: a.text for i, a in enumerate(answers) if isinstance(a, Failure)} == {
         1: "ValueError: no 1\nin two lines",
@@ -37,11 +36,21 @@ def test_what_goes_wrong_is_the_answer_and_harms_no_other(tmp_path):
 
 def test_a_full_disk_stops_it_with_a_message(tmp_path):
     with pytest.raises(InputError, match=r"bundles/one: No space left on device; .*--resume"):
-        do_all(cheap_work.items(3, i1="disk"), cheap_work.work, tmp_path, "testing", workers=2)
+        _map(tmp_path, cheap_work.items(3, i1="disk"))
 
 
 def test_nothing_to_do_starts_no_worker(tmp_path):
-    assert do_all([], cheap_work.work, tmp_path, "testing") == []
+    with open_session(cheap_work.experiment(0), tmp_path) as session:
+        assert session.map("more", [], cheap_work.work, "testing", timeout_s=1.0) == []
+        assert session._team is None
+
+
+def test_what_was_done_is_not_done_again_when_a_run_goes_on(tmp_path):
+    first = _map(tmp_path, cheap_work.items(3, i1="raise"))
+    assert isinstance(first[1], Failure)
+    again = _map(tmp_path, cheap_work.items(3, i0="die", i2="die"), RunOptions(resume=True))
+    assert [again[0], again[2]] == [first[0], first[2]]
+    assert again[1] == Done(True, [{"sum": 1 / 3}], extra={"number": 1})
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])

@@ -1,16 +1,20 @@
-"""What a campaign consists of: items to try, the result of each, and its record, one line of JSON."""
+"""What an experiment consists of: trials, the result of each and its record, and how all of them are run."""
 
 from __future__ import annotations
 
 import json
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
-from typing import Any, TypedDict
+from pathlib import Path
+from typing import Any, Literal, TypedDict
 
 from craftsim.errors import DISK_ERRORS
+from craftsim.experiments.schema import ANY, Form
 from craftsim.report import plain
-from craftsim.storage.limits import MAX_ERROR_CHARACTERS
+from craftsim.storage.limits import MAX_ERROR_CHARACTERS, TRIALS, size_text
+from craftsim.validation.campaign.tidying import tidy
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +22,7 @@ class Item:
     """One thing to try, independent of all others."""
 
     key: str
-    """Stable name, unique in the campaign."""
+    """Stable name, unique in the run."""
     group: str
     """The row that the trial counts in."""
     seed: int
@@ -37,7 +41,7 @@ class Done:
     attempts: Sequence[Any] = ()
     """Each action that was tried, a dataclass or a dictionary."""
     bundle: str | None = None
-    """Folder of the first disagreement's replay bundle, relative to the campaign's."""
+    """Folder of the first disagreement's replay bundle, relative to the run's."""
     extra: dict[str, Any] = field(default_factory=dict)
 
 
@@ -47,30 +51,26 @@ class Failure:
 
     text: str
     stops: bool = False
-    """Whether the campaign cannot go on at all, such as on a full disk."""
+    """Whether the run cannot go on at all, such as on a full disk."""
     traceback: str = ""
     """Of what the work raised."""
 
 
 Answer = Done | Failure
 Work = Callable[[Any], Done]
+Engine = Literal["local", "ray"]
 
 
-class Identity(TypedDict):
-    """What a record says of its item."""
+class TrialRecord(TypedDict):
+    """A line of ``trials.jsonl``."""
 
     key: str
     index: int
-    """Place of the item in the campaign."""
+    """Place of the item in the run."""
     group: str
     seed: int
     context: str | None
     episode: int | None
-
-
-class TrialRecord(Identity):
-    """A line of ``trials.jsonl``."""
-
     attempts: list[dict[str, Any]]
     agrees: bool
     error: str | None
@@ -80,13 +80,58 @@ class TrialRecord(Identity):
     """What the work has to tell besides; ``traceback`` where it raised something."""
 
 
+Progress = Callable[[int], AbstractContextManager[Callable[[TrialRecord], None]]]
+"""Given the number of trials, opens what is called with each one's record."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Trials, and all that decides their results."""
+
+    command: str
+    seed: int
+    config: Mapping[str, Any]
+    """What else decides the results, for the report; a run is only resumed by an experiment of an equal one."""
+    items: Sequence[Item]
+    work: Work
+    """Gives a trial's job its result; a picklable function, called in the workers. What it raises becomes the record's
+    error. A trial whose worker dies is tried once more."""
+    form: Form = ANY
+    """What the records must hold; those of an earlier run are checked before anything is tried."""
+    timeout_s: float = 600.0
+    """After which a trial's worker is killed and the trial recorded as an error."""
+    batch: int = 1
+    """Trials that a worker takes at once: more than one where they are short, or share what a worker keeps."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How an experiment is run; its results do not depend on it."""
+
+    workers: int = 1
+    """Processes to share the work."""
+    engine: Engine = "local"
+    """Processes of this machine, or actors of an existing Ray cluster."""
+    resume: bool = False
+    """Go on with the run in the folder, if there is one; what has an error there is tried again."""
+    against: Path | None = None
+    """Folder of an earlier run to compare with."""
+    progress: Progress = lambda total: nullcontext(lambda record: None)
+    """Shows what is done."""
+
+
 def make_record(item: Item, index: int, answer: Answer) -> TrialRecord:
     """Return the record of an item; a failure has no attempts and does not agree."""
     failure = answer if isinstance(answer, Failure) else None
     traced = {"traceback": failure.traceback} if failure is not None and failure.traceback else {}
     done = answer if isinstance(answer, Done) else Done(agrees=False, extra=traced)
     return {
-        **identity(item, index),
+        "key": plain(item.key),
+        "index": index,
+        "group": plain(item.group),
+        "seed": item.seed,
+        "context": plain(item.context),
+        "episode": item.episode,
         "attempts": list(done.attempts),
         "agrees": done.agrees,
         "error": None if failure is None else failure.text,
@@ -95,21 +140,13 @@ def make_record(item: Item, index: int, answer: Answer) -> TrialRecord:
     }
 
 
-def identity(item: Item, index: int) -> Identity:
-    """Return what the record of an item says of the item itself."""
-    return {
-        "key": plain(item.key),
-        "index": index,
-        "group": plain(item.group),
-        "seed": item.seed,
-        "context": plain(item.context),
-        "episode": item.episode,
-    }
-
-
-def line_of(record: TrialRecord) -> bytes:
-    """Return a record as its line of ``trials.jsonl``."""
-    return (json.dumps(record, sort_keys=True, allow_nan=False) + "\n").encode()
+def text_of(item: Item, index: int, answer: Answer) -> str:
+    """Return the record of an item as JSON; one that is longer than a line may be gives way to one of a failure."""
+    text = json.dumps(make_record(item, index, answer), sort_keys=True, allow_nan=False)
+    if len(text) < TRIALS.line_bytes:
+        return text
+    found, allowed = size_text(len(text) + 1), size_text(TRIALS.line_bytes)
+    return text_of(item, index, Failure(f"its record has {found}; allowed: at most {allowed}"))
 
 
 def shortened(text: str) -> str:

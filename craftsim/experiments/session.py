@@ -1,0 +1,479 @@
+"""The folder of a run: a parallel map whose results are kept on disk, each as soon as it is known.
+
+``session.db``, a file of SQLite, holds what the run is and its results; a trial is one transaction. Whatever cuts a run
+off, what it has finished is kept, and what is missing is done when it goes on. ``trials.jsonl`` is written beside it
+while the run goes on, a line a trial, for people and other tools; nothing here reads it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import reprlib
+import signal
+import sqlite3
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from itertools import chain
+from pathlib import Path
+from types import FrameType
+from typing import Any, Final
+
+from craftsim.errors import InputError
+from craftsim.experiments.experiment import (
+    Answer,
+    Done,
+    Experiment,
+    Failure,
+    Item,
+    RunOptions,
+    TrialRecord,
+    Work,
+    answer_of,
+    make_record,
+    text_of,
+)
+from craftsim.experiments.records import (
+    DATABASE,
+    OLD,
+    TRIALS,
+    Records,
+    Source,
+    as_it_is,
+    checked,
+    connected,
+    differences,
+    has_tables,
+    old_manifest,
+    stored_manifest,
+    texts,
+    told,
+    with_tables,
+)
+from craftsim.report import plain, versions, write_report
+from craftsim.storage.folders import owned, remove
+from craftsim.storage.writing import whole
+from craftsim.validation.campaign.distribute import Worker, distribute
+
+SCHEMA_VERSION: Final = 2
+ALONE: Final = RunOptions()
+"""One worker of this machine, from the beginning."""
+_ASIDE: Final = tuple(f"{DATABASE}-{name}" for name in ("journal", "wal", "shm"))
+_FILES: Final = ("report.json", "report.html", "durations.csv")
+_FOLDERS: Final = ("bundles", "films", "trajectories", "worlds", "smallest")
+"""What a run leaves besides; it goes when another one begins in its folder."""
+_PAGE: Final = 1024
+
+
+@contextmanager
+def open_session(experiment: Experiment, out: Path | None, options: RunOptions = ALONE) -> Iterator[Session]:
+    """Begin the run of an experiment in a folder, or go on with it; the folder is owned until the block ends.
+
+    Without a folder all is in memory, and tried in this process.
+
+    Raises:
+        InputError: the folder cannot be written to; somebody else owns it; it holds results of no run, a run of
+            craftsim 0.2, or an unfinished run without ``resume``; or, with it, another run, or what is no record.
+        KeyboardInterrupt: interrupted or terminated; the message says how to go on.
+    """
+    items = experiment.items
+    if len({item.key for item in items}) != len(items):
+        raise ValueError("keys of trials must be unique")
+    manifest = _manifest(experiment)
+    if out is None:
+        yield Session(experiment, None, options, manifest, with_tables(connected(""), manifest))
+        return
+    with owned(out):
+        with told(out):
+            database = _begun(experiment, out, options.resume, manifest)
+            try:
+                session = Session(experiment, out, options, manifest, database)
+            except BaseException:
+                database.close()
+                raise
+        try:
+            with _terminable():
+                yield session
+        except BaseException as error:
+            state = session.state
+            session.close()
+            if isinstance(error, KeyboardInterrupt):
+                text = f"interrupted: {state}; the same command with --resume goes on"
+                raise KeyboardInterrupt(text) from None
+            raise
+        session.close()
+
+
+def run_experiment(experiment: Experiment, out: Path, options: RunOptions = ALONE) -> Records:
+    """Run an experiment in a folder, and return the records of its trials, see :meth:`Session.run`."""
+    with open_session(experiment, out, options) as session:
+        return session.run()
+
+
+class Session:
+    """A run while it is open; made by :func:`open_session`."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        out: Path | None,
+        options: RunOptions,
+        manifest: Mapping[str, Any],
+        database: sqlite3.Connection,
+    ) -> None:
+        """Go on with what a database holds."""
+        self.experiment, self.out, self.options, self.manifest = experiment, out, options, manifest
+        self._source = Source(database)
+        self.records = Records(self._source, (out or Path()) / DATABASE, len(experiment.items))
+        """Of all trials, in their order; each can be read once its trial is done."""
+        self._database, self._begun_s = database, time.perf_counter()
+        self._done = bytearray(len(experiment.items))
+        for (number,) in database.execute("SELECT number FROM trials"):
+            self._done[number] = True
+        self._doing = ""
+        self._team: tuple[Work, list[_Lasting]] | None = None
+        self._last = -1
+        """The largest number in ``trials.jsonl``, or that of all trials where its lines are in no order."""
+        if out is not None:
+            self._export()
+            self._last = self._done.rfind(1)
+            flags = os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC
+            self._lines = os.open(out / TRIALS, flags)
+
+    @property
+    def state(self) -> str:
+        """How far the run is, for people."""
+        if self._doing:
+            return f"while {self._doing}; all trials are kept in {self.out}"
+        return f"{sum(self._done)} of {len(self._done)} trials are kept in {self.out}"
+
+    def run(self) -> Records:
+        """Try all trials that have no result yet, and return the records of all, in the order of the trials.
+
+        Each record is on disk as soon as it is known. The records depend on nothing but the experiment: not on the
+        number of workers, the engine, the batches, or whether the run was cut off and resumed.
+
+        Raises InputError where the disk is full, or the cluster is not as it should be.
+        """
+        items = self.experiment.items
+        with self.options.progress(len(items)) as on_record:
+            for record in self.records.of(number for number, done in enumerate(self._done) if done):
+                on_record(record)
+            missing = ((n, item) for n, item in enumerate(items) if not self._done[n])
+            for record in self._try(missing):
+                on_record(record)
+        return self.records
+
+    def run_some(
+        self, jobs: Mapping[int, Any], on_record: Callable[[TrialRecord], None]
+    ) -> list[TrialRecord]:
+        """Do the same with some trials alone, by their numbers, each with this job, and return their records.
+
+        Raises InputError for a trial without a result, too.
+        """
+        for number in jobs:
+            if self._done[number]:
+                on_record(self.records[number])
+        items = {number: replace(self.experiment.items[number], job=job) for number, job in jobs.items()}
+        for record in self._try((n, item) for n, item in items.items() if not self._done[n]):
+            if record["error"] is not None:
+                raise InputError(f"{record['key']}: {record['error']}; --resume tries it again")
+            on_record(record)
+        return [self.records[number] for number in jobs]
+
+    def _try(self, items: Iterable[tuple[int, Item]]) -> Iterator[TrialRecord]:
+        experiment = self.experiment
+        for number, answer in self._answers(items, experiment.work, experiment.timeout_s, experiment.batch):
+            text = text_of(experiment.items[number], number, answer)
+            self._keep("INSERT INTO trials VALUES (?, ?)", number, text)
+            self._done[number] = True
+            self._append(number, text)
+            yield json.loads(text)
+        if self._last == len(self._done) and all(self._done):
+            self._export()
+
+    def map(
+        self,
+        stage: str | None,
+        items: Sequence[Item],
+        work: Work,
+        doing: str,
+        *,
+        timeout_s: float,
+        on_answer: Callable[[int, Answer], None] = lambda number, answer: None,
+    ) -> list[Answer]:
+        """Do what a run needs besides its trials, and return the answers; what was done before is not done again.
+
+        Args:
+            stage: what the items are part of; their keys are unique in it. None where what they leave on disk says
+                which of them are done, and only the others are given.
+            items: what to do.
+            work: does an item's job, as in :meth:`run`.
+            doing: what is done, for messages.
+            timeout_s: after which an item's worker is killed; its answer is a failure.
+            on_answer: called with each answer and its item's number, as they come.
+
+        Raises InputError where the disk is full, or the cluster is not as it should be.
+        """
+        self._doing, answers = doing, dict[int, Answer]()
+        query = "SELECT answer FROM further WHERE stage = ? AND key = ?"
+        for number, item in enumerate(items):
+            for (text,) in self._database.execute(query, (stage, item.key)).fetchall():
+                answers[number] = Done(**json.loads(text))
+                on_answer(number, answers[number])
+        missing = [(number, item) for number, item in enumerate(items) if number not in answers]
+        for number, answer in self._answers(missing, work, timeout_s, 1):
+            if stage is not None and isinstance(answer, Done):
+                text = json.dumps(asdict(answer))
+                self._keep("INSERT OR REPLACE INTO further VALUES (?, ?, ?)", stage, items[number].key, text)
+            answers[number] = answer
+            on_answer(number, answer)
+        self._doing = ""
+        return [answers[number] for number in range(len(items))]
+
+    def write_report(self, figures: Mapping[str, Any]) -> None:
+        """Write ``report.json`` into the folder, if there is one, and say what was compared with."""
+        if self.out is None:
+            return
+        options, experiment = self.options, self.experiment
+        total_s = time.perf_counter() - self._begun_s
+        wall = {"total_s": total_s, "workers": options.workers, "engine": options.engine}
+        config = {**experiment.config, "against": options.against}
+        write_report(
+            *(self.out, figures), command=experiment.command, seed=experiment.seed, config=config, wall=wall
+        )
+
+    def close(self) -> None:
+        """End the workers, and let others open the database; its records are read as they are then."""
+        assert self.out is not None
+        self._dismiss()
+        os.close(self._lines)
+        # On a full disk what is in the log stays there for the next one to open it.
+        with contextlib.suppress(sqlite3.Error):
+            self._database.execute("PRAGMA journal_mode = DELETE").fetchall()
+            self._source.database = as_it_is(self.out / DATABASE)
+        self._database.close()
+
+    def _keep(self, statement: str, *values: object) -> None:
+        """Write down for good, in a transaction."""
+        with told(self.out or Path()):
+            self._database.execute(statement, values)
+
+    def _append(self, number: int, text: str) -> None:
+        """Write a line, whole or not at all."""
+        if self.out is None:
+            return
+        with told(self.out):
+            start, rest = os.lseek(self._lines, 0, os.SEEK_END), memoryview(f"{text}\n".encode())
+            try:
+                while rest:
+                    rest = rest[os.write(self._lines, rest) :]
+            except OSError:
+                os.ftruncate(self._lines, start)
+                raise
+        self._last = number if number > self._last else len(self._done)
+
+    def _export(self) -> None:
+        """Write the lines of all that is done in the order of the trials."""
+        assert self.out is not None
+        path = self.out / TRIALS
+        if not any(self._done):
+            path.touch()
+            return
+        with whole(path) as partial, partial.open("w", encoding="utf-8") as file:
+            for start in range(0, len(self._done), _PAGE):
+                file.writelines(f"{text}\n" for _, text in texts(self._database, start, start + _PAGE))
+
+    def _answers(
+        self, items: Iterable[tuple[int, Item]], work: Work, timeout_s: float, batch: int
+    ) -> Iterator[tuple[int, Answer]]:
+        """Yield the answers to numbered items; nothing is started where there are none."""
+        rest = iter(items)
+        for first in rest:
+            numbered = chain([first], rest)
+            if self.out is None:
+                yield from ((n, answer_of(work, item.job, interruptible=True)) for n, item in numbered)
+                return
+            for number, answer in distribute(self._workers(work), numbered, timeout_s, batch):
+                if isinstance(answer, Failure) and answer.stops:
+                    raise InputError(
+                        f"{answer.text}; what was finished is kept in {self.out}: make room, then --resume"
+                    )
+                yield number, answer
+
+    def _workers(self, work: Work) -> Sequence[Worker]:
+        """Return the workers of a function, the same for as long as it does not change: they may keep something."""
+        if self._team is None or self._team[0] is not work:
+            self._dismiss()
+            self._team = work, [_Lasting(one) for one in _workers(work, self.options)]
+        return self._team[1]
+
+    def _dismiss(self) -> None:
+        if self._team is not None:
+            for one in self._team[1]:
+                one.worker.close()
+        self._team = None
+
+
+class _Lasting:
+    """A worker that outlives what is handed out, unless it still runs then, which is when somebody interrupts it."""
+
+    def __init__(self, worker: Worker) -> None:
+        self.worker = worker
+        self._runs = False
+
+    def run(self, items: Sequence[Item], timeout_s: float) -> list[Answer]:
+        self._runs = True
+        try:
+            return self.worker.run(items, timeout_s)
+        finally:
+            self._runs = False
+
+    def close(self) -> None:
+        if self._runs:
+            self.worker.close()
+
+
+def _workers(work: Work, options: RunOptions) -> list[Worker]:
+    if options.engine == "ray":
+        from craftsim.validation.campaign.ray_cluster import ray_workers
+
+        return ray_workers(work, options.workers)
+    from craftsim.validation.campaign.local import LocalWorker
+
+    return [LocalWorker(work) for _ in range(options.workers)]
+
+
+def _manifest(experiment: Experiment) -> dict[str, Any]:
+    """Return what a folder says that its run is."""
+    keys = hashlib.sha256()
+    for number, item in enumerate(experiment.items):
+        keys.update(("\n" * (number > 0) + item.key).encode("utf-8", "backslashreplace"))
+    found = {
+        "schema_version": SCHEMA_VERSION,
+        "command": experiment.command,
+        "seed": experiment.seed,
+        "versions": versions(),
+        "config": experiment.config,
+        "items": len(experiment.items),
+        "keys": keys.hexdigest(),
+    }
+    loaded: dict[str, Any] = json.loads(json.dumps(plain(found)))
+    return loaded
+
+
+def _begun(
+    experiment: Experiment, out: Path, resume: bool, manifest: Mapping[str, Any]
+) -> sqlite3.Connection:
+    """Return the database of a folder, locked: a new one, or that of the run to go on with."""
+    _check_places(out)
+    path = out / DATABASE
+    if path.exists():
+        with contextlib.ExitStack() as opened:
+            database = opened.enter_context(contextlib.closing(_locked(path)))
+            if _goes_on(database, out, manifest, resume):
+                _check_kept(database, path, experiment)
+                opened.pop_all()
+                return _safe(database)
+    # The database last, without which what is left would be a stranger's. It is a file of its own: who still reads
+    # the records of the run before can read on.
+    for name in (*_FILES, *_FOLDERS, TRIALS, *_ASIDE, DATABASE):
+        remove(out / name)
+    return with_tables(_safe(_locked(path)), manifest)
+
+
+def _goes_on(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any], resume: bool) -> bool:
+    """Return whether a run goes on with what a database holds, or else may begin in its place."""
+    path = out / DATABASE
+    if not has_tables(database, path):
+        return False
+    ((kept,),) = database.execute("SELECT count(*) FROM trials")
+    there = stored_manifest(database, path)
+    if kept and resume:
+        for key, (old, new) in differences(there, manifest):
+            raise InputError(
+                f"{path}: cannot go on with another run: its {key} is {reprlib.repr(old)}, not {reprlib.repr(new)}; "
+                "use the options that it was begun with, or choose another --out"
+            )
+    elif 0 < kept < there["items"]:
+        raise InputError(
+            f"{out} holds an unfinished run ({kept} of {there['items']} trials): go on with --resume, "
+            "or choose another --out, or remove that folder"
+        )
+    return bool(kept) and resume
+
+
+def _locked(path: Path) -> sqlite3.Connection:
+    """Return a database that nobody else can use from the first reading on until it is closed."""
+    database = connected(path.absolute().as_uri())
+    database.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
+    return database
+
+
+def _safe(database: sqlite3.Connection) -> sqlite3.Connection:
+    """Let what is written stay, whatever happens next, and return the database."""
+    for mode in ("journal_mode = WAL", "synchronous = FULL"):
+        database.execute(f"PRAGMA {mode}").fetchall()
+    return database
+
+
+def _check_kept(database: sqlite3.Connection, path: Path, experiment: Experiment) -> None:
+    """Check all records, and remove those of an error, whose trials are tried again."""
+    wrong, items = [], experiment.items
+    for record in checked(database, path, len(items), experiment.form, "choose another --out"):
+        number, item = record["index"], items[record["index"]]
+        own = make_record(item, number, Failure(""))
+        if any(record[key] != own[key] for key in ("key", "group", "seed", "context", "episode")):
+            raise InputError(
+                f"{path}: trial {number}, {reprlib.repr(record['key'])}, is none of this run; choose another --out"
+            )
+        if record["error"] is not None:
+            wrong.append((number,))
+    database.execute("BEGIN")
+    database.executemany("DELETE FROM trials WHERE number = ?", wrong)
+    database.execute("COMMIT")
+
+
+def _check_places(out: Path) -> None:
+    """Raise InputError where something else is in the place of a file or folder of a run, or a stranger's."""
+    for name in (DATABASE, *_ASIDE, TRIALS, *_FILES, *_FOLDERS):
+        path, what = out / name, "folder" if name in _FOLDERS else "regular file"
+        fits = path.is_dir() if name in _FOLDERS else path.is_file()
+        if os.path.lexists(path) and (path.is_symlink() or not fits):
+            raise InputError(f"{path}: not a {what}; move it away, or choose another --out")
+    if (out / DATABASE).exists():
+        return
+    if os.path.lexists(out / OLD):
+        raise InputError(
+            f"{out} holds a run of craftsim {reprlib.repr(old_manifest(out)['versions'].get('craftsim'))}, with which "
+            "this one cannot go on; choose another --out, or move it away (--against can still read it)"
+        )
+    trials = out / TRIALS
+    strangers = [TRIALS] if trials.exists() and trials.stat().st_size else []
+    if strangers := strangers + [name for name in (*_FILES, *_FOLDERS) if (out / name).exists()]:
+        raise InputError(
+            f"{out} holds {' and '.join(strangers)}, but no {DATABASE} that says what run they are of; "
+            f"choose another --out, or move them away, or put {DATABASE} back"
+        )
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let the signal to terminate interrupt as Ctrl-C does."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    # Python lets only the main thread handle signals.
+    main = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGTERM, interrupt) if main else None
+    try:
+        yield
+    finally:
+        if main:
+            signal.signal(signal.SIGTERM, before)

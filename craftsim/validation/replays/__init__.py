@@ -1,1 +1,0 @@
-"""Attempts that can be repeated bit for bit, from a folder without pickles."""

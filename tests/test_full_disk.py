@@ -14,12 +14,12 @@ from craftsim.checking.contacts import ContactLog
 from craftsim.cli import main
 from craftsim.discrete.grid import Grid
 from craftsim.errors import InputError
+from craftsim.experiments.durations import Duration, write_durations
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.video import VideoWriter
-from craftsim.validation.statistics.durations import Duration, write_durations
 
 PACKAGE = Path(craftsim.__file__).parent
 FULL = "cannot be written: File too large; make room"

@@ -60,13 +60,13 @@ def audit(
     from craftsim.commands.notes_text import print_notes
     from craftsim.commands.progress import counting
     from craftsim.commands.smallest_text import print_smallest, shrinking
+    from craftsim.experiments.statistics import capped_steps, retried
     from craftsim.validation.audit.audit import run_audit
     from craftsim.validation.audit.quick import quick_rows
     from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.audit.trial import BATCH
     from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html
-    from craftsim.validation.statistics.records import capped_steps, retried
 
     console = Terminal()
     setup = campaign.setup()  # says what is wrong with its files before contexts are looked for

@@ -10,7 +10,7 @@ from rich.table import Table
 from craftsim.commands.text import say
 from craftsim.validation.audit.audit import Audit
 from craftsim.validation.audit.results import Results
-from craftsim.validation.statistics.audit_rows import Judgement, provisional_note
+from craftsim.validation.audit.verdicts import Judgement, provisional_note
 
 _SHOWN: Final = 40
 """How many rows of a verdict are printed; the others are in the reports."""

@@ -33,8 +33,9 @@ def compare(
         out: folder for report.json.
     """
     from craftsim.commands.compare_text import print_gap
+    from craftsim.experiments.compare import compare_with_reality
     from craftsim.report import write_report
-    from craftsim.validation.statistics.reality import compare_with_reality, read_run
+    from craftsim.validation.forms import read_run
 
     gap = compare_with_reality(read_run(sim), read_run(real), seed)
     report = write_report(

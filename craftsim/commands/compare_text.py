@@ -7,9 +7,8 @@ from rich.table import Table
 
 from craftsim.commands.terminal import cell
 from craftsim.commands.text import say
-from craftsim.validation.statistics.proportions import Proportion
-from craftsim.validation.statistics.ranking import Estimate
-from craftsim.validation.statistics.reality import RealityGap
+from craftsim.experiments.compare import RealityGap
+from craftsim.experiments.intervals import Estimate, Proportion
 
 _ERRORS = {
     "car_error_m": "car's place, mm",

@@ -55,8 +55,8 @@ def export(
     from craftsim.discrete.tasks import as_task
     from craftsim.envs import parallel_env
     from craftsim.envs.datasets import need_minari, write_dataset
+    from craftsim.experiments.intervals import Proportion
     from craftsim.report import write_report
-    from craftsim.validation.statistics.proportions import Proportion
 
     need_minari()
     played = as_task(task)

@@ -17,17 +17,17 @@ from craftsim.discrete.files.design import read_design
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.errors import InputError
+from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
+from craftsim.experiments.durations import write_durations
 from craftsim.experiments.experiment import Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.session import open_session
+from craftsim.experiments.statistics import Figures, campaign_figures
 from craftsim.planning import Planned, plan_building
 from craftsim.validation.forms import BUILDS
 from craftsim.validation.runs.choice import check_starts, subjects_of
 from craftsim.validation.runs.rebuilding import Rebuilding
 from craftsim.validation.runs.run import Run, Terms, do_run
-from craftsim.validation.statistics.durations import write_durations
-from craftsim.validation.statistics.figures import Figures, campaign_figures
-from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
-from craftsim.validation.statistics.proportions import Proportion
 
 COMMAND: Final = "build"
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
 from craftsim.checking.attempt import Attempt, Finding, Verdict
+from craftsim.errors import InputError
+from craftsim.experiments.records import Finished, described, read_finished
 from craftsim.experiments.schema import STRICT, Form
 from craftsim.validation.margins.limit import Limit, RowFound
 
@@ -70,3 +73,15 @@ TRIALS: Final = Form(_Judged, _TrialExtra)
 """Of an audit."""
 MARGINS: Final = Form(_Judged, Limit | RowFound)
 """Of a search for margins."""
+
+COMPARED: Final = {"validate": RUNS, "audit": TRIALS}
+"""What the records of the commands hold that make runs to compare."""
+
+
+def read_run(folder: Path) -> Finished:
+    """Return the finished run in a folder; raise InputError for a folder that holds none of validate or audit."""
+    with described(folder, "give the --out of 'craftsim validate' or 'craftsim audit'") as (_, manifest):
+        command = manifest["command"]
+    if command not in COMPARED:
+        raise InputError(f"{folder} holds a run of another command; allowed: {', '.join(COMPARED)}")
+    return read_finished(folder, command, COMPARED[command])

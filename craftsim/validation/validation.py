@@ -14,8 +14,11 @@ from craftsim.checking.setup import Randomize, setup_of
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
+from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
+from craftsim.experiments.durations import write_durations
 from craftsim.experiments.experiment import Engine, Experiment, Item, Progress, RunOptions, TrialRecord
 from craftsim.experiments.session import open_session
+from craftsim.experiments.statistics import Figures, campaign_figures
 from craftsim.mjcf.parameters import Drive, Machines
 from craftsim.models.sensing import SensorNoise
 from craftsim.skills.executor import Observer
@@ -38,9 +41,6 @@ from craftsim.validation.runs.policies import RANDOM, Policy
 from craftsim.validation.runs.run import Terms, do_run
 from craftsim.validation.runs.steps import PlanOrder
 from craftsim.validation.shrinking.campaign import ShrinkProgress, Shrunk, shrink_failures
-from craftsim.validation.statistics.durations import write_durations
-from craftsim.validation.statistics.figures import Figures, campaign_figures
-from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -24,6 +24,7 @@ from craftsim.discrete.tasks import as_task, make_task
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import TEXT, read_bundle
+from craftsim.experiments.durations import read_durations
 from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.records import DATABASE, OLD, TRIALS, read_finished
 from craftsim.experiments.session import open_session
@@ -37,7 +38,6 @@ from craftsim.training.config import TrainConfig
 from craftsim.training.trainer import Trainer
 from craftsim.validation.forms import RUNS
 from craftsim.validation.runs.once import record_once
-from craftsim.validation.statistics.durations import read_durations
 from fuzzing import campaign_folders, replays, words
 
 NAME = "planted_module:make"

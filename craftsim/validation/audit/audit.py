@@ -9,17 +9,16 @@ from typing import Any
 
 from craftsim.audit.plan import PlanRow, rows_by_flag
 from craftsim.checking.setup import Setup
+from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
+from craftsim.experiments.durations import write_durations
 from craftsim.experiments.experiment import Experiment, RunOptions, TrialRecord
 from craftsim.experiments.session import open_session
+from craftsim.experiments.statistics import Figures, campaign_figures, capped_steps, retried
 from craftsim.validation.audit.corrections import rows_by_flag
 from craftsim.validation.audit.results import Results, bundle_disagreements, judged_by_rules
 from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
 from craftsim.validation.forms import TRIALS
 from craftsim.validation.shrinking.campaign import ShrinkProgress, Shrunk, shrink_failures
-from craftsim.validation.statistics.durations import write_durations
-from craftsim.validation.statistics.figures import Figures, campaign_figures
-from craftsim.validation.statistics.paired import Comparison, compare_runs, read_earlier
-from craftsim.validation.statistics.records import capped_steps, retried
 
 COMMAND = "audit"
 

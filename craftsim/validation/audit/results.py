@@ -16,7 +16,7 @@ from craftsim.validation.audit.corrections import corrections, rows_by_flag
 from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.suspects import SuspectFinding, find
 from craftsim.validation.audit.trial import recipe_of
-from craftsim.validation.statistics.audit_rows import AuditRow, Judgement, audit_rows, verdict_counts
+from craftsim.validation.audit.verdicts import AuditRow, Judgement, audit_rows, verdict_counts
 
 AT_ONCE: Final = "order=at-once"
 """How the names of rows end that are evidence only."""

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
-from craftsim.audit.situation import shipped
-from craftsim.validation.statistics.audit_rows import AuditRow, Judgement
+from craftsim.validation.audit.verdicts import AuditRow, Judgement
 
 SUSPECTS: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")
 """Those of ``craftsim/data/suspects.yaml``: a question, and the rows that decide on it as patterns of their names."""

@@ -6,19 +6,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from craftsim.experiments.statistics import Figures, legal_attempts
 from craftsim.validation.audit.audit import Audit
 from craftsim.validation.audit.suspects import SuspectFinding
-from craftsim.validation.html.page import Case, Headline, KeyFigure, Page, Tone, count, provenance
-from craftsim.validation.html.recorded import recorded_cases
-from craftsim.validation.statistics.audit_rows import (
+from craftsim.validation.audit.verdicts import (
     SOUND_SHARE,
     AuditRow,
     Judgement,
     provisional_note,
     verdict_counts,
 )
-from craftsim.validation.statistics.figures import Figures
-from craftsim.validation.statistics.records import attempts_of, carried_out, grouped
+from craftsim.validation.html.page import Case, Headline, KeyFigure, Page, Tone, count, provenance
+from craftsim.validation.html.plots import grouped
+from craftsim.validation.html.recorded import recorded_cases
 
 MOST_STRIKING: Final = 6
 """Unsound rows shown before all others, of as many actions as there are."""
@@ -76,7 +76,7 @@ def audit_page(audit: Audit, command: str) -> Page:
             "corrections": audit.rows_by_flag | {"no flag": uncorrected},
             "conservative": _by_action(rows, conservative),
             "recorded": recorded_cases(map(_case, strangest_first)),
-            "legal": (a for a in attempts_of(carried_out(audit.judged)) if a["legal"]),
+            "legal": legal_attempts(audit.judged),
             "provenance": provenance(command, audit.seed, audit.config),
         },
     )

@@ -7,12 +7,12 @@ from typing import Final
 
 from markupsafe import Markup
 
+from craftsim.experiments.statistics import error_counts
 from craftsim.validation.html.page import Headline, KeyFigure, Page, Tone, count, percent, provenance
 from craftsim.validation.html.svg import BAD, GOOD, INK, canvas
 from craftsim.validation.margins.maps import Map, values_of
 from craftsim.validation.margins.margins import Margins
 from craftsim.validation.margins.search import SHARE, confidence
-from craftsim.validation.statistics.records import error_counts
 
 _SIDE_IN: Final = 5.4
 

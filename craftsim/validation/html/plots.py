@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 from markupsafe import Markup
 
+from craftsim.experiments import statistics
+from craftsim.experiments.durations import Duration
+from craftsim.experiments.statistics import MatrixRow, PlanSurvival, PolicyScore, Survival
+from craftsim.validation.audit.verdicts import AuditRow, Judgement
 from craftsim.validation.html.svg import ACCENT, BAD, CAUTION, GOOD, GRID, MUTED, PAPER, SOFT, canvas
-from craftsim.validation.statistics import precision
-from craftsim.validation.statistics.audit_rows import AuditRow, Judgement
-from craftsim.validation.statistics.durations import Duration
-from craftsim.validation.statistics.matrix import MatrixRow
-from craftsim.validation.statistics.ranking import PolicyScore
-from craftsim.validation.statistics.records import AttemptRecord, grouped
-from craftsim.validation.statistics.survival import PlanSurvival, Survival
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+_T = TypeVar("_T")
 
 _WIDTH_IN: Final = 6.6
 _ROW_IN: Final = 0.27
@@ -50,6 +50,14 @@ def success(by_verb: Mapping[str, MatrixRow]) -> Markup:
         axes.set_xlim(math.floor(10 * low) / 10 - 0.02, 1.02)
         axes.xaxis.set_major_formatter(_percent)
     return drawing.svg
+
+
+def grouped(items: Iterable[_T], key: Callable[[_T], str]) -> dict[str, list[_T]]:
+    """Return items by their group, groups in the order of their names."""
+    groups: dict[str, list[_T]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return dict(sorted(groups.items()))
 
 
 def judgements(rows: Sequence[AuditRow]) -> Markup:
@@ -94,9 +102,9 @@ def _curve(axes: Axes, curve: Survival, colour: str, label: str) -> None:
     axes.fill_between(steps, low, high, step="post", color=colour, alpha=0.16, lw=0)
 
 
-def errors(attempts: Iterable[AttemptRecord]) -> Markup:
+def errors(attempts: DataFrame) -> Markup:
     """Draw how the errors of the attempts that did as predicted are distributed."""
-    found = precision.errors(attempts)
+    found = statistics.errors(attempts)
     kinds = (
         ("car_error_m", "car", ACCENT),
         ("placed_error_m", "what is placed", GOOD),
@@ -106,7 +114,7 @@ def errors(attempts: Iterable[AttemptRecord]) -> Markup:
     with canvas(_WIDTH_IN, 2.9, "distribution of errors") as drawing:
         axes = drawing.axes
         for field, label, colour in kinds:
-            if values := found[field]:
+            if len(values := found[field]):
                 axes.plot(np.quantile(values, _QUANTILES), _QUANTILES, color=colour, lw=1.8, label=label)
         axes.set_xscale("symlog", linthresh=0.1, linscale=0.4)
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
-from typing import Final
+from typing import Any, Final
 
 from craftsim.checking.attempt import Verdict
+from craftsim.experiments.experiment import TrialRecord
+from craftsim.experiments.statistics import Figures, carried_out, legal_attempts
 from craftsim.validation.html.page import (
     Case,
     Headline,
@@ -19,8 +21,6 @@ from craftsim.validation.html.page import (
     provenance,
 )
 from craftsim.validation.html.recorded import recorded_runs
-from craftsim.validation.statistics.figures import Figures
-from craftsim.validation.statistics.records import Record, as_predicted, attempts_of, carried_out
 from craftsim.validation.validation import Validation
 
 MOST_CASES: Final = 1000
@@ -52,13 +52,13 @@ def validate_page(result: Validation, command: str) -> Page:
             "cases": shown,
             "recorded": recorded_runs(result.items, result.records),
             "more_cases": sum(1 for _ in cases),
-            "legal": (a for a in attempts_of(carried_out(result.records)) if a["legal"]),
+            "legal": legal_attempts(result.records),
             "provenance": provenance(command, result.seed, result.config),
         },
     )
 
 
-def _headline(figures: Figures, records: Sequence[Record]) -> Headline:
+def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
     actions = figures.matrix.legal
     runs = figures.all.runs
     missed = actions.trials - actions.as_predicted
@@ -73,7 +73,7 @@ def _headline(figures: Figures, records: Sequence[Record]) -> Headline:
     lost += f" {count(asked, 'run')} asked for what the rules forbid, which was not tried." if asked else ""
     if not missed:
         return Headline("Forbidden by the rules", Tone.CAUTION, "All that was tried did as predicted." + lost)
-    refused = sum(any(a["legal"] and not as_predicted(a) for a in record["attempts"]) for record in records)
+    refused = sum(any(a["legal"] and _disagrees(a) for a in record["attempts"]) for record in records)
     sentence = (
         f"In {refused:,} of {count(runs.trials, 'run')} physics disagrees with the rules; "
         f"of {count(actions.trials, 'action')} that the rules allow, {missed:,} did not do what they predict."
@@ -94,13 +94,13 @@ def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
         yield KeyFigure(f"{figures.rank_agreement.mmrv:.2f}", "rank violation (MMRV)", "0 best, 1 worst")
 
 
-def _cases(records: Iterable[Record]) -> Iterator[Case]:
+def _cases(records: Iterable[TrialRecord]) -> Iterator[Case]:
     return (case for record in carried_out(records) if (case := _case(record)))
 
 
-def _case(record: Record) -> Case | None:
+def _case(record: TrialRecord) -> Case | None:
     """Return the first disagreement of a run, None without one."""
-    attempt = next((a for a in record["attempts"] if not as_predicted(a)), None)
+    attempt = next((a for a in record["attempts"] if _disagrees(a)), None)
     if attempt is None:
         return None
     result = Verdict(attempt["result"])
@@ -112,3 +112,7 @@ def _case(record: Record) -> Case | None:
         differences=tuple(attempt["differences"]),
         bundle=record["bundle"] or "",
     )
+
+
+def _disagrees(attempt: Mapping[str, Any]) -> bool:
+    return bool(attempt["result"] != Verdict.AS_PREDICTED)

@@ -14,9 +14,9 @@ from craftsim.experiments.experiment import Answer, Done, Failure, Item, TrialRe
 from craftsim.experiments.session import Session
 from craftsim.storage.folders import directory_within
 from craftsim.storage.writing import write_whole
+from craftsim.validation.audit.verdicts import kind_of
 from craftsim.validation.shrinking.shrink import DependsError, OnTrial, Smallest, failing_actions, shrink
 from craftsim.validation.shrinking.words import sentence
-from craftsim.validation.statistics.audit_rows import kind_of
 
 FOLDER: Final = "smallest"
 """Of the files, within that of a campaign."""

@@ -16,6 +16,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.experiments.experiment import Item
+from craftsim.experiments.statistics import campaign_figures
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import TRAJECTORIES
 from craftsim.validation.audit.audit import Audit
@@ -24,7 +25,6 @@ from craftsim.validation.html import film_links
 from craftsim.validation.html.audit import audit_page
 from craftsim.validation.html.validate import validate_page
 from craftsim.validation.html.writing import write_html
-from craftsim.validation.statistics.figures import campaign_figures
 from craftsim.validation.validation import Validation
 
 HOSTILE = '</td><script>alert("x")</script><img src=http://a.b/c onerror=go()>{{ 7 * 7 }}$a_b$'

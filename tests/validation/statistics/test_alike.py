@@ -4,7 +4,7 @@ import pytest
 from synthetic import attempt, record
 
 from craftsim.checking.attempt import Verdict
-from craftsim.validation.statistics.alike import alike
+from craftsim.experiments.compare import alike
 
 
 def test_actions_are_paired_in_order_for_as_long_as_both_runs_try_the_same():

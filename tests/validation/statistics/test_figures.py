@@ -10,29 +10,25 @@ from synthetic import attempt, audit, episodes, record
 
 from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
+from craftsim.experiments.durations import DurationKey, duration_table, read_durations, write_durations
+from craftsim.experiments.statistics import as_predicted, attempts_frame, campaign_figures, precision
 from craftsim.report import write_report
-from craftsim.validation.statistics.audit_rows import (
-    Judgement,
-    audit_rows,
-    judge,
-    provisional_note,
-    verdict_counts,
-)
-from craftsim.validation.statistics.durations import (
-    DurationKey,
-    duration_table,
-    read_durations,
-    write_durations,
-)
-from craftsim.validation.statistics.figures import campaign_figures
-from craftsim.validation.statistics.precision import precision
+from craftsim.validation.audit.verdicts import Judgement, audit_rows, judge, provisional_note, verdict_counts
+
+
+def _frame(attempts):
+    return attempts_frame([record("a", *attempts)])
+
+
+def _table(attempts):
+    return duration_table(as_predicted(_frame(attempts)))
 
 
 def test_errors_are_of_what_did_as_predicted_and_forces_of_all():
     attempts = [attempt(car_error_m=0.001 * i, peak_force_n=10.0 * i) for i in range(1, 5)]
     attempts.append(attempt(Verdict.UNSAFE, car_error_m=0.5, peak_force_n=900.0))
     attempts.append(attempt(Verdict.FAILED, car_error_m=None, peak_force_n=None))
-    found = precision(attempts)
+    found = precision(_frame(attempts))
     assert (found.car_error_mm.n, found.car_error_mm.median, found.car_error_mm.max) == pytest.approx(
         (4, 2.5, 4.0)
     )
@@ -44,14 +40,14 @@ def test_errors_are_of_what_did_as_predicted_and_forces_of_all():
 def test_duration_errors_are_against_the_median_of_the_kind():
     quick = [attempt(duration_s=s) for s in (1.0, 1.2, 1.1)]
     slow = [attempt(verb="FOLD", duration_s=s) for s in (10.0, 11.0, 12.0)]
-    found = precision([*quick, *slow]).duration_error_s
+    found = precision(_frame([*quick, *slow])).duration_error_s
     assert (found.n, found.max) == pytest.approx((6, 1.0))
     assert found.median == pytest.approx(0.1)
 
 
 def test_the_file_of_durations_has_no_digits_that_say_nothing(tmp_path):
     seconds = (1.01, 1.02, 1.03, 1.0200000000000005)
-    path = write_durations(tmp_path, duration_table([attempt(duration_s=s) for s in seconds]))
+    path = write_durations(tmp_path, _table([attempt(duration_s=s) for s in seconds]))
     assert path.read_text().splitlines()[1] == "MOVE,none,1,False,4,1.02,1.0115,1.02,1.0285,1.03"
 
 
@@ -76,9 +72,7 @@ def test_what_was_not_tried_is_not_counted_as_tried_on_purpose():
 
 def test_a_table_of_durations_survives_its_file(tmp_path):
     attempts = [attempt(duration_s=s, level=2, load="block", slope=True) for s in (1.0, 2.0, 6.0)]
-    table = duration_table(
-        [*attempts, attempt(verb="LIFT", duration_s=0.7), attempt(Verdict.FAILED, duration_s=99)]
-    )
+    table = _table([*attempts, attempt(verb="LIFT", duration_s=0.7), attempt(Verdict.FAILED, duration_s=99)])
     known = read_durations(write_durations(tmp_path / "new", table))
     row = known[DurationKey("MOVE", "block", 2, True)]
     assert (row.n, row.mean_s, row.median_s, row.max_s) == (3, 3.0, 2.0, 6.0)

@@ -5,9 +5,9 @@ import pytest
 from synthetic import attempt, record
 
 from craftsim.checking.attempt import Verdict
-from craftsim.validation.statistics.matrix import legality_matrix
-from craftsim.validation.statistics.paired import compare_paired
-from craftsim.validation.statistics.proportions import Proportion, wilson
+from craftsim.experiments.compare import compare_paired
+from craftsim.experiments.intervals import Proportion, wilson
+from craftsim.experiments.statistics import attempts_frame, legality_matrix
 
 
 def test_wilson_interval_of_known_cases():
@@ -35,7 +35,8 @@ def test_the_share_of_nothing_is_not_known():
 
 def test_the_matrix_counts_results_by_legality():
     attempts = [attempt()] * 5 + [attempt(Verdict.UNSAFE)] * 2 + [attempt(Verdict.FAILED, legal=False)] * 3
-    matrix = legality_matrix([*attempts, attempt(Verdict.SIDE_EFFECT, legal=False)])
+    attempts.append(attempt(Verdict.SIDE_EFFECT, legal=False))
+    matrix = legality_matrix(attempts_frame([record("a", *attempts)]))
     legal, forbidden = matrix.legal, matrix.forbidden
     assert (legal.trials, legal.as_predicted, legal.failed, legal.side_effect, legal.unsafe) == (
         7,

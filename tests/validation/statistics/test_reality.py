@@ -8,8 +8,9 @@ from synthetic import attempt, record
 from craftsim import cli
 from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
+from craftsim.experiments.compare import compare_with_reality
 from craftsim.experiments.records import Finished
-from craftsim.validation.statistics.reality import compare_with_reality, read_run
+from craftsim.validation.forms import read_run
 
 
 def _run(tmp_path, records, **config):

@@ -1,29 +1,33 @@
 """How long plans survive, and whether two worlds rank policies alike."""
 
+import numpy as np
 import pytest
 from synthetic import attempt, episodes, record
 
 from craftsim.checking.attempt import Verdict
-from craftsim.validation.statistics.ranking import (
+from craftsim.experiments.intervals import mean_maximum_rank_violation
+from craftsim.experiments.statistics import (
     PolicyScore,
-    mean_maximum_rank_violation,
+    attempts_frame,
+    plan_survival,
     policy_scores,
     rank_agreement,
-)
-from craftsim.validation.statistics.survival import (
-    Life,
-    life_with_resync,
-    life_without_resync,
-    plan_survival,
     survival,
+    trials_frame,
 )
+
+
+def _survival(ended, censored):
+    return survival(
+        np.array([*ended, *censored], int), np.array([True] * len(ended) + [False] * len(censored), bool)
+    )
 
 
 def test_kaplan_meier_of_published_data():
     # Remission in weeks under 6-MP: Freireich et al., Blood 21 (1963), as in Kaplan-Meier tables of many textbooks.
     ended = [6, 6, 6, 7, 10, 13, 16, 22, 23]
     censored = [6, 9, 10, 11, 17, 19, 20, 25, 32, 32, 34, 35]
-    curve = survival([Life(n, True) for n in ended] + [Life(n, False) for n in censored])
+    curve = _survival(ended, censored)
     share = dict(zip(curve.actions, curve.share, strict=True))
     published = {6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690, 16: 0.627, 22: 0.538, 23: 0.448}
     assert {n: share[n] for n in published} == pytest.approx(published, abs=5e-4)
@@ -34,27 +38,39 @@ def test_kaplan_meier_of_published_data():
 
 
 def test_where_nothing_or_everything_ended_there_is_no_band():
-    whole = survival([Life(5, False), Life(7, False)])
+    whole = _survival([], [5, 7])
     assert (whole.actions, whole.share, whole.low) == ([5, 7], [1.0, 1.0], [None, None])
-    none_left = survival([Life(1, True), Life(2, True)])
+    none_left = _survival([1, 2], [])
     assert none_left.share == [0.5, 0.0]
     assert none_left.low[-1] is None
-    assert survival([]).runs == 0
+    assert _survival([], []).runs == 0
 
 
-def test_a_run_without_resync_ends_with_its_first_disagreement_and_with_it_when_it_cannot_go_on():
-    good, failed = attempt(), attempt(Verdict.FAILED)
-    assert life_without_resync(record("a", good, failed, good)) == Life(2, True)
-    assert life_with_resync(record("a", good, failed, good)) == Life(3, False)
-    assert life_with_resync(record("a", failed, attempt(legal=False))) == Life(2, True)
-    assert life_with_resync(record("a", attempt(Verdict.UNSAFE), good)) == Life(1, True)
-    assert life_with_resync(record("a", attempt(Verdict.FAILED, finding="unreadable"))) == Life(1, True)
-    assert life_without_resync(record("a", good)) == Life(1, False)
-
-
-def test_survival_leaves_errors_out():
-    found = plan_survival([record("a", attempt()), record("b", error="killed")])
-    assert found.without_resync.runs == found.with_resync.runs == 1
+@pytest.mark.parametrize(
+    ("attempts", "without_resync", "with_resync"),
+    [
+        (("good", "failed", "good"), (2, 1), (3, 0)),
+        (("failed", "forbidden"), (1, 1), (2, 1)),
+        (("unsafe", "good"), (1, 1), (1, 1)),
+        (("unreadable",), (1, 1), (1, 1)),
+        (("good",), (1, 0), (1, 0)),
+        ((), (0, 0), (0, 0)),
+    ],
+)
+def test_a_run_without_resync_ends_with_its_first_disagreement_and_with_it_when_it_cannot_go_on(
+    attempts, without_resync, with_resync
+):
+    known = {
+        "good": attempt(),
+        "failed": attempt(Verdict.FAILED),
+        "forbidden": attempt(legal=False),
+        "unsafe": attempt(Verdict.UNSAFE),
+        "unreadable": attempt(Verdict.FAILED, finding="unreadable"),
+    }
+    records = [record("b", error="killed"), record("a", *map(known.get, attempts))]
+    found = plan_survival(trials_frame(records), attempts_frame(records))
+    for curve, (actions, ended) in ((found.without_resync, without_resync), (found.with_resync, with_resync)):
+        assert (curve.runs, curve.actions, curve.ended) == (1, [actions], ended)
 
 
 def test_mmrv_by_hand():
@@ -104,5 +120,13 @@ def test_scores_are_shares_of_episodes_by_policy():
         record("c", group="c"),
     ]
     records.append(episode("a", True, True, error="timeout"))
-    assert policy_scores(records) == [PolicyScore("a", 0.0, 0.0, 1), PolicyScore("b", 1.0, 0.5, 2)]
-    assert [score.policy for score in policy_scores(episodes())] == ["ippo", "planner", "qmix", "random"]
+    assert policy_scores(trials_frame(records)) == [
+        PolicyScore("a", 0.0, 0.0, 1),
+        PolicyScore("b", 1.0, 0.5, 2),
+    ]
+    assert [score.policy for score in policy_scores(trials_frame(episodes()))] == [
+        "ippo",
+        "planner",
+        "qmix",
+        "random",
+    ]

@@ -5,11 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import math
-from array import array
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,7 +17,9 @@ from craftsim.storage.folders import output_directory
 from craftsim.storage.limits import TABLE
 from craftsim.storage.reading import read_text
 from craftsim.storage.writing import write_whole
-from craftsim.validation.statistics.records import AttemptRecord, as_predicted
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 FILE_NAME: Final = "durations.csv"
 
@@ -74,43 +75,20 @@ _READ: Final[dict[str, Callable[[str], Any]]] = {
 """How the columns are read, by the type of their values."""
 
 
-def duration_table(attempts: Iterable[AttemptRecord]) -> list[Duration]:
-    """Return the durations of each kind of action that did as predicted, sorted by kind."""
-    durations = Durations()
-    for attempt in attempts:
-        durations.add(attempt)
-    return durations.table()
+def kinds_of(attempts: DataFrame) -> Iterable[tuple[Any, DataFrame]]:
+    """Return attempts by what has a duration of its own, see :class:`DurationKey`, sorted."""
+    return attempts.groupby(list(DurationKey._fields), observed=True)
 
 
-class Durations:
-    """Durations of attempts that did as predicted, by their kind."""
-
-    def __init__(self) -> None:
-        """Begin with none."""
-        self._kinds: dict[DurationKey, array[float]] = {}
-
-    def add(self, attempt: AttemptRecord) -> None:
-        """Take the duration of an attempt, if that did as predicted."""
-        if as_predicted(attempt):
-            key = DurationKey(attempt["verb"], attempt["load"], attempt["level"], attempt["slope"])
-            self._kinds.setdefault(key, array("d")).append(attempt["duration_s"])
-
-    def table(self) -> list[Duration]:
-        """Return the durations of each kind, sorted by kind."""
-        return [
-            Duration(
-                *key,
-                len(values),
-                float(np.mean(values)),
-                *np.quantile(values, (0.05, 0.5, 0.95, 1.0)).tolist(),
-            )
-            for key, values in sorted(self._kinds.items())
-        ]
-
-    def deviations(self) -> Iterator[float]:
-        """Yield how far each duration is from the median of its kind, in seconds."""
-        for values in self._kinds.values():
-            yield from np.abs(np.subtract(values, np.median(values)))
+def duration_table(good: DataFrame) -> list[Duration]:
+    """Return the durations of the attempts that did as predicted, by kind, sorted."""
+    rows = []
+    for (verb, load, level, slope), part in kinds_of(good):
+        seconds = part.duration_s.to_numpy()
+        quantiles = np.quantile(seconds, (0.05, 0.5, 0.95, 1.0)).tolist()
+        mean_s = float(np.mean(seconds))
+        rows.append(Duration(str(verb), str(load), int(level), bool(slope), len(part), mean_s, *quantiles))
+    return rows
 
 
 def write_durations(out: Path, table: Sequence[Duration]) -> Path:

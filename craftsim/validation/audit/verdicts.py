@@ -10,8 +10,9 @@ from enum import StrEnum
 from typing import Final
 
 from craftsim.checking.attempt import Verdict
-from craftsim.validation.statistics.proportions import wilson
-from craftsim.validation.statistics.records import RESULTS, Record, worst
+from craftsim.experiments.experiment import TrialRecord
+from craftsim.experiments.intervals import wilson
+from craftsim.experiments.statistics import RESULTS
 
 SOUND_SHARE: Final = 0.95
 """A rule that allows an action is sound where at least this share of trials does what it predicts. One that forbids an
@@ -82,7 +83,7 @@ def provisional_note(rows: Iterable[AuditRow]) -> str:
     return f"{few:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional." if few else ""
 
 
-def audit_rows(records: Iterable[Record]) -> list[AuditRow]:
+def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
     """Return one row for each ``group`` of records, sorted by group.
 
     A group's name is the action, a slash and the context. A row is legal when all its attempts are; one whose trials
@@ -117,6 +118,12 @@ def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> 
     return Judgement.CONSERVATIVE if works else Judgement.RIGHTLY_FORBIDDEN
 
 
+def worst(record: TrialRecord) -> Verdict | None:
+    """Return the worst result among a trial's attempts, None when there is none."""
+    results = [Verdict(attempt["result"]) for attempt in record["attempts"]]
+    return max(results, key=RESULTS.index, default=None)
+
+
 @dataclass
 class _Group:
     """What is counted of the trials of one row."""
@@ -129,7 +136,7 @@ class _Group:
     """Why trials did not do as predicted, the first reason of each kind: those that differ in numbers alone are one."""
     kinds: Counter[str] = field(default_factory=Counter)
 
-    def add(self, record: Record) -> None:
+    def add(self, record: TrialRecord) -> None:
         self.legal &= all(attempt["legal"] for attempt in record["attempts"])
         if record["bundle"]:
             self.bundles.append(record["bundle"])

@@ -1,34 +1,49 @@
-"""Whether the grid ranks policies as physics does: correlations and the mean maximum rank violation."""
+"""Shares and other figures with their 95 % intervals, and how two worlds rank policies."""
 
 from __future__ import annotations
 
 import warnings
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.validation.statistics.proportions import CONFIDENCE
-from craftsim.validation.statistics.records import Record, carried_out
-
 _Samples: TypeAlias = NDArray[np.float64]
-
+CONFIDENCE: Final = 0.95
+"""Confidence of all intervals."""
 RESAMPLES: Final = 9999
 MIN_POLICIES: Final = 3
 """Of fewer policies a correlation says nothing."""
 
 
 @dataclass(frozen=True)
-class PolicyScore:
-    """A policy's success rate in the grid world and in physics."""
+class Proportion:
+    """Successes among trials, with Wilson's score interval at 95 % confidence."""
 
-    policy: str
-    grid: float
-    physics: float
-    episodes: int
+    successes: int
+    trials: int
+    rate: float | None
+    """None when nothing was tried."""
+    wilson_low: float
+    wilson_high: float
+
+    @classmethod
+    def of(cls, successes: int, trials: int) -> Proportion:
+        """Return the proportion of so many successes among so many trials."""
+        low, high = wilson(successes, trials)
+        return cls(successes, trials, successes / trials if trials else None, low, high)
+
+
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """Return Wilson's score interval of a success rate at 95 % confidence; (0, 1) when nothing was tried."""
+    from scipy.stats import binomtest
+
+    if trials == 0:
+        return 0.0, 1.0
+    interval = binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 @dataclass(frozen=True)
@@ -49,29 +64,6 @@ class RankAgreement:
     spearman: Estimate
     mmrv: float
     """Mean maximum rank violation; 0 when physics ranks no two policies otherwise than the grid world."""
-
-
-def policy_scores(records: Iterable[Record]) -> list[PolicyScore]:
-    """Return the scores of the policies in some records, by name.
-
-    Each record is an episode of the policy that its ``group`` names; ``extra`` says under ``grid_success`` and
-    ``physics_success`` whether the episode reached its goal in either world. Others are left out.
-    """
-    known = (r for r in carried_out(records) if {"grid_success", "physics_success"} <= set(r["extra"]))
-    reached: dict[str, Counter[str]] = {}
-    for record in known:
-        extra = record["extra"]
-        counts = {"n": 1, "grid": extra["grid_success"], "physics": extra["physics_success"]}
-        reached.setdefault(record["group"], Counter()).update(counts)
-    return [
-        PolicyScore(policy, found["grid"] / found["n"], found["physics"] / found["n"], found["n"])
-        for policy, found in sorted(reached.items())
-    ]
-
-
-def rank_agreement(scores: Sequence[PolicyScore], seed: int) -> RankAgreement | None:
-    """Return how two worlds agree on some policies, None for fewer than three; ``seed`` is the bootstrap's."""
-    return agreement_of([score.grid for score in scores], [score.physics for score in scores], seed)
 
 
 def agreement_of(predicted: Sequence[float], actual: Sequence[float], seed: int) -> RankAgreement | None:

@@ -1,0 +1,389 @@
+"""Two runs of the same trials, paired by key: outcomes, durations, errors, forces and ranks with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from craftsim.checking.attempt import Verdict
+from craftsim.errors import InputError
+from craftsim.experiments.experiment import Experiment, RunOptions, TrialRecord
+from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, RankAgreement, agreement_of
+from craftsim.experiments.records import Finished, differences, read_finished
+from craftsim.experiments.session import Session
+from craftsim.experiments.statistics import (
+    Distribution,
+    attempts_frame,
+    carried_out,
+    errors,
+    legal_attempts,
+    trials_frame,
+)
+from craftsim.storage.paths import resolved
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+_SHOWN: Final = 6
+"""How many kinds of difference the text shows."""
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Trials that were run under two settings, paired by their keys."""
+
+    pairs: int
+    unpaired: int
+    """Trials that only one of the runs carried out; they are left out."""
+    both: int
+    """Trials that agree under both settings."""
+    only_first: int
+    """Trials that agree under the first setting alone."""
+    only_second: int
+    """Trials that agree under the second setting alone."""
+    neither: int
+    first: Proportion
+    second: Proportion
+    p_value: float
+    """Of McNemar's exact test, two-sided: how likely a split of the differing pairs at least as uneven as this one is,
+    if the settings do equally well."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One kind of action that went as predicted in one run alone."""
+
+    kind: str
+    """The verb, what was carried and whether on a slope, and the two results."""
+    actions: int
+    example: str
+    """Key of the first trial with such an action."""
+
+
+@dataclass(frozen=True)
+class Alike:
+    """Actions that both runs tried, paired in the order of each trial for as long as both try the same."""
+
+    actions: int
+    as_predicted_alike: int
+    """How many went as predicted in both runs or in neither."""
+    legal: Proportion
+    """The same among the actions that the rules allow."""
+    duration_ratio: float | None
+    """Of the second run by the first, the median over the actions as predicted in both; None where there are none."""
+    error_ratio: float | None
+    """The same of the car's distance from its cell's centre."""
+    peak_force_ratio: float | None
+    """The same of the largest force between two machines."""
+    differences: tuple[Difference, ...]
+    """Commonest first."""
+
+    @property
+    def share(self) -> float:
+        """The share of actions that went as predicted in both runs or in neither."""
+        return self.as_predicted_alike / self.actions if self.actions else 1.0
+
+    def __str__(self) -> str:
+        ratios = [
+            f"{name} {ratio:.3f} times theirs"
+            for name, ratio in (
+                ("durations", self.duration_ratio),
+                ("errors", self.error_ratio),
+                ("peak forces", self.peak_force_ratio),
+            )
+            if ratio is not None
+        ]
+        lines = [
+            f"Of {self.actions:,} actions {self.share:.2%} went as predicted in both or in neither, and "
+            f"{self.legal.successes:,} of the {self.legal.trials:,} that the rules allow"
+            + (f"; at the median {', '.join(ratios)}." if ratios else ".")
+        ]
+        lines += [f"  {one.actions} {one.kind}: such as {one.example}" for one in self.differences[:_SHOWN]]
+        left = sum(one.actions for one in self.differences[_SHOWN:])
+        return "\n".join([*lines, *([f"  {left} of other kinds"] if left else [])])
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A run and an earlier one of the same trials under other settings."""
+
+    against: str
+    """Folder of the earlier run."""
+    changed: Mapping[str, tuple[Any, Any]]
+    """Settings and versions that differ, by their dotted names: of the earlier run, and of this one."""
+    trials: Paired
+    """The earlier run is the first."""
+    actions: Alike
+    """The earlier run is the first here, too."""
+
+    def __str__(self) -> str:
+        trials = self.trials
+        return (
+            f"Against {self.against}: of {trials.pairs} paired trials {trials.both} agree with the rules in both, "
+            f"{trials.only_first} only there, {trials.only_second} only here, {trials.neither} in neither; "
+            f"McNemar's exact test: p = {trials.p_value:.3g}.\n{self.actions}"
+        )
+
+
+@dataclass(frozen=True)
+class VerbAgreement:
+    """One kind of action in both worlds, of what the rules allow."""
+
+    agreement: Proportion
+    """Share of the paired actions that went as predicted in both or in neither."""
+    sim: Proportion
+    """Share that went as predicted in the simulation."""
+    real: Proportion
+    duration_ratio: Estimate
+    """Of reality by the simulation: the median over actions as predicted in both, and its exact 95 % interval."""
+
+
+@dataclass(frozen=True)
+class ErrorShift:
+    """How one error is distributed in both worlds, over actions as predicted."""
+
+    sim: Distribution
+    real: Distribution
+    distance: float
+    """Kolmogorov and Smirnov's: the largest difference between the two shares of errors up to a size."""
+    p_value: float
+    """How likely a distance at least as large is if both are distributed alike."""
+
+
+@dataclass(frozen=True)
+class PlanScore:
+    """How many of the paired runs of a plan or policy in a world succeed: reach the goal, or without one agree."""
+
+    plan: str
+    runs: int
+    sim: float
+    """Share of them in the simulation."""
+    real: float
+
+
+@dataclass(frozen=True)
+class RealityGap:
+    """How a simulation and reality, or two runs of any kind, agree on the same trials."""
+
+    changed: Mapping[str, tuple[Any, Any]]
+    """Settings and versions that differ, by their dotted names, as far as both declare them."""
+    trials: Paired
+    """The simulation is the first."""
+    actions: Alike
+    """The simulation is the first here, too."""
+    by_verb: Mapping[str, VerbAgreement]
+    error_shifts: Mapping[str, ErrorShift]
+    """By the field of an attempt, in thousandths of its unit: millimetres or milliradians."""
+    plans: Sequence[PlanScore]
+    ranks: RankAgreement | None
+    """Over these plans; None for fewer than three."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether no difference in how many trials agree with the rules shows, by McNemar's test at 5 %."""
+        return self.trials.p_value >= 1 - CONFIDENCE
+
+
+def read_earlier(experiment: Experiment, out: Path | None, options: RunOptions) -> Finished | None:
+    """Return the earlier run to compare with, if one is wanted; call this before the other one begins in ``out``.
+
+    Raises InputError where the folder holds none, or none that has pairs with the trials of the experiment.
+    """
+    folder, seed = options.against, experiment.seed
+    if folder is None:
+        return None
+    if out is not None and resolved(folder) == resolved(out):
+        raise InputError(f"--against {folder} is the folder of this run; choose another --out")
+    found = read_finished(folder, experiment.command, experiment.form)
+    if (other := found.manifest.get("seed")) != seed:
+        raise InputError(
+            f"the run in {folder} has the seed {other}, not {seed}, so that nothing is paired; give --seed {other}"
+        )
+    keys = {item.key for item in experiment.items}
+    if not any(record["key"] in keys for record in found.records):
+        raise InputError(
+            f"the run in {folder} has no trial in common with this one, so there are no pairs to compare; "
+            "run both with the same contexts, worlds, plans or policies"
+        )
+    return found
+
+
+def compare_runs(
+    earlier: Finished,
+    session: Session,
+    chosen: Callable[[Iterable[TrialRecord]], Iterable[TrialRecord]] = lambda records: records,
+) -> Comparison:
+    """Return how the records of a run compare with those of an earlier one; ``chosen`` says which count."""
+    first, second = chosen(earlier.records), chosen(session.records)
+    return Comparison(
+        str(earlier.folder),
+        changes(earlier.manifest, session.manifest),
+        compare_paired(first, second),
+        alike(first, second),
+    )
+
+
+def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return the settings and versions that differ between two manifests, by their dotted names."""
+    old, new = ({key: manifest.get(key) for key in ("config", "versions")} for manifest in (before, after))
+    return dict(differences(old, new))
+
+
+def compare_paired(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> Paired:
+    """Return how two runs of the same trials under two settings compare; trials that tried nothing are left out."""
+    from statsmodels.stats.contingency_tables import mcnemar
+
+    one, two = ({r["key"]: r["agrees"] for r in carried_out(run) if r["attempts"]} for run in (first, second))
+    keys = one.keys() & two.keys()
+    table = [[0, 0], [0, 0]]
+    for key in keys:
+        table[not one[key]][not two[key]] += 1
+    (both, only_first), (only_second, neither) = table
+    return Paired(
+        pairs=len(keys),
+        unpaired=len(one.keys() ^ two.keys()),
+        both=both,
+        only_first=only_first,
+        only_second=only_second,
+        neither=neither,
+        first=Proportion.of(both + only_first, len(keys)),
+        second=Proportion.of(both + only_second, len(keys)),
+        p_value=float(mcnemar(table, exact=True).pvalue),
+    )
+
+
+def paired_actions(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> DataFrame:
+    """Return the actions of each trial that both runs tried, for as long as both try the same.
+
+    A row for each, in the order of the second run: ``key``, and every column of
+    :func:`~craftsim.experiments.statistics.attempts_frame` of either run, which ends with ``_a`` or ``_b``; ``good_a``
+    and ``good_b`` say whether it went as predicted, ``alike`` whether in both or in neither.
+    """
+    one, other = (_keyed_attempts(run) for run in (first, second))
+    pairs = other.merge(one, on=["key", "number"], suffixes=("_b", "_a"))
+    same = (pairs.tick_a == pairs.tick_b) & (pairs.car_a == pairs.car_b) & (pairs.action_a == pairs.action_b)
+    pairs = pairs[same.groupby(pairs.key).cummin().astype(bool)]
+    good = {f"good_{run}": pairs[f"result_{run}"] == Verdict.AS_PREDICTED for run in "ab"}
+    return pairs.assign(**good, alike=good["good_a"] == good["good_b"], legal=pairs.legal_a & pairs.legal_b)
+
+
+def _keyed_attempts(run: Iterable[TrialRecord]) -> DataFrame:
+    frame = attempts_frame(run)
+    keys = np.array([record["key"] for record in carried_out(run)], object)
+    texts = dict.fromkeys(("action", "verb", "load", "result"), object)
+    return frame.assign(key=keys[frame.trial.to_numpy()]).astype(texts)
+
+
+def alike(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> Alike:
+    """Return how alike the actions of two runs of the same trials are."""
+    pairs = paired_actions(first, second)
+    legal, both = pairs[pairs.legal], pairs[pairs.good_a & pairs.good_b]
+    apart = pairs[~pairs.alike]
+    kinds = apart.key.groupby([_kind(row) for row in apart.itertuples()])
+    found = [Difference(str(kind), len(keys), str(keys.iloc[0])) for kind, keys in kinds]
+    return Alike(
+        actions=len(pairs),
+        as_predicted_alike=int(pairs.alike.sum()),
+        legal=Proportion.of(int(legal.alike.sum()), len(legal)),
+        duration_ratio=_ratio(both, "duration_s"),
+        error_ratio=_ratio(both, "car_error_m"),
+        peak_force_ratio=_ratio(both, "peak_force_n"),
+        differences=tuple(sorted(found, key=lambda one: (-one.actions, one.kind))),
+    )
+
+
+def _kind(row: Any) -> str:
+    """Return what differs between the two attempts of an action."""
+    load = "" if row.load_a == "none" else f" with a {row.load_a}"
+    slope, forbidden = " on a slope" * row.slope_a, ", forbidden" * (not row.legal_a)
+    return f"{row.verb_a}{load}{slope}{forbidden}: {row.result_a} there, {row.result_b} here"
+
+
+def _ratios(pairs: DataFrame, name: str) -> DataFrame:
+    known = pairs[pairs[f"{name}_a"] > 0]
+    return known[f"{name}_b"] / known[f"{name}_a"]
+
+
+def _ratio(pairs: DataFrame, name: str) -> float | None:
+    ratios = _ratios(pairs, name)
+    return float(np.median(ratios)) if len(ratios) else None
+
+
+def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> RealityGap:
+    """Return how two runs agree on the trials that they share, paired by their keys; ``seed`` is the bootstrap's.
+
+    Raises InputError for runs that share no trial.
+    """
+    shared = {r["key"] for r in carried_out(sim.records)} & {r["key"] for r in carried_out(real.records)}
+    if not shared:
+        raise InputError(
+            f"{sim.folder} and {real.folder} have no trial in common that both carried out, so that nothing is paired; "
+            "both need the same worlds, plans or policies, and trials of the same numbers"
+        )
+    one, other = ([r for r in run.records if r["key"] in shared] for run in (sim, real))
+    plans = _plans(one, other)
+    return RealityGap(
+        changed=changes(sim.manifest, real.manifest),
+        trials=compare_paired(one, other),
+        actions=alike(one, other),
+        by_verb=_by_verb(paired_actions(one, other)),
+        error_shifts=_shifts(one, other),
+        plans=plans,
+        ranks=agreement_of([plan.sim for plan in plans], [plan.real for plan in plans], seed),
+    )
+
+
+def _by_verb(pairs: DataFrame) -> dict[str, VerbAgreement]:
+    return {
+        str(verb): VerbAgreement(
+            Proportion.of(int(some.alike.sum()), len(some)),
+            Proportion.of(int(some.good_a.sum()), len(some)),
+            Proportion.of(int(some.good_b.sum()), len(some)),
+            _median(_ratios(some[some.good_a & some.good_b], "duration_s").tolist()),
+        )
+        for verb, some in pairs[pairs.legal].groupby("verb_a")
+    }
+
+
+def _median(values: Sequence[float]) -> Estimate:
+    """Return a median with the interval that the sign test gives, whatever the distribution."""
+    from scipy.stats import quantile_test
+
+    if not values:
+        return Estimate(None, None, None)
+    interval = quantile_test(values, p=0.5).confidence_interval(CONFIDENCE)
+    low, high = (float(bound) if np.isfinite(bound) else None for bound in interval)
+    return Estimate(float(np.median(values)), low, high)
+
+
+def _shifts(sim: Iterable[TrialRecord], real: Iterable[TrialRecord]) -> dict[str, ErrorShift]:
+    from scipy.stats import ks_2samp
+
+    found = {}
+    first, second = (errors(legal_attempts(run)) for run in (sim, real))
+    for name, values in first.items():
+        one, other = Distribution.of(values), Distribution.of(second[name])
+        if one is not None and other is not None:
+            test = ks_2samp(values, second[name])
+            found[name] = ErrorShift(one, other, float(test.statistic), float(test.pvalue))
+    return found
+
+
+def _plans(sim: Iterable[TrialRecord], real: Iterable[TrialRecord]) -> list[PlanScore]:
+    one, other = (_successes(run) for run in (sim, real))
+    return [
+        PlanScore(name, runs, good / runs, other[name][1] / other[name][0])
+        for name, (runs, good) in sorted(one.items())
+    ]
+
+
+def _successes(run: Iterable[TrialRecord]) -> dict[str, tuple[int, int]]:
+    """Return for each plan in each world its number of runs, and of those that succeed."""
+    trials = trials_frame(run)
+    good = trials.physics.fillna(trials.agrees.astype(float))
+    plans = good.groupby([trials.context.astype(str), trials.group.astype(str)])
+    return {f"{context}: {plan}": (len(found), int(found.sum())) for (context, plan), found in plans}

@@ -1,1 +1,0 @@
-"""What many trials say together: proportions, errors, durations, survival, comparisons and the rows of an audit."""

@@ -12,7 +12,7 @@ from craftsim.checking.attempt import Attempt, Finding, Verdict
 from craftsim.errors import InputError
 from craftsim.experiments.records import Finished, described, read_finished
 from craftsim.experiments.schema import STRICT, Form
-from craftsim.validation.margins.limit import Limit, RowFound
+from craftsim.validation.margins.finding import Limit, RowFound
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 

@@ -8,7 +8,7 @@ from typing import Final
 
 from craftsim.experiments.experiment import Done, Item, TrialRecord
 from craftsim.validation.margins.axes import Axis
-from craftsim.validation.margins.limit import RowFound
+from craftsim.validation.margins.finding import RowFound
 from craftsim.validation.margins.trial import Rig
 
 TRIALS: Final = 20

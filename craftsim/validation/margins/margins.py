@@ -17,8 +17,7 @@ from craftsim.experiments.session import Session, open_session
 from craftsim.storage.paths import resolved
 from craftsim.validation.forms import MARGINS
 from craftsim.validation.margins.axes import Axis
-from craftsim.validation.margins.finding import MarginSearch, find
-from craftsim.validation.margins.limit import End, Limit, limit_of
+from craftsim.validation.margins.finding import End, Limit, MarginSearch, find, limit_of
 from craftsim.validation.margins.maps import Map, MapRow, Pair, find_row, maps_of, rows_of, values_of
 from craftsim.validation.margins.scenarios import Scenario
 from craftsim.validation.margins.search import SHARE, confidence

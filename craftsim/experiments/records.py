@@ -206,7 +206,8 @@ def checked(
         raise InputError(f"{path}: holds trial {first if first < 0 else last} of {n}; {remedy}")
     for start in range(first, last + 1, _PAGE):
         for number, text in texts(database, start, start + _PAGE):
-            data = text.encode() if isinstance(text, str) else bytes(text)
+            # In a damaged file there may be anything, numbers and nothing at all too.
+            data = text.encode() if isinstance(text, str) else text if isinstance(text, bytes) else b""
             record = _checked(form, data, f"{path}: trial {number}", n, remedy)
             if record["index"] != number:
                 raise InputError(f"{path}: trial {number} says that it is {record['index']}; {remedy}")

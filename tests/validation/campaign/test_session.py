@@ -71,7 +71,7 @@ def _failing(out):
         session.run_some({0: (0, "raise")}, lambda record: None)
 
 
-@pytest.mark.parametrize("text", ["{", "[]", "3", "{}", b"\xff\xfe", ""])
+@pytest.mark.parametrize("text", ["{", "[]", "3", "{}", b"\xff\xfe", b"{}", ""])
 def test_what_is_no_record_is_named(begun, text):
     put(begun, 2, text)
     with pytest.raises(InputError, match=r"session\.db: trial 2: not a trial's record"):

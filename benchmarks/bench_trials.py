@@ -5,10 +5,10 @@ from statistics import median
 
 import pytest
 
+from craftsim.audit.plan import audit_plan
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import setup_of
 from craftsim.mjcf.parameters import DRIVES
-from craftsim.audit.plan import audit_plan
 from craftsim.validation.audit.trial import Trial, items_of, try_it
 
 TRIALS = 60

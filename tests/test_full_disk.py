@@ -103,7 +103,6 @@ ELSEWHERE = {
     "discrete/kernel/code_cache.py",
     # Lines are added to what is there; arrays and plots are written into memory.
     "validation/html/svg.py",
-    "training/archive.py",
     "experiments/bundle.py",
     "rendering/trajectory.py",
     # Examples in docstrings.

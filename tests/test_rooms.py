@@ -33,10 +33,11 @@ ALLOWED = {
         "discrete",
         "mjcf",
         "report",
-        "validation.campaign",
     },
+    "audit": {"storage", "checking", "skills", "mjcf", "models", "discrete"},
     "validation": {
         "storage",
+        "audit",
         "experiments",
         "checking",
         "rendering",
@@ -52,6 +53,7 @@ ALLOWED = {
     },
     "tuning": {
         "storage",
+        "audit",
         "experiments",
         "validation",
         "checking",

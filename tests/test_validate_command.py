@@ -15,10 +15,9 @@ from craftsim.checking import setup
 from craftsim.checking.attempt import Thresholds
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
-from craftsim.experiments.experiment import perform
 from craftsim.validation import validation
-from craftsim.validation.campaign import local
 from craftsim.validation.runs import run
+from craftsim.workers.pool import Pool
 
 CROWDED = """
     area_length: 6
@@ -135,10 +134,10 @@ def test_a_plan_that_the_rules_forbid_is_not_tried_and_the_rule_is_told(folder, 
 def here(monkeypatch):
     """Let the work be done in this process, so that what is patched here is what is done."""
 
-    def distribute(pool, work, items, timeout_s, batch):
-        return ((number, answer_of(work, item.job)) for number, item in items)
+    def map_unordered(pool, function, jobs, timeout_s, batch):
+        return ((job, function(job)) for job in jobs)
 
-    monkeypatch.setattr(campaign, "distribute", distribute)
+    monkeypatch.setattr(Pool, "map_unordered", map_unordered)
 
 
 @pytest.mark.usefixtures("here")

@@ -62,8 +62,6 @@ def audit(
     from craftsim.commands.smallest_text import print_smallest, shrinking
     from craftsim.experiments.statistics import capped_steps, retried
     from craftsim.validation.audit.audit import run_audit
-    from craftsim.validation.audit.quick import quick_rows
-    from craftsim.validation.audit.rows import audit_plan
     from craftsim.validation.audit.trial import BATCH
     from craftsim.validation.html.audit import audit_page
     from craftsim.validation.html.writing import write_html

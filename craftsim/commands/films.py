@@ -18,6 +18,9 @@ from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.storage.folders import directory_within
 from craftsim.validation.recording import CLIP_S, record_bundle
+from craftsim.workers.pool import Pool, answered
+
+Job = TypeVar("Job")
 
 FILMS: Final = "films"
 SIZE: Final = (640, 360)

@@ -8,10 +8,9 @@ from typing import Annotated, Any
 
 import tyro
 
-from craftsim.commands.options import Dir
+from craftsim.commands.options import Dir, Engine
 from craftsim.commands.terminal import Terminal
 from craftsim.commands.text import say
-from craftsim.experiments.experiment import Engine
 from craftsim.report import write_report
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S, WORKERS
@@ -45,6 +44,7 @@ def study(
     need_torch()
     from craftsim.commands.study_progress import watching
     from craftsim.commands.study_text import conclusions, runs_table
+    from craftsim.commands.tables import show
     from craftsim.experiments.experiment import RunOptions
     from craftsim.studies.results import figures_of, plot_results
     from craftsim.studies.runs import run_study

@@ -17,8 +17,7 @@ from craftsim.checking.attempt import Verdict
 from craftsim.commands.terminal import cell
 from craftsim.commands.text import say
 from craftsim.experiments.experiment import TrialRecord
-from craftsim.validation.play.coverage import ALL, Coverage
-from craftsim.validation.play.neighbourhood import NEIGHBOURS
+from craftsim.validation.play.play import ALL, NEIGHBOURS, Coverage
 from craftsim.validation.validation import Validation
 
 _SHOWN: Final = 20

@@ -8,13 +8,13 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypedDict
+from typing import Any, TypedDict
 
 from craftsim.errors import DISK_ERRORS
 from craftsim.experiments.schema import ANY, Form
 from craftsim.report import plain
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS, TRIALS, size_text
-from craftsim.validation.campaign.tidying import tidy
+from craftsim.workers.pool import Engine
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,6 @@ class Failure:
 
 Answer = Done | Failure
 Work = Callable[[Any], Done]
-Engine = Literal["local", "ray"]
 
 
 class TrialRecord(TypedDict):

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationE
 from craftsim.errors import InputError
 from craftsim.storage.limits import RUNS
 from craftsim.storage.reading import parse_json
+from craftsim.storage.records import first_mistake
 
 if TYPE_CHECKING:
     from craftsim.experiments.experiment import TrialRecord

@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from types import FrameType
@@ -58,7 +59,7 @@ from craftsim.experiments.records import (
 from craftsim.report import plain, versions, write_report
 from craftsim.storage.folders import owned, remove
 from craftsim.storage.writing import whole
-from craftsim.validation.campaign.distribute import Worker, distribute
+from craftsim.workers.pool import NoAnswer, Pool
 
 SCHEMA_VERSION: Final = 2
 ALONE: Final = RunOptions()
@@ -136,7 +137,7 @@ class Session:
         for (number,) in database.execute("SELECT number FROM trials"):
             self._done[number] = True
         self._doing = ""
-        self._team: tuple[Work, list[_Lasting]] | None = None
+        self._pool: Pool | None = None
         self._last = -1
         """The largest number in ``trials.jsonl``, or that of all trials where its lines are in no order."""
         if out is not None:
@@ -251,7 +252,8 @@ class Session:
     def close(self) -> None:
         """End the workers, and let others open the database; its records are read as they are then."""
         assert self.out is not None
-        self._dismiss()
+        if self._pool is not None:
+            self._pool.close()
         os.close(self._lines)
         # On a full disk what is in the log stays there for the next one to open it.
         with contextlib.suppress(sqlite3.Error):
@@ -299,54 +301,27 @@ class Session:
             if self.out is None:
                 yield from ((n, answer_of(work, item.job, interruptible=True)) for n, item in numbered)
                 return
-            for number, answer in distribute(self._workers(work), numbered, timeout_s, batch):
+            jobs = ((number, item.job) for number, item in numbered)
+            work_on = partial(_answer, work)
+            for (number, _), answer in self.pool.map_unordered(work_on, jobs, timeout_s, batch):
+                if isinstance(answer, NoAnswer):
+                    answer = Failure(answer.reason)
                 if isinstance(answer, Failure) and answer.stops:
                     raise InputError(
                         f"{answer.text}; what was finished is kept in {self.out}: make room, then --resume"
                     )
                 yield number, answer
 
-    def _workers(self, work: Work) -> Sequence[Worker]:
-        """Return the workers of a function, the same for as long as it does not change: they may keep something."""
-        if self._team is None or self._team[0] is not work:
-            self._dismiss()
-            self._team = work, [_Lasting(one) for one in _workers(work, self.options)]
-        return self._team[1]
-
-    def _dismiss(self) -> None:
-        if self._team is not None:
-            for one in self._team[1]:
-                one.worker.close()
-        self._team = None
+    @property
+    def pool(self) -> Pool:
+        """The workers of the run, which may keep something from one map to the next."""
+        if self._pool is None:
+            self._pool = Pool(self.options.workers, self.options.engine)
+        return self._pool
 
 
-class _Lasting:
-    """A worker that outlives what is handed out, unless it still runs then, which is when somebody interrupts it."""
-
-    def __init__(self, worker: Worker) -> None:
-        self.worker = worker
-        self._runs = False
-
-    def run(self, items: Sequence[Item], timeout_s: float) -> list[Answer]:
-        self._runs = True
-        try:
-            return self.worker.run(items, timeout_s)
-        finally:
-            self._runs = False
-
-    def close(self) -> None:
-        if self._runs:
-            self.worker.close()
-
-
-def _workers(work: Work, options: RunOptions) -> list[Worker]:
-    if options.engine == "ray":
-        from craftsim.validation.campaign.ray_cluster import ray_workers
-
-        return ray_workers(work, options.workers)
-    from craftsim.validation.campaign.local import LocalWorker
-
-    return [LocalWorker(work) for _ in range(options.workers)]
+def _answer(work: Work, numbered: tuple[int, Any]) -> Answer:
+    return answer_of(work, numbered[1])
 
 
 def _manifest(experiment: Experiment) -> dict[str, Any]:

@@ -111,26 +111,17 @@ RECORDED_DEPTH: Final = 64
 RECORDED_TICKS: Final = 1_000_000
 """Of an episode."""
 
-ALL: Final = (
-    YAML,
-    TEXT,
-    BUNDLE,
-    ARRAYS,
-    TRAJECTORY,
-    STARTS,
-    RECORDING,
-    HEADER,
-    SESSION,
-    TRIALS,
-    POLICY,
-    RUN,
-    REPORT,
-    TABLE,
-    LOG,
-    PICTURE,
-    MESH,
-    BAG,
-)
+ALL: Final = tuple(one for one in list(vars().values()) if isinstance(one, Limits))
+"""Of all formats."""
+
+
+def _short(value: float) -> str:
+    return text if len(text := str(value)) <= 40 else f"{text[:37]}..."
+
+
+def _plain_number(value: float) -> str:
+    """Return a number without ".0": equal ranges look alike, whatever they are made of."""
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.durations import write_durations
-from craftsim.experiments.experiment import Engine, Experiment, Item, Progress, RunOptions, TrialRecord
+from craftsim.experiments.experiment import Experiment, Item, Progress, RunOptions, TrialRecord
 from craftsim.experiments.session import open_session
 from craftsim.experiments.statistics import Figures, campaign_figures
 from craftsim.mjcf.parameters import Drive, Machines
@@ -41,6 +41,7 @@ from craftsim.validation.runs.policies import RANDOM, Policy
 from craftsim.validation.runs.run import Terms, do_run
 from craftsim.validation.runs.steps import PlanOrder
 from craftsim.validation.shrinking.campaign import ShrinkProgress, Shrunk, shrink_failures
+from craftsim.workers.pool import Engine
 
 if TYPE_CHECKING:
     from pandas import DataFrame

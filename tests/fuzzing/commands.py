@@ -47,7 +47,7 @@ SLOTS = (
     *("demo --task @", "demo --blueprint @.yaml --no-video", "demo --plan @.plan", "demo --goal @.yaml"),
     *("demo --robot @",),
     *("validate @.yaml --against gone", "validate @ --against gone", "validate strip --plan @.plan --against gone"),
-    *("validate strip --actions @.txt --against gone", "validate strip --policy @.pt --against gone"),
+    *("validate strip --actions @.txt --against gone", "validate strip --policy @.safetensors --against gone"),
     *("validate strip --policy @ --against gone", "validate strip --against @", "validate --against @{session.db}"),
     *("plan @.yaml --time 1", "plan @ --time 1", "plan strip --goal @.yaml --time 1", "plan gone --out @"),
     *("build @.yaml --against gone", "build strip --goal @.yaml --against gone", "build strip --against @"),

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from bags import write_bag
 from sessions import put
+from training_files import read_content, write_content
 
 from craftsim.checking.setup import Setup
 from craftsim.cli import main

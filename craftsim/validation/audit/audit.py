@@ -14,7 +14,6 @@ from craftsim.experiments.durations import write_durations
 from craftsim.experiments.experiment import Experiment, RunOptions, TrialRecord
 from craftsim.experiments.session import open_session
 from craftsim.experiments.statistics import Figures, campaign_figures, capped_steps, retried
-from craftsim.validation.audit.corrections import rows_by_flag
 from craftsim.validation.audit.results import Results, bundle_disagreements, judged_by_rules
 from craftsim.validation.audit.trial import BATCH, TIMEOUT_S, items_of, try_it
 from craftsim.validation.forms import TRIALS

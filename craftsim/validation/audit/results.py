@@ -7,13 +7,12 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Final
 
+from craftsim.audit.plan import PlanRow, corrections, rows_by_flag
 from craftsim.discrete.rules import RuleSet
 from craftsim.experiments.bundle import write_bundles
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.records import select
 from craftsim.experiments.session import Session
-from craftsim.validation.audit.corrections import corrections, rows_by_flag
-from craftsim.validation.audit.rows import Row
 from craftsim.validation.audit.suspects import SuspectFinding, find
 from craftsim.validation.audit.trial import recipe_of
 from craftsim.validation.audit.verdicts import AuditRow, Judgement, audit_rows, verdict_counts

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
+from craftsim.audit.situation import shipped
 from craftsim.validation.audit.verdicts import AuditRow, Judgement
 
 SUSPECTS: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")

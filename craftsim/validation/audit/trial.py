@@ -17,9 +17,6 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.errors import StartError
 from craftsim.experiments.experiment import Done, Item
 from craftsim.models.world import PhysicsWorld
-from craftsim.validation.audit.intended import intended
-from craftsim.validation.audit.rows import Row, Situation, action_in, distribute_trials, world_of
-from craftsim.validation.audit.scenes import Scene
 
 BATCH: Final = 20
 """Items that a worker takes at once: those of a few situations, so that each world is compiled about once."""

@@ -18,7 +18,7 @@ from craftsim.discrete.footprint import cell_of
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.validation.statistics.records import Record
+from craftsim.experiments.experiment import TrialRecord
 
 Joint = tuple[tuple[int, Action], ...]
 """(car, action) in acting order."""
@@ -216,7 +216,7 @@ class Coverage:
     """By what was done: ``all``, and how often beside each of the neighbours."""
 
     @classmethod
-    def of(cls, records: Iterable[Record]) -> Coverage | None:
+    def of(cls, records: Iterable[TrialRecord]) -> Coverage | None:
         """Return what the records of a campaign covered; None where nothing was played."""
         played = fallen = 0
         counts: dict[str, Counter[str]] = {}

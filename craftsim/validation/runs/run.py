@@ -33,8 +33,7 @@ from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.storage.folders import directory_within
-from craftsim.validation.play.coverage import covered
-from craftsim.validation.play.play import Play, play
+from craftsim.validation.play.play import Play, covered, play
 from craftsim.validation.play.worlds import RandomWorlds
 from craftsim.validation.runs.policies import PLANNER, Policy, make_policy
 from craftsim.validation.runs.rebuilding import Rebuilding, rebuild

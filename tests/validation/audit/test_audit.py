@@ -15,8 +15,6 @@ from craftsim.experiments.bundle import read_bundle
 from craftsim.experiments.experiment import Experiment, RunOptions
 from craftsim.experiments.replay import replay
 from craftsim.experiments.session import open_session, run_experiment
-from craftsim.validation.audit import rows
-from craftsim.validation.audit.corrections import corrections
 from craftsim.validation.audit.results import Results, bundle_disagreements
 from craftsim.validation.audit.trial import BATCH, items_of, try_it
 

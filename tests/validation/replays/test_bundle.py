@@ -30,7 +30,6 @@ from craftsim.experiments.bundle import (
     write_bundle,
 )
 from craftsim.experiments.replay import replay
-from craftsim.validation.audit.rows import audit_plan
 from craftsim.validation.audit.trial import Trial, recipe_of, try_it
 from craftsim.validation.recording import record_bundle
 

@@ -14,7 +14,6 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import write_bundle
-from craftsim.validation.audit.scenes import SCENES
 from craftsim.validation.shrinking.campaign import first_of_each_kind
 from craftsim.validation.shrinking.pieces import WorldPart, cropped, grid_of, lowered, pieces_of, without
 from craftsim.validation.shrinking.shrink import DependsError, Situated, failing_actions, shrink

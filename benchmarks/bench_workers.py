@@ -10,7 +10,8 @@ import pytest
 
 from craftsim.discrete.kinds import Action
 from craftsim.envs.physics_vector import PhysicsVectorEnv
-from craftsim.validation.campaign import Done, Header, Item, run_campaign
+from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions
+from craftsim.experiments.session import open_session
 from craftsim.validation.validation import validate
 
 FEW, MANY = 200, 1200
@@ -28,12 +29,13 @@ def nothing(job):
 def test_a_campaign_of_empty_trials(benchmark, tmp_path, engine, trials):
     """CPU of all processes; the difference of both, over that of their trials, is what a trial costs."""
     items = [Item(f"item {i}", "all", i, i) for i in range(trials)]
-    benchmark.pedantic(
-        run_campaign,
-        args=(items, nothing, tmp_path, Header("bench", 0, {})),
-        kwargs={"engine": engine},
-        rounds=1,
-    )
+    experiment = Experiment("bench", 0, {}, items, nothing)
+
+    def run():
+        with open_session(experiment, tmp_path, RunOptions(engine=engine)) as session:
+            session.run()
+
+    benchmark.pedantic(run, rounds=1)
 
 
 @pytest.mark.benchmark(timer=time.perf_counter)

@@ -222,10 +222,11 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
     if type_ == "missing" and isinstance(loc[-1], int):
         return f"{name(loc[:-1])}: must be a list of {len(get_args(_type_at(kind, loc[:-1])))} entries"
     if type_ == "missing":
-        required = ", ".join(_keys(_type_at(kind, loc[:-1]), required=True))
+        keys = ", ".join(_keys(_type_at(kind, loc[:-1]), required=True))
+        required = f"; required: {keys}" if keys else ""
         if len(loc) == 1:
-            return f"{name(loc)} is missing; required: {required}"
-        return f"{name(loc[:-1])}: needs '{loc[-1]}'; required: {required}"
+            return f"{name(loc)} is missing{required}"
+        return f"{name(loc[:-1])}: needs '{loc[-1]}'{required}"
     wanted, allowed = _type_and_range(kind, loc)
     if type_ == "value_error":
         subject = name(loc) if loc or name is not key_words else ""

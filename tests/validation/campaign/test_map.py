@@ -42,7 +42,7 @@ def test_a_full_disk_stops_it_with_a_message(tmp_path):
 def test_nothing_to_do_starts_no_worker(tmp_path):
     with open_session(cheap_work.experiment(0), tmp_path) as session:
         assert session.map("more", [], cheap_work.work, "testing", timeout_s=1.0) == []
-        assert session._team is None
+        assert session._pool is None
 
 
 def test_what_was_done_is_not_done_again_when_a_run_goes_on(tmp_path):

@@ -66,6 +66,19 @@ class Poses:
     hinges: Floats
     """(n,) hinge angle of each object in radians: 0 unfolded, pi folded; nan for what has no hinge."""
 
+    @cached_property
+    def bits(self) -> NDArray[np.int64]:
+        """(n, 8): the bits of position, quaternion and hinge of each car, which has none, and then of each object."""
+        n_cars = len(self.car_positions)
+        rows = np.zeros((n_cars + len(self.kinds), 8))
+        rows[:n_cars, :3], rows[:n_cars, 3:7] = self.car_positions, self.car_quaternions
+        rows[n_cars:, :3], rows[n_cars:, 3:7], rows[n_cars:, 7] = (
+            self.positions,
+            self.quaternions,
+            self.hinges,
+        )
+        return rows.view(np.int64)
+
     def name(self, index: int) -> str:
         """Return the name of an object for people, counted by kind: ``block 0``, ``flag 0``, ``slope 1``."""
         kind = self.kinds[index]
@@ -153,7 +166,7 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer], last: Readin
     n_cars = len(poses.car_positions)
     still = [False] * (n_cars + len(poses.kinds))
     if last is not None and last.poses is not None:
-        still = _unmoved(poses, last.poses)
+        still = (poses.bits == last.poses.bits).all(axis=1).tolist()
         if all(still):
             return last
     grid = Grid.empty(size, n_cars)
@@ -191,22 +204,6 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer], last: Readin
         problems += [f"{poses.name(index)} {note}" for note in notes]
     grid.derive_marks()
     return Reading(grid, tuple(cars), tuple(objects), tuple(problems), poses, tuple(fits))
-
-
-def _unmoved(now: Poses, then: Poses) -> list[bool]:
-    """Return which cars, and which objects after them, have the same poses to the last bit."""
-    same = [
-        (one.view(np.int64) == other.view(np.int64)).all(axis=1)
-        for one, other in (
-            (now.car_positions, then.car_positions),
-            (now.car_quaternions, then.car_quaternions),
-            (now.positions, then.positions),
-            (now.quaternions, then.quaternions),
-            (now.hinges[:, None], then.hinges[:, None]),
-        )
-    ]
-    cars, objects = same[0] & same[1], same[2] & same[3] & same[4]
-    return [*cars.tolist(), *objects.tolist()]
 
 
 def _axes(quaternions: Floats) -> list[Axes]:
@@ -272,9 +269,9 @@ def _read_car(size: Cell, position: Vector, axes: Axes) -> _Fit:
 def _seats(poses: Poses, car_axes: list[Axes]) -> dict[int, _Seat]:
     """Return the carried objects with the first car that carries each, its axes, and where it is in their frame."""
     apart = poses.positions[:, None] - poses.car_positions
-    near = (abs(apart[..., :2]) < CELL_PITCH_M / 2).all(axis=2)
+    near = (abs(apart[..., 0]) < CELL_PITCH_M / 2) & (abs(apart[..., 1]) < CELL_PITCH_M / 2)
     found: dict[int, _Seat] = {}
-    for index, car in np.argwhere(near).tolist():
+    for index, car in zip(*(places.tolist() for places in near.nonzero()), strict=True):
         ahead, aside, above = (_dot(axis, apart[index, car].tolist()) for axis in car_axes[car])
         lifted = LIFT_RANGE_M[0] < above < LIFT_RANGE_M[1]
         if lifted and math.sqrt(ahead * ahead + aside * aside) < CELL_PITCH_M / 4:

@@ -7,12 +7,13 @@ worked out from the world's baseline and its state, and never a position, a spee
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.mjcf.building import TOUCHES
 from craftsim.mjcf.car import WholeCar
@@ -73,13 +74,13 @@ class StepEffect:
         """Act after a physics step, and after a saved state was restored."""
 
 
-def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> list[StepEffect]:
-    """Return the effects of a world with its present baseline, in the order in which they act."""
+def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> tuple[list[StepEffect], TurnedMotors]:
+    """Return the effects of a world with its present baseline, in the order in which they act; and its motors that are
+    turned."""
     wheels = _wheels(world)
     found: list[StepEffect] = [] if drivetrain.ideal else [DrivetrainLosses(world, wheels, drivetrain)]
-    if world.machines.drive == "rollers":
-        return [*found, Bearings(world)]
-    return [*found, Grip(world, wheels), TurnedMotors(world, wheels)]
+    found.append(Bearings(world) if world.machines.drive == "rollers" else Grip(world, wheels))
+    return found, TurnedMotors.of(world, wheels)
 
 
 def _wheels(world: PhysicsWorld) -> Records:
@@ -184,64 +185,75 @@ class Grip(StepEffect):
         model, baseline = world.model, world.baseline
         names = [model.actuator(int(motor)).name for motor in wheels["motor"]]
         geoms = np.array([model.geom(name).id for name in names], np.int32)
-        self._wheel_of = np.full(model.ngeom, -1, np.int32)
-        """By geom: its wheel, counted over all cars, or -1."""
-        self._wheel_of[geoms] = np.arange(len(geoms))
+        wheel_of = np.full(model.ngeom, -1, np.int32)
+        wheel_of[geoms] = np.arange(len(geoms))
         radii = np.repeat([car.parameters.wheel_radius_m for car in world.cars], len(WHEELS))
         spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in world.cars], len(WHEELS))
         wheels["nm_per_n"] = baseline.geom_friction[geoms, 0] * radii / math.sqrt(2)
         wheels["inertia"] = spin[:, None] * wheels["own_gear"]
-        self._wheels, self.each_step = wheels, world.uneven
+        self.each_step = world.uneven
+        data, uneven = world.data, np.array([world.uneven])
+        state = data.actuator_force, data.tree_asleep, data.qacc, data.xmat
+        self._limit = bound(_limit, _Gripping(wheel_of, uneven, wheels, *state, model.actuator_forcerange))
 
     def before_period(self, world: PhysicsWorld) -> None:
         """Limit all motors for what their wheels carry now."""
-        data = world.data
+        contact = world.data.contact
         # Copies are laid out the same way however many contacts there are.
-        contact = data.contact
         geoms, addresses = np.ascontiguousarray(contact.geom), np.ascontiguousarray(contact.efc_address)
-        _weigh(geoms, addresses, data.efc_force, self._wheel_of, world.uneven, self._wheels)
-        _limit(
-            *(data.actuator_force, data.tree_asleep, data.qacc, data.xmat, self._wheels),
-            world.model.actuator_forcerange,
-        )
+        self._limit(geoms, addresses, world.data.efc_force)
 
     def after_step(self, world: PhysicsWorld) -> None:
         """Do so again where wheels may come off the ground."""
         self.before_period(world)
 
 
+class _Gripping(NamedTuple):
+    """What grip works on: MuJoCo's own arrays, but for the first three."""
+
+    wheel_of: Ints
+    """By geom: its wheel, counted over all cars, or -1."""
+    uneven: NDArray[np.bool_]
+    """(1,)"""
+    wheels: Records
+    motor_forces: Floats
+    asleep: Ints
+    qacc: Floats
+    xmat: Floats
+    forcerange: Floats
+
+
 @compiled
-def _weigh(
-    geoms: Ints, addresses: Ints, forces: Floats, wheel_of: Ints, uneven: bool, wheels: Records
-) -> None:
+def _weigh(gripping: _Gripping, geoms: Ints, addresses: Ints, forces: Floats) -> None:
     """Find what each wheel carries."""
+    wheels = gripping.wheels
     for wheel in range(len(wheels)):
         wheels[wheel].load = 0.0
     for contact in range(len(geoms)):
         if addresses[contact] < 0:
             continue
         for side in range(2):
-            wheel = wheel_of[geoms[contact, side]]
+            wheel = gripping.wheel_of[geoms[contact, side]]
             if wheel >= 0:
                 wheels[wheel].load += forces[addresses[contact]]
-    for first in range(0, len(wheels) if uneven else 0, 4):
+    for first in range(0, len(wheels) if gripping.uneven[0] else 0, 4):
         twist = wheels[first].load - wheels[first + 1].load - wheels[first + 2].load + wheels[first + 3].load
         for wheel, sign in ((first, -1), (first + 1, 1), (first + 2, 1), (first + 3, -1)):
             wheels[wheel].load = max(0.0, wheels[wheel].load + sign * (twist / 4))
 
 
 @compiled
-def _limit(
-    motor_forces: Floats, asleep: Ints, qacc: Floats, xmat: Floats, wheels: Records, forcerange: Floats
-) -> None:
-    """Limit the motors of all wheels."""
-    for number in range(len(wheels)):
-        wheel = wheels[number]
+def _limit(gripping: _Gripping, geoms: Ints, addresses: Ints, forces: Floats) -> None:
+    """Limit the motors of all wheels for what these carry, by contacts and their forces."""
+    _weigh(gripping, geoms, addresses, forces)
+    qacc, xmat, forcerange = gripping.qacc, gripping.xmat, gripping.forcerange
+    for number in range(len(gripping.wheels)):
+        wheel = gripping.wheels[number]
         motor, most, low, high = wheel.motor, wheel.load * wheel.nm_per_n, wheel.low, wheel.high
-        if asleep[wheel.tree] >= 0:
+        if gripping.asleep[wheel.tree] >= 0:
             forcerange[motor] = low, high
             continue
-        friction, spin = motor_forces[wheel.gear], 0.0
+        friction, spin = gripping.motor_forces[wheel.gear], 0.0
         for axis in range(2):
             for world in range(3):
                 spin += wheel.inertia[axis] * xmat[wheel.body, 3 * world + axis] * qacc[wheel.dof + world]
@@ -250,37 +262,42 @@ def _limit(
         forcerange[motor, 1] = min(max(most - friction + max(spin, 0.0), low), high)
 
 
-class TurnedMotors(StepEffect):
+class TurnedMotors(NamedTuple):
     """The motors of the reduced drive, which push their car in its own frame, as motors of its free joint.
 
     In MJCF they act on a site of the car, for which MuJoCo works out Jacobians in each step. A motor of the free joint
     pushes along the axes of the world; turned with the car before each step, it does the same without them
     (tests/models/test_reduced.py).
-    A gear in its backlash passes nothing on.
     """
 
-    def __init__(self, world: PhysicsWorld, wheels: Records) -> None:
-        """Let motors and gears of all cars act on the free joints."""
+    qpos: Floats
+    """MjData.qpos."""
+    places: Ints
+    """Of each wheel's car in it."""
+    wheels: Records
+    """(n,) WHEEL; none on rollers."""
+    gears: Floats
+    """MjModel.actuator_gear."""
+
+    @classmethod
+    def of(cls, world: PhysicsWorld, wheels: Records) -> TurnedMotors:
+        """Let motors and gears of all cars of a reduced drive act on the free joints."""
         model = world.model
+        if world.machines.drive == "rollers":
+            wheels = wheels[:0]
         joints = model.body_jntadr[wheels["body"]]
         for motors in (wheels["motor"], wheels["gear"]):
             model.actuator_trntype[motors] = mujoco.mjtTrn.mjTRN_JOINT
             model.actuator_trnid[motors] = np.column_stack([joints, np.full(len(joints), -1)])
-        self._arrays = world.data.qpos, model.jnt_qposadr[joints], wheels, model.actuator_gear
-
-    def start(self, world: PhysicsWorld) -> None:
-        """Turn them as the cars stand."""
-        _turn_motors(*self._arrays)
-
-    def after_step(self, world: PhysicsWorld) -> None:
-        """Turn them with the cars."""
-        _turn_motors(*self._arrays)
+        return cls(world.data.qpos, model.jnt_qposadr[joints], wheels, model.actuator_gear)
 
 
 @compiled
-def _turn_motors(qpos: Floats, places: Ints, wheels: Records, gears: Floats) -> None:
-    for number in range(len(wheels)):
-        wheel, at = wheels[number], places[number]
+def turn_motors(motors: TurnedMotors) -> None:
+    """Turn the motors as the cars stand. A gear in its backlash passes nothing on."""
+    qpos, gears = motors.qpos, motors.gears
+    for number in range(len(motors.wheels)):
+        wheel, at = motors.wheels[number], motors.places[number]
         w, x, y, z = qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6]
         along, across = wheel.own_gear[0], wheel.own_gear[1]
         motor, gear = wheel.motor, wheel.gear

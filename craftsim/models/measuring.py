@@ -7,13 +7,16 @@ them at a time, :class:`CarMeasurement`.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Final, NamedTuple
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.readback import Poses
@@ -169,36 +172,47 @@ class Wiring:
         for number, (row, slope) in enumerate(zip(self.plugs, physics.slopes, strict=True)):
             row["pose"], row["slope"] = slope.base.qpos, number
             row["hinge"], row["motor"] = slope.hinge.qpos, slope.hinge.actuator
-        model, data = physics.model, physics.data
-        self.arrays = (
-            *(data.qpos, data.qvel, data.act, data.qvel if self.on_axles else data.actuator_velocity),
+        self._physics = physics
+
+    @cached_property
+    def read(self) -> Callable[..., Any]:
+        """Measures all cars exactly, called with the time and what takes the readings."""
+        model, data = self._physics.model, self._physics.data
+        speeds = data.qvel if self.on_axles else data.actuator_velocity
+        measured = _Measured(
+            *(data.qpos, data.qvel, data.act, speeds),
             *(model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange),
             *(self.cars, self.undersides),
         )
-        """What compiled code reads, in place: MuJoCo's own arrays, which stay where they are, and these."""
+        return bound(_read_cars, measured)
+
+
+class _Measured(NamedTuple):
+    """What is read, in place: MuJoCo's own arrays, which stay where they are, and those of a :class:`Wiring`."""
+
+    qpos: Floats
+    qvel: Floats
+    act: Floats
+    speeds: Floats
+    gains: Floats
+    biases: Floats
+    ranges: Floats
+    cars: Records
+    undersides: Records
 
 
 def read_cars(physics: PhysicsWorld, wiring: Wiring, out: Records) -> None:
     """Measure all cars exactly, as they are now; ``out``, shape (n,) of READING, takes it."""
-    out["time_s"] = physics.data.time
-    _read_cars(*wiring.arrays, out)
+    wiring.read(physics.data.time, out)
 
 
 @compiled
-def _read_cars(
-    qpos: Floats,
-    qvel: Floats,
-    act: Floats,
-    speeds: Floats,
-    gains: Floats,
-    biases: Floats,
-    ranges: Floats,
-    cars: Records,
-    undersides: Records,
-    out: Records,
-) -> None:
+def _read_cars(measured: _Measured, time_s: float, out: Records) -> None:
+    qpos, cars, undersides = measured.qpos, measured.cars, measured.undersides
+    gains, biases, ranges = measured.gains, measured.biases, measured.ranges
     for i in range(len(cars)):
         car, now = cars[i], out[i]
+        now.time_s = time_s
         at = car.pose
         now.x, now.y, now.z = qpos[at], qpos[at + 1], qpos[at + 2]
         forward, left, up = body_axes(qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6])
@@ -206,12 +220,12 @@ def _read_cars(
         now.pitch = math.asin(max(-1.0, min(1.0, forward[2])))
         now.roll = math.asin(max(-1.0, min(1.0, left[2])))
         for wheel in range(4):
-            now.wheel_speeds[wheel] = speeds[car.wheel_speeds[wheel]]
+            now.wheel_speeds[wheel] = measured.speeds[car.wheel_speeds[wheel]]
         now.board_m = qpos[car.board]
         # That of a position-holding drive; MuJoCo's own figure is 0 while the drive's tree sleeps.
         motor = car.board_motor
-        force = gains[motor, 0] * act[car.board_activation] + biases[motor, 0]
-        force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * qvel[car.board_dof]
+        force = gains[motor, 0] * measured.act[car.board_activation] + biases[motor, 0]
+        force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * measured.qvel[car.board_dof]
         now.board_force_n = min(max(force, ranges[motor, 0]), ranges[motor, 1])
         now.slope, now.hinge_rad = -1, 0.0
         now.position_std_m = now.heading_std_rad = 0.0

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from craftsim.discrete.grid import Cell, Grid, Kind
-from craftsim.discrete.kernel.jit import compiled
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines
 from craftsim.models.composition import WorldSpec
@@ -28,6 +27,7 @@ from craftsim.models.imperfection import FLAT, IDEAL, Drivetrain, Floor
 from craftsim.models.overlaps import MachineNames, Overlap, overlaps
 from craftsim.models.parts import FreeBody, Parts, trees_of_motors
 from craftsim.models.placement import placements
+from craftsim.models.stepping import Stepping
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 _BROKEN = [
@@ -193,7 +193,8 @@ class PhysicsWorld:
             for car in parts.cars:
                 car.add_spin(self.model)
             mujoco.mj_setConst(self.model, self.data)
-        self._ctrl, self._iterations = self.data.ctrl, self.data.solver_niter
+        self._warnings = self.data.warning.number
+        self._ctrl, self._stepping = self.data.ctrl, Stepping(self.model, self.data)
         self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = b""
         """Which motors had a command in the last period, a byte each; empty where the policies may not fit it."""
@@ -240,7 +241,7 @@ class PhysicsWorld:
         self.capped_steps = 0
         for effect in self.effects:
             effect.start(self)
-        self._run(round(self.config.settle_s / self.config.timestep_s))
+        self.run(round(self.config.settle_s / self.config.timestep_s))
 
     def reset_compiled(self) -> None:
         """Go back to the parameters as they were compiled, ideal motors and gears, and the start at rest.
@@ -291,15 +292,17 @@ class PhysicsWorld:
         self._begin_effects()
 
     def _begin_effects(self) -> None:
-        self.effects = effects_of(self, self.drivetrain)
+        self.effects, motors = effects_of(self, self.drivetrain)
         self._step_effects = [effect.after_step for effect in self.effects if effect.each_step]
+        self._stepping.bind(motors, self.config.solver_iterations)
         for effect in self.effects:
             effect.start(self)
+        self._stepping.run(0)
 
     @property
     def diverged(self) -> bool:
         """Whether the simulation has broken down since the reset: MuJoCo then starts over from its first state."""
-        return bool(self.data.warning.number[_BROKEN].any())
+        return any(self._warnings[_BROKEN].tolist())
 
     @property
     def time_s(self) -> float:
@@ -327,22 +330,22 @@ class PhysicsWorld:
         if self._commanded != before and self.config.sleep and self._rouse():
             # MuJoCo does not wake a tree because its motor is commanded; one step with sleep switched off does.
             self.model.opt.enableflags &= ~_SLEEP
-            self._run(1, observe)
+            self.run(1, observe)
             self.model.opt.enableflags |= _SLEEP
             n_steps -= 1
-        self._run(n_steps, observe)
+        self.run(n_steps, observe)
 
-    def _run(self, n_steps: int, observe: Callable[[], None] | None = None) -> None:
-        """Run physics steps one by one: within ``mj_step`` of many, the figures of all but the last are lost.
+    def run(self, n_steps: int, observe: Callable[[], None] | None = None) -> None:
+        """Run physics steps under the commands that stand; ``observe`` is called after each.
 
-        It is the one place where physics goes on.
+        It is the one place where physics goes on. Raises FatalError of MuJoCo for an error that it finds in a step.
         """
-        model, data, effects, cap = self.model, self.data, self._step_effects, self.config.solver_iterations
-        for _ in range(n_steps):
-            mujoco.mj_step(model, data)
+        effects = self._step_effects
+        at_once = 1 if effects or observe is not None else max(n_steps, 1)
+        for _ in range(n_steps // at_once):
+            self.capped_steps += self._stepping.run(at_once)
             for after_step in effects:
                 after_step(self)
-            self.capped_steps += _reaches(self._iterations, cap)
             if observe is not None:
                 observe()
 
@@ -372,6 +375,7 @@ class PhysicsWorld:
             effect.state = saved
             if effect.each_step:
                 effect.after_step(self)
+        self._stepping.run(0)
         self.capped_steps = state.capped_steps
         self._set_policies(state.policies)
 
@@ -381,6 +385,7 @@ class PhysicsWorld:
         The next call overwrites it.
         """
         mujoco.mj_copyData(self._spare, self.model, self.data)
+        self._stepping.run(0)
         flags = self.model.opt.enableflags
         self.model.opt.enableflags = flags & ~_SLEEP
         mujoco.mj_forward(self.model, self._spare)
@@ -402,12 +407,3 @@ class PhysicsWorld:
         busy = self._tree_of_motor[self._ctrl != 0.0]
         self.model.tree_sleep_policy[busy] = _STAY_AWAKE
         return bool((self.data.tree_asleep[busy] >= 0).any())
-
-
-@compiled
-def _reaches(numbers: NDArray[np.int32], limit: int) -> bool:
-    """Return whether one of some numbers is as large as a limit."""
-    most = numbers[0]
-    for i in range(len(numbers)):
-        most = max(most, numbers[i])
-    return bool(most >= limit)

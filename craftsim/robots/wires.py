@@ -26,7 +26,7 @@ class Harness:
             row["board_motor"] = _MOTORS * car + 4
         plugs["motor"] = range(_MOTORS * n_cars, _MOTORS * n_cars + n_slopes)
         ctrl = np.zeros(_MOTORS * n_cars + n_slopes)
-        self.wires = Wires(cars, plugs, np.zeros((n_cars, 4)), 1.0, ctrl)
+        self.wires = Wires(cars, plugs, np.zeros((n_cars, 4)), np.ones(1), ctrl)
         self.readings: Records = records(n_cars, READING)
         """(n,) READING."""
 

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.mjcf.parameters import SmartcarParameters
@@ -191,19 +192,16 @@ class PoseEstimator:
         """The localisations; the newest first."""
         self._moved = np.zeros(tuple(size[:2]), np.bool_)
         """(length, width): whether a car has set something down in a column of cells."""
-        self._begun = False
+        self._begun = np.zeros(1, np.bool_)
+        """(1,): whether there was an update."""
+        past = self._delays, self._odometry, self._located
+        self._update = bound(_update, self._estimates, *past, self._moved, self._begun, self.readings)
 
     def update(self, readings: Records) -> Records:
         """Take in the readings of all cars, shape (n,), and return :attr:`readings`."""
-        if not self._begun:
+        if not self._begun[0]:
             self._begin(readings)
-        _update(
-            readings,
-            *(self._estimates, self._delays, self._odometry, self._located, self._moved),
-            self.readings,
-            self._begun,
-        )
-        self._begun = True
+        self._update(readings)
         return self.readings
 
     def _begin(self, readings: Records) -> None:
@@ -216,21 +214,21 @@ class PoseEstimator:
 
 @compiled
 def _update(
-    readings: Records,
     estimates: Records,
     delays: Floats,
     odometry: Floats,
     located: Floats,
     moved: Flags,
+    begun: Flags,
     out: Records,
-    begun: bool,
+    readings: Records,
 ) -> None:
     for i in range(len(readings)):
         out[i] = readings[i]
         now, estimate, rolled, seen = out[i], estimates[i], odometry[i], located[i]
         known = estimate.known
         state, covariance = known.state, known.covariance
-        if begun:
+        if begun[0]:
             _predict(now, estimate, rolled)
             # Localisations grow older by a period; none has come yet.
             _shift(seen)
@@ -253,6 +251,7 @@ def _update(
                 now.heading_std_rad = std
             else:
                 now.position_std_m = max(now.position_std_m, std)
+    begun[0] = True
 
 
 @compiled

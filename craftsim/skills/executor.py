@@ -9,10 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import nearest_yaw
-from craftsim.models.measuring import READING, Motors, Records
+from craftsim.models.measuring import Motors, Records
 from craftsim.models.sensing import EXACT, SensorNoise, Sensors, measurement_of
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.estimator import PoseEstimator, assume_delay, likeliest_delay
@@ -114,11 +115,8 @@ class Executor:
             car["lag"]["steps"], _ = likeliest_delay(car["lag"]["mismatches"])
             shares = (1 - math.exp(-period / (k * LAG_STEP_S)) for k in range(1, N_LAGS))
             car["lag"]["shares"] = [1.0, *shares]
-        assert CAR.fields is not None
-        offset = CAR.fields["now"][1]
-        self._now = self._cars.view(np.uint8).reshape(n, -1)[:, offset : offset + READING.itemsize]
-        """The bytes of what the cars believe to measure."""
         self._angles = np.zeros((n, n_angles(self.gains, period)))
+        self._step_cars = bound(step_cars, self._cars, self._angles, self.fleet.wires)
         self._tries: dict[int, Tries] = {}
         """By car, where its action has not ended."""
         self._own: dict[int, Skill] = {}
@@ -209,12 +207,10 @@ class Executor:
         Cars that stand on an incline are held.
         """
         readings = self.readings()
-        # Byte by byte, for NumPy takes ten times as long to copy records.
-        self._now[:] = readings.view(np.uint8).reshape(self._now.shape)
         for car, skill in self._own.items():
             command = step_own(skill, measurement_of(readings[car]))
             self._cars["command"][car] = (command.wheels, command.board, command.hinge)
-        n_ended = step_cars(self._cars, self._angles, *self.fleet.wires)
+        n_ended = self._step_cars(readings)
         ended = self._end(readings) if self._own or n_ended else {}
         self.fleet.advance(self.step_observer)
         self._estimate()

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from craftsim.models.measuring import Floats, Motors, Records
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld
@@ -19,8 +21,8 @@ class Wires(NamedTuple):
     """UNDERSIDE of each slope: where its hinge's motor lies."""
     speeds: Floats
     """(n, 4) rad/s: what the wheels' servos were told last."""
-    share: float
-    """By what share these approach a new command in a control period."""
+    share: Floats
+    """(1,): by what share these approach a new command in a control period."""
     ctrl: Floats
     """The commands."""
 
@@ -65,9 +67,8 @@ class PhysicsFleet:
         self.physics = physics
         self.sensors, self.motors = sensors or Sensors(physics), motors or Motors(physics)
         wiring = self.sensors.wiring
-        self.wires = Wires(
-            wiring.cars, wiring.plugs, self.motors.speeds, self.motors.share, physics.data.ctrl
-        )
+        share = np.array([self.motors.share])
+        self.wires = Wires(wiring.cars, wiring.plugs, self.motors.speeds, share, physics.data.ctrl)
 
     def read(self) -> Records:
         """Return the newest readings of all cars."""

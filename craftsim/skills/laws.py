@@ -16,6 +16,7 @@ from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.measuring import Floats, Records, drive_wheels
 from craftsim.skills.estimator import delay_of, update_floor
+from craftsim.skills.fleet import Wires
 from craftsim.skills.mecanum import Triple, body_twist, on_wheels, wrench_of
 from craftsim.skills.state import (
     BLOCKED,
@@ -126,23 +127,19 @@ _feels_load = compiled(feels_load)
 
 
 @compiled
-def step_cars(
-    cars: Records, angles: Floats, wiring: Records, plugs: Records, servos: Floats, share: float, ctrl: Floats
-) -> int:
+def step_cars(cars: Records, angles: Floats, wires: Wires, readings: Records) -> int:
     """Step all cars that are not idle, and command their motors; return how many compiled tasks have ended.
 
     Args:
         cars: (n,) CAR.
         angles: (n, m) of hinges over the last periods, as :func:`_hinge_law` remembers them.
-        wiring: (n,) WIRING.
-        plugs: UNDERSIDE of each slope.
-        servos: (n, 4) commands to the wheels' servos so far.
-        share: by which these approach new ones in a period.
-        ctrl: MjData.ctrl.
+        wires: take the commands.
+        readings: (n,) READING: what the cars believe to measure.
     """
-    ended = 0
+    ended, ctrl, plugs = 0, wires.ctrl, wires.plugs
     for i in range(len(cars)):
-        car = cars[i]
+        car, wiring = cars[i], wires.cars[i]
+        car.now = readings[i]
         level = update_floor(car)
         law, command, slope = car.task.law, car.command, car.now.slope
         if law == IDLE:
@@ -150,8 +147,8 @@ def step_cars(
         if law != OWN:
             ended += step_task(car, angles[i])
         compensate_lag(car, level)
-        drive_wheels(command.wheels, servos[i], share, wiring[i], ctrl)
-        ctrl[wiring[i].board_motor] = command.board
+        drive_wheels(command.wheels, wires.speeds[i], wires.share[0], wiring, ctrl)
+        ctrl[wiring.board_motor] = command.board
         # A slope that loses its car loses the command.
         if car.docked >= 0 and car.docked != slope:
             ctrl[plugs[car.docked].motor] = 0.0

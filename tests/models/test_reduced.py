@@ -260,9 +260,7 @@ def test_motors_turned_with_the_car_push_as_those_of_its_own_frame():
     physics.data.ctrl[:] = rng.normal(size=model.nu)
     for name in ("qpos", "qvel", "ctrl", "act"):
         getattr(data, name)[:] = getattr(physics.data, name)
-    for effect in physics.effects:
-        if effect.each_step:
-            effect.after_step(physics)
+    physics.awake_copy()  # turns the motors as the cars stand
     mujoco.mj_forward(model, data)
     mujoco.mj_forward(physics.model, physics.data)
     assert np.abs(data.qfrc_actuator).max() > 1.0

@@ -52,18 +52,20 @@ Record = Any
 @overload
 def compiled(function: F) -> F: ...
 @overload
-def compiled(*, inline: bool) -> Callable[[F], F]: ...
-def compiled(function: F | None = None, *, inline: bool = True) -> F | Callable[[F], F]:
+def compiled(*, inline: bool = True, nogil: bool = False) -> Callable[[F], F]: ...
+def compiled(function: F | None = None, *, inline: bool = True, nogil: bool = False) -> F | Callable[[F], F]:
     """Compile a function with numba at its first call; NUMBA_DISABLE_JIT=1 leaves it plain Python.
 
     Args:
         function: what is to be compiled.
         inline: whether its code becomes part of each function that calls it. A large one that many call is better
             called: it is compiled once then.
+        nogil: whether a call from Python releases the interpreter's lock.
     """
+    options = {"forceinline": inline, "nogil": nogil}
 
     def decorate(function: F) -> F:
-        return function if config.DISABLE_JIT else cast(F, _Compiled(function, {}, {"forceinline": inline}))
+        return function if config.DISABLE_JIT else cast(F, _Compiled(function, {}, options))
 
     return decorate if function is None else decorate(function)
 

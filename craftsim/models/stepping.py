@@ -1,0 +1,135 @@
+"""MuJoCo's step in compiled code, many without Python between them; an error of MuJoCo's in one is an exception.
+
+MuJoCo ends the process where one of its C functions finds an error, unless its caller takes that. Its Python bindings
+do, and so does ``mjb_apply`` of its C interface: of a batch, here one of an empty world, it runs a function that it is
+given, and says whether there was an error. No layout of MuJoCo's structures is assumed.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import weakref
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import llvmlite.binding as llvm
+import mujoco
+import numpy as np
+from llvmlite import ir
+from numba.core import config, types
+
+from craftsim.discrete.kernel.bound import bound
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.models.effects import Ints, TurnedMotors, turn_motors
+
+_FOLDER: Final = Path(mujoco.__file__).parent
+_FILE: Final = str(next(file for name in ("libmujoco.*", "mujoco.dll") for file in _FOLDER.glob(name)))
+_LIBRARY: Final = ctypes.CDLL(_FILE)
+llvm.load_library_permanently(_FILE)
+# The bindings have MuJoCo read a clock 15 times a step for MjData.timer, which takes 4 % of a step.
+ctypes.c_void_p.in_dll(_LIBRARY, "mjcb_time").value = None
+_STEP: Final = "craftsim_step"
+_EMPTY_BYTES: Final = 1024
+
+
+class _Config(ctypes.Structure):
+    """``mjBatchConfig``."""
+
+    _fields_ = (("nthread", ctypes.c_int), ("persistent", ctypes.c_bool))
+
+
+_POINTER: Final = ctypes.c_void_p
+_LIBRARY.mjb_makeBatch.restype = _POINTER
+_LIBRARY.mjb_makeBatch.argtypes = _POINTER, ctypes.c_int, ctypes.POINTER(_Config), _POINTER, ctypes.c_int
+_LIBRARY.mjb_deleteBatch.argtypes = (_POINTER,)
+_LIBRARY.mjb_error.restype, _LIBRARY.mjb_error.argtypes = ctypes.c_char_p, (_POINTER, ctypes.c_int)
+_LIBRARY.mjb_apply.argtypes = _POINTER, _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
+
+if config.DISABLE_JIT:
+
+    def _apply(*numbers: int) -> int:
+        failed: int = _LIBRARY.mjb_apply(*map(int, numbers))
+        return failed
+
+else:
+    _word, _int = types.int64, types.int32
+    _apply = types.ExternalFunction("mjb_apply", _int(_word, _word, _int, _word, _word, _int))
+
+
+@cache
+def _step_function() -> Any:
+    """Return machine code of ``void step(mjModel*, mjData*, int, void** world) { mj_step(world[0], world[1]); }``."""
+    pointer = ir.IntType(8).as_pointer()
+    module = ir.Module()
+    step = ir.FunctionType(ir.VoidType(), [pointer, pointer])
+    kind = ir.FunctionType(ir.VoidType(), [pointer, pointer, ir.IntType(32), pointer.as_pointer()])
+    function = ir.Function(module, kind, _STEP)
+    builder, world = ir.IRBuilder(function.append_basic_block()), function.args[3]
+    pair = [builder.load(builder.gep(world, [ir.IntType(64)(place)])) for place in (0, 1)]
+    builder.call(ir.Function(module, step, "mj_step"), pair)
+    builder.ret_void()
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(str(module)), machine)
+    engine.finalize_object()
+    return engine
+
+
+class Stepping:
+    """The steps of one world."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Prepare to step a world; :meth:`bind` says with what motors."""
+        spec = mujoco.MjSpec()
+        spec.memory = _EMPTY_BYTES
+        empty = spec.compile()
+        self._batch = _LIBRARY.mjb_makeBatch(empty._address, 1, _Config(nthread=1), None, 0)
+        weakref.finalize(self, _LIBRARY.mjb_deleteBatch, self._batch)
+        self._world = model, data
+        self._addresses = np.array([model._address, data._address], np.int64)
+        step = _step_function().get_function_address(_STEP)
+        self._call = np.array([self._batch, step, self._addresses.ctypes.data], np.int64)
+
+    def bind(self, motors: TurnedMotors, most_iterations: int) -> None:
+        """Step with these motors from now on, and count solvers that need so many iterations."""
+        limit = np.array([most_iterations], np.int64)
+        self._run = bound(_run_steps, self._call, motors, self._world[1].solver_niter, limit)
+
+    def run(self, n_steps: int) -> int:
+        """Run physics steps, none to turn the motors alone; return in how many of them a solver gave up.
+
+        Raises FatalError of MuJoCo for an error in a step, as its bindings do.
+        """
+        n_capped: int = self._run(n_steps)
+        if n_capped < 0:
+            raise mujoco.FatalError(_LIBRARY.mjb_error(self._batch, 0).decode())
+        return n_capped
+
+
+@compiled
+def _run_steps(call: Ints, motors: TurnedMotors, iterations: Ints, limit: Ints, n_steps: int) -> int:
+    """Run physics steps, with the reduced drive's motors turned as their cars stand before each, and at the end.
+
+    Args:
+        call: (3,) addresses of the batch, the function of :func:`_step_function`, and what it takes.
+        motors: those that are turned.
+        iterations: MjData.solver_niter.
+        limit: (1,): at how many of these a solver gives up.
+        n_steps: how many.
+
+    Returns:
+        In how many steps a solver has given up; -1 where MuJoCo has found an error in one, which ends it.
+    """
+    n_capped = 0
+    turn_motors(motors)
+    for _ in range(n_steps):
+        if _apply(call[0], 0, 0, call[1], call[2], 0):
+            return -1
+        turn_motors(motors)
+        most = iterations[0]
+        for island in range(len(iterations)):
+            most = max(most, iterations[island])
+        n_capped += most >= limit[0]
+    return n_capped

@@ -1,0 +1,35 @@
+"""Many steps of MuJoCo in one compiled call are its own steps, and an error in one is an exception."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from craftsim.discrete.grid import Grid
+from craftsim.models.config import SimulationConfig
+from craftsim.models.world import PhysicsWorld
+
+
+def _world() -> PhysicsWorld:
+    return PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1), SimulationConfig(sleep=False))
+
+
+def test_they_are_those_of_the_bindings():
+    physics = _world()
+    physics.drive(0, [5.0] * 4)
+    data = mujoco.MjData(physics.model)
+    mujoco.mj_copyData(data, physics.model, physics.data)
+    mujoco.mj_step(physics.model, data)
+    physics.run(1)
+    np.testing.assert_array_equal(physics.data.qpos, data.qpos)
+    np.testing.assert_array_equal(physics.data.qvel, data.qvel)
+
+
+def test_an_error_in_a_step_is_an_exception_and_the_world_can_go_on():
+    physics = _world()
+    integrator, physics.model.opt.integrator = physics.model.opt.integrator, 99
+    with pytest.raises(mujoco.FatalError, match="integrator"):
+        physics.run(3)
+    physics.model.opt.integrator = integrator
+    before = physics.time_s
+    physics.run(2)
+    assert physics.time_s == pytest.approx(before + 2 * physics.config.timestep_s)

@@ -41,7 +41,7 @@ class Footprint:
             self.space & other.space
             or self.changes & (other.changes | other.relies)
             or self.relies & other.changes
-            or self._beside_loads & other.loads
+            or (self.loads and other.loads and self._beside_loads & other.loads)
         )
 
     @cached_property

@@ -2,7 +2,8 @@
 
 Odometry is prompt and smooth, so a car is controlled by it; all else only says by how much odometry is off. One Kalman
 filter for each car estimates that, for x, y and heading, and with it by how much its localisations are beside its
-place. Uncertainty grows with the way travelled, for wheels slip.
+place. Uncertainty grows with the way travelled, for wheels slip; on a floor that is uneven the velocity of slip to the
+side is estimated, too, for there a car may go aslant as long as it stands on two wheels of a diagonal.
 
 - A localisation is compared with where the car believed to be when it was taken. How long ago that was is estimated
   from the motion itself. As far as it is unknown, a localisation says little while the car moves, and all that it can
@@ -73,9 +74,14 @@ _FEWEST: Final = 5
 """Readings of the floor without which there is doubt: fewer do not show how much they scatter."""
 _SURE: Final = 3.0
 """There is no doubt beyond so many standard errors of the mean."""
-_X, _Y, _HEADING, _BIAS, _MARKER, _N = 0, 1, 2, 3, 6, 9
-"""Places in the state: what odometry lacks of x, y and heading, then the biases of their localisations, and then by how
-much the marker that the car looks at is beside the middle of its cell, and turned; and how many these are."""
+_SIDEWAYS_S: Final = 0.15
+"""A car on two wheels of a diagonal goes sideways at a speed that changes within this time..."""
+_SIDEWAYS_M_S: Final = 0.03
+"""...and is at most that of a car which rolls as fast as this: a faster one rattles, which shares its weight out."""
+_X, _Y, _HEADING, _BIAS, _MARKER, _SLIP, _N = 0, 1, 2, 3, 6, 9, 11
+"""Places in the state: what odometry lacks of x, y and heading, then the biases of their localisations, then by how
+much the marker that the car looks at is beside the middle of its cell, and turned, and then the velocity of slip in x
+and y; and how many these are."""
 
 _FILTER: Final = np.dtype(
     [
@@ -104,7 +110,7 @@ last."""
 _ESTIMATE: Final = np.dtype(
     [
         *((name, "f8") for name in ("period_s", "lever_m", "radius_m")),
-        *((name, "f8") for name in ("slip", "jitter", "counts", "delay", "delay_std")),
+        *((name, "f8") for name in ("slip", "loose", "jitter", "counts", "delay", "delay_std")),
         ("n_still", "i8"),
         ("known", _FILTER),
         ("marker", _SEEN),
@@ -196,6 +202,10 @@ class PoseEstimator:
         """(1,): whether there was an update."""
         past = self._delays, self._odometry, self._located
         self._update = bound(_update, self._estimates, *past, self._moved, self._begun, self.readings)
+
+    def expect_loose(self, share: float) -> None:
+        """From now on expect slip to the side of the way, for a while in one direction, at this share of the speed."""
+        self._estimates["loose"] = share
 
     def update(self, readings: Records) -> Records:
         """Take in the readings of all cars, shape (n,), and return :attr:`readings`."""
@@ -292,6 +302,29 @@ def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
     covariance[_X, _X] += slipped
     covariance[_Y, _Y] += slipped
     covariance[_HEADING, _HEADING] += slipped / lever_m**2
+    fade = math.exp(-period_s / _SIDEWAYS_S)
+    # Slip along the way shows in localisations only as far as their age is known: at its end, where the car rests.
+    # The way is taken over a while, for encoders jitter by a count.
+    along_x, along_y = rolled[_X, 0] - rolled[_X, WINDOW], rolled[_Y, 0] - rolled[_Y, WINDOW]
+    net_m = max(math.hypot(along_x, along_y), _LEAST)
+    loose = estimate.loose * math.sqrt(1 - fade**2) * min(_SIDEWAYS_M_S, net_m / (WINDOW * period_s)) / net_m
+    across = (-loose * along_y, loose * along_x)
+    state = estimate.known.state
+    for k in range(2):
+        slip = _SLIP + k
+        state[k] += period_s * state[slip]
+        state[slip] *= fade
+        for j in range(_N):
+            covariance[k, j] += period_s * covariance[slip, j]
+        for j in range(_N):
+            covariance[j, k] += period_s * covariance[j, slip]
+        for j in range(_N):
+            covariance[slip, j] *= fade
+        for j in range(_N):
+            covariance[j, slip] *= fade
+    for k in range(2):
+        for j in range(2):
+            covariance[_SLIP + k, _SLIP + j] += across[k] * across[j]
     estimate.n_still = estimate.n_still + 1 if rolled_m < _STILL_M_S * period_s else 0
 
 
@@ -307,6 +340,10 @@ def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats,
     for k in range(3):
         known.slopes[k] = known.slopes[_BIAS + k] = 1.0
         off = seen[k, 0] - _at(rolled, k, delay) - state[k] - state[_BIAS + k]
+        if k != _HEADING:
+            # When it was taken, the car had not slipped as far.
+            known.slopes[_SLIP + k] = -delay * estimate.period_s
+            off -= known.slopes[_SLIP + k] * state[_SLIP + k]
         # A localisation of unknown delay says little of a car that moved.
         unsure = (_at(rolled, k, delay - std) - _at(rolled, k, delay + std)) / 2
         jittered = (_at(rolled, k, delay - jitter) - _at(rolled, k, delay + jitter)) / 2
@@ -448,7 +485,7 @@ def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> 
         if not marker.seen:
             marker.seen, marker.x, marker.y = 1, cell_x, cell_y
             # It is another marker, which may stand anywhere, whatever is known of all else.
-            for j in range(_MARKER, _N):
+            for j in range(_MARKER, _SLIP):
                 state[j] = 0.0
                 for i in range(_N):
                     covariance[i, j] = covariance[j, i] = 0.0

@@ -174,7 +174,10 @@ class Executor:
         if not self._tries:
             self.fleet.attend()
             self._feel()
-        setup = self._setups[car].carefully() if self.floor_is_uneven else self._setups[car]
+        uneven = self.floor_is_uneven
+        if uneven and self._estimator is not None:
+            self._estimator.expect_loose(self.gains.uneven.loose)
+        setup = self._setups[car].carefully() if uneven else self._setups[car]
         setup = setup if terrain is None else setup.on(terrain)
         performers, now = self._performers[car], measurement_of(self.readings()[car])
         performer = performers.setdefault(action, begin_of(action))

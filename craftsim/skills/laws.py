@@ -46,6 +46,9 @@ from craftsim.skills.state import (
 
 LAG_STEP_S: Final = 0.01
 """Between two candidate time constants of the motors' lag."""
+_BRAKES: Final = 5.0
+_RECOVERS: Final = 2.0
+"""1/s: how fast the pace of a path that waits for its car falls and rises."""
 _UNSURE_RAD_S: Final = 0.3
 """Standard deviation of a wheel's speed from its servo's: dry friction and inertia are fed forward, but not quite."""
 
@@ -348,7 +351,8 @@ def _drive_law(car: Record) -> None:
             _end(task, LOAD_MISSED, now.board_force_n, 0.0)
     error = drive.path[0] - now.x, drive.path[1] - now.y, wrap(drive.path[2] - now.heading)
     _check_progress(car, error)
-    if task.elapsed_s >= drive.profile.duration_s:
+    elapsed_s = task.elapsed_s - drive.waited_s
+    if elapsed_s >= drive.profile.duration_s:
         # There it has to rest, and to be sure that it is there.
         offset, turn = math.hypot(error[0], error[1]), abs(error[2])
         there = offset < gains.position_tolerance and turn < gains.heading_tolerance
@@ -357,22 +361,49 @@ def _drive_law(car: Record) -> None:
         drive.rest_periods = drive.rest_periods + 1 if drive.there_periods and drive.at_rest else 0
         if drive.rest_periods >= gains.rest_periods:
             _end(task, SUCCEEDED, 0.0, 0.0)
-        elif task.elapsed_s > drive.profile.duration_s + gains.settle_allowance:
+        elif elapsed_s > drive.profile.duration_s + gains.settle_allowance:
             _end(task, RESTS_OFF_TARGET if drive.at_rest else MOVES_OFF_TARGET, offset * 1e3, turn * 1e3)
     if task.status == RUNNING and drive.there_periods <= gains.brake_periods:
         _command_wheels(car, error)
+    if drive.waits:
+        _wait(car, error)
+        elapsed_s = task.elapsed_s - drive.waited_s
     for wheel in range(4):
         drive.commanded[wheel] = car.command.wheels[wheel]
     start, step = drive.origin, drive.direction
-    way = _distance_at(drive.profile, task.elapsed_s + period_s)
+    way = _distance_at(drive.profile, elapsed_s + period_s)
     drive.path[0], drive.path[1] = start.x + step.x * way, start.y + step.y * way
     drive.path[2] = start.heading + step.heading * way
 
 
 @compiled
+def _beside(drive: Record, error: Triple) -> float:
+    """Return how far a car is to the side of its path, in metres."""
+    return abs(drive.step_x * error[1] - drive.step_y * error[0])
+
+
+@compiled
+def _wait(car: Record, error: Triple) -> None:
+    """Let the path of a car go on more slowly the further the car is beside it, until it stands still.
+
+    On two wheels of a diagonal a car goes where these lead it, aslant, until the others get hold of the floor. It is
+    not braked at once, for what brakes hard rocks; and what does not come back to its path does not wait for ever.
+    """
+    drive, gains, period_s = car.task.drive, car.known.drive, car.known.period_s
+    pace = max(0.0, min(1.0, 2.0 - _beside(drive, error) / gains.astray))
+    # It comes to its place at the end anyway.
+    ended = car.task.elapsed_s - drive.waited_s >= drive.profile.duration_s
+    if ended or drive.waited_s > gains.settle_allowance:
+        pace = 1.0
+    drive.pace += max(-_BRAKES * period_s, min(_RECOVERS * period_s, pace - drive.pace))
+    drive.waited_s += (1.0 - drive.pace) * period_s
+
+
+@compiled
 def _command_wheels(car: Record, error: Triple) -> None:
     """Command what wheel speeds follow the path, for an error of pose in the world frame."""
-    now, drive, known, elapsed_s = car.now, car.task.drive, car.known, car.task.elapsed_s
+    now, drive, known = car.now, car.task.drive, car.known
+    elapsed_s = car.task.elapsed_s - drive.waited_s
     gains, machine, step, integral, profile = (
         known.drive,
         known.car,
@@ -388,6 +419,12 @@ def _command_wheels(car: Record, error: Triple) -> None:
         integral.heading += gains.integral_gain * error[2] * period_s
     # The command holds for one period, so the path's motion in the middle of that period is fed forward.
     speed, pull = _motion_at(profile, elapsed_s + period_s / 2)
+    if drive.waits:
+        speed, pull = drive.pace * speed, drive.pace * pull
+        # Speeding up and slowing down loads a third wheel, by half of that times the mass, which pushes to the side.
+        if elapsed_s < profile.duration_s:
+            share = max(0.0, min(1.0, _beside(drive, error) / gains.astray - 0.5))
+            speed += share * gains.shake_speed * math.sin(2 * math.pi * gains.shake_rate * car.task.elapsed_s)
     shake_x, shake_y = shake(drive, gains, error, elapsed_s)
     velocity = (
         step.x * speed + gains.position_gain * error[0] + integral.x + shake_x,

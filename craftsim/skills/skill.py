@@ -142,6 +142,7 @@ def begin_move(
     factor = gains.load_factor if loaded else 1.0
     begin_path(setup, now, task, target, (min(speed * factor, top_speed), min(acceleration * factor, most)))
     drive = task["drive"]
+    drive["waits"], drive["pace"] = loaded and terrain.tight and not terrain.sloping, 1.0
     drive["step_x"], drive["step_y"] = DIRECTIONS[direction]
     drive["sloping"], drive["start_rad"], drive["end_rad"] = (
         *(terrain.sloping, terrain.start_rad, terrain.end_rad),

@@ -87,17 +87,22 @@ DRIVE_TASK: Final = np.dtype(
         ("integral", _POSE),
         ("profile", _PROFILE),
         *_floats("load_kg", "unloaded_s", "step_x", "step_y", "start_rad", "end_rad"),
+        *_floats("waited_s", "pace"),
         ("before", _POSE),
         ("wheels_before", "f8", (4,)),
         ("commanded", "f8", (4,)),
         ("torques", "f8", (4,)),
         ("path", "f8", (3,)),
         ("behind", _BEHIND),
-        *((name, "i8") for name in ("loaded", "sloping", "there_periods", "rest_periods", "at_rest")),
+        *(
+            (name, "i8")
+            for name in ("loaded", "sloping", "waits", "there_periods", "rest_periods", "at_rest")
+        ),
     ],
     align=True,
 )
-"""``path`` is where the car should be when it is looked at next: x and y in metres, and heading; nan if nowhere."""
+"""``path`` is where the car should be when it is looked at next: x and y in metres, and heading; nan if nowhere. One
+that ``waits`` for its car goes on at a ``pace`` from 0 to 1 of its own, and is late by ``waited_s``."""
 BOARD_TASK: Final = np.dtype(
     [*_floats("target_m", "speed", "last_m", "deadline_s"), ("needs_load", "i8")], align=True
 )

@@ -112,6 +112,25 @@ def _at_rest(seeds, n, noise=NOISY) -> tuple[np.ndarray, np.ndarray]:
     return np.array([errors for errors, _ in both]), both[0][1]
 
 
+def test_slip_to_the_side_that_is_expected_is_found_while_it_lasts():
+    errors = []
+    for share in (0.0, 0.5):
+        estimator, speed, at = _estimator(LATE), 0.04, np.array([0.5, 0.5])
+        estimator.expect_loose(share)
+        past, offs, rng = [at] * 3, [], np.random.default_rng(3)
+        for k in range(100):
+            # It stands for a second, and then goes aslant, while all wheels turn as they do on a straight way.
+            rolls = k >= 50
+            at = at + rolls * PERIOD_S * speed * np.array([0.5, -0.5])
+            past.append(at)
+            x, y = past[-3] + rng.normal(0.0, LATE.position_m, 2)
+            wheels = KINEMATICS.wheel_speeds((rolls * speed, 0.0, 0.0))
+            now = _update(estimator, STILL._replace(x=x, y=y, wheel_speeds=np.array(wheels)))
+            offs.append(abs(now.y - at[1]))
+        errors.append(np.mean(offs[70:]))
+    assert errors[1] < 0.7 * errors[0]
+
+
 def test_at_rest_the_error_falls_as_one_over_the_root_of_the_number_of_localisations():
     errors, stds = _at_rest(200, 16)
     declared = np.array([NOISY.position_m, NOISY.position_m, NOISY.heading_rad])

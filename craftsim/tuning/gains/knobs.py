@@ -37,6 +37,7 @@ KEPT: Final[Mapping[str, str]] = {
     "drive.rocking": _STACKS,
     **{f"drive.{name}": _STUCK for name in ("shake_after", "shake_speed", "shake_rate")},
     "recovery.tries": _STUCK,
+    "drive.astray": _UNEVEN,
     **{f"uneven.{f.name}": _UNEVEN for f in fields(SECTIONS["uneven"])},
     "drive.position_tolerance": _TOLERANCE,
     "drive.heading_tolerance": _TOLERANCE,

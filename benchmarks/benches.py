@@ -132,10 +132,6 @@ class _Period:
                 model.actuator_forcerange[car.wheel_actuators] = self.limits[car.wheel_actuators]
         if self.rouse:
             model.opt.enableflags &= ~_SLEEP
-        for _ in range(physics.config.steps_per_period):
-            mujoco.mj_step(model, data)
-            for effect in physics.effects:
-                if effect.each_step:
-                    effect.after_step(physics)
-            if self.rouse:
-                model.opt.enableflags |= _SLEEP
+            physics.run(1)
+            model.opt.enableflags |= _SLEEP
+        physics.run(physics.config.steps_per_period - self.rouse)

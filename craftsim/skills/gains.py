@@ -68,11 +68,11 @@ class DriveGains(_Section):
     rocking: Positive
     """m^3/s^2: largest product of acceleration and height above the floor squared. A stack of n blocks gives way under
     a car by its push times its height in each of n joints, and tips in the end."""
-    max_turn_speed: float
-    max_turn_acceleration: float
-    astray: float
+    max_turn_speed: Positive
+    max_turn_acceleration: Positive
+    astray: Positive
     """m: the path of a load past something waits for a car that is this far beside it; on a flat floor none is."""
-    load_factor: float
+    load_factor: Positive
     """Loaded cars keep to this fraction of the speed and acceleration limits."""
     position_tolerance: Positive
     """m: a move is done when it is this close at rest."""
@@ -127,16 +127,16 @@ class UnevenGains(_Section):
     max_slope_acceleration: Positive
     max_tight_speed: Positive
     """m/s: of a move under something, or of a load past something."""
-    max_tight_acceleration: float
-    max_turn_speed: float
-    max_turn_acceleration: float
-    astray: float
+    max_tight_acceleration: Positive
+    max_turn_speed: Positive
+    max_turn_acceleration: Positive
+    astray: Positive
     """m: of a load past something, but not on slopes. A car that is half as far beside its path drives to and fro along
     it, one that is further than this slows down, and at twice this it stands. Half of it is the noise of an estimate in
     motion, and twice it is less than the 2.5 mm between two loads."""
-    shake_after: float
+    shake_after: Positive
     """s: on two wheels of a diagonal a car without springs does not get to its goal, unless it is shaken soon."""
-    loose: float
+    loose: Positive
     """Standard deviation of the speed of slip to the side as a fraction of that of the wheels: on two wheels of a
     diagonal a car goes where these lead it, at 45 degrees to where it should, for a second or longer."""
 

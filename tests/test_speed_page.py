@@ -5,7 +5,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from tables import tables
+from speed_tables import tables
 
 from craftsim.commands.calibration import Rate
 

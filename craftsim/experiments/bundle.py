@@ -34,7 +34,7 @@ from craftsim.storage.reading import Arrays, read_arrays
 from craftsim.storage.records import Listed, read_json_record, to_json
 from craftsim.storage.writing import write_whole
 
-SCHEMA_VERSION: Final = 5
+SCHEMA_VERSION: Final = 6
 """Raised whenever something in a bundle changes its meaning or goes away."""
 
 TEXT: Final = "bundle.json"

@@ -366,7 +366,14 @@ def _drive_law(car: Record) -> None:
     if task.status == RUNNING and drive.there_periods <= gains.brake_periods:
         _command_wheels(car, error)
     if drive.waits:
-        _wait(car, error)
+        # On two wheels of a diagonal a car goes where these lead it, aslant, until the others get hold of the floor:
+        # the path goes on more slowly the further it is beside it, until it stands still. It is not braked at once, for
+        # what brakes hard rocks; what does not come back does not wait for ever, and comes to its place at the end.
+        beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
+        on_its_way = elapsed_s < drive.profile.duration_s and drive.waited_s <= gains.settle_allowance
+        pace = max(0.0, min(1.0, 2.0 - beside_m / gains.astray)) if on_its_way else 1.0
+        drive.pace += max(-_BRAKES * period_s, min(_RECOVERS * period_s, pace - drive.pace))
+        drive.waited_s += (1.0 - drive.pace) * period_s
         elapsed_s = task.elapsed_s - drive.waited_s
     for wheel in range(4):
         drive.commanded[wheel] = car.command.wheels[wheel]
@@ -374,29 +381,6 @@ def _drive_law(car: Record) -> None:
     way = _distance_at(drive.profile, elapsed_s + period_s)
     drive.path[0], drive.path[1] = start.x + step.x * way, start.y + step.y * way
     drive.path[2] = start.heading + step.heading * way
-
-
-@compiled
-def _beside(drive: Record, error: Triple) -> float:
-    """Return how far a car is to the side of its path, in metres."""
-    return abs(drive.step_x * error[1] - drive.step_y * error[0])
-
-
-@compiled
-def _wait(car: Record, error: Triple) -> None:
-    """Let the path of a car go on more slowly the further the car is beside it, until it stands still.
-
-    On two wheels of a diagonal a car goes where these lead it, aslant, until the others get hold of the floor. It is
-    not braked at once, for what brakes hard rocks; and what does not come back to its path does not wait for ever.
-    """
-    drive, gains, period_s = car.task.drive, car.known.drive, car.known.period_s
-    pace = max(0.0, min(1.0, 2.0 - _beside(drive, error) / gains.astray))
-    # It comes to its place at the end anyway.
-    ended = car.task.elapsed_s - drive.waited_s >= drive.profile.duration_s
-    if ended or drive.waited_s > gains.settle_allowance:
-        pace = 1.0
-    drive.pace += max(-_BRAKES * period_s, min(_RECOVERS * period_s, pace - drive.pace))
-    drive.waited_s += (1.0 - drive.pace) * period_s
 
 
 @compiled
@@ -423,7 +407,8 @@ def _command_wheels(car: Record, error: Triple) -> None:
         speed, pull = drive.pace * speed, drive.pace * pull
         # Speeding up and slowing down loads a third wheel, by half of that times the mass, which pushes to the side.
         if elapsed_s < profile.duration_s:
-            share = max(0.0, min(1.0, _beside(drive, error) / gains.astray - 0.5))
+            beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
+            share = max(0.0, min(1.0, beside_m / gains.astray - 0.5))
             speed += share * gains.shake_speed * math.sin(2 * math.pi * gains.shake_rate * car.task.elapsed_s)
     shake_x, shake_y = shake(drive, gains, error, elapsed_s)
     velocity = (

@@ -1,10 +1,13 @@
 """Many steps of MuJoCo in one compiled call are its own steps, and an error in one is an exception."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
 from craftsim.discrete.grid import Grid
+from craftsim.mjcf.parameters import DRIVES, Machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
 
@@ -22,6 +25,23 @@ def test_they_are_those_of_the_bindings():
     physics.run(1)
     np.testing.assert_array_equal(physics.data.qpos, data.qpos)
     np.testing.assert_array_equal(physics.data.qvel, data.qvel)
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_many_are_those_of_the_bindings_one_after_the_other(drive):
+    grid, config = Grid.empty((3, 1, 1), n_cars=1), replace(SimulationConfig.of(drive), sleep=False)
+    many, single = (PhysicsWorld(grid, config, machines=Machines(drive=drive)) for _ in range(2))
+    for world in (many, single):
+        world.drive(0, [5.0, 4.0, 5.0, 4.0])
+    many.run(200)
+    for _ in range(200):
+        single._stepping.run(0)  # turns motors as the car stands
+        mujoco.mj_step(single.model, single.data)
+        for after_step in single._step_effects:
+            after_step(single)
+    assert abs(many.data.qpos - many.model.qpos0).max() > 0.01
+    np.testing.assert_array_equal(many.data.qpos, single.data.qpos)
+    np.testing.assert_array_equal(many.data.qvel, single.data.qvel)
 
 
 def test_an_error_in_a_step_is_an_exception_and_the_world_can_go_on():

@@ -1,29 +1,34 @@
-"""Nothing but mj_step changes a PhysicsWorld between its reset and its end, watched in a campaign of random worlds."""
+"""Nothing but physics steps changes a PhysicsWorld between its reset and its end, watched in random worlds.
 
-import mujoco
+That these are MuJoCo's own is held by tests/models/test_stepping.py.
+"""
+
 import numpy as np
 
 import craftsim
+from craftsim.models.stepping import Stepping
 from craftsim.models.world import PhysicsWorld
 
 
 class Watch:
-    """Compares positions and velocities before each physics step with those that the last one left."""
+    """Compares positions and velocities before physics steps with those that the last ones left."""
 
     def __init__(self, monkeypatch):
         self.steps = self.changed = 0
         self._left: dict[int, np.ndarray] = {}
-        step = mujoco.mj_step
+        run = Stepping.run
 
-        def watched(model, data, nstep=1):
+        def watched(stepping, n_steps):
+            _, data = stepping._world
             now = self._state(data)
             if (left := self._left.get(id(data))) is not None:
                 self.changed += not np.array_equal(now, left)
-            step(model, data, nstep)
-            self.steps += nstep
+            n_capped = run(stepping, n_steps)
+            self.steps += n_steps
             self._left[id(data)] = self._state(data)
+            return n_capped
 
-        monkeypatch.setattr(mujoco, "mj_step", watched)
+        monkeypatch.setattr(Stepping, "run", watched)
         for name in ("reset", "restore"):
             monkeypatch.setattr(PhysicsWorld, name, self._forgetting(getattr(PhysicsWorld, name)))
 

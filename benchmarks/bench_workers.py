@@ -51,11 +51,10 @@ def test_building_a_strip_twelve_times(benchmark, tmp_path, workers):
 
 
 @pytest.mark.benchmark(timer="processes")
-@pytest.mark.parametrize("engine", ["here", *ENGINES])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_a_hundred_joint_steps(benchmark, engine):
-    """All cars stand, so that little but handing over is done: in this process, or by one worker."""
-    options = {} if engine == "here" else {"workers": 1, "engine": engine}
-    with closing(PhysicsVectorEnv("simple_two_story", 1, **options)) as envs:
+    """All cars stand, so that little but handing over to one worker is done."""
+    with closing(PhysicsVectorEnv("simple_two_story", 1, workers=1, engine=engine)) as envs:
         envs.reset(seed=0)
         still = np.full((1, 2), Action.STOP)
         benchmark.pedantic(lambda: [envs.step(still) for _ in range(100)], rounds=5, warmup_rounds=1)

@@ -161,7 +161,7 @@ def described(folder: Path, remedy: str) -> Iterator[tuple[sqlite3.Connection, d
     Raises InputError, with the remedy, for a folder without a run, and for what is none.
     """
     path = folder / DATABASE
-    with told(folder):
+    with disk_errors(folder):
         if exists(path):
             open_file(path, SESSION).close()
             database = as_it_is(path)
@@ -293,7 +293,7 @@ def texts(database: sqlite3.Connection, first: int, end: int) -> list[tuple[int,
 
 
 @contextmanager
-def told(out: Path) -> Iterator[None]:
+def disk_errors(out: Path) -> Iterator[None]:
     """Turn what the disk or a database refuses into a message for people."""
     try:
         yield

@@ -49,11 +49,11 @@ from craftsim.experiments.records import (
     checked,
     connected,
     differences,
+    disk_errors,
     has_tables,
     old_manifest,
     stored_manifest,
     texts,
-    told,
     with_tables,
 )
 from craftsim.report import plain, versions, write_report
@@ -90,7 +90,7 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
         yield Session(experiment, None, options, manifest, with_tables(connected(""), manifest))
         return
     with owned(out):
-        with told(out):
+        with disk_errors(out):
             database = _begun(experiment, out, options.resume, manifest)
             try:
                 session = Session(experiment, out, options, manifest, database)
@@ -263,14 +263,14 @@ class Session:
 
     def _keep(self, statement: str, *values: object) -> None:
         """Write down for good, in a transaction."""
-        with told(self.out or Path()):
+        with disk_errors(self.out or Path()):
             self._database.execute(statement, values)
 
     def _append(self, number: int, text: str) -> None:
         """Write a line, whole or not at all."""
         if self.out is None:
             return
-        with told(self.out):
+        with disk_errors(self.out):
             start, rest = os.lseek(self._lines, 0, os.SEEK_END), memoryview(f"{text}\n".encode())
             try:
                 while rest:

@@ -102,8 +102,8 @@ def save_policy(path: Path, head: PolicyHead, net: CarNet) -> None:
     table, first = weights[TABLE], first_net(head.shape, head.config.seed).encoder.table.weight
     rows = (table != first).any(-1).nonzero()[:, 0]
     weights |= {ROWS: rows, TABLE: table[rows]}
-    told = {"format": str(FORMAT), "craftsim": json.dumps(dataclasses.asdict(head))}
-    write_whole(path, save(weights, told))
+    metadata = {"format": str(FORMAT), "craftsim": json.dumps(dataclasses.asdict(head))}
+    write_whole(path, save(weights, metadata))
 
 
 def read_policy(path: Path) -> tuple[PolicyHead, CarNet]:
@@ -129,12 +129,12 @@ def read_policy(path: Path) -> tuple[PolicyHead, CarNet]:
         raise _refused(path, "policy") from None
 
 
-def _policy_head(told: dict[str, str]) -> PolicyHead:
-    if "craftsim" not in told:
+def _policy_head(metadata: dict[str, str]) -> PolicyHead:
+    if "craftsim" not in metadata:
         raise InputError(_OTHER["policy"])
-    if told.get("format") != str(FORMAT):
-        raise InputError(f"written in format {str(told.get('format'))[:40]}, this version reads {FORMAT}")
-    return _head(_POLICY_HEAD, told["craftsim"])
+    if metadata.get("format") != str(FORMAT):
+        raise InputError(f"written in format {str(metadata.get('format'))[:40]}, this version reads {FORMAT}")
+    return _head(_POLICY_HEAD, metadata["craftsim"])
 
 
 def _net(head: PolicyHead, arrays: dict[str, Any]) -> CarNet:

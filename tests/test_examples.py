@@ -35,7 +35,7 @@ def test_every_example_is_tested():
 
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
 def test_an_example_runs_and_says_what_it_promises(path, tmp_path, request):
-    if path.stem.startswith(("starts", "train")) and not (find_spec("torch") and find_spec("torchrl")):
+    if path.stem.startswith(("starts", "train")) and not find_spec("torch"):
         pytest.skip("needs the extra 'train'")
     if path.stem.startswith("film"):
         request.getfixturevalue("rendering")

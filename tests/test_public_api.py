@@ -60,7 +60,7 @@ def test_the_example_of_a_public_name_runs(name, tmp_path, request):
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory):
     """A policy that was trained for a moment."""
-    pytest.importorskip("torchrl")
+    pytest.importorskip("torch")
     from craftsim import cli
 
     out = tmp_path_factory.mktemp("trained")

@@ -38,14 +38,14 @@ from craftsim.storage.limits import (
 )
 from craftsim.training.config import (
     HALF,
-    PRESETS,
-    WORLDS,
     Acting,
     AlgoName,
     NetworkName,
     PresetName,
+    Protocol,
     TrainBackend,
     TrainConfig,
+    protocol,
 )
 from craftsim.training.extra import need_torch
 from craftsim.training.settings import read_settings
@@ -56,6 +56,8 @@ if TYPE_CHECKING:
     from craftsim.training.trainer import Trainer
 
 INTERRUPTED: Final = 130
+STEPS: Final = 3_000_000
+UNTIL: Final = 0.99
 LINE_EVERY_S: Final = 15.0
 """How often a run says how far it is where there is no terminal for a bar."""
 
@@ -64,8 +66,8 @@ def train(
     task: str = "strip",
     algo: AlgoName = "ippo",
     seed: Annotated[int, SEED] = 0,
-    steps: Annotated[int, TRAIN_STEPS] = 3_000_000,
-    until: Annotated[float, SHARE] = 0.99,
+    steps: Annotated[int | None, TRAIN_STEPS] = None,
+    until: Annotated[float | None, SHARE] = None,
     backend: TrainBackend = "grid",
     worlds: Annotated[int | None, BATCH] = None,
     workers: Annotated[int | None, WORKERS] = None,
@@ -105,19 +107,21 @@ def train(
     Args:
         task: one of the paper's six, one that varies such as random_strip, or a task of one's own: a registered name, a
             file, or module:factory.
-        algo: independent or multi-agent PPO, COMA, QMIX, QTRAN, VDN, or independent Q-learning.
+        algo: independent or multi-agent PPO, COMA, QMIX, QTRAN, VDN, independent Q-learning, or PQN-VDN.
         seed: decides everything that is drawn.
-        steps: ticks to play at most, all worlds together.
-        until: end when this success rate is reached in an evaluation.
+        steps: ticks to play at most, all worlds together; 3,000,000 unless given, or what the preset says.
+        until: end when this success rate is reached in an evaluation; 0.99 unless given, never with a preset.
         backend: where it is trained and evaluated.
-        worlds: how many are stepped side by side in a rollout; 500 on the grid and 32 in physics unless given.
+        worlds: how many are stepped side by side in a rollout; unless given 32 in physics, and on the grid 500 with
+            ippo and mappo, 100 with pqn, 25 with the others.
         workers: processes that share the worlds in physics, one for each processor unless given; results do not depend
             on it.
         drive: how cars touch the ground in physics: by forty free rollers, or reduced to one body, which is several
             times as fast; reduced unless given.
         randomize: what is drawn of physics, floor, machines, motors and sensors in each episode; nothing unless given.
         preset: paper is the protocol of CraftEnv's paper: published rules, action helper of depth 20, the task's own
-            starts and nothing shown.
+            starts, nothing shown, evaluations of 20 episodes every 10,000 steps, no end at the first success;
+            paper_plus explores before.
         rules: what is legal on the grid: what physics supports, or what CraftEnv's code allows; physical unless given.
         helper_depth: search depth of the action helper on the grid; without it unless given.
         network: what a car's observation is looked up by: each cell of the map, or how a thing lies from the car, which
@@ -159,7 +163,10 @@ def train(
         raise InputError("--randomize is for physics; on the grid nothing is drawn of it: leave it out")
     if backend == "grid" and record:
         raise InputError("--record is for physics; on the grid nothing moves: leave it out")
-    worlds = WORLDS[backend] if worlds is None else worlds
+    run = protocol(preset, task, algo) if preset else None
+    steps = steps or (run.steps if run else STEPS)
+    until = until or (run.until if run else UNTIL)
+    given = read_settings(settings, algo) if settings else {}
     config = TrainConfig(
         *(task, algo, seed, worlds),
         width=width,
@@ -175,10 +182,10 @@ def train(
         backend=backend,
         drive=drive or "reduced",
         randomize=randomize or "none",
-        hyperparameters=read_settings(settings, algo) if settings else {},
-        **_protocol(
-            preset,
+        **_settled(
+            run,
             starts or pretrained,
+            given,
             rules=rules,
             helper_depth=helper_depth,
             explore=explore,
@@ -221,13 +228,16 @@ def train(
     return 0
 
 
-def _protocol(preset: PresetName | None, shown: Path | str | None, **given: Any) -> dict[str, Any]:
+def _settled(
+    run: Protocol | None, shown: Path | str | None, hyperparameters: dict[str, float], **given: Any
+) -> dict[str, Any]:
     """Return what is given; a preset settles the rest."""
-    if preset is not None and (shown or given["imitate"]):
-        raise InputError(
-            f"--preset {preset} learns from nothing; leave --starts, --imitate and --pretrained out"
-        )
-    return {**(PRESETS[preset] if preset else {}), **{k: v for k, v in given.items() if v is not None}}
+    if run is not None and (shown or given["imitate"]):
+        raise InputError("a preset learns from nothing; leave --starts, --imitate and --pretrained out")
+    settled = dict(run.settings) if run else {}
+    hyperparameters = settled.pop("hyperparameters", {}) | hyperparameters
+    given = {key: value for key, value in given.items() if value is not None}
+    return {**settled, **given, "hyperparameters": hyperparameters}
 
 
 def _trainer(

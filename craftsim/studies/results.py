@@ -30,7 +30,7 @@ def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
         for name in study.tests.get(task, (task,)):
             for algo in study.algos:
                 mine = [run for run in runs if (run["task"], run["algo"]) == (task, algo)]
-                rates = np.array([_rate(run, name) for run in mine])
+                rates = np.array([_rate(study, run, name) for run in mine])
                 rows.append(
                     {
                         "task": task,
@@ -69,9 +69,16 @@ def _run(asked: StudyRun, record: TrialRecord) -> dict[str, Any]:
     }
 
 
-def _rate(run: dict[str, Any], played: str) -> float:
+def _rate(study: Study, run: dict[str, Any], played: str) -> float:
+    if study.score == "last_fifth" and played == run["task"]:
+        return last_fifth([rate for _, rate in run["curve"]])
     evaluation = run["evaluations"].get(played)
     return 0.0 if evaluation is None else float(evaluation["success"]["rate"])
+
+
+def last_fifth(rates: Sequence[float]) -> float:
+    """Return the mean of the last fifth of a run's evaluations; 0 where there is none."""
+    return float(np.mean(rates[-(-len(rates) * 4 // 5) :])) if rates else 0.0
 
 
 def _distinct(runs: Sequence[dict[str, Any]], played: str) -> int:
@@ -84,7 +91,7 @@ def _scores(study: Study, runs: Sequence[dict[str, Any]], algo: str) -> Runs:
     """Return (seeds, tasks): success on the first of what each task is tested on."""
     columns = [
         [
-            _rate(run, study.tests.get(task, (task,))[0])
+            _rate(study, run, study.tests.get(task, (task,))[0])
             for run in runs
             if (run["task"], run["algo"]) == (task, algo)
         ]

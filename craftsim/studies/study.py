@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
@@ -27,7 +27,7 @@ from craftsim.storage.limits import (
 from craftsim.storage.paths import exists
 from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
-from craftsim.training.config import PRESETS, AlgoName, PresetName, TrainConfig
+from craftsim.training.config import AlgoName, PresetName, Protocol, TrainConfig, protocol
 from craftsim.training.guidance import check_guidance
 from craftsim.training.policy import policy_file
 from craftsim.training.shape import Shape, check_stage
@@ -65,6 +65,7 @@ def _folder_name(task: Task) -> str:
     return re.sub(r"[^\w.-]+", "-", task.name).lstrip(".")[:_NAME_CHARACTERS] or "task"
 
 
+Score = Literal["final", "last_fifth"]
 _AtLeastOne = Annotated[tuple[str, ...], Field(min_length=1)]
 
 
@@ -77,10 +78,12 @@ class Study:
     algos: Annotated[tuple[AlgoName, ...], Field(min_length=1)] = ("ippo",)
     seeds: Annotated[int, STUDY_SEEDS] = 5
     """How many; training takes those from 0 on."""
-    steps: Annotated[int, TRAIN_STEPS] = 1_000_000
-    """At most, of each run, exploration aside."""
-    until: Annotated[float, SHARE] = 0.99
-    """A run ends when this share of the episodes of an evaluation succeeds."""
+    steps: Annotated[int, TRAIN_STEPS] | None = None
+    """At most, of each run, exploration aside; 1,000,000 unless given, or what the preset says."""
+    until: Annotated[float, SHARE] | None = None
+    """A run ends when this share of the episodes of an evaluation succeeds; 0.99 unless given, never with a preset."""
+    score: Score = "final"
+    """What a run is judged by: its evaluation after training, or the mean over the last fifth of its curve."""
     episodes: Annotated[int, TRAIN_EPISODES] = 1000
     """Of each evaluation after training."""
     preset: PresetName | None = None
@@ -91,7 +94,7 @@ class Study:
     tests: Mapping[str, _AtLeastOne] = field(default_factory=dict)
     """By task: which are played after training on it; itself unless given."""
     reference: Mapping[str, Annotated[float, SHARE]] = field(default_factory=dict)
-    """By task: a published success rate to stand beside."""
+    """By task: the best published success rate, to stand beside."""
 
     def __post_init__(self) -> None:
         self._check_counts()
@@ -171,11 +174,13 @@ class Study:
                 }
                 stages = tuple(tasks[name] for name in config.stages)
                 tests = {name: tasks[name] for name in self._tests(task)}
-                steps = self.of_tasks.get(task, {}).get("steps", self.steps)
+                run = protocol(self.preset, task, algo) if self.preset else Protocol()
+                steps = self.of_tasks.get(task, {}).get("steps", self.steps or run.steps)
+                until = run.until if self.until is None else self.until
                 runs += [
                     StudyRun(
                         replace(config, seed=seed),
-                        *(tasks[task], stages, steps, self.until, tests, self.episodes),
+                        *(tasks[task], stages, steps, until, tests, self.episodes),
                     )
                     for seed in range(self.seeds)
                 ]
@@ -186,12 +191,11 @@ class Study:
 
     def _config(self, task: str, algo: AlgoName) -> TrainConfig:
         """Return the configuration of a task's runs, the first seed's."""
-        given = {
-            **(PRESETS[self.preset] if self.preset else {}),
-            **self.settings,
-            **self.of_tasks.get(task, {}),
-        }
-        if not isinstance(steps := given.pop("steps", self.steps), int):
+        given: dict[str, Any] = {"hyperparameters": {}}
+        preset = protocol(self.preset, task, algo).settings if self.preset else {}
+        for layer in (preset, self.settings, self.of_tasks.get(task, {})):
+            given |= {**layer, "hyperparameters": given["hyperparameters"] | layer.get("hyperparameters", {})}
+        if not isinstance(steps := given.pop("steps", 1), int):
             raise ValueError(f"key 'of_tasks.{task}.steps': must be an integer, not {str(steps)[:40]!r}")
         TRAIN_STEPS.check(f"key 'of_tasks.{task}.steps'", steps)
         text = json.dumps({"task": task, "algo": algo, **given}, default=str)

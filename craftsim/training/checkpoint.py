@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 RUN_FILE: Final = "run.pt"
 FORMAT: Final = 6
-RUN_FORMAT: Final = 7
+RUN_FORMAT: Final = 8
 """Of policies and of runs; raised whenever older files cannot be read any more."""
 TABLE: Final = "encoder.table.weight"
 ROWS: Final = "encoder.table.rows"

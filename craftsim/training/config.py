@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, field
+from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, Strict
@@ -22,19 +22,23 @@ from craftsim.storage.limits import (
     SEED,
     SHARE,
     STAGES,
+    TRAIN_EPISODES,
     TRAIN_STEPS,
     Range,
 )
 from craftsim.storage.records import record
 from craftsim.training.settings import settings_of
 
-AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran"]
+AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran", "pqn"]
 TrainBackend = Literal["grid", "physics"]
-WORLDS: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 32}
-"""How many are stepped side by side unless said otherwise."""
-PresetName = Literal["paper"]
-PRESETS: Final[Mapping[PresetName, Mapping[str, Any]]] = {"paper": {"rules": "published", "helper_depth": 20}}
-"""Fields of a configuration that belong together: the protocol of CraftEnv's paper (Zhao et al., AAMAS 2023)."""
+PHYSICS_WORLDS: Final = 32
+"""How many are stepped side by side in physics unless said otherwise."""
+GRID_WORLDS: Final[Mapping[AlgoName, int]] = {
+    **dict.fromkeys(("ippo", "mappo"), 500),
+    **dict.fromkeys(("qmix", "vdn", "iql", "qtran", "coma"), 25),
+    "pqn": 100,
+}
+"""The same on the grid: learning from few worlds means many updates."""
 NetworkName = Literal["map", "relative"]
 """A table of what may be in each cell of the map, or of what may be in each direction and distance from a car."""
 Acting = Literal["greedy", "sampled"]
@@ -57,8 +61,8 @@ class TrainConfig:
     ``module:factory``. Of the latter a trainer is given the task itself: a configuration may come from a file."""
     algo: AlgoName = "ippo"
     seed: Annotated[int, SEED] = 0
-    worlds: Annotated[int, BATCH] = WORLDS["grid"]
-    """How many worlds are stepped side by side in a rollout."""
+    worlds: Annotated[int, BATCH] | None = None
+    """How many worlds are stepped side by side in a rollout; as many as suit algorithm and backend unless given."""
     width: Annotated[int, NETWORK_WIDTH] = 128
     """Length of the vectors inside the networks."""
     network: NetworkName = "map"
@@ -93,6 +97,10 @@ class TrainConfig:
     """Tasks to learn on before, one after the other: easier ones, of the same size and with as many things."""
     stage_steps: Annotated[int, Range(0, TRAIN_STEPS.high)] = 0
     """Ticks on each of them, all worlds together."""
+    evaluate_every: Annotated[int, TRAIN_STEPS] | None = None
+    """Ticks from one evaluation to the next, all worlds together; ten rollouts unless given."""
+    evaluation_episodes: Annotated[int, TRAIN_EPISODES] | None = None
+    """Of each evaluation while it learns; 500 on the grid and 64 in physics unless given."""
     hyperparameters: dict[str, float] = field(default_factory=dict)
     """Of the algorithm, by name, where they are not its own; see :mod:`craftsim.training.settings`."""
 
@@ -132,9 +140,64 @@ class TrainConfig:
                 "least one step, without exploration and imitation, or leave both out"
             )
 
+    @property
+    def n_worlds(self) -> int:
+        """How many worlds are stepped side by side."""
+        usual = GRID_WORLDS[self.algo] if self.backend == "grid" else PHYSICS_WORLDS
+        return self.worlds or usual
+
+    @property
+    def n_evaluation_episodes(self) -> int:
+        """How many episodes an evaluation while it learns has."""
+        return self.evaluation_episodes or (500 if self.backend == "grid" else 64)
+
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name."""
         return asdict(self)
+
+
+PresetName = Literal["paper", "paper_plus"]
+PAPER_STEPS: Final = 1_000_500
+PAPER_LONG_STEPS: Final = 2_000_000
+"""Of two-story buildings and harder tasks."""
+_SHORT_TASKS: Final = ("strip", "block")
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """What a preset settles: fields of a configuration, and how long a run is."""
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    steps: int = 1_000_000
+    until: float = 0.99
+
+
+def protocol(preset: PresetName, task: str, algo: AlgoName) -> Protocol:
+    """Return the protocol of CraftEnv's paper (Zhao et al., AAMAS 2023) for a task and an algorithm.
+
+    Published rules, the action helper with depth 20, the task's own start, greedy evaluations of 20 episodes every
+    10,000 ticks, and no end at the first success. Value-based algorithms explore with probability 0.21, soon 0.2. Learning rates but those of PPO fall to nothing.
+    ``paper_plus`` adds exploration of craftsim's own before learning.
+    """
+    short = task in _SHORT_TASKS
+    steps = PAPER_STEPS if short else PAPER_LONG_STEPS
+    hyperparameters: dict[str, float] = {} if algo in ("ippo", "mappo") else {"decay_ticks": steps}
+    if algo not in WITH_PROBABILITIES:
+        hyperparameters |= {"epsilon_start": 0.21, "epsilon_end": 0.2, "epsilon_ticks": 50_000}
+    settings: dict[str, Any] = {
+        "rules": "published",
+        "helper_depth": 20,
+        "evaluate_every": 10_000,
+        "evaluation_episodes": 20,
+        "hyperparameters": hyperparameters,
+    }
+    if preset == "paper_plus":
+        settings["explore"] = 1_000_000 if short else 5_000_000
+    return Protocol(settings, steps, NEVER)
+
+
+NEVER: Final = 2.0
+"""A success rate that no evaluation has: a run that waits for it goes on to its last step."""
 
 
 def _check_drawn(randomize: str, backend: TrainBackend) -> None:

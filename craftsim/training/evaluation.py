@@ -19,6 +19,7 @@ from craftsim.training.config import Acting
 from craftsim.training.curve import Played
 from craftsim.training.networks import CarNet
 from craftsim.training.repetitions import Repetitions
+from craftsim.training.rollouts import Seen
 
 
 def evaluate(
@@ -106,9 +107,9 @@ def choose_actions(
     With Gumbel noise (..., n, 15) on top that is one drawn as often as the policy gives it probability.
     ``observations`` are (..., n, vector_length) and ``masks`` (..., n, 15).
     """
-    offers = torch.from_numpy(masks.astype(np.bool_))
-    values = net(torch.from_numpy(observations.astype(np.int64)), offers)
+    places = net.encoder.places(torch.from_numpy(observations.astype(np.int64)))
+    values = net(Seen(places, torch.from_numpy(masks.astype(np.bool_))))
     if noise is not None:
         values = values + torch.from_numpy(noise)
-    chosen: NDArray[np.int64] = values.masked_fill(~offers, -torch.inf).argmax(-1).numpy()
+    chosen: NDArray[np.int64] = values.argmax(-1).numpy()
     return chosen

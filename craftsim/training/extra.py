@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from typing import Final
 
 from craftsim.extras import need
 
-PACKAGES: Final = ("torch", "tensordict", "torchrl")
+PACKAGES: Final = ("torch",)
 
 
 def need_torch() -> None:
@@ -20,5 +19,3 @@ def need_torch() -> None:
         "safetensors",
         remark=f" (a CPU build of torch is enough: {cpu})",
     )
-    # TorchRL says on standard output what it allocates, unless it is asked not to before it is imported.
-    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")

@@ -1,8 +1,8 @@
-"""The networks: one for all cars, and what looks at the whole team."""
+"""The networks: one for all cars, and those of the algorithms that look at the whole team, used in training alone."""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import torch
 from torch import Tensor, nn
@@ -11,9 +11,9 @@ from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.training.features import make_encoder
 from craftsim.training.shape import Shape
 
-OBSERVATION: Final = ("agents", "observation")
-MASK: Final = ("agents", "action_mask")
-ACTION: Final = ("agents", "action")
+if TYPE_CHECKING:
+    from craftsim.training.rollouts import Seen
+
 _MIXING_WIDTH: Final = 32
 
 
@@ -23,16 +23,23 @@ class CarNet(nn.Module):
     def __init__(self, shape: Shape) -> None:
         super().__init__()
         self.encoder = make_encoder(shape)
-        self.head = head(shape.width, N_ACTIONS)
+        self.head = head(shape.width, N_ACTIONS, shape.layer_norm)
 
-    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
-        """Return (..., n, 15) from observations (..., n, vector_length) and masks (..., n, 15)."""
-        places = self.encoder.places(observation)
-        return self.on_places(self.encoder.of_places(places, mask), places)
+    def forward(self, seen: Seen) -> Tensor:
+        """Return (..., n, 15), those of actions that are not offered -inf."""
+        return self.masked(self.encode(seen), seen)
 
-    def on_places(self, encoded: Tensor, places: Tensor) -> Tensor:
-        """Return the same from the encoder's vectors and the places in its table that they were made of."""
-        return self.encoder.on_map(self.head(encoded), places)
+    def encode(self, seen: Seen) -> Tensor:
+        """Return the encoder's vectors (..., n, width)."""
+        return self.encoder.of_places(seen.places, seen.offers)
+
+    def values(self, encoded: Tensor, seen: Seen) -> Tensor:
+        """Return (..., n, 15) from the encoder's vectors."""
+        return self.encoder.on_map(self.head(encoded), seen.places)
+
+    def masked(self, encoded: Tensor, seen: Seen) -> Tensor:
+        """Return the same with -inf for what is not offered."""
+        return self.values(encoded, seen).masked_fill(~seen.offers, -torch.inf)
 
 
 def first_net(shape: Shape, seed: int) -> CarNet:
@@ -51,20 +58,21 @@ class Critic(nn.Module):
         self.head = head(shape.width, 1)
 
     def forward(self, encoded: Tensor) -> Tensor:
-        """Return (..., n, 1) from vectors (..., n, width)."""
+        """Return (..., n) from vectors (..., n, width)."""
         seen = encoded.mean(-2, keepdim=True) if self.sees_team else encoded
-        value: Tensor = self.head(seen)
-        return value.expand(*encoded.shape[:-1], 1)
+        value: Tensor = self.head(seen)[..., 0]
+        return value.expand(encoded.shape[:-1])
 
 
-class StateQMixer(nn.Module):
-    """QMIX's mixer, with what all cars observe as the state."""
+class QMixer(nn.Module):
+    """QMIX's mixer (Rashid et al., ICML 2018), with what all cars observe as the state.
+
+    The team's value rises with each car's: weights that a state gives are taken without their signs.
+    """
 
     def __init__(self, shape: Shape) -> None:
-        # Policies play without this library, which takes 200 MB.
-        from torchrl.modules.models.multiagent import QMixer
-
         super().__init__()
+        self.n_cars = shape.n_cars
         self.encoder = make_encoder(shape)
         # The table is the first layer of what makes the mixing weights, and begins as a linear layer on a drawing of
         # all places does. With a policy's table the team's value changes by 7 to 22 with a car's, and otherwise in
@@ -72,19 +80,74 @@ class StateQMixer(nn.Module):
         # to 0.5, however many things there are.
         largest = shape.places**-0.5
         nn.init.uniform_(self.encoder.table.weight, -largest, largest)
-        self.mixer = QMixer((shape.width,), _MIXING_WIDTH, shape.n_cars, "cpu")
+        self.first_weight = nn.Linear(shape.width, shape.n_cars * _MIXING_WIDTH)
+        self.first_bias = nn.Linear(shape.width, _MIXING_WIDTH)
+        self.last_weight = nn.Linear(shape.width, _MIXING_WIDTH)
+        self.last_bias = nn.Sequential(
+            nn.Linear(shape.width, _MIXING_WIDTH), nn.ReLU(), nn.Linear(_MIXING_WIDTH, 1)
+        )
 
-    def forward(self, chosen: Tensor, observation: Tensor, mask: Tensor) -> Tensor:
-        """Return the team's value (..., 1) from the values (..., n, 1) of the cars' chosen actions."""
-        state = self.encoder(observation, mask).mean(-2)
-        value: Tensor = self.mixer(chosen, state.relu())
+    def forward(self, chosen: Tensor, seen: Seen) -> Tensor:
+        """Return the team's value (...) from the values (..., n) of the cars' chosen actions."""
+        return self.mix(chosen, self.encoder.of_places(seen.places, seen.offers).mean(-2).relu())
+
+    def mix(self, chosen: Tensor, state: Tensor) -> Tensor:
+        """Return the same from a state (..., width)."""
+        weight = self.first_weight(state).abs().unflatten(-1, (self.n_cars, _MIXING_WIDTH))
+        hidden = (chosen.unsqueeze(-2) @ weight).squeeze(-2) + self.first_bias(state)
+        last = self.last_weight(state).abs()
+        value: Tensor = (nn.functional.elu(hidden) * last).sum(-1) + self.last_bias(state).squeeze(-1)
         return value
 
 
-def head(width: int, n_out: int) -> nn.Module:
+class OthersNet(nn.Module):
+    """Gives each car the team's value of every action of its own, all others acting as they did: COMA's critic."""
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.encoder = make_encoder(shape)
+        self.actions = nn.Parameter(torch.zeros(shape.n_cars, N_ACTIONS, shape.width))
+        self.head = head(shape.width, N_ACTIONS)
+
+    def forward(self, seen: Seen, actions: Tensor) -> Tensor:
+        """Return (..., n, 15) from what is seen and actions (..., n)."""
+        did = _looked_up(self.actions, actions)
+        others = did.sum(-2, keepdim=True) - did
+        return self.encoder.on_map(
+            self.head(self.encoder.of_places(seen.places, seen.offers) + others), seen.places
+        )
+
+
+class JointNet(nn.Module):
+    """Gives the team the value of its joint action, and of the state alone: QTRAN's."""
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.encoder = make_encoder(shape)
+        self.actions = nn.Parameter(torch.zeros(shape.n_cars, N_ACTIONS, shape.width))
+        self.joint, self.rest = head(shape.width, 1), head(shape.width, 1)
+
+    def state(self, seen: Seen) -> Tensor:
+        """Return a vector (..., width) of what all cars see."""
+        return self.encoder.of_places(seen.places, seen.offers).mean(-2)
+
+    def forward(self, state: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (...) twice from states (..., width) and actions (..., n)."""
+        joint = self.joint(state + _looked_up(self.actions, actions).sum(-2))
+        return joint[..., 0], self.rest(state)[..., 0]
+
+
+def _looked_up(table: Tensor, actions: Tensor) -> Tensor:
+    """Return (..., n, width): the row of each car's action in its own table, (n, 15, width)."""
+    return table[torch.arange(len(table)), actions]
+
+
+def head(width: int, n_out: int, layer_norm: bool = False) -> nn.Module:
     """Return the last two layers, from an encoder's vector to numbers that are close to zero at first."""
     first, last = nn.Linear(width, width), nn.Linear(width, n_out)
     # Small first outputs: the first policy is close to uniform, the first values close to zero.
     nn.init.orthogonal_(last.weight, 0.01)
     nn.init.zeros_(last.bias)
+    if layer_norm:
+        return nn.Sequential(nn.LayerNorm(width), nn.ReLU(), first, nn.LayerNorm(width), nn.ReLU(), last)
     return nn.Sequential(nn.ReLU(), nn.Sequential(first, nn.ReLU(), last))

@@ -7,33 +7,38 @@ from __future__ import annotations
 
 from typing import Final
 
-import torch
-from tensordict import TensorDictBase
+import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.tasks import ROW
-from craftsim.training.networks import OBSERVATION
+from craftsim.training.rollouts import Worlds
 from craftsim.training.shape import Shape
 
 BUCKETS: Final = 1 << 20
 _HASH_SEED: Final = 1
 
 
-class Novelty:
-    """Counts how often each arrangement of things, wherever the cars are, was seen."""
+class NoveltyWorlds:
+    """Worlds whose rewards rise by a weight divided by the root of how often their arrangement of things was seen.
 
-    def __init__(self, weight: float, shape: Shape) -> None:
-        self.weight = weight
-        self.counts = torch.zeros(BUCKETS if weight else 0, dtype=torch.int32)
+    Where the cars are plays no part. ``counts`` (BUCKETS,) may be shared by several.
+    """
+
+    def __init__(self, worlds: Worlds, weight: float, shape: Shape, counts: NDArray[np.int32]) -> None:
+        self.worlds, self.weight, self.counts = worlds, weight, counts
         self._skip = ROW * (1 + shape.n_cars)
         n = shape.vector_length - self._skip
-        generator = torch.Generator().manual_seed(_HASH_SEED)
-        self._factors = torch.randint(-(2**62), 2**62, (n,), generator=generator)
+        self._factors = np.random.default_rng(_HASH_SEED).integers(-(2**62), 2**62, n)
+        self.reset, self.observe = worlds.reset, worlds.observe
+        self.restart, self.close = worlds.restart, worlds.close
 
-    def add_to(self, rollout: TensorDictBase) -> None:
-        """Add the bonus to the rewards of a rollout, batch size (B, ticks)."""
-        if not self.weight:
-            return
-        things = rollout["next", *OBSERVATION][:, :, 0, self._skip :].long()
-        bucket = ((things * self._factors).sum(-1) >> 20) % BUCKETS
-        self.counts.index_add_(0, bucket.flatten(), torch.ones(bucket.numel(), dtype=torch.int32))
-        rollout["next", "reward"] += self.weight / self.counts[bucket].sqrt().unsqueeze(-1)
+    def step(
+        self, actions: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Let all cars act; the bonus is part of the reward."""
+        reward, terminated, done = self.worlds.step(actions)
+        things = self.observe()[0][:, 0, self._skip :].astype(np.int64)
+        with np.errstate(over="ignore"):
+            buckets = ((things * self._factors).sum(-1) >> 20) % BUCKETS
+        np.add.at(self.counts, buckets, 1)
+        return reward + self.weight / np.sqrt(self.counts[buckets]), terminated, done

@@ -59,7 +59,7 @@ class TrainedPolicy:
         from craftsim.training.shape import Shape
 
         task = as_task(task)
-        shape = Shape.of(task, self.shape.width, self.shape.network)
+        shape = Shape.of(task, self.shape.width, self.shape.network, self.shape.layer_norm)
         if self.shape.network == "relative" and task.layout.n_targets and self.shape.fits(shape):
             difference = self.identity.rules_difference(rules)
         else:

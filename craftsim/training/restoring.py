@@ -42,8 +42,8 @@ def restore_module(module: nn.Module, saved: Mapping[str, Any]) -> None:
     module.load_state_dict(state)
 
 
-def restore_adam(optimizer: torch.optim.Adam, saved: Mapping[str, Any]) -> None:
-    """Take over the optimiser's averages; its settings stay as they are. Raises InputError."""
+def restore_adam(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any]) -> None:
+    """Take over the averages of Adam or RAdam; its settings stay as they are. Raises InputError."""
     own = optimizer.state_dict()
     parameters = dict(
         enumerate(parameter for group in optimizer.param_groups for parameter in group["params"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record
@@ -22,9 +22,16 @@ class Settings:
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount of a tick."""
     learning_rate: Annotated[float, Range(1e-6, 1)] = 1e-3
-    """Of the optimiser, Adam."""
+    """Of the optimiser, Adam; RAdam of PQN."""
     max_gradient: Annotated[float, Range(1e-3, 1_000_000)] = 1.0
     """Gradients of a larger norm are scaled down to it."""
+    decay_ticks: Annotated[int, Range(0, 1_000_000_000)] = 0
+    """Ticks in which the learning rate falls evenly to nothing; 0 for a rate that stays."""
+
+    def rate(self, learnt: int) -> float:
+        """Return the learning rate after so many ticks."""
+        left = max(0.0, 1 - learnt / self.decay_ticks) if self.decay_ticks else 1.0
+        return self.learning_rate * left
 
 
 @record(kw_only=True)
@@ -43,13 +50,6 @@ class PPOSettings(Settings):
     """How often each tick is learnt from."""
     minibatches: Annotated[int, Range(1, 1024)] = 4
     """Parts of a rollout, each with a step of the optimiser."""
-    decay_ticks: Annotated[int, Range(0, 1_000_000_000)] = 0
-    """Ticks in which the learning rate falls evenly to nothing; 0 for a rate that stays."""
-
-    def rate(self, learnt: int) -> float:
-        """Return the learning rate after so many ticks."""
-        left = max(0.0, 1 - learnt / self.decay_ticks) if self.decay_ticks else 1.0
-        return self.learning_rate * left
 
 
 @record(kw_only=True)
@@ -60,29 +60,23 @@ class COMASettings(Settings):
     """Of the critic's returns."""
     entropy: Annotated[float, Range(0, 10)] = 0.01
     """Weight of the policy's entropy."""
-    minibatches: Annotated[int, Range(1, 1024)] = 16
+    minibatches: Annotated[int, Range(1, 1024)] = 2
     """Parts of a rollout, each with a step of the optimiser."""
     target_rate: Annotated[float, Range(1e-4, 0.999)] = 0.05
     """How far the target critic follows at each step."""
 
 
 @record(kw_only=True)
-class QSettings(Settings):
-    """Of IQL, VDN, QMIX and QTRAN."""
+class ValueSettings(Settings):
+    """Of all algorithms that rate actions by value, and explore by random ones."""
 
     learning_rate: Annotated[float, Range(1e-6, 1)] = 5e-4
     max_gradient: Annotated[float, Range(1e-3, 1_000_000)] = 10.0
-    batch: Annotated[int, Range(1, 50_000)] = 512
-    """Ticks that a step of the optimiser learns from."""
-    learns_every: Annotated[int, Range(1, 1_000_000)] = 128
-    """Ticks played for each batch learnt from."""
-    target_rate: Annotated[float, Range(1e-4, 0.999)] = 0.01
-    """How far the target networks follow at each step."""
-    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    epsilon_start: Annotated[float, Range(0, 1)] = 0.5
     """Part of random actions at first."""
-    epsilon_end: Annotated[float, Range(0, 1)] = 0.03
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.2
     """The same in the end."""
-    epsilon_ticks: Annotated[int, Range(1, 1_000_000_000)] = 300_000
+    epsilon_ticks: Annotated[int, Range(1, 1_000_000_000)] = 50_000
     """Ticks until then."""
 
     def __post_init__(self) -> None:
@@ -91,11 +85,45 @@ class QSettings(Settings):
                 f"epsilon_end is {self.epsilon_end}; allowed: at most epsilon_start, {self.epsilon_start}"
             )
 
+    def epsilon(self, learnt: int) -> float:
+        """Return the part of random actions after so many ticks."""
+        left = max(0.0, 1 - learnt / self.epsilon_ticks)
+        return self.epsilon_end + (self.epsilon_start - self.epsilon_end) * left
+
+
+@record(kw_only=True)
+class QSettings(ValueSettings):
+    """Of IQL, VDN, QMIX and QTRAN."""
+
+    td_lambda: Annotated[float, Range(0, 1)] = 0.6
+    """Of the returns; 0 is one-step Q-learning."""
+    batch: Annotated[int, Range(1, 50_000)] = 512
+    """Ticks that a step of the optimiser learns from, in whole rollouts of one world."""
+    buffer: Annotated[int, Range(1, 1_000_000)] = 5_000
+    """Ticks that are remembered; with ten times as many VDN unlearns the strip again."""
+    replays: Annotated[float, Range(0.01, 1000)] = 16.0
+    """How often each tick is learnt from, on average."""
+    target_rate: Annotated[float, Range(1e-4, 1)] = 0.01
+    """How far the target networks follow at each step."""
+
+
+@record(kw_only=True)
+class PQNSettings(ValueSettings):
+    """Of PQN-VDN."""
+
+    td_lambda: Annotated[float, Range(0, 1)] = 0.65
+    """Of the returns."""
+    epochs: Annotated[int, Range(1, 100)] = 2
+    """How often each tick is learnt from."""
+    minibatches: Annotated[int, Range(1, 1024)] = 8
+    """Parts of a rollout, each with a step of the optimiser."""
+
 
 KINDS: Final[Mapping[AlgoName, type[Settings]]] = {
     **dict.fromkeys(("ippo", "mappo"), PPOSettings),
     "coma": COMASettings,
     **dict.fromkeys(("iql", "vdn", "qmix", "qtran"), QSettings),
+    "pqn": PQNSettings,
 }
 
 
@@ -104,7 +132,8 @@ def settings_of(algo: AlgoName, given: Mapping[str, float]) -> Settings:
     kind = KINDS[algo]
     # What is whole stays so, though a file may have it as 4.0.
     whole = {of.name for of in fields(kind) if isinstance(of.default, int)}
-    return kind(**{name: int(v) if name in whole and v == v // 1 else v for name, v in given.items()})
+    values: dict[str, Any] = {n: int(v) if n in whole and v == v // 1 else v for n, v in given.items()}
+    return kind(**values)
 
 
 def read_settings(path: Path, algo: AlgoName) -> dict[str, float]:

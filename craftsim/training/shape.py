@@ -29,6 +29,8 @@ class Shape:
     """Length of the vectors inside the network."""
     network: Literal["map", "relative"] = "map"
     """Whether things are looked up by their cells, or by where they are as a car sees it."""
+    layer_norm: bool = False
+    """Whether the policy normalises its layers."""
 
     def __post_init__(self) -> None:
         check_size(self.size, self.n_cars)
@@ -47,6 +49,11 @@ class Shape:
         cells = " x ".join(map(str, self.size))
         seen = f" with {self.n_cars} cars that observe {self.vector_length} numbers"
         return f"{cells} cells{seen if self.network == 'map' else ''} (network {self.network}, width {self.width})"
+
+    @property
+    def n_rows(self) -> int:
+        """Things in one car's observation."""
+        return self.vector_length // ROW
 
     @property
     def cells(self) -> int:
@@ -71,9 +78,12 @@ class Shape:
         return (2 * max(length, width) - 1) ** 2 * (2 * height + 1)
 
     @classmethod
-    def of(cls, task: Task, width: int, network: Literal["map", "relative"] = "map") -> Shape:
+    def of(
+        cls, task: Task, width: int, network: Literal["map", "relative"] = "map", layer_norm: bool = False
+    ) -> Shape:
         """Return the shape of networks for a task."""
-        return cls(task.starts[0].size, task.layout.n_cars, task.layout.vector_length, width, network)
+        layout = task.layout
+        return cls(task.starts[0].size, layout.n_cars, layout.vector_length, width, network, layer_norm)
 
     def fits(self, other: Shape) -> bool:
         """Whether networks for this shape serve the worlds of another; those that look from a car count nothing."""
@@ -84,5 +94,5 @@ class Shape:
 
 def check_stage(stage: Task, shape: Shape) -> None:
     """Raise InputError for a task to learn on before another one that is of another shape."""
-    if (own := Shape.of(stage, shape.width, shape.network)) != shape:
+    if (own := Shape.of(stage, shape.width, shape.network, shape.layer_norm)) != shape:
         raise InputError(f"stage '{stage.name}' has {own}; allowed is what the task has: {shape}")

@@ -1,4 +1,4 @@
-"""The learning curve for TensorBoard, through TorchRL's logger."""
+"""The learning curve for TensorBoard."""
 
 from __future__ import annotations
 
@@ -30,11 +30,12 @@ class TensorboardLog:
             raise InputError(
                 "--tensorboard needs tensorboard, not installed here; try: pip install tensorboard"
             )
-        from torchrl.record.loggers.tensorboard import TensorboardLogger
+        from torch.utils.tensorboard import SummaryWriter
 
-        for old in directory_within(folder, FOLDER).glob("events.out.tfevents.*"):
+        place = directory_within(folder, FOLDER)
+        for old in place.glob("events.out.tfevents.*"):
             old.unlink()
-        self._logger = TensorboardLogger(FOLDER, str(folder))
+        self._log = SummaryWriter(str(place))
         for point in curve:
             self.write(point)
 
@@ -42,5 +43,5 @@ class TensorboardLog:
         """Write a point, at once."""
         values = {"success": point.success, "return": point.mean_return, "ticks": point.mean_ticks}
         for name, value in values.items():
-            self._logger.log_scalar(f"eval/{name}", value, point.steps)
-        self._logger.experiment.flush()
+            self._log.add_scalar(f"eval/{name}", value, point.steps)
+        self._log.flush()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from functools import cached_property
@@ -13,30 +13,32 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
+from numpy.typing import NDArray
 
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.report import versions
-from craftsim.training.algorithms import make_learner
 from craftsim.training.checkpoint import RUN_FILE, PolicyHead, RunHead, open_run, save_policy, save_run
-from craftsim.training.config import TrainBackend, TrainConfig
+from craftsim.training.coma import COMALearner
+from craftsim.training.config import WITH_PROBABILITIES, TrainConfig
 from craftsim.training.curve import CURVE_FILE, Played, Point, write_curve
 from craftsim.training.demonstrations import Progress, silent
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.extra import PACKAGES
-from craftsim.training.grid_env import GridEnv
 from craftsim.training.guidance import Guidance, check_guidance, guidance_of
 from craftsim.training.identity import TaskIdentity, starts_digest
 from craftsim.training.imitation import imitate
-from craftsim.training.novelty import Novelty
-from craftsim.training.on_policy import PPOLearner
-from craftsim.training.physics_env import PhysicsEnv
+from craftsim.training.learner import Learner
+from craftsim.training.novelty import BUCKETS, NoveltyWorlds
 from craftsim.training.policy import POLICY_FILE
+from craftsim.training.ppo import PPOLearner
+from craftsim.training.pqn import PQNLearner
 from craftsim.training.pretraining import begin_as_pretrained
+from craftsim.training.q_learning import QLearner
 from craftsim.training.restoring import numbers
+from craftsim.training.rollouts import GridWorlds, PhysicsWorlds, Rollout, Worlds, play
+from craftsim.training.settings import COMASettings, PPOSettings, PQNSettings, QSettings, settings_of
 from craftsim.training.shape import Shape, check_stage
 from craftsim.workers.actor import defer_sigint
 
@@ -44,9 +46,7 @@ if TYPE_CHECKING:
     from craftsim.checking.setup import Randomize
 
 EVALUATION_INTERVAL: Final = 10
-"""Iterations from one evaluation to the next."""
-EVALUATION_EPISODES: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 64}
-"""Episodes of an evaluation while training."""
+"""Iterations from one evaluation to the next, unless its configuration says after how many ticks."""
 _ROLLOUT, _EVALUATION, _FINAL, _GUIDANCE = range(4)
 
 
@@ -86,11 +86,13 @@ class Trainer:
         check_guidance(config, self.task, starts)
         self._given, self._progress = starts, progress
         self._own_starts = starts is None and not config.explore and not config.imitate
-        self.shape = Shape.of(self.task, config.width, config.network)
+        self.shape = Shape.of(
+            self.task, config.width, config.network, layer_norm=config.algo not in WITH_PROBABILITIES
+        )
         self._stages = [_named(name, config) for name in config.stages] if stages is None else list(stages)
         for stage in self._stages:
             check_stage(stage, self.shape)
-        self._made: tuple[int, GridEnv | PhysicsEnv] | None = None
+        self._made: tuple[int, Worlds] | None = None
         self.curve: list[Point] = []
         self.wall_s = self.cpu_s = 0.0
         with torch.random.fork_rng():
@@ -100,7 +102,8 @@ class Trainer:
                 begin_as_pretrained(self.learner.net, self.shape, config) if config.pretrained else ""
             )
             """Digest of the policy that it began with; empty without."""
-        self.novelty = Novelty(config.novelty, self.shape)
+        self.counts: NDArray[np.int32] = np.zeros(BUCKETS if config.novelty else 0, np.int32)
+        """How often buildings were seen, where there is a bonus for new ones."""
 
     @cached_property
     def guidance(self) -> Guidance:
@@ -116,18 +119,22 @@ class Trainer:
         return min(self.steps // steps, len(stages)) if stages else 0
 
     @property
-    def env(self) -> GridEnv | PhysicsEnv:
+    def worlds(self) -> Worlds:
         """The worlds of rollouts, made when they are first needed, and anew for each stage."""
         if self._made is None or self._made[0] != self.stage:
             self.close()
-            self._made = self.stage, self._env([*self._stages, self.guidance.starts or self.task][self.stage])
+            task = [*self._stages, self.guidance.starts or self.task][self.stage]
+            self._made = self.stage, self._make_worlds(task)
         return self._made[1]
 
-    def _env(self, task: Task) -> GridEnv | PhysicsEnv:
+    def _make_worlds(self, task: Task) -> Worlds:
         config = self.config
+        worlds: Worlds
         if config.backend == "grid":
-            return GridEnv(task, config.worlds, config.rules, config.helper_depth)
-        return PhysicsEnv(task, config.worlds, **self._physics)
+            worlds = GridWorlds(task, config.n_worlds, config.rules, config.helper_depth)
+        else:
+            worlds = PhysicsWorlds(task, config.n_worlds, **self._physics)
+        return NoveltyWorlds(worlds, config.novelty, self.shape, self.counts) if config.novelty else worlds
 
     @property
     def _physics(self) -> dict[str, Any]:
@@ -145,7 +152,7 @@ class Trainer:
     @property
     def steps_an_iteration(self) -> int:
         """Ticks played between two updates, all worlds together."""
-        return self.learner.ticks * self.config.worlds
+        return self.learner.ticks * self.config.n_worlds
 
     def run(self, steps: int, until: float) -> Iterator[bool]:
         """Train for so many steps in all, or until an evaluation has that success.
@@ -158,9 +165,11 @@ class Trainer:
                 self._iterate()
                 # What was imitated may be all that there is to learn.
                 imitated = self.iteration == 1 and self.guidance.shown is not None
-                evaluates = imitated or self.iteration % EVALUATION_INTERVAL == 0
+                every = self.config.evaluate_every or EVALUATION_INTERVAL * self.steps_an_iteration
+                before = self.steps - self.steps_an_iteration
+                evaluates = imitated or self.steps // every > before // every
                 if evaluates:
-                    played = self.evaluate(EVALUATION_EPISODES[self.config.backend], _EVALUATION)
+                    played = self.evaluate(self.config.n_evaluation_episodes, _EVALUATION)
                     self.curve.append(Point(**asdict(played), steps=self.steps))
                 self.wall_s += time.perf_counter() - begun
                 self.cpu_s += time.process_time() - cpu_begun
@@ -172,22 +181,22 @@ class Trainer:
         if config.backend == "grid":
             return evaluate(net, self.task, episodes, seed, config.rules, config.helper_depth, config.acting)
         last = self.stage == len(self._stages)
-        if self._own_starts and last and record is None and isinstance(self.env, PhysicsEnv):
-            return evaluate_in_physics(net, self.env.worlds, episodes, seed, config.acting)
-        with closing(PhysicsVectorEnv(self.task, config.worlds, record=record, **self._physics)) as worlds:
+        if self._own_starts and last and record is None and isinstance(self.worlds, PhysicsWorlds):
+            return evaluate_in_physics(net, self.worlds.envs, episodes, seed, config.acting)
+        with closing(PhysicsVectorEnv(self.task, config.n_worlds, record=record, **self._physics)) as worlds:
             return evaluate_in_physics(net, worlds, episodes, seed, config.acting)
 
     def close(self) -> None:
         """End the processes that hold worlds in physics."""
         if self._made is not None:
-            self._made[1].close(raise_if_closed=False)
+            self._made[1].close()
+            self._made = None
 
-    def play(self, seed: int) -> TensorDictBase:
-        """Return a rollout, batch size (B, ticks), after seeding worlds and torch's default generator."""
+    def play(self, seed: int) -> Rollout:
+        """Return a rollout, after seeding worlds and torch's default generator."""
         torch.manual_seed(seed)
-        self.env.set_seed(seed)
-        with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
-            return self.env.rollout(self.learner.ticks, self.learner.plays, break_when_any_done=False)
+        self.worlds.reset(seed)
+        return play(self.worlds, self.learner.net.encoder, self.learner.act, self.learner.ticks)
 
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
@@ -196,10 +205,8 @@ class Trainer:
             if self.iteration == 0 and shown is not None and isinstance(self.learner, PPOLearner):
                 torch.manual_seed(seed)
                 imitate(self.learner, self.task, shown, self.config.rules, self.config.helper_depth)
-            rollout = self.play(seed)
-            self.novelty.add_to(rollout)
             self.learner.learnt = self.steps
-            self.learner.update(rollout)
+            self.learner.update(self.play(seed))
         if not all(weight.isfinite().all() for weight in self.learner.net.parameters()):
             raise InputError(
                 f"training has diverged in iteration {self.iteration}: weights are no longer finite. What was saved "
@@ -227,7 +234,7 @@ class Trainer:
             self.cpu_s,
             self.curve,
         )
-        save_run(folder / RUN_FILE, run, self.learner.state(), self.novelty.counts)
+        save_run(folder / RUN_FILE, run, self.learner.state(), torch.from_numpy(self.counts))
 
     @classmethod
     def resume(
@@ -264,9 +271,8 @@ class Trainer:
                 begun = "other starts" if run.head.starts else "no other starts"
                 raise InputError(f"the run was begun with {begun} than these; give the --starts of then")
             try:
-                trainer.novelty.counts = numbers(
-                    run.novelty, "novelty", trainer.novelty.counts, 0, 2**30
-                ).clone()
+                counts = numbers(run.novelty, "novelty", torch.from_numpy(trainer.counts), 0, 2**30)
+                trainer.counts = counts.clone().numpy()
                 trainer.learner.restore(run.learner)
             except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
                 raise InputError(
@@ -276,6 +282,20 @@ class Trainer:
             trainer.wall_s, trainer.cpu_s = run.head.wall_s, run.head.cpu_s
             trainer.curve = run.head.curve
         return trainer
+
+
+def make_learner(config: TrainConfig, shape: Shape, ticks: int) -> Learner:
+    """Return the algorithm that a configuration names, for episodes of at most ``ticks`` ticks."""
+    match settings_of(config.algo, config.hyperparameters):
+        case PPOSettings() as settings:
+            return PPOLearner(shape, ticks, config.algo == "mappo", settings)
+        case COMASettings() as settings:
+            return COMALearner(shape, ticks, settings)
+        case PQNSettings() as settings:
+            return PQNLearner(shape, ticks, settings)
+        case QSettings() as settings:
+            return QLearner(shape, ticks, config.algo, settings)
+    raise AssertionError(config.algo)
 
 
 def _named(name: str, config: TrainConfig) -> Task:

@@ -89,7 +89,7 @@ def test_a_run_that_explored_goes_on_with_the_same_starts(goes_on):
 def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkeypatch):
     trainer = Trainer(TrainConfig("strip", worlds=4, width=4, rules="published", helper_depth=20))
     assert trainer.identity.rules == "published"
-    assert trainer.env.episodes.depth == 20
+    assert trainer.worlds.episodes.depth == 20
     monkeypatch.setattr("craftsim.training.trainer.evaluate", lambda *given: given)
     assert trainer.evaluate(3)[-3:] == ("published", 20, "greedy")
 

@@ -92,23 +92,18 @@ def test_what_others_write_as_safetensors_is_no_policy(tmp_path):
         read_policy(tmp_path / POLICY_FILE)
 
 
-def _many_blocks(seen):
-    return seen.index_fill(-1, torch.tensor([7]), 99)
-
-
 POINT = {"successes": 5, "mean_return": 0.0, "mean_ticks": 1.0}
-BUFFER = ("learner", "buffer", "_storage", "_storage")
+MEMORY = ("learner", "memory")
 RUNS = {
     "other weights": (("learner", "modules", {}), "missing or unknown"),
-    "no modules": (("learner", {}), "damaged: KeyError: 'modules'"),
+    "no modules": (("learner", {}), "damaged: KeyError: 'memory'"),
     "the optimiser's averages": (("learner", "optimizer", "state", 0, "exp_avg_sq", lambda t: t - 1), "exp_avg_sq"),
     "its steps": (("learner", "optimizer", "state", 0, "step", torch.tensor(-1.0)), "'step' has numbers"),
     "averages of nothing": (("learner", "optimizer", "state", lambda t: t | {99: t[0]}), "damaged: KeyError: 99"),
-    "what is remembered": ((*BUFFER, "agents.action", lambda t: t + 99), "'agents.action' has numbers"),
-    "what was seen": ((*BUFFER, "agents.observation", _many_blocks), "what no tick has"),
-    "how much": (("learner", "buffer", "_storage", "_len", 10**9), "remembers 1000000000 ticks"),
-    "where": (("learner", "buffer", "_writer", "_cursor", -1), "remembers"),
-    "the part of random actions": (("learner", "epsilon", "eps", torch.tensor(7.0)), "'eps' has numbers"),
+    "what is remembered": ((*MEMORY, "actions", lambda t: t + 99), "'actions' has numbers"),
+    "what was seen": ((*MEMORY, "places", lambda t: t - 1), "'places' has numbers"),
+    "how much": ((*MEMORY, "total", torch.tensor(10**9)), r"'places' is torch.int32 \(2, 20, "),
+    "less than nothing": ((*MEMORY, "total", torch.tensor(-1)), "'total' is"),
     "a curve of numbers": (("head", "curve", [1, 2]), r"key 'curve\[0\]'"),
     "a point of it": (
         (
@@ -121,7 +116,7 @@ RUNS = {
     "a long curve": (("head", "curve", [0] * 30_000), "key 'curve"),
     "a count": (("head", "iteration", "seven"), "key 'iteration'"),
     "a time": (("head", "cpu_s", -1.0), "-1.0 s of CPU; allowed: 0 or more"),
-    "an older file": (("craftsim", 6), "written in format 6, by another version of craftsim; this version reads 7"),
+    "an older file": (("craftsim", 7), "written in format 7, by another version of craftsim; this version reads 8"),
     "a configuration": (("head", "config", "width", 10**9), "key 'config.width': 1000000000 is out of range"),
     "novelty": (("novelty", torch.zeros(5)), "'novelty' is torch.float32"),
 }  # fmt: skip

@@ -86,7 +86,7 @@ def test_a_policy_does_what_it_was_shown():
 def test_half_of_the_episodes_start_on_the_way_of_a_plan():
     trainer = Trainer(TrainConfig("designs", worlds=400, width=4, network="relative", imitate=5))
     shown = {world.tobytes() for world in trainer.guidance.shown.worlds.designs}
-    there = sum(design.tobytes() in shown for design in trainer.env.episodes.designs)
+    there = sum(design.tobytes() in shown for design in trainer.worlds.episodes.designs)
     assert 140 < there < 260
 
 
@@ -115,7 +115,7 @@ def test_an_evaluation_in_physics_starts_where_the_task_does(monkeypatch):
     config = TrainConfig("random_strip", worlds=1, width=4, network="relative", backend="physics", imitate=2)
     monkeypatch.setattr("craftsim.training.trainer.evaluate_in_physics", lambda net, worlds, *_: worlds.task)
     with closing(Trainer(config, workers=1)) as trainer:
-        assert trainer.env.worlds.task is not trainer.task
+        assert trainer.worlds.envs.task is not trainer.task
         assert trainer.evaluate(1) is trainer.task
 
 

@@ -1,90 +1,36 @@
-"""COMA and QTRAN against known answers."""
+"""The algorithms' losses and returns against formulas, known answers, and another implementation."""
 
 import pytest
 import torch
-from tensordict import TensorDict
-from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
-from torchrl.modules import ProbabilisticActor, QMixer, QValueModule
-from torchrl.modules.models.multiagent import VDNMixer
-from torchrl.objectives.multiagent import QMixerLoss
 
-from craftsim.training.coma import RETURN, COMALoss
-from craftsim.training.networks import ACTION, OBSERVATION
-from craftsim.training.qtran import QTRANLoss
-from craftsim.training.settings import COMASettings
-from craftsim.training.team_networks import JOINT, REST, VALUE
+from craftsim.training.coma import counterfactual
+from craftsim.training.networks import QMixer
+from craftsim.training.ppo import advantages
+from craftsim.training.q_learning import QLearner
+from craftsim.training.rollouts import Rollout, Seen, lambda_returns
+from craftsim.training.settings import QSettings
+from craftsim.training.shape import Shape
 
 PAYOFF = torch.tensor([[8.0, -12.0, -12.0], [-12.0, 0.0, 0.0], [-12.0, 0.0, 0.0]])
 """Son et al., table 1a: the best joint action is the first of both."""
-CHOSEN = ("agents", "chosen_action_value")
-
-
-class _Table(nn.Module):
-    """Numbers that nothing observed changes."""
-
-    def __init__(self, *shape):
-        super().__init__()
-        self.numbers = nn.Parameter(torch.zeros(shape))
-
-    def forward(self, observation):
-        return self.numbers.expand(len(observation), *self.numbers.shape)
-
-
-class _Joint(nn.Module):
-    def __init__(self):
-        super().__init__()
-        self.table, self.rest = nn.Parameter(torch.zeros(3, 3)), nn.Parameter(torch.zeros(1))
-
-    def forward(self, observation, action):
-        return self.table[action[:, 0], action[:, 1]].unsqueeze(-1), self.rest.expand(len(action), 1)
-
-
-class _Mixed(nn.Module):
-    """QMIX's mixer in the only state there is."""
-
-    def __init__(self):
-        super().__init__()
-        self.mixer = QMixer((1,), 8, 2, "cpu")
-
-    def forward(self, chosen):
-        return self.mixer(chosen, torch.ones(len(chosen), 1))
-
-
-def _every_joint_action():
-    actions = torch.cartesian_prod(torch.arange(3), torch.arange(3))
-    seen = TensorDict({"agents": {"observation": torch.zeros(9, 2, 1)}}, [9])
-    after = seen.clone().update({"reward": PAYOFF[actions[:, 0], actions[:, 1]].unsqueeze(-1)})
-    after.update({key: torch.ones(9, 1, dtype=torch.bool) for key in ("done", "terminated")})
-    return seen.update({"next": after}).set(ACTION, actions)
+SHAPE = Shape((3, 3, 2), 2, 13 * 3, 64)
 
 
 def _greedy(algo):
     """Return the joint action that is best by the cars' values, all joint actions having been seen alike often."""
     torch.manual_seed(0)
-    table = _Table(2, 3)
-    outputs = {"out_keys": [ACTION, VALUE, CHOSEN], "action_space": "categorical"}
-    values = TensorDictSequential(
-        TensorDictModule(table, in_keys=[OBSERVATION], out_keys=[VALUE]),
-        QValueModule(action_value_key=VALUE, **outputs),
-    )
-    if algo == "qtran":
-        team = TensorDictModule(_Joint(), in_keys=[OBSERVATION, ACTION], out_keys=[JOINT, REST])
-        loss = QTRANLoss(values, team, 0.99)
-    else:
-        mixer = _Mixed() if algo == "qmix" else VDNMixer(2, "cpu")
-        mix = TensorDictModule(mixer, in_keys=[CHOSEN], out_keys=["chosen_action_value"])
-        loss = QMixerLoss(values, mix, action_space="categorical", delay_value=True)
-        loss.set_keys(action=ACTION, action_value=VALUE, local_value=CHOSEN)
-        loss.make_value_estimator(gamma=0.99)
-    optimizer = torch.optim.Adam(loss.parameters(), 0.1)
-    played = _every_joint_action()
-    for _ in range(300):
-        optimizer.zero_grad()
-        loss(played.clone())["loss"].backward()
-        optimizer.step()
-    parameters = loss.values_params if algo == "qtran" else loss.local_value_network_params
-    return tuple(next(iter(parameters.values(True, True))).detach().argmax(-1).tolist())
+    learner = QLearner(SHAPE, 1, algo, QSettings(learning_rate=0.01))
+    learner.net.encoder.car.data.normal_()  # what tells the cars apart
+    actions = torch.cartesian_prod(torch.arange(3), torch.arange(3))
+    offers = torch.zeros(1, 9, 2, 15, dtype=torch.bool)
+    offers[..., :3] = True
+    seen = Seen(torch.full((1, 9, 2, 3), learner.net.encoder.absent, dtype=torch.int32), offers)
+    ends = torch.ones(1, 9, dtype=torch.bool)
+    batch = Rollout(seen, seen, actions[None], PAYOFF[actions[:, 0], actions[:, 1]][None], ends, ends)
+    for _ in range(600):
+        learner.minimize(learner.loss(batch))
+    return tuple(learner.net(seen)[0, 0].argmax(-1).tolist())
 
 
 @pytest.mark.parametrize(("algo", "finds"), [("vdn", False), ("qmix", False), ("qtran", True)])
@@ -95,30 +41,77 @@ def test_only_qtran_finds_the_best_joint_action_where_it_does_not_pay_alone(algo
 def test_the_gradient_of_coma_is_that_of_its_formula():
     torch.manual_seed(1)
     n, n_actions, ticks = 2, 4, 5
-    logits = _Table(n, n_actions)
-    nn.init.normal_(logits.numbers)
-    critic = _Table(n, n_actions)
-    nn.init.normal_(critic.numbers)
-    actor = ProbabilisticActor(
-        TensorDictModule(logits, in_keys=[OBSERVATION], out_keys=[("agents", "logits")]),
-        in_keys={"logits": ("agents", "logits")},
-        out_keys=[ACTION],
-        distribution_class=torch.distributions.Categorical,
-    )
-    loss = COMALoss(
-        actor, TensorDictModule(critic, in_keys=[OBSERVATION], out_keys=[VALUE]), COMASettings(entropy=0.0)
-    )
-    action = torch.randint(n_actions, (ticks, n))
-    played = TensorDict({"agents": {"observation": torch.zeros(ticks, n, 1)}}, [ticks])
-    played.set(ACTION, action).set(RETURN, torch.zeros(ticks, n, 1))
-    loss(played)["loss_objective"].backward()
-    found = next(iter(loss.actor_params.values(True, True))).grad
-
-    policy, values = logits.numbers.detach().softmax(-1), critic.numbers.detach()
+    logits = torch.randn(n, n_actions, requires_grad=True)
+    values, action = torch.randn(n, n_actions), torch.randint(n_actions, (ticks, n))
+    every = (table.expand(ticks, n, n_actions) for table in (logits, values))
+    gain, entropy = counterfactual(*every, action)
+    gain.mean().backward()
+    policy = logits.detach().softmax(-1)
     expected = torch.zeros(n, n_actions)
     for did in action:
         for car, own in enumerate(did):
             advantage = values[car, own] - policy[car] @ values[car]
             score = nn.functional.one_hot(own, n_actions) - policy[car]  # the gradient of log pi
-            expected[car] -= advantage * score / (ticks * n)
-    assert torch.allclose(found, expected, atol=1e-6)
+            expected[car] += advantage * score / (ticks * n)
+    assert torch.allclose(logits.grad, expected, atol=1e-6)
+    assert torch.allclose(entropy[0], torch.distributions.Categorical(policy).entropy())
+
+
+def _rollout(ticks=12, worlds=7):
+    generator = torch.Generator().manual_seed(3)
+    done = torch.rand(ticks, worlds, generator=generator) < 0.3
+    terminated = done & (torch.rand(ticks, worlds, generator=generator) < 0.5)
+    rewards = torch.randn(ticks, worlds, generator=generator)
+    now, after = torch.randn(2, ticks, worlds, 1, generator=generator)
+    return Rollout(None, None, None, rewards, terminated, done), now, after
+
+
+def _as_theirs(column):
+    """Return (T, B) or (T, B, 1) as (B, T, 1)."""
+    return column.reshape(*column.shape[:2], 1).transpose(0, 1).contiguous()
+
+
+def test_advantages_and_returns_are_those_of_torchrl():
+    functional = pytest.importorskip("torchrl.objectives.value.functional")
+    rollout, now, after = _rollout()
+    rest = [_as_theirs(column) for column in (rollout.rewards, rollout.done, rollout.terminated)]
+    theirs, _ = functional.generalized_advantage_estimate(0.9, 0.8, _as_theirs(now), _as_theirs(after), *rest)
+    assert torch.allclose(_as_theirs(advantages(rollout, now, after, 0.9, 0.8)), theirs, atol=1e-5)
+    theirs = functional.td_lambda_return_estimate(0.9, 0.8, _as_theirs(after), *rest)
+    assert torch.allclose(_as_theirs(lambda_returns(rollout, after[..., 0], 0.9, 0.8)), theirs, atol=1e-5)
+
+
+def test_the_mixer_is_torchrl_s_with_the_same_weights():
+    multiagent = pytest.importorskip("torchrl.modules.models.multiagent")
+    torch.manual_seed(0)
+    ours, theirs = QMixer(SHAPE), multiagent.QMixer((SHAPE.width,), 32, SHAPE.n_cars, "cpu")
+    pairs = {"first_weight": "hyper_w_1", "first_bias": "hyper_b_1", "last_weight": "hyper_w_final"}
+    for own, other in pairs.items():
+        getattr(theirs, other).load_state_dict(getattr(ours, own).state_dict())
+    theirs.V.load_state_dict(ours.last_bias.state_dict())
+    chosen, state = torch.randn(20, SHAPE.n_cars), torch.randn(20, SHAPE.width)
+    with torch.no_grad():
+        assert torch.allclose(ours.mix(chosen, state), theirs(chosen.unsqueeze(-1), state)[..., 0], atol=1e-5)
+
+
+def test_values_of_q_learning_are_those_of_its_formula():
+    """Double Q-learning with the team's reward: one network chooses what another one values."""
+    torch.manual_seed(2)
+    learner = QLearner(SHAPE, 1, "vdn", QSettings(gamma=0.9, td_lambda=0.0))
+    nn.init.normal_(learner.target_net.head[1][2].weight)
+    nn.init.normal_(learner.net.head[1][2].weight)
+    places = torch.randint(learner.net.encoder.absent, (6, 2, 2, 3), dtype=torch.int32)
+    offers = torch.rand(6, 2, 2, 15) < 0.5
+    offers[..., 0] = True
+    now, after = (Seen(places[:, i], offers[:, i]) for i in range(2))
+    actions, ends = torch.zeros(6, 2, dtype=torch.int64), torch.arange(6) < 2
+    columns = (column[None] for column in (now, after, actions, torch.arange(6.0), ends, ends))
+    batch = Rollout(*columns)
+    expected = 0.0
+    for i in range(6):
+        follows = sum(
+            learner.target_net(after)[i, car, learner.net(after)[i, car].argmax()] for car in range(2)
+        )
+        target = i + (0.0 if ends[i] else 0.9 * follows)
+        expected += (target - learner.net(now)[i, :, 0].sum()) ** 2 / 6
+    assert float(learner.loss(batch)) == pytest.approx(float(expected), rel=1e-5)

@@ -1,4 +1,4 @@
-"""Training in physics: the form that TorchRL asks for, and the same run at any number of workers."""
+"""Training in physics: the same run at any number of workers."""
 
 from contextlib import closing
 from dataclasses import replace
@@ -12,31 +12,10 @@ from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
 from craftsim.models.randomization import NONE
 from craftsim.training.config import TrainConfig
-from craftsim.training.physics_env import PhysicsEnv
 from craftsim.training.trainer import Trainer
 
 SHORT = make_task("strip", max_steps=0)
 """Two ticks an episode."""
-
-
-def test_a_rollout_in_physics_keeps_the_last_observations_and_begins_each_episode_anew():
-    env = PhysicsEnv(SHORT, 2, workers=1)
-    try:
-        env.set_seed(3)
-        rollout = env.rollout(4, break_when_any_done=False)
-        twin = env.worlds.reset(seed=3)[0]
-    finally:
-        env.close()
-    assert rollout["next", "done"].squeeze(-1).tolist() == [[False, True, False, True]] * 2
-    assert not rollout["next", "terminated"].any()
-    seen, after = (rollout[key] for key in (("agents", "observation"), ("next", "agents", "observation")))
-    assert env.observation_spec["agents", "observation"].is_in(seen[:, 0])
-    # A world sees what it saw last, but at an episode's end: the strip always starts the same.
-    assert torch.equal(seen[:, 1], after[:, 0])
-    assert torch.equal(seen[:, 3], after[:, 2])
-    assert torch.equal(seen[:, 2], seen[:, 0])
-    start = torch.from_numpy(twin["observation"]).to(seen.dtype)
-    assert torch.equal(seen[:, 0, 0, 13:], start)
 
 
 def test_a_run_in_physics_is_the_same_with_one_worker_and_with_two_and_resumes(tmp_path):
@@ -69,10 +48,10 @@ def test_a_run_plays_in_the_physics_of_its_configuration(monkeypatch):
     def note(task, n_worlds, workers, drive, randomization):
         asked.append((drive, randomization))
 
-    monkeypatch.setattr("craftsim.training.physics_env.PhysicsVectorEnv", note)
+    monkeypatch.setattr("craftsim.training.rollouts.PhysicsVectorEnv", note)
     for drive, randomize in (("reduced", "none"), ("rollers", "lab_floor")):
         config = TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive, randomize=randomize)
-        assert Trainer(config, task=SHORT).env is not None
+        assert Trainer(config, task=SHORT).worlds is not None
     assert asked == [("reduced", NONE), ("rollers", RANDOMIZE["lab_floor"][1])]
 
 

@@ -17,7 +17,7 @@ from craftsim.training.trainer import Trainer
 GIVEN = {
     "ippo": {"learning_rate": 3e-4, "epochs": 2, "gae_lambda": 0.5},
     "coma": {"minibatches": 3, "td_lambda": 0.5},
-    "vdn": {"batch": 16, "learns_every": 64, "epsilon_ticks": 500},
+    "vdn": {"batch": 16, "replays": 4, "epsilon_ticks": 500},
 }
 
 

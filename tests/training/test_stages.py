@@ -27,7 +27,7 @@ def _registered(monkeypatch):
 
 def _blocks(trainer):
     """Return how many blocks the designs of its worlds have on average."""
-    return np.count_nonzero(trainer.env.episodes.designs[..., 0], axis=-1).mean()
+    return np.count_nonzero(trainer.worlds.episodes.designs[..., 0], axis=-1).mean()
 
 
 def test_each_stage_has_its_steps_and_the_task_comes_last():

@@ -156,10 +156,10 @@ def test_without_a_terminal_it_says_now_and_then_how_far_it_is(tmp_path, capsys,
 
 def test_without_the_extra_it_says_how_to_install_it(tmp_path, capsys, monkeypatch):
     find = importlib.util.find_spec
-    monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None if name == "torchrl" else find(name))
+    monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None if name == "torch" else find(name))
     assert _train(tmp_path) == 2
     error = capsys.readouterr().err
-    assert "training needs torchrl, not installed here" in error
+    assert "training needs torch, not installed here" in error
     assert f"{sys.executable} -m pip install 'torch>=" in error
     assert "craftsim[train]" not in error, "the name on the package index belongs to somebody else"
 

@@ -1,0 +1,194 @@
+"""Independent Q-learning, VDN, QMIX and QTRAN, with replay and target networks.
+
+Each car's values come from one network. What differs is how the cars' values make the team's: not at all (IQL), as
+their sum (VDN, Sunehag et al., AAMAS 2018), by a mixer that rises with each of them (QMIX, Rashid et al., ICML 2018),
+or by a network of the joint action with which their sum must agree where it matters (QTRAN, Son et al., ICML 2019).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from copy import deepcopy
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import mse_loss
+
+from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.errors import InputError
+from craftsim.training.learner import Learner, drawn_offers
+from craftsim.training.networks import CarNet, JointNet, QMixer
+from craftsim.training.rollouts import Rollout, Seen, lambda_returns
+from craftsim.training.settings import QSettings
+from craftsim.training.shape import Shape
+
+
+class Replay:
+    """The last rollouts that were played, whose worlds are drawn one by one."""
+
+    def __init__(self, shape: Shape, size: int, ticks: int, absent: int) -> None:
+        """Make room for so many rollouts of one world; ``absent`` is the last row of the encoder's table."""
+        n, rows = shape.n_cars, shape.n_rows
+        self.size = size
+        self.bounds = {"places": (0, absent), "actions": (0, N_ACTIONS - 1)}
+        self.columns = {
+            "places": torch.zeros(self.size, ticks, 2, n, rows, dtype=torch.int32),
+            "offers": torch.zeros(self.size, ticks, 2, n, N_ACTIONS, dtype=torch.bool),
+            "actions": torch.zeros(self.size, ticks, n, dtype=torch.int64),
+            "rewards": torch.zeros(self.size, ticks),
+            "terminated": torch.zeros(self.size, ticks, dtype=torch.bool),
+            "done": torch.zeros(self.size, ticks, dtype=torch.bool),
+        }
+        self.total = 0
+        """Rollouts of one world that were ever put here."""
+
+    def __len__(self) -> int:
+        """Return how many are remembered."""
+        return min(self.total, self.size)
+
+    def add(self, rollout: Rollout) -> None:
+        """Remember what was played in each world, and forget the oldest."""
+        content = {
+            "places": torch.stack([rollout.now.places, rollout.after.places], 2),
+            "offers": torch.stack([rollout.now.offers, rollout.after.offers], 2),
+            "actions": rollout.actions,
+            "rewards": rollout.rewards,
+            "terminated": rollout.terminated,
+            "done": rollout.done,
+        }
+        n = rollout.rewards.shape[1]
+        at = (self.total + torch.arange(n)) % self.size
+        for name, column in content.items():
+            self.columns[name][at] = column.transpose(0, 1)
+        self.total += n
+
+    def sample(self, n: int) -> Rollout:
+        """Return what was played in n worlds, drawn with replacement."""
+        some = torch.randint(len(self), (n,))
+        places, offers, *rest = (column[some].transpose(0, 1) for column in self.columns.values())
+        return Rollout(Seen(places[:, :, 0], offers[:, :, 0]), Seen(places[:, :, 1], offers[:, :, 1]), *rest)
+
+
+class QLearner(Learner):
+    """Learns the value of each action of a car."""
+
+    def __init__(self, shape: Shape, ticks: int, algo: str, settings: QSettings) -> None:
+        self.settings: QSettings = settings
+        self.ticks = ticks
+        self.net = CarNet(shape)
+        self.team = {"qmix": QMixer, "qtran": JointNet}.get(algo, lambda shape: nn.Identity())(shape)
+        self.online = nn.ModuleDict({"net": self.net, "team": self.team})
+        self.target_net, self.target_team = deepcopy(self.net), deepcopy(self.team)
+        self.target = nn.ModuleDict({"net": self.target_net, "team": self.target_team})
+        self.modules = nn.ModuleDict({"online": self.online, "target": self.target.requires_grad_(False)})
+        self.loss: Callable[[Rollout], Tensor] = {
+            "iql": self.independent,
+            "vdn": self.summed,
+            "qmix": self.mixed,
+            "qtran": self.transformed,
+        }[algo]
+        self.optimizer = torch.optim.Adam(self.online.parameters(), settings.learning_rate, fused=True)
+        self.replay = Replay(shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent)
+
+    def act(self, seen: Seen) -> Tensor:
+        """Choose each car's best action, and now and then any."""
+        return epsilon_greedy(self.net(seen), seen, self.settings.epsilon(self.learnt))
+
+    def update(self, rollout: Rollout) -> None:
+        """Remember what was played and learn from batches of what is remembered."""
+        self.replay.add(rollout)
+        worlds = max(1, round(self.settings.batch / self.ticks))
+        for _ in range(math.ceil(len(rollout) * self.settings.replays / (worlds * self.ticks))):
+            self.minimize(self.loss(self.replay.sample(worlds)))
+            follow(self.target, self.online, self.settings.target_rate)
+
+    @torch.no_grad()
+    def follows(self, batch: Rollout) -> tuple[Tensor, Tensor]:
+        """Return the best actions (T, B, n) after each tick, and the target network's values of these: what is best is
+        chosen by one network and valued by the other (double Q-learning).
+        """
+        best = self.net(batch.after).argmax(-1)
+        return best, of_actions(self.target_net(batch.after), best)
+
+    def independent(self, batch: Rollout) -> Tensor:
+        """Return IQL's loss: each car takes the team's reward for its own."""
+        return mse_loss(self._taken(batch), self._target(batch, self.follows(batch)[1]))
+
+    def summed(self, batch: Rollout) -> Tensor:
+        """Return VDN's loss."""
+        target = self._target(batch, self.follows(batch)[1].sum(-1))
+        return mse_loss(self._taken(batch).sum(-1), target)
+
+    def mixed(self, batch: Rollout) -> Tensor:
+        """Return QMIX's loss."""
+        with torch.no_grad():
+            follows = self.target_team(self.follows(batch)[1], batch.after)
+        return mse_loss(self.team(self._taken(batch), batch.now), self._target(batch, follows))
+
+    def transformed(self, batch: Rollout) -> Tensor:
+        """Return QTRAN-base's loss, the sum of the paper's three."""
+        assert isinstance(self.team, JointNet)
+        assert isinstance(self.target_team, JointNet)
+        now = self.net(batch.now)
+        best = now.detach().argmax(-1)
+        state = self.team.state(batch.now)
+        joint, rest = self.team(state, batch.actions)
+        with torch.no_grad():
+            joint_best, _ = self.team(state, best)
+            follows, _ = self.target_team(self.target_team.state(batch.after), self.follows(batch)[0])
+        optimal = of_actions(now, best).sum(-1) - joint_best + rest
+        other = of_actions(now, batch.actions).sum(-1) - joint.detach() + rest
+        return (
+            mse_loss(joint, self._target(batch, follows))
+            + optimal.square().mean()
+            + other.clamp(max=0.0).square().mean()
+        )
+
+    def _taken(self, batch: Rollout) -> Tensor:
+        return of_actions(self.net(batch.now), batch.actions)
+
+    def _target(self, batch: Rollout, follows: Tensor) -> Tensor:
+        return lambda_returns(batch, follows, self.settings.gamma, self.settings.td_lambda)
+
+    def memory(self) -> dict[str, tuple[Tensor, float, float]]:
+        """Return the rollouts that it remembers, and how many it ever did."""
+        n, no_bounds = len(self.replay), (-1e9, 1e9)
+        columns = {
+            name: (column[:n], *self.replay.bounds.get(name, no_bounds))
+            for name, column in self.replay.columns.items()
+        }
+        return {"total": (torch.tensor(self.replay.total), 0, 2**60), **columns}
+
+    def restore(self, state: dict[str, object]) -> None:
+        """Go on from a state: only its total says how many rollouts it holds."""
+        memory = state["memory"]
+        total = memory["total"] if isinstance(memory, dict) else None
+        if not isinstance(total, Tensor) or total.shape != () or not 0 <= int(total) < 2**60:
+            raise InputError(
+                f"'total' is {str(total)[:40]}; allowed: the number of rollouts that were remembered"
+            )
+        self.replay.total = int(total)
+        super().restore(state)
+
+    def remember(self, memory: dict[str, Tensor]) -> None:
+        """Take the rollouts over."""
+        for name, column in self.replay.columns.items():
+            column[: len(memory[name])] = memory[name]
+
+
+def of_actions(values: Tensor, actions: Tensor) -> Tensor:
+    """Return (...): the values (..., 15) of these actions (...)."""
+    return values.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
+
+
+def epsilon_greedy(values: Tensor, seen: Seen, epsilon: float) -> Tensor:
+    """Return actions (B, n): with this probability one drawn from those that are offered, or the best one."""
+    best, any_offered = values.argmax(-1), drawn_offers(seen.offers)
+    return torch.where(torch.rand(best.shape) < epsilon, any_offered, best)
+
+
+@torch.no_grad()
+def follow(target: nn.Module, online: nn.Module, rate: float) -> None:
+    """Let the weights of a target network follow those of another by this part of their difference."""
+    torch._foreach_lerp_([*target.parameters()], [*online.parameters()], rate)

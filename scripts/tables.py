@@ -54,7 +54,7 @@ def _files() -> str:
 def _options() -> str:
     commands: dict[tuple[str, str], list[str]] = {}
     for name in COMMANDS:
-        function = getattr(importlib.import_module(f"craftsim.commands.{name}"), name)
+        function = getattr(importlib.import_module(f"craftsim.cli.{name}"), name)
         hints = get_type_hints(function).values()
         groups = [one for hint in hints for one in (hint, *get_args(hint)) if dataclasses.is_dataclass(one)]
         for group in (function, *groups):

@@ -14,9 +14,9 @@ import pytest
 
 import craftsim
 from craftsim import cli
-from craftsim.commands import doctor as doctor_module
-from craftsim.commands.doctor import Check
-from craftsim.commands.text import clean
+from craftsim.cli import doctor as doctor_module
+from craftsim.cli.doctor import Check
+from craftsim.cli.text import clean
 from craftsim.errors import InputError
 
 
@@ -31,9 +31,9 @@ def command(monkeypatch: pytest.MonkeyPatch):
     """Register a function as the command 'probe'."""
 
     def register(function) -> None:
-        module = type(sys)("craftsim.commands.probe")
+        module = type(sys)("craftsim.cli.probe")
         module.probe = function
-        monkeypatch.setitem(sys.modules, "craftsim.commands.probe", module)
+        monkeypatch.setitem(sys.modules, "craftsim.cli.probe", module)
         monkeypatch.setitem(cli.COMMANDS, "probe", "A probe.")
 
     return register
@@ -177,7 +177,7 @@ def _ranges(function) -> dict[str, object]:
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_every_number_of_a_command_has_limits(name):
-    function = getattr(importlib.import_module(f"craftsim.commands.{name}"), name)
+    function = getattr(importlib.import_module(f"craftsim.cli.{name}"), name)
     assert set(_ranges(function)) == _numbers(function)
 
 
@@ -228,7 +228,7 @@ def test_text_that_steers_a_terminal_is_shown_as_escapes(command, capsys):
 
 
 def test_only_two_functions_print():
-    for path in Path(cli.__file__).parent.glob("commands/*.py"):
+    for path in Path(cli.__file__).parent.glob("*.py"):
         if path.name != "text.py":
             text = path.read_text(encoding="utf-8")
             assert not re.search(r"(?<!\.)\bprint\(", text), path.name

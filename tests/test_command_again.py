@@ -9,7 +9,7 @@ from inspect import signature
 import pytest
 import tyro
 
-from craftsim.commands.again import NO_MATTER, command_again
+from craftsim.cli.again import NO_MATTER, command_again
 
 PHYSICS = (
     "--skills mine:SKILLS --noise n.yaml --assume mild --gains g.yaml --parameters p.yaml --drive reduced --seed 7 "
@@ -27,7 +27,7 @@ EVERYTHING = {
 
 
 def _function(command):
-    return getattr(importlib.import_module(f"craftsim.commands.{command}"), command)
+    return getattr(importlib.import_module(f"craftsim.cli.{command}"), command)
 
 
 def _asked(function, words):

@@ -8,7 +8,7 @@ from disturbances import pushed
 from craftsim import cli
 from craftsim.checking import setup
 from craftsim.checking.attempt import Thresholds
-from craftsim.commands import demo as demo_module
+from craftsim.cli import demo as demo_module
 from craftsim.validation import building
 
 

@@ -81,7 +81,7 @@ def taken(tmp_path_factory):
 def test_every_command_with_a_folder_is_here():
     assert {*WORDS, *WITHOUT} == {*COMMANDS}
     for name in WORDS:
-        function = getattr(import_module(f"craftsim.commands.{name}"), name)
+        function = getattr(import_module(f"craftsim.cli.{name}"), name)
         assert "out" in inspect.signature(function).parameters
 
 

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
-from craftsim.commands.validate_text import runs_table
+from craftsim.cli.validate_text import runs_table
 from craftsim.experiments.compare import compare_paired
 from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions
 from craftsim.experiments.records import DATABASE, OLD, TRIALS, Records, read_finished

@@ -33,7 +33,7 @@ def _paths(command) -> set[str]:
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
 def test_every_path_that_a_command_takes_is_attacked(name):
-    command = getattr(importlib.import_module(f"craftsim.commands.{name}"), name)
+    command = getattr(importlib.import_module(f"craftsim.cli.{name}"), name)
     attacked = [slot for slot in SLOTS if slot.split()[0] == name]
     assert attacked
     words = {option for slot in attacked for option in re.findall(r"(--[\w-]+) @", slot)}

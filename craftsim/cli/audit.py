@@ -1,0 +1,120 @@
+"""``craftsim audit``: which rules does physics keep?"""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+import tyro
+
+from craftsim.cli.again import command_again
+from craftsim.cli.options import CampaignOptions, Dir, Verb
+from craftsim.cli.terminal import Terminal
+from craftsim.cli.text import say
+from craftsim.errors import InputError
+from craftsim.storage.folders import owning
+from craftsim.storage.limits import RUNS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from craftsim.audit.plan import PlanRow
+
+OPTIONS: Final = CampaignOptions(rules="published", trials=20)
+
+
+@owning
+def audit(
+    actions: tuple[Verb, ...] = (),
+    contexts: Annotated[str, tyro.conf.arg(metavar="PATTERN")] = "*",
+    only: Literal["all", "legal", "forbidden"] = "all",
+    quick: bool = False,
+    campaign: tyro.conf.OmitArgPrefixes[CampaignOptions] = OPTIONS,
+    video: bool = False,
+    record: bool = False,
+    shrink: bool = False,
+    out: Dir = Path("out/audit"),
+) -> int:
+    """Try every action in every context in physics, where the rules allow it and where they forbid it.
+
+    A rule that allows what physics refuses is unsound; one that forbids what would have worked is conservative. By
+    default CraftEnv's own rules are audited, with the 20 trials a row that make a verdict final. Exit status 0 when no
+    rule is unsound and every trial came to an end, 1 when not, 2 for wrong input.
+
+    Args:
+        actions: only these actions.
+        contexts: only rows whose name matches, such as '*load=block*room=tight'.
+        only: where the rules allow the action, where they forbid it, or both.
+        quick: try the rows that tell most about the rules, once each, instead of all: two minutes on two cores.
+        video: films of the disagreements, a few seconds of work each.
+        record: write the trajectories of the disagreements, for 'craftsim render', 'plot' and 'view'.
+        shrink: find the smallest world in which the first failure of each kind still happens.
+        out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
+    """
+    given = locals().copy()
+    from craftsim.audit.plan import audit_plan
+    from craftsim.audit.quick import quick_rows
+    from craftsim.cli.audit_text import conclude, print_results
+    from craftsim.cli.films import record_failures, rendering_works
+    from craftsim.cli.notes_text import print_notes
+    from craftsim.cli.progress import counting
+    from craftsim.cli.smallest_text import print_smallest, shrinking
+    from craftsim.experiments.statistics import capped_steps, retried
+    from craftsim.validation.audit.audit import run_audit
+    from craftsim.validation.audit.trial import BATCH
+    from craftsim.validation.html.audit import audit_page
+    from craftsim.validation.html.writing import write_html
+
+    console = Terminal()
+    setup = campaign.setup()  # says what is wrong with its files before contexts are looked for
+    filming = video and rendering_works(console)
+    plan = _chosen(audit_plan(campaign.rules, actions), contexts, only)
+    trials = campaign.trials
+    if quick:
+        plan = quick_rows(plan, campaign.rules)
+        trials = 1
+    RUNS.check("--trials times rows", trials * len(plan))
+    result = run_audit(
+        plan,
+        setup,
+        trials,
+        campaign.seed,
+        out,
+        asked={
+            "actions": actions,
+            "contexts": contexts,
+            "only": only,
+            "quick": quick,
+            "randomize": campaign.randomize,
+        },
+        options=campaign.run(
+            lambda total: counting(console, "trials", total, lambda record: record["error"] is None)
+        ),
+        batch=1 if quick else BATCH,
+        shrink=shrinking(console) if shrink else None,
+    )
+    if filming or record:
+        record_failures(console, out, result.records, campaign.workers, filming)
+    page = write_html(out, audit_page(result, command_again(audit, given)))
+    print_results(console, result.results)
+    print_smallest(console, out, result.smallest)
+    print_notes(capped_steps(result.records), retried(result.records))
+    if result.comparison is not None:
+        say(result.comparison)
+    say(f"Report: {out / 'report.json'}\nPage:   {page}")
+    return conclude(result)
+
+
+def _chosen(plan: Sequence[PlanRow], contexts: str, only: str) -> list[PlanRow]:
+    """Return the rows that are asked for, by patterns of their names."""
+    wanted = [
+        row
+        for row in plan
+        if fnmatchcase(row.name, contexts) and only in ("all", "legal" if row.legal else "forbidden")
+    ]
+    if not wanted:
+        raise InputError(
+            f"no row matches '{contexts}' with these actions; a row's name is such as '{plan[0].name}'"
+        )
+    return wanted

@@ -1,0 +1,46 @@
+"""``craftsim compare``: how far is a simulation from reality?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from craftsim.cli.options import Dir
+from craftsim.cli.terminal import Terminal
+from craftsim.cli.text import say
+from craftsim.storage.folders import owning
+from craftsim.storage.limits import SEED
+
+
+@owning
+def compare(
+    sim: Annotated[Path, tyro.conf.Positional],
+    real: Annotated[Path, tyro.conf.Positional],
+    seed: Annotated[int, SEED] = 0,
+    out: Dir = Path("out/compare"),
+) -> int:
+    """Compare a simulation with reality, or any two runs of the same plans: outcomes, durations, errors and ranks.
+
+    Trials are paired by their names: worlds, plans or policies, and numbers. Exit status 0 when no difference in how
+    many trials agree with the rules shows at 5 %, 1 when one does, 2 for runs that cannot be compared.
+
+    Args:
+        sim: folder of 'craftsim validate' or 'craftsim audit'.
+        real: folder of the other run of the same trials.
+        seed: decides the bootstrap of the correlations' intervals.
+        out: folder for report.json.
+    """
+    from craftsim.cli.compare_text import print_gap
+    from craftsim.experiments.compare import compare_with_reality
+    from craftsim.report import write_report
+    from craftsim.validation.forms import read_run
+
+    gap = compare_with_reality(read_run(sim), read_run(real), seed)
+    report = write_report(
+        out, {"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}
+    )
+    print_gap(Terminal(), gap)
+    say(f"Report: {report}")
+    return 0 if gap.agrees else 1

@@ -1,0 +1,103 @@
+"""``craftsim export``: episodes of a plan, the planner or a policy as a Minari dataset."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+import tyro
+
+from craftsim.cli.options import Dir, File
+from craftsim.cli.text import say
+from craftsim.discrete.rules import RuleSet
+from craftsim.errors import InputError
+from craftsim.storage.limits import SEED, TRAIN_EPISODES
+
+if TYPE_CHECKING:
+    from craftsim.envs.datasets import MakeAct
+    from craftsim.envs.parallel import ParallelConstruction
+
+_PLANNER: Final = "planner"
+
+
+def export(
+    task: Annotated[str, tyro.conf.Positional],
+    policy: str = _PLANNER,
+    plan: File = None,
+    episodes: Annotated[int, TRAIN_EPISODES] = 100,
+    backend: Literal["grid", "physics"] = "grid",
+    rules: RuleSet = "physical",
+    seed: Annotated[int, SEED] = 0,
+    name: str | None = None,
+    out: Dir = Path("out/minari"),
+) -> int:
+    """Play episodes and write them as a dataset for offline learning, which minari.load_dataset reads.
+
+    It needs the extra 'minari'. Episode i has the seed --seed + i, and is the same whatever else is exported. Physics
+    is nominal. Exit status 0 when the dataset is written, however the episodes went, 2 for wrong input.
+
+    Args:
+        task: name of a task, a file, or 'module:factory'.
+        policy: 'planner', 'random' (what is legal, lifting rather than turning), 'module:function', or a file or folder
+            that 'craftsim train' wrote.
+        plan: plan file to carry out, or a shipped plan's name, in place of a policy.
+        episodes: how many.
+        backend: where they are played.
+        rules: the rule set that is played by.
+        seed: of the first episode.
+        name: of the dataset, with a version; craftsim/TASK/POLICY-v0 unless given.
+        out: folder of datasets, for MINARI_DATASETS_PATH; report.json lies with the dataset.
+    """
+    from craftsim.cli.progress import counting
+    from craftsim.cli.terminal import Terminal
+    from craftsim.discrete.tasks import as_task
+    from craftsim.envs import parallel_env
+    from craftsim.envs.datasets import need_minari, write_dataset
+    from craftsim.experiments.intervals import Proportion
+    from craftsim.report import write_report
+
+    need_minari()
+    played = as_task(task)
+    env = parallel_env(played, backend, rule_set=rules)
+    player = policy if plan is None else "plan"
+    if plan is not None and policy != _PLANNER:
+        raise InputError("--plan and --policy both say what is played; give one of them")
+    make_act = _player(env, policy, plan)
+    name = name or f"craftsim/{_word(played.name)}/{_word(Path(player).name)}-v0"
+    begun = time.perf_counter()
+    with counting(Terminal(), "episodes", episodes, bool) as count:
+        written = write_dataset(env, make_act, out, name, episodes, seed, player, count)
+    env.close()
+    success = Proportion.of(written.successes, written.episodes)
+    figures = {"episodes": written.episodes, "steps": written.steps, "success": success}
+    asked = {"task": task, "policy": policy, "plan": plan, "episodes": episodes, "backend": backend}
+    asked |= {"rules": rules, "name": name, "task_digest": played.digest}
+    wall = {"playing_s": time.perf_counter() - begun}
+    report = write_report(written.path, figures, command="export", seed=seed, config=asked, wall=wall)
+    say(f"{name}: {written.episodes} episodes, {written.steps} steps, {written.successes} reach the goal.")
+    say(f"Report: {report}")
+    say(f"To load it: MINARI_DATASETS_PATH={out.resolve()}, then minari.load_dataset('{name}')")
+    return 0
+
+
+def _player(env: ParallelConstruction, policy: str, plan: Path | None) -> MakeAct:
+    """Return what makes the policy of each episode; raise InputError where there is none, or not for this task."""
+    from craftsim.discrete.files.plan import read_plan
+    from craftsim.envs.planner import PlannerPolicy, PlanPolicy
+    from craftsim.validation.runs.policies import make_policy
+
+    if plan is not None:
+        read = read_plan(plan, env.core.n_cars)
+        return lambda seed: PlanPolicy(env, read)
+    if policy == _PLANNER:
+        PlannerPolicy(env)  # refuses a task without a goal before anything is written
+        return lambda seed: PlannerPolicy(env)
+    make_policy(policy, 0, env.core.task)  # refuses one of another task before anything is written
+    return lambda seed: make_policy(policy, seed, env.core.task)
+
+
+def _word(text: str) -> str:
+    """Return a text with a dash for whatever a dataset's name cannot hold."""
+    return re.sub(r"[^\w-]+", "-", text) or "policy"

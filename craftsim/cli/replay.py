@@ -1,0 +1,156 @@
+"""``craftsim replay``: re-run a recorded failure bit for bit, and check that it is the same."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from craftsim.cli.films import film_bundle, rendering_works
+from craftsim.cli.terminal import Terminal
+from craftsim.cli.text import say
+from craftsim.errors import InputError
+from craftsim.report import versions, write_report
+from craftsim.storage.folders import owning
+from craftsim.storage.paths import resolved
+
+if TYPE_CHECKING:
+    from craftsim.checking.judge import Judge
+    from craftsim.experiments.bundle import Recorded
+    from craftsim.experiments.replay import Replay
+    from craftsim.models.world import PhysicsWorld
+    from craftsim.skills.executor import Observer
+
+
+@owning
+def replay(
+    bundle: Annotated[Path, tyro.conf.Positional],
+    view: bool = False,
+    video: bool = False,
+    shrink: bool = False,
+    skills: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="")] = None,
+    out: Path = Path("out/replay"),
+) -> int:
+    """Re-run what a replay bundle shows, bit for bit, and compare it with what was recorded.
+
+    With the versions of the bundle everything must be the same bit for bit; with others, poses must agree within 2 mm
+    and 10 mrad, and every action must come out as it did. Exit status 0 when it is reproduced, 1 when it differs, 2
+    for a bundle that cannot be read.
+
+    Args:
+        bundle: folder of the bundle.
+        view: watch it in MuJoCo's viewer, as fast as it happens; needs a display.
+        video: film it, in three seconds.
+        shrink: find the smallest world in which its first failure still happens, instead of comparing.
+        skills: the skills of your own that the bundle was made with; a bundle alone has nothing imported.
+        out: folder for report.json and the film, or the smallest world.
+    """
+    if view + video + shrink > 1:
+        raise InputError("--view, --video and --shrink exclude each other; give one of them")
+    if skills is not None:
+        from craftsim.skills.library import own_skills
+
+        own_skills(skills)
+    if shrink:
+        return _shrink(bundle, out)
+    if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError("--view needs a display, and there is none here; try --video")
+    filming = video and rendering_works(Terminal())
+
+    from craftsim.experiments import replay as again
+    from craftsim.experiments.bundle import read_bundle
+
+    recorded = read_bundle(bundle)
+    film = out / f"{resolved(bundle).name}.mp4"
+    watch = _viewer if view else again.unwatched
+    result = film_bundle(recorded, film) if filming else again.replay(recorded, watch)
+    report = write_report(
+        out, {"bundle": bundle.name, **_figures(recorded, result)}, command="replay", config={"view": view}
+    )
+    _print(recorded, result)
+    say(f"Report: {report}")
+    if filming:
+        say(f"Film:   {film}")
+    return 0 if result.reproduced else 1
+
+
+def _shrink(folder: Path, out: Path) -> int:
+    """Shrink what a bundle shows; exit status 0 when it fails from a fresh start, too."""
+    from craftsim.cli.progress import counting
+    from craftsim.cli.smallest_text import print_smallest
+    from craftsim.experiments.bundle import read_bundle
+    from craftsim.validation.shrinking.campaign import shrink_bundle
+    from craftsim.validation.shrinking.shrink import MOST_TRIALS
+
+    console = Terminal()
+    bundle = read_bundle(folder).bundle
+    with counting(console, "trials", MOST_TRIALS, lambda fails: fails) as on_trial:
+        found = shrink_bundle(bundle, out, ".", on_trial)
+    write_report(out, {"bundle": folder.name, "smallest": found}, command="replay", config={"shrink": True})
+    print_smallest(console, out, [found])
+    return 0 if found.folder is not None else 1
+
+
+def _figures(recorded: Recorded, result: Replay) -> dict[str, object]:
+    return {
+        "key": recorded.bundle.key,
+        "reproduced": result.reproduced,
+        "changed_versions": result.changed,
+        "differing": result.differing,
+        "position_m": result.position_m,
+        "angle_rad": result.angle_rad,
+        "attempts": result.attempts,
+    }
+
+
+def _print(recorded: Recorded, result: Replay) -> None:
+    bundle = recorded.bundle
+    say(bundle.key)
+    for attempt in bundle.attempts:
+        say(
+            f"car {attempt.car} {attempt.action}: {attempt.result}. Predicted {attempt.predicted}, read {attempt.read}."
+        )
+        if attempt.reason:
+            say(f"  {attempt.reason}")
+    for package, (was, now) in result.changed.items():
+        say(f"Recorded with {package} {was}, replayed with {now}: bits may differ.")
+    if not result.differing:
+        say("Reproduced: the same bit for bit.")
+        return
+    apart = f"{1e3 * result.position_m:.2g} mm and {1e3 * result.angle_rad:.2g} mrad apart at most"
+    if result.reproduced:
+        say(f"Reproduced within the tolerance: {apart}.")
+        return
+    say(f"DIFFERS: {apart}. Not the same: {', '.join(result.differing)}.")
+    platform = bundle.versions.get("platform")
+    if platform != versions()["platform"]:
+        say(f"It was recorded on {platform}; bits are the same on one kind of machine only.")
+    for attempt in result.attempts:
+        say(f"  now: car {attempt.car} {attempt.action}: {attempt.result}. {attempt.reason}")
+
+
+@contextmanager
+def _viewer(judge: Judge) -> Iterator[Observer]:
+    """Show a world in MuJoCo's viewer at the speed at which things happen, until the window is closed."""
+    import time
+
+    import mujoco.viewer
+
+    from craftsim.rendering.playback import SeenWorld
+
+    physics, seen = judge.physics, SeenWorld(judge.physics)
+    with mujoco.viewer.launch_passive(seen.model, seen.now()) as viewer:
+        ahead_s = time.monotonic() - physics.time_s
+
+        def watch(physics: PhysicsWorld) -> None:
+            seen.now()
+            viewer.sync()
+            time.sleep(max(0.0, ahead_s + physics.time_s - time.monotonic()))
+
+        yield watch
+        while viewer.is_running():
+            time.sleep(0.05)

@@ -1,0 +1,67 @@
+"""``craftsim study``: many training runs over tasks, algorithms and seeds, with the statistics that such runs need."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from craftsim.cli.options import Dir, Engine
+from craftsim.cli.terminal import Terminal
+from craftsim.cli.text import say
+from craftsim.report import write_report
+from craftsim.storage.folders import owning
+from craftsim.storage.limits import TIMEOUT_S, WORKERS
+from craftsim.training.extra import need_torch
+
+
+@owning
+def study(
+    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")],
+    workers: Annotated[int, WORKERS] = 1,
+    engine: Engine = "local",
+    timeout: Annotated[float, TIMEOUT_S] = 7200.0,
+    resume: bool = False,
+    out: Dir = Path("out/study"),
+) -> int:
+    """Train on every task of a study by every algorithm with every seed, evaluate, and say what may be concluded.
+
+    Results are over training runs, each of another seed: the interquartile mean with its stratified bootstrap interval,
+    learning curves and performance profiles. What is evaluated counts once where it repeats itself. Ctrl-C keeps what
+    is finished, and --resume goes on, within a run too. Exit status 0 when all runs reached the study's success rate, 1
+    when not, 2 for wrong input.
+
+    Args:
+        what: a YAML file, or a shipped study such as paper or quick.
+        workers: processes to share the runs; results do not depend on it.
+        engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
+        timeout: seconds after which a run counts as hanging.
+        resume: go on with what an interrupted study has left in the output folder.
+        out: folder for report.json, study.md, curves.png, profiles.png, trials.jsonl and a folder of each run.
+    """
+    need_torch()
+    from craftsim.cli.study_progress import watching
+    from craftsim.cli.study_text import conclusions, runs_table
+    from craftsim.cli.tables import show
+    from craftsim.experiments.experiment import RunOptions
+    from craftsim.studies.results import figures_of, plot_results
+    from craftsim.studies.runs import run_study
+    from craftsim.studies.study import read_study
+
+    asked = read_study(what)
+    console, begun = Terminal(), time.perf_counter()
+    options = RunOptions(workers, engine, resume, progress=lambda total: watching(console, asked, out))
+    records = run_study(asked, out, options, timeout)
+    figures = figures_of(asked, records)
+    show([runs_table(asked, figures)], conclusions(figures), console, out / "study.md")
+    pictures = plot_results(out, asked, figures)
+    config: dict[str, Any] = {"study": asked, "what": what}
+    wall = {
+        "this_call_s": time.perf_counter() - begun,
+        "cpu_s": {record["key"]: record["extra"].get("cpu_s") for record in records},
+    }
+    report = write_report(out, figures, command="study", seed=0, config=config, wall=wall)
+    say(f"Plots: {', '.join(map(str, pictures))}\nReport: {report}")
+    return 0 if all(record["agrees"] for record in records) else 1

@@ -1,0 +1,101 @@
+"""``craftsim tune``: better gains of the skills, by declared objectives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import tyro
+
+from craftsim.cli.again import command_again
+from craftsim.cli.options import Dir, PhysicsOptions
+from craftsim.cli.terminal import Terminal
+from craftsim.cli.text import say
+from craftsim.storage.folders import owning
+from craftsim.storage.limits import TRIAL_COUNT, WORKERS
+
+OPTIONS: Final = PhysicsOptions(drive="reduced")
+_Objective = Literal["time", "error", "margin", "energy", "force"]
+
+
+@owning
+def tune(
+    subject: Annotated[
+        Literal["drive", "board", "hinge", "all"], tyro.conf.Positional, tyro.conf.arg(metavar="SKILL")
+    ],
+    weights: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=WEIGHT ...")] = (),
+    objectives: tuple[_Objective, ...] = (),
+    choose: Literal["knee", "time", "error", "margin", "energy", "force"] = "knee",
+    evaluations: Annotated[int, TRIAL_COUNT] = 400,
+    trials: Annotated[int, TRIAL_COUNT] = 2,
+    physics: tyro.conf.OmitArgPrefixes[PhysicsOptions] = OPTIONS,
+    workers: Annotated[int, WORKERS] = 1,
+    resume: bool = False,
+    out: Dir = Path("out/tune"),
+) -> int:
+    """Tune the gains of skills in random physics, and write a file of them that --gains takes.
+
+    The search starts from --gains. Its best are tried again on fresh seeds, and the choice among them is judged on
+    seeds held out: gains that do no better there than the start are never written. The same physics and noise are drawn
+    for all candidates. The drive is the reduced one unless asked otherwise; look at the result on rollers, too, with
+    'craftsim validate'. Exit status 0 when better gains were found, 1 when not, 2 for wrong input.
+
+    Args:
+        subject: skills of driving, of the board, of the hinge, or all; tolerances and times of giving up stay.
+        weights: objectives, multiplied with these exponents, such as time=1 energy=0.5; time=1 error=0.2 margin=0.2
+            unless given. Objectives are time, error, margin, energy and force.
+        objectives: at least two, whose Pareto front is searched instead, such as time margin.
+        choose: the point of the front that is taken: its knee, or the best by an objective.
+        evaluations: candidates that the search tries.
+        trials: of each situation, for every candidate.
+        workers: processes to share the work; results do not depend on it.
+        resume: go on with what an interrupted run has left in the output folder.
+        out: folder for gains.yaml, report.html, report.json and trials.jsonl.
+    """
+    given = locals().copy()
+    from craftsim.cli.progress import counting
+    from craftsim.cli.tune_text import gains_table, verdict_table
+    from craftsim.experiments.experiment import RunOptions
+    from craftsim.report import write_report
+    from craftsim.tuning.gains.goal import Goal
+    from craftsim.tuning.gains.page import sentence, tune_page
+    from craftsim.tuning.gains.tune import COMMAND
+    from craftsim.tuning.gains.tune import tune as run
+    from craftsim.tuning.gains.writing import figures, write_gains
+    from craftsim.validation.html.writing import write_html
+
+    goal = Goal.of(weights, objectives, choose)
+    setup = physics.setup()
+    console = Terminal()
+    tuned = run(
+        subject,
+        setup,
+        out,
+        goal=goal,
+        evaluations=evaluations,
+        trials=trials,
+        seed=physics.seed,
+        options=RunOptions(
+            workers,
+            resume=resume,
+            progress=lambda total: counting(
+                console, "evaluations", total, lambda record: record["error"] is None
+            ),
+        ),
+    )
+    command = command_again(tune, given)
+    write_report(
+        out,
+        figures(tuned),
+        command=COMMAND,
+        seed=tuned.seed,
+        config=tuned.config,
+        wall={"total_s": tuned.wall_s, "workers": workers},
+    )
+    page = write_html(out, tune_page(tuned, command))
+    gains = write_gains(out, tuned, command)
+    console.print(gains_table(tuned))
+    console.print(verdict_table(tuned))
+    say(f"Gains:  {gains}\nReport: {out / 'report.json'}\nPage:   {page}")
+    say(sentence(tuned))
+    return 0 if tuned.verdict.improved else 1

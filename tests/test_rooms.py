@@ -11,6 +11,16 @@ PACKAGE = Path(craftsim.__file__).parent
 
 ALLOWED = {
     "errors": set(),
+    "choices": set(),
+    "options": {
+        "storage",
+        "discrete",
+        "mjcf",
+        "models",
+        "skills",
+        "checking.setup",
+        "experiments.experiment",
+    },
     "extras": set(),
     "modules": set(),
     "compiling": set(),
@@ -36,6 +46,7 @@ ALLOWED = {
     },
     "audit": {"storage", "checking", "skills", "mjcf", "models", "discrete"},
     "validation": {
+        "options",
         "storage",
         "audit",
         "experiments",
@@ -94,7 +105,7 @@ ALLOWED = {
 }
 """What each room may import of ours, besides itself, the version and those of SHARED; cli may import all."""
 
-SHARED = {"compiling", "errors", "extras", "modules", "workers"}
+SHARED = {"choices", "compiling", "errors", "extras", "modules", "workers"}
 """What every room may import."""
 
 FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}

@@ -2,41 +2,57 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
+from cyclopts import Parameter
 
+from craftsim.choices import RuleSet
 from craftsim.cli.again import command_again
-from craftsim.cli.options import CampaignOptions, Dir, Verb
-from craftsim.cli.terminal import Terminal
+from craftsim.cli.options import RESULTS, Actions, Dir, Shown, check_actions
 from craftsim.cli.text import say
 from craftsim.errors import InputError
+from craftsim.options import Physics, Trials, number
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import RUNS
+from craftsim.storage.limits import RUNS, TRIAL_COUNT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from craftsim.audit.plan import PlanRow
 
-OPTIONS: Final = CampaignOptions(rules="published", trials=20)
+
+@dataclass(frozen=True, kw_only=True)
+class AuditedPhysics(Physics):
+    """Physics in which CraftEnv's own rules are audited."""
+
+    rules: RuleSet = "published"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuditTrials(Trials):
+    """The trials of a row that make its verdict final."""
+
+    trials: Annotated[int, number(TRIAL_COUNT)] = 20
 
 
 @owning
 def audit(
-    actions: tuple[Verb, ...] = (),
-    contexts: Annotated[str, tyro.conf.arg(metavar="PATTERN")] = "*",
+    *,
+    actions: Actions = (),
+    situations: Annotated[str, Parameter(metavar="PATTERN")] = "*",
     only: Literal["all", "legal", "forbidden"] = "all",
     quick: bool = False,
-    campaign: tyro.conf.OmitArgPrefixes[CampaignOptions] = OPTIONS,
-    video: bool = False,
-    record: bool = False,
-    shrink: bool = False,
+    physics: AuditedPhysics = AuditedPhysics(),
+    campaign: AuditTrials = AuditTrials(),
+    record: Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS)] = "none",
+    video: Shown = False,
+    minimize: Shown = False,
     out: Dir = Path("out/audit"),
 ) -> int:
-    """Try every action in every context in physics, where the rules allow it and where they forbid it.
+    """Try every action in every situation in physics, where the rules allow it and where they forbid it.
 
     A rule that allows what physics refuses is unsound; one that forbids what would have worked is conservative. By
     default CraftEnv's own rules are audited, with the 20 trials a row that make a verdict final. Exit status 0 when no
@@ -44,15 +60,15 @@ def audit(
 
     Args:
         actions: only these actions.
-        contexts: only rows whose name matches, such as '*load=block*room=tight'.
+        situations: only rows whose name matches, such as '*load=block*room=tight'.
         only: where the rules allow the action, where they forbid it, or both.
         quick: try the rows that tell most about the rules, once each, instead of all: two minutes on two cores.
         video: films of the disagreements, a few seconds of work each.
-        record: write the trajectories of the disagreements, for 'craftsim render', 'plot' and 'view'.
-        shrink: find the smallest world in which the first failure of each kind still happens.
+        record: write the trajectories of the disagreements, for 'craftsim render' and 'view'.
+        minimize: find the smallest world in which the first failure of each kind still happens.
         out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
     """
-    given = locals().copy()
+    check_actions(actions)
     from craftsim.audit.plan import audit_plan
     from craftsim.audit.quick import quick_rows
     from craftsim.cli.audit_text import conclude, print_results
@@ -60,6 +76,7 @@ def audit(
     from craftsim.cli.notes_text import print_notes
     from craftsim.cli.progress import counting
     from craftsim.cli.smallest_text import print_smallest, shrinking
+    from craftsim.cli.terminal import Terminal
     from craftsim.experiments.statistics import capped_steps, retried
     from craftsim.validation.audit.audit import run_audit
     from craftsim.validation.audit.trial import BATCH
@@ -67,36 +84,36 @@ def audit(
     from craftsim.validation.html.writing import write_html
 
     console = Terminal()
-    setup = campaign.setup()  # says what is wrong with its files before contexts are looked for
+    setup = physics.setup()  # says what is wrong with its files before contexts are looked for
     filming = video and rendering_works(console)
-    plan = _chosen(audit_plan(campaign.rules, actions), contexts, only)
+    plan = _chosen(audit_plan(physics.rules, actions), situations, only)
     trials = campaign.trials
     if quick:
-        plan = quick_rows(plan, campaign.rules)
+        plan = quick_rows(plan, physics.rules)
         trials = 1
     RUNS.check("--trials times rows", trials * len(plan))
     result = run_audit(
         plan,
         setup,
         trials,
-        campaign.seed,
+        physics.seed,
         out,
         asked={
             "actions": actions,
-            "contexts": contexts,
+            "contexts": situations,
             "only": only,
             "quick": quick,
-            "randomize": campaign.randomize,
+            "randomize": physics.randomize,
         },
         options=campaign.run(
             lambda total: counting(console, "trials", total, lambda record: record["error"] is None)
         ),
         batch=1 if quick else BATCH,
-        shrink=shrinking(console) if shrink else None,
+        shrink=shrinking(console) if minimize else None,
     )
-    if filming or record:
+    if filming or record == "trajectory":
         record_failures(console, out, result.records, campaign.workers, filming)
-    page = write_html(out, audit_page(result, command_again(audit, given)))
+    page = write_html(out, audit_page(result, command_again()))
     print_results(console, result.results)
     print_smallest(console, out, result.smallest)
     print_notes(capped_steps(result.records), retried(result.records))

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-import numpy as np
-import tyro
-from numpy.typing import NDArray
-
-from craftsim.discrete.rules import RuleSet
+from craftsim.choices import RuleSet
+from craftsim.cli.options import OptionalDir
+from craftsim.options import number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import BATCH, BENCH_S, SEED
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from craftsim.envs.parallel import ParallelConstruction
 
 TASKS: Final = ("simple_two_story", "complex_two_story")
@@ -29,12 +29,13 @@ Case = tuple[str, int, bool, Step]
 
 @owning
 def bench(
-    what: tyro.conf.Positional[Literal["rules", "env", "physics"]],
+    what: Literal["rules", "env", "physics"],
+    *,
     rules: RuleSet = "published",
-    worlds: Annotated[int, BATCH] = 1000,
-    seconds: Annotated[float, BENCH_S] = 2.0,
-    seed: Annotated[int, SEED] = 0,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    worlds: Annotated[int, number(BATCH)] = 1000,
+    seconds: Annotated[float, number(BENCH_S)] = 2.0,
+    seed: Annotated[int, number(SEED)] = 0,
+    out: OptionalDir = None,
 ) -> int:
     """Measure how fast the grid rules, the environments or the physics are on this machine.
 
@@ -85,6 +86,8 @@ def bench(
 
 def rule_cases(task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[Case]:
     """Yield what is timed of the rules alone."""
+    import numpy as np
+
     from craftsim.discrete.tasks import make_task
     from craftsim.discrete.tasks.episodes import Episodes
 
@@ -117,6 +120,8 @@ def physics_cases(task: str, seed: int) -> Iterator[Case]:
 
 def pick(rng: np.random.Generator, mask: NDArray[Any]) -> NDArray[np.int64]:
     """Return for each car one of its allowed actions, uniformly; 0 where there is none."""
+    import numpy as np
+
     picked: NDArray[np.int64] = (rng.random(mask.shape, dtype=np.float32) * mask).argmax(-1)
     return picked
 
@@ -138,6 +143,8 @@ def _rule_step(episodes: Any, rng: np.random.Generator) -> Step:
 
 def play(env: ParallelConstruction, seed: int) -> Step:
     """Return a function that takes one step of masked random play, resets included."""
+    import numpy as np
+
     rng = np.random.default_rng(seed)
     observations = env.reset(seed=seed)[0]
 
@@ -154,6 +161,8 @@ def play(env: ParallelConstruction, seed: int) -> Step:
 
 def play_worlds(envs: Any, seed: int) -> Step:
     """Return a function that takes one step of masked random play in all worlds of a vector environment."""
+    import numpy as np
+
     rng = np.random.default_rng(seed)
     observations = envs.reset(seed=seed)[0]
 

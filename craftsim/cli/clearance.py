@@ -1,16 +1,14 @@
-"""``craftsim clearance``: what comes in the way of which action, and do the rules know it?"""
+"""``craftsim audit clearance``: what comes in the way of which action, and do the rules know it?"""
 
 from __future__ import annotations
 
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import tyro
-
-from craftsim.cli.options import File, Verb
+from craftsim.choices import RuleSet
+from craftsim.cli.options import Actions, Dir, File, check_actions
 from craftsim.cli.text import say
-from craftsim.discrete.rules import RuleSet
 from craftsim.storage.folders import owning
 
 if TYPE_CHECKING:
@@ -25,10 +23,11 @@ _SHOWN: Final = 30
 
 @owning
 def clearance(
-    actions: tuple[Verb, ...] = (),
+    *,
+    actions: Actions = (),
     rules: RuleSet = "physical",
-    parameters: File = None,
-    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("out/clearance"),
+    machines: File = None,
+    out: Dir = Path("out/clearance"),
 ) -> int:
     """Compare the volume that each action sweeps with all that may be near, and with what the rules forbid.
 
@@ -38,7 +37,7 @@ def clearance(
     Args:
         actions: only these actions.
         rules: the rule set that is compared.
-        parameters: YAML file of machine parameters, for machines of other dimensions.
+        machines: YAML file of machine parameters, for machines of other dimensions.
         out: folder for report.json, which lists every neighbour within reach.
     """
     from rich.table import Table
@@ -50,8 +49,9 @@ def clearance(
     from craftsim.mjcf.parameters import NOMINAL
     from craftsim.report import write_report
 
-    machines = NOMINAL if parameters is None else load_machines(parameters)
-    judged = [_judged(one, Rules(rules)) for one in neighbours(machines, actions)]
+    check_actions(actions)
+    parameters = NOMINAL if machines is None else load_machines(machines)
+    judged = [_judged(one, Rules(rules)) for one in neighbours(parameters, actions)]
     table = Table("situation", "neighbours", "within reach", "in the way", "allowed", "unexplained", box=None)
     table.columns[0].no_wrap = True
     for column in table.columns[1:]:
@@ -77,7 +77,7 @@ def clearance(
         {"clearance": {"neighbours": len(judged), "rows": listed}},
         command="clearance",
         seed=0,
-        config={"rules": rules, "actions": actions, "machines": machines.digest},
+        config={"rules": rules, "actions": actions, "machines": parameters.digest},
         wall={},
     )
     say(f"Report: {out / 'report.json'}")

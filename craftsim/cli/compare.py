@@ -5,20 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from craftsim.cli.options import Dir
-from craftsim.cli.terminal import Terminal
 from craftsim.cli.text import say
+from craftsim.options import number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import SEED
 
 
 @owning
 def compare(
-    sim: Annotated[Path, tyro.conf.Positional],
-    real: Annotated[Path, tyro.conf.Positional],
-    seed: Annotated[int, SEED] = 0,
+    run: Path,
+    other: Path,
+    *,
+    seed: Annotated[int, number(SEED)] = 0,
     out: Dir = Path("out/compare"),
 ) -> int:
     """Compare a simulation with reality, or any two runs of the same plans: outcomes, durations, errors and ranks.
@@ -27,19 +26,20 @@ def compare(
     many trials agree with the rules shows at 5 %, 1 when one does, 2 for runs that cannot be compared.
 
     Args:
-        sim: folder of 'craftsim validate' or 'craftsim audit'.
-        real: folder of the other run of the same trials.
+        run: folder of 'craftsim validate' or 'craftsim audit'.
+        other: folder of the other run of the same trials.
         seed: decides the bootstrap of the correlations' intervals.
         out: folder for report.json.
     """
     from craftsim.cli.compare_text import print_gap
+    from craftsim.cli.terminal import Terminal
     from craftsim.experiments.compare import compare_with_reality
     from craftsim.report import write_report
     from craftsim.validation.forms import read_run
 
-    gap = compare_with_reality(read_run(sim), read_run(real), seed)
+    gap = compare_with_reality(read_run(run), read_run(other), seed)
     report = write_report(
-        out, {"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}
+        out, {"compare": gap}, command="compare", seed=seed, config={"sim": run, "real": other}
     )
     print_gap(Terminal(), gap)
     say(f"Report: {report}")

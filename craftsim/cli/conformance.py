@@ -6,11 +6,12 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from cyclopts import Parameter
 
+from craftsim.choices import RuleSet
+from craftsim.cli.options import OptionalDir
 from craftsim.cli.text import say
-from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import RuleSet
+from craftsim.options import number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import SHOWN
 
@@ -22,12 +23,11 @@ if TYPE_CHECKING:
 
 @owning
 def conformance(
-    files: Annotated[
-        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE ...", help_behavior_hint="")
-    ],
+    files: Annotated[tuple[Path, ...], Parameter(metavar="FILE")] = (),
+    *,
     rules: RuleSet = "published",
-    show: Annotated[int, SHOWN] = 3,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    show: Annotated[int, number(SHOWN)] = 3,
+    out: OptionalDir = None,
 ) -> int:
     """Replay recorded ticks or plans and compare all that they tell: masks, effects, rewards, plans.
 
@@ -70,6 +70,7 @@ def _print(checker: Checker) -> None:
 
     from craftsim.cli.terminal import Terminal
     from craftsim.discrete.drawing import LEGEND
+    from craftsim.discrete.kinds import Action
 
     console = Terminal(highlight=False)
     by_action = Table("action", "taken", "legal", "mismatches")

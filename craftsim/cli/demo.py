@@ -8,48 +8,47 @@ from contextlib import nullcontext
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any
 
-import tyro
+from cyclopts import Parameter
 
-from craftsim.cli.options import Dir, File, PhysicsOptions
-from craftsim.cli.terminal import Terminal
+from craftsim.choices import PlanOrder
+from craftsim.cli.options import Dir, File, Shown
 from craftsim.cli.text import say
-from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
+from craftsim.options import Physics, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S
-
-OPTIONS: Final = PhysicsOptions(randomize="none")
 
 
 @owning
 def demo(
     task: str = "simple_two_story",
-    physics: tyro.conf.OmitArgPrefixes[PhysicsOptions] = OPTIONS,
-    order: Literal["sequential", "ticks", "concurrent"] = "concurrent",
-    blueprint: File = None,
+    *,
+    order: PlanOrder = "concurrent",
+    start: File = None,
     plan: File = None,
     goal: File = None,
-    robot: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT", help_behavior_hint="")] = None,
-    timeout_s: Annotated[float, TIMEOUT_S] = 1.0,
-    video: bool = True,
+    robot: Annotated[str | None, Parameter(metavar="HOST:PORT")] = None,
+    timeout: Annotated[float, number(TIMEOUT_S, "SECONDS")] = 1.0,
+    physics: Physics = Physics(),  # noqa: B008
+    video: Shown = True,
     out: Dir = Path("out/demo"),
 ) -> int:
     """Build one of the paper's tasks in physics, or all six, and check every action against the rules.
 
-    Nothing is randomized unless asked for, so that the film is the same every time. Exit status 0 when every action
+    The same seed gives the same film every time. Exit status 0 when every action
     did what the rules predict, within all limits, and each goal is reached, 1 when not, 2 for wrong input.
 
     Args:
         task: what to build: a shipped task's name, a file or 'module:factory' (then with --plan); all builds the six.
         order: one action after the other; tick after tick, the cars of one at the same time; or each action as
             early as those that it depends on have ended.
-        blueprint: start file of your own, in place of the task's; needs --plan.
+        start: start file of your own, in place of the task's; needs --plan.
         plan: plan file of your own, one 'tick car ACTION' a line.
         goal: goal file of your own; a blueprint of your own needs none.
         robot: address of robots elsewhere that are driven in place of simulated ones, such as those of craftsim robot.
-        timeout_s: without a message from these robots for so long they count as lost.
+        timeout: seconds; without a message from these robots for so long they count as lost.
         video: make a film of each task; without a rendering backend the demo goes on without.
         out: folder for report.json, the films, the trajectories that they show, and the cars' logs.
     """
@@ -59,6 +58,8 @@ def demo(
     from craftsim.cli.notes_text import print_notes
     from craftsim.cli.progress import counting
     from craftsim.cli.robots import robots_at
+    from craftsim.cli.terminal import Terminal
+    from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.logs.tables import LOG_SUFFIX, write_table
     from craftsim.rendering.render import render
     from craftsim.rendering.trajectory import SUFFIX
@@ -67,19 +68,19 @@ def demo(
 
     started = time.perf_counter()
     console = Terminal()
-    if task == "all" and (blueprint or plan or goal):
+    if task == "all" and (start or plan or goal):
         raise InputError("--task all builds the shipped tasks; files of your own go with a single task")
     if task == "all" and robot is not None:
         raise InputError("robots stand in one world; --robot goes with a single task")
     setup = physics.setup()
     names = TASK_NAMES if task == "all" else (task,)
-    buildings = [read_building(name, blueprint, plan, goal) for name in names]
+    buildings = [read_building(name, start, plan, goal) for name in names]
     filming = video and rendering_works(console)
     films: list[str] = []
     done: list[Building] = []
     for building in buildings:
         with (
-            nullcontext(set_up) if robot is None else robots_at(robot, timeout_s) as where,
+            nullcontext(set_up) if robot is None else robots_at(robot, timeout) as where,
             counting(console, building.name, building.n_actions, attrgetter("agrees")) as tell,
         ):
             one = building.run(setup, physics.seed, order, _telling(tell), where)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from cyclopts import Parameter
 
 from craftsim.cli.options import Dir
 from craftsim.cli.text import say
+from craftsim.options import number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import BLOCKS, CARS, DESIGN_SIDE, PHYSICS_CELLS, SEED, SHARE
 
@@ -20,17 +21,18 @@ CARS_UNLESS_GIVEN = 2
 
 @owning
 def design(
-    what: tyro.conf.Positional[tuple[str, ...]] = (),
-    size: Annotated[tuple[int, ...], DESIGN_SIDE] = (),
+    what: Annotated[tuple[str, ...], Parameter(metavar="NAME|FILE")] = (),
+    *,
+    size: Annotated[tuple[int, ...], number(DESIGN_SIDE)] = (),
     text: str | None = None,
-    difficulty: Annotated[float, SHARE] = 0.5,
-    area: Annotated[tuple[int, ...], DESIGN_SIDE] = (),
-    cars: Annotated[int | None, CARS] = None,
-    spare_blocks: Annotated[int, BLOCKS] = 0,
-    spare_slopes: Annotated[int | None, BLOCKS] = None,
+    difficulty: Annotated[float, number(SHARE)] = 0.5,
+    area: Annotated[tuple[int, ...], number(DESIGN_SIDE)] = (),
+    cars: Annotated[int | None, number(CARS)] = None,
+    spare_blocks: Annotated[int, number(BLOCKS)] = 0,
+    spare_slopes: Annotated[int | None, number(BLOCKS)] = None,
     barrier: bool = False,
-    names: Annotated[bool, tyro.conf.arg(name="list")] = False,
-    seed: Annotated[int, SEED] = 0,
+    names: Annotated[bool, Parameter(name="--list")] = False,
+    seed: Annotated[int, number(SEED)] = 0,
     out: Dir = Path("out/design"),
 ) -> int:
     """Write a design as goal.yaml, and as start.yaml a world with what it takes; print and draw them.

@@ -7,16 +7,11 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from importlib.metadata import requires
-from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
-import tyro
-from rich.table import Table
-
-from craftsim.cli.terminal import Terminal, cell
+from craftsim.cli.options import OptionalDir
 from craftsim.cli.text import say
 from craftsim.rendering.backend import INSTALL_COMMAND, RenderingUnavailable, choose_backend
-from craftsim.report import versions, write_report
 from craftsim.storage.folders import owning
 
 _WRONG_MUJOCO: Final = "4.0.0"
@@ -51,7 +46,7 @@ class Check:
 
 
 @owning
-def doctor(out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None) -> int:
+def doctor(*, out: OptionalDir = None) -> int:
     """Say what works on this machine, and the command that fixes what does not.
 
     Physics and rendering are really tried, each in a process of its own. Exit status 0 when physics runs, even if
@@ -60,6 +55,11 @@ def doctor(out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None) -> 
     Args:
         out: folder for report.json.
     """
+    from rich.table import Table
+
+    from craftsim.cli.terminal import Terminal, cell
+    from craftsim.report import versions, write_report
+
     physics = _physics()
     films = [_rendering(), _encoder()]
     checks = [physics, *films]
@@ -89,6 +89,8 @@ def _physics() -> Check:
     what = "physics (MuJoCo)"
     wanted = next(line for line in requires("craftsim") or [] if line.startswith("mujoco"))
     install = f"{sys.executable} -m pip install '{wanted}'"
+    from craftsim.report import versions
+
     found = versions()["mujoco"]
     if found == _WRONG_MUJOCO:
         return Check(what, False, f"version {found} gives wrong contact physics", install)

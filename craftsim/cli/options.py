@@ -1,87 +1,50 @@
-"""Options that commands share: the same names, the same meaning, and defaults that differ for a stated reason alone."""
+"""What the options of several commands are called in the help, and how it groups them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Any, Final, Literal
 
-import tyro
+from cyclopts import Group, Parameter
 
-from craftsim.discrete.actions import verbs
-from craftsim.discrete.rules import RuleSet
-from craftsim.mjcf.parameters import Drive
-from craftsim.storage.limits import SEED, TRIAL_COUNT, WORKERS
+from craftsim.errors import InputError, suggestion
 
-if TYPE_CHECKING:
-    from craftsim.checking.setup import Setup
-    from craftsim.experiments.experiment import Progress, RunOptions
+RESULTS: Final = Group("Results", sort_key=20)
 
-    Verb = str
-else:
-    Verb = Literal[verbs()]
-
-Dir = Annotated[Path, tyro.conf.arg(metavar="DIR")]
-File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
-Preset = Annotated[
-    str, tyro.conf.arg(metavar="{none,mild,strong,lab_floor,workshop_floor}|FILE", help_behavior_hint="")
-]
-Engine = Literal["local", "ray"]
+Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS)]
+OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS)]
+File = Annotated[Path | None, Parameter(metavar="FILE")]
+Name = Annotated[str | None, Parameter(metavar="NAME")]
+Settings = Annotated[tuple[str, ...], Parameter(metavar="NAME=VALUE")]
+Actions = Annotated[tuple[str, ...], Parameter(metavar="ACTION")]
+Films = Annotated[Literal["none", "failures", "all"], Parameter(group=RESULTS)]
+Shown = Annotated[bool, Parameter(group=RESULTS)]
 
 
-@dataclass(frozen=True)
-class PhysicsOptions:
-    """What decides a world in physics besides its start."""
+def check_actions(actions: Iterable[str]) -> None:
+    """Raise InputError for a word that is no action; own ones that are registered are some."""
+    from craftsim.discrete.actions import verbs
 
-    rules: RuleSet = "physical"
-    """The rule set that predicts: CraftEnv's own, or the one that physics supports."""
-    randomize: Preset = "mild"
-    """What is drawn of physics, floor, machines, motors and sensors; sets the limits of the errors, too."""
-    noise: File = None
-    """YAML file of the sensors' and motors' noise; figures that it leaves out are those of --randomize."""
-    assume: Annotated[
-        str | None, tyro.conf.arg(metavar="{none,mild,strong,...}|FILE", help_behavior_hint="")
-    ] = None
-    """What the cars take that noise to be before they find out, whatever it is; with none they take each measured pose
-    as it is. A figure that a file leaves out is that which they assume without this option."""
-    gains: Annotated[str | None, tyro.conf.arg(metavar="{robust,fast}|FILE", help_behavior_hint="")] = None
-    """Gains of the skills: a preset, or a YAML file; robust unless given, as is what a file leaves out."""
-    parameters: File = None
-    """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
-    drive: Drive = "rollers"
-    """How cars touch the ground: by forty free rollers, or reduced to one body, which is several times as fast."""
-    skills: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="")] = None
-    """Skills of your own in place of built-in ones: a mapping from actions, or from cars to such mappings."""
-    seed: Annotated[int, SEED] = 0
-    """Decides all that is drawn."""
-
-    def setup(self) -> Setup:
-        """Return the configuration of the physics; raise InputError for a file that says what it should not."""
-        from craftsim.checking.setup import setup_of
-
-        return setup_of(
-            *(self.randomize, self.rules, self.gains, self.parameters, self.noise, self.assume, self.drive),
-            skills=self.skills,
-        )
+    for action in actions:
+        if action not in verbs():
+            known = ", ".join(verbs())
+            raise InputError(
+                f"--actions: no action '{action}'{suggestion(action, verbs())} (actions: {known})"
+            )
 
 
-@dataclass(frozen=True)
-class CampaignOptions(PhysicsOptions):
-    """How many trials are run, where, and what becomes of them."""
+def settings_of(words: Iterable[str]) -> dict[str, Any]:
+    """Return the values that words such as ``width=128`` set, by name; several are divided by commas.
 
-    trials: Annotated[int, TRIAL_COUNT] = 10
-    """How many of each."""
-    workers: Annotated[int, WORKERS] = 1
-    """Processes to share the work; results do not depend on it."""
-    engine: Engine = "local"
-    """Processes of this machine, or an existing Ray cluster to which the output folder is shared."""
-    against: Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="")] = None
-    """Folder of an earlier run under other settings, to compare trial by trial."""
-    resume: bool = False
-    """Go on with what an interrupted run has left in the output folder."""
+    Raises InputError for a word without "=", and for a name that is set twice.
+    """
+    from craftsim.storage.yaml import parse_document
 
-    def run(self, progress: Progress) -> RunOptions:
-        """Return how an experiment is run, and what shows how far it is."""
-        from craftsim.experiments.experiment import RunOptions
-
-        return RunOptions(self.workers, self.engine, self.resume, self.against, progress)
+    found = dict[str, Any]()
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not equals or not name or name in found:
+            raise InputError(f"--set is '{word}'; allowed: NAME=VALUE, each name once")
+        found[name] = parse_document(f"value: {value}\n", Path("--set")).plain["value"]
+    return found

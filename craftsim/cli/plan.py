@@ -7,10 +7,11 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-import tyro
+from cyclopts import Parameter
 
-from craftsim.cli.options import File
+from craftsim.cli.options import RESULTS, File, Shown
 from craftsim.cli.text import say
+from craftsim.options import number
 from craftsim.planning.objective import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
 from craftsim.storage.limits import PLAN_ROUNDS, PLAN_TIME_S, SEED
 
@@ -21,14 +22,15 @@ _ENDING: Final = ".plan"
 
 
 def plan(
-    start: Annotated[str, tyro.conf.Positional],
+    start: str,
+    *,
     goal: File = None,
     objective: Objective = "makespan",
-    time_s: Annotated[float, tyro.conf.arg(name="time"), PLAN_TIME_S] = DEFAULT_TIME_S,
-    rounds: Annotated[int, PLAN_ROUNDS] = DEFAULT_ROUNDS,
-    seed: Annotated[int, SEED] = 0,
-    video: bool = False,
-    out: Path = Path("out/plan"),
+    time_limit: Annotated[float, number(PLAN_TIME_S, "SECONDS")] = DEFAULT_TIME_S,
+    attempts: Annotated[int, number(PLAN_ROUNDS)] = DEFAULT_ROUNDS,
+    seed: Annotated[int, number(SEED)] = 0,
+    video: Shown = False,
+    out: Annotated[Path, Parameter(metavar="DIR|FILE", group=RESULTS)] = Path("out/plan"),
 ) -> int:
     """Find a plan for a building: what goes where in which order, which car does it, and every move.
 
@@ -40,8 +42,8 @@ def plan(
         goal: goal file; that of a task unless given. Without one the flag goes to the goal of the start file, or all
             blocks become one platform.
         objective: what is to be small: the time until all is done, or the sum of all actions' durations.
-        time_s: no attempt begins after so many seconds, once there is a plan.
-        rounds: attempts at most; with the same seed and enough time, the same plan.
+        time_limit: no attempt begins after so many seconds, once there is a plan.
+        attempts: attempts at most; with the same seed and enough time, the same plan.
         seed: of what is decided by chance, and of what the start file leaves open.
         video: film the plan on the grid, too.
         out: file for the plan that ends with .plan, or folder for plan, report and Gantt chart.
@@ -68,7 +70,7 @@ def plan(
     file = out if out.suffix == _ENDING else out / f"{task.name}{_ENDING}"
     with nullcontext() if file is out else owned(out):
         planned = plan_building(
-            grid, task, objective=objective, rounds=rounds, time_s=time_s, seed=seed, report=report
+            grid, task, objective=objective, rounds=attempts, time_s=time_limit, seed=seed, report=report
         )
         if not planned.ticks:
             say("the goal is reached already; there is nothing to do")
@@ -79,7 +81,7 @@ def plan(
         say(f"best: {_figures(planned)}; {known}")
         if file is not out:
             _draw(planned, out, task.name, video)
-            _report(planned, out, task.name, objective, rounds, seed, time.monotonic() - begun)
+            _report(planned, out, task.name, objective, attempts, seed, time.monotonic() - begun)
         write_plan(planned.ticks, file, planned.schedule)
         say(f"plan: {file}")
         return 0

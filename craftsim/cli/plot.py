@@ -1,29 +1,18 @@
-"""``craftsim plot``: figures of what a run has recorded."""
+"""Figures of what a run has recorded."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from craftsim.cli.options import Dir
 from craftsim.cli.text import say
 
 
-def plot(
-    recorded: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
-    run: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
-    out: Dir = Path("out/plots"),
-) -> int:
+def draw_figures(recorded: Path, run: str | None, out: Path) -> int:
     """Draw paths, tracking errors, wheel torques, boards, hinges and contact forces of recorded runs.
 
-    Each figure becomes a PDF and a PNG, and all of them together one PDF page, all.pdf. Exit status 0, or 2 for wrong
-    input.
-
     Args:
-        recorded: folder of a run that was recorded with --record, or a trajectory file.
-        run: the one trajectory of the folder to draw; all of them unless given.
+        recorded: folder of a run that was recorded, or a trajectory file.
+        run: the one trajectory of the folder to draw; all of them if None.
         out: folder for the figures; each trajectory gets a folder of its own in it.
     """
     from craftsim.cli.progress import counting

@@ -3,41 +3,45 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
-import tyro
+from cyclopts import Parameter
 
-from craftsim.cli.options import File, PhysicsOptions
+from craftsim.choices import PlanOrder
+from craftsim.cli.options import File
 from craftsim.cli.text import say
 from craftsim.errors import InputError
+from craftsim.options import Physics, number
 from craftsim.storage.limits import FILM_SPEED, FRAME_RATE, MOMENT_S, WORKERS
-
-OPTIONS: Final = PhysicsOptions(randomize="none")
 
 
 def render(
-    what: tyro.conf.Positional[str],
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("out/render.mp4"),
-    camera: tuple[str, ...] = ("overview",),
+    what: Annotated[str, Parameter(metavar="RUN|FILE|TASK")],
+    out: Annotated[Path, Parameter(metavar="FILE|DIR/")] = Path("out/render.mp4"),
+    *,
+    camera: Annotated[tuple[str, ...], Parameter(metavar="VIEW")] = ("overview",),
     layout: Literal["side", "main", "inset"] = "side",
     quality: Literal["draft", "paper"] = "draft",
-    size: Annotated[str, tyro.conf.arg(metavar="WxH")] = "1280x720",
-    fps: Annotated[int, FRAME_RATE] = 30,
-    speed: Annotated[float | None, FILM_SPEED] = None,
-    at: Annotated[tuple[float, ...], MOMENT_S] = (),
+    size: Annotated[str, Parameter(metavar="WxH")] = "1280x720",
+    fps: Annotated[int, number(FRAME_RATE)] = 30,
+    speed: Annotated[float | None, number(FILM_SPEED)] = None,
+    at: Annotated[tuple[float, ...], number(MOMENT_S, "SECONDS")] = (),
     ghost: bool = True,
     captions: bool = True,
     cards: bool = True,
     title: str | None = None,
-    run: str | None = None,
+    run: Annotated[str | None, Parameter(metavar="NAME")] = None,
     plan: File = None,
-    policy: str | None = None,
-    order: Literal["sequential", "ticks", "concurrent"] = "concurrent",
-    physics: tyro.conf.OmitArgPrefixes[PhysicsOptions] = OPTIONS,
-    workers: Annotated[int, WORKERS] = 1,
+    policy: Annotated[str | None, Parameter(metavar="NAME")] = None,
+    order: PlanOrder = "concurrent",
+    workers: Annotated[int, number(WORKERS)] = 1,
+    physics: Physics = Physics(),  # noqa: B008
 ) -> int:
-    """Make a film, an animation or pictures of a recorded trajectory, of a run's folder, of a replay bundle, or of a
-    task or blueprint whose plan or policy is carried out now.
+    """Make a film, an animation, pictures or figures of a recorded trajectory, of a run's folder, of a replay bundle,
+    or of a task or start file whose plan or policy is carried out now.
+
+    A name without an ending is a folder for figures: paths, tracking errors, wheel torques, boards, hinges and contact
+    forces, each as PDF and PNG, and all of them in all.pdf.
 
     What is carried out now is also written beside the film as a trajectory, from which other films can be rendered.
     Exit status 0, or 2 for wrong input.
@@ -45,7 +49,7 @@ def render(
     Args:
         what: a trajectory (.npz), a folder of a run or of a replay bundle, a shipped task's name, or a blueprint.
         out: the file to write; its name ends in .mp4 (H.264), .webm (VP9), .webp or .gif (animations), or .png (a
-            contact sheet, or with --at pictures).
+            contact sheet, or with --at pictures); or a folder for figures, such as figures/.
         camera: one or several views: overview, top, orbit, follow:CAR, closeup:CAR, a YAML file, or grid, which is what
             the rules predict.
         layout: several views side by side; the first one large with the others in a column; or as insets in a corner of
@@ -65,6 +69,10 @@ def render(
         order: how a plan is carried out.
         workers: processes to share the work; the pictures do not depend on it.
     """
+    if out.suffix == "":
+        from craftsim.cli.plot import draw_figures
+
+        return draw_figures(Path(what), run, out)
     from craftsim.cli.progress import counting
     from craftsim.cli.sources import find_trajectory
     from craftsim.cli.terminal import Terminal

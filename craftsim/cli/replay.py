@@ -8,13 +8,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from cyclopts import Parameter
 
-from craftsim.cli.films import film_bundle, rendering_works
-from craftsim.cli.terminal import Terminal
+from craftsim.cli.options import Dir
 from craftsim.cli.text import say
 from craftsim.errors import InputError
-from craftsim.report import versions, write_report
 from craftsim.storage.folders import owning
 from craftsim.storage.paths import resolved
 
@@ -28,12 +26,13 @@ if TYPE_CHECKING:
 
 @owning
 def replay(
-    bundle: Annotated[Path, tyro.conf.Positional],
+    bundle: Annotated[Path, Parameter(metavar="BUNDLE")],
+    *,
     view: bool = False,
     video: bool = False,
-    shrink: bool = False,
-    skills: Annotated[str | None, tyro.conf.arg(metavar="MODULE:NAME", help_behavior_hint="")] = None,
-    out: Path = Path("out/replay"),
+    minimize: bool = False,
+    skills: Annotated[str | None, Parameter(metavar="MODULE:NAME")] = None,
+    out: Dir = Path("out/replay"),
 ) -> int:
     """Re-run what a replay bundle shows, bit for bit, and compare it with what was recorded.
 
@@ -45,20 +44,24 @@ def replay(
         bundle: folder of the bundle.
         view: watch it in MuJoCo's viewer, as fast as it happens; needs a display.
         video: film it, in three seconds.
-        shrink: find the smallest world in which its first failure still happens, instead of comparing.
+        minimize: find the smallest world in which its first failure still happens, instead of comparing.
         skills: the skills of your own that the bundle was made with; a bundle alone has nothing imported.
         out: folder for report.json and the film, or the smallest world.
     """
-    if view + video + shrink > 1:
-        raise InputError("--view, --video and --shrink exclude each other; give one of them")
+    if view + video + minimize > 1:
+        raise InputError("--view, --video and --minimize exclude each other; give one of them")
     if skills is not None:
         from craftsim.skills.library import own_skills
 
         own_skills(skills)
-    if shrink:
+    if minimize:
         return _shrink(bundle, out)
     if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("--view needs a display, and there is none here; try --video")
+    from craftsim.cli.films import film_bundle, rendering_works
+    from craftsim.cli.terminal import Terminal
+    from craftsim.report import write_report
+
     filming = video and rendering_works(Terminal())
 
     from craftsim.experiments import replay as again
@@ -82,7 +85,9 @@ def _shrink(folder: Path, out: Path) -> int:
     """Shrink what a bundle shows; exit status 0 when it fails from a fresh start, too."""
     from craftsim.cli.progress import counting
     from craftsim.cli.smallest_text import print_smallest
+    from craftsim.cli.terminal import Terminal
     from craftsim.experiments.bundle import read_bundle
+    from craftsim.report import write_report
     from craftsim.validation.shrinking.campaign import shrink_bundle
     from craftsim.validation.shrinking.shrink import MOST_TRIALS
 
@@ -108,6 +113,8 @@ def _figures(recorded: Recorded, result: Replay) -> dict[str, object]:
 
 
 def _print(recorded: Recorded, result: Replay) -> None:
+    from craftsim.report import versions
+
     bundle = recorded.bundle
     say(bundle.key)
     for attempt in bundle.attempts:

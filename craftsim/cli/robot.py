@@ -1,4 +1,4 @@
-"""``craftsim robot``: simulated robots on a network, for skills in another process to drive."""
+"""``craftsim robot serve``: simulated robots on a network, for skills in another process to drive."""
 
 from __future__ import annotations
 
@@ -8,33 +8,32 @@ import time
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-import tyro
+from cyclopts import Parameter
 
-from craftsim.cli.options import Dir, File, PhysicsOptions
+from craftsim.cli.options import Dir, File
 from craftsim.cli.strangers import warn_of_strangers
 from craftsim.cli.text import complain, say
+from craftsim.options import Physics, number
 from craftsim.robots.extra import LOOPBACK, PORT, need_network
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import DELAY_MS, PACE, PATIENCE_S, PORTS, SHARE
 
-OPTIONS = PhysicsOptions(randomize="none")
-
 
 @owning
-def robot(
+def serve(
     task: str = "simple_two_story",
-    physics: tyro.conf.OmitArgPrefixes[PhysicsOptions] = OPTIONS,
-    blueprint: File = None,
-    host: str = LOOPBACK,
-    port: Annotated[int, PORTS] = PORT,
-    delay_ms: Annotated[float, DELAY_MS] = 0.0,
-    jitter_ms: Annotated[float, DELAY_MS] = 0.0,
-    loss: Annotated[float, SHARE] = 0.0,
-    pace: Annotated[float, PACE] = 1.0,
+    *,
+    start: File = None,
+    host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
+    port: Annotated[int, number(PORTS)] = PORT,
+    delay_ms: Annotated[float, number(DELAY_MS, "MS")] = 0.0,
+    jitter_ms: Annotated[float, number(DELAY_MS, "MS")] = 0.0,
+    loss: Annotated[float, number(SHARE)] = 0.0,
+    pace: Annotated[float, number(PACE)] = 1.0,
     lockstep: bool = False,
-    patience_s: Annotated[float, PATIENCE_S] = 60.0,
+    timeout: Annotated[float, number(PATIENCE_S, "SECONDS")] = 60.0,
     once: bool = False,
+    physics: Physics = Physics(),  # noqa: B008
     out: Dir = Path("out/robot"),
 ) -> int:
     """Simulate robots in the world of a task, and let who connects drive them: craftsim demo --robot ADDRESS.
@@ -43,7 +42,7 @@ def robot(
 
     Args:
         task: whose start is their world: a shipped task's name, a file or 'module:factory'.
-        blueprint: a start file of your own, in place of the task's.
+        start: a start file of your own, in place of the task's.
         host: address to listen on. Only this machine reaches the usual one; there is no password.
         port: 0 takes one that is free.
         delay_ms: how long the network takes for a message, in each direction; drawn from the seed, as the two below.
@@ -52,11 +51,13 @@ def robot(
         pace: seconds of the robots' time in a second.
         lockstep: let their time stand still until each measurement has been answered: the same seed then gives the
             same run, however slow the machine is.
-        patience_s: how long they wait for an answer in lock-step, before their time goes on without.
+        timeout: how long they wait for an answer in lock-step, before their time goes on without.
         once: end when who has driven them says goodbye, or has closed the connection.
         out: folder for report.json.
     """
     need_network()
+    import numpy as np
+
     from craftsim.checking.setup import Seed, set_up
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.tasks import as_task, free_play
@@ -70,7 +71,7 @@ def robot(
 
     network = Network(delay_ms / 1e3, jitter_ms / 1e3, loss)
     setup = physics.setup()
-    found = as_task(task) if blueprint is None else free_play(blueprint.stem, (read_blueprint(blueprint),))
+    found = as_task(task) if start is None else free_play(start.stem, (read_blueprint(start),))
     seeds = np.random.SeedSequence(physics.seed).spawn(4)
     grid = found.draw(np.random.default_rng(seeds[0]))
     started = time.perf_counter()
@@ -80,7 +81,7 @@ def robot(
         rngs = np.random.default_rng(seeds[2]), np.random.default_rng(seeds[3])
         service = serve_simulated(world, world_digest(grid), sockets, network, rngs, lockstep, complain)
         station = service.station
-        server = Server(service, sockets, pace, patience_s)
+        server = Server(service, sockets, pace, timeout)
         say(f"{len(station.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
         sys.stdout.flush()
         warn_of_strangers(host, "drive these robots")

@@ -7,12 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
-import tyro
+from cyclopts import Parameter
 
-from craftsim.cli.options import File
+from craftsim.choices import Drive
+from craftsim.cli.options import File, OptionalDir
 from craftsim.cli.text import say
 from craftsim.errors import InputError
-from craftsim.mjcf.parameters import Drive
+from craftsim.options import number
 from craftsim.storage.limits import SEED
 
 if TYPE_CHECKING:
@@ -29,11 +30,12 @@ _NAMED: Final = 12
 
 
 def show(
-    blueprint: tyro.conf.Positional[Path | None] = None,
-    seed: Annotated[int, SEED] = 0,
+    start: Annotated[Path | None, Parameter(metavar="TASK|FILE")] = None,
+    *,
+    seed: Annotated[int, number(SEED)] = 0,
     goal: File = None,
     plan: File = None,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    out: OptionalDir = None,
     mjcf: File = None,
     urdf: File = None,
     machine: Machine | None = None,
@@ -46,7 +48,7 @@ def show(
     action that is forbidden, or 2 for wrong input.
 
     Args:
-        blueprint: start file, or the name of a shipped one such as simple_two_story, or of a task that varies, such as
+        start: start file, or the name of a shipped one such as simple_two_story, or of a task that varies, such as
             random_strip.
         seed: decides what is left to chance.
         goal: goal file whose cells are marked in the picture; that of a shipped task unless given.
@@ -58,11 +60,11 @@ def show(
         machine: writes one machine alone, in place of a blueprint.
         drive: of the cars that are written.
     """
-    if (blueprint is None) == (machine is None):
-        raise InputError("give a blueprint, or a --machine with --mjcf or --urdf, and not both")
+    if (start is None) == (machine is None):
+        raise InputError("give a world, or a --machine with --mjcf or --urdf, and not both")
     if machine is not None and mjcf is None and urdf is None:
         raise InputError("--machine is written with --mjcf, --urdf or both")
-    if blueprint is None:
+    if start is None:
         from craftsim.models.composition import machine_spec
 
         _export(lambda machines: machine_spec(str(machine), machines), mjcf, urdf, drive)
@@ -78,9 +80,9 @@ def show(
     from craftsim.discrete.grid import Kind
     from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, as_task
 
-    name, rng = str(blueprint), np.random.default_rng(seed)
+    name, rng = str(start), np.random.default_rng(seed)
     shipped, varied = name in TASK_NAMES, name.partition("@")[0] in VARIED_NAMES
-    path = shipped_blueprint(name) if shipped else blueprint
+    path = shipped_blueprint(name) if shipped else start
     task = as_task(name).for_episode(rng) if shipped or varied else None
     drawing = read_blueprint(path) if task is None else task.starts[0]
     design = task.design if task is not None else None

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final
 
 from craftsim.cli.text import say
-from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
 from craftsim.storage.paths import is_file, is_folder
 
 if TYPE_CHECKING:
-    from craftsim.cli.options import PhysicsOptions
+    from craftsim.choices import PlanOrder
+    from craftsim.options import Physics
     from craftsim.rendering.trajectory import Trajectory
 
 _NAMED: Final = 12
@@ -22,10 +22,10 @@ def find_trajectory(
     what: str,
     out: Path,
     run: str | None,
-    physics: PhysicsOptions,
+    physics: Physics,
     plan: Path | None,
     policy: str | None,
-    order: Literal["sequential", "ticks", "concurrent"],
+    order: PlanOrder,
 ) -> Trajectory:
     """Return the trajectory that a word on the command line stands for.
 
@@ -33,6 +33,7 @@ def find_trajectory(
 
     Raises InputError for a word that stands for none.
     """
+    from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.rendering.trajectory import SUFFIX, Trajectory
     from craftsim.validation.runs.once import record_once
 

@@ -1,4 +1,4 @@
-"""``craftsim study``: many training runs over tasks, algorithms and seeds, with the statistics that such runs need."""
+"""``craftsim train study``: training runs over tasks, algorithms and seeds, with their statistics."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import time
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
+from cyclopts import Parameter
 
-from craftsim.cli.options import Dir, Engine
-from craftsim.cli.terminal import Terminal
+from craftsim.choices import Engine
+from craftsim.cli.options import Dir
 from craftsim.cli.text import say
-from craftsim.report import write_report
+from craftsim.options import number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S, WORKERS
 from craftsim.training.extra import need_torch
@@ -19,10 +19,11 @@ from craftsim.training.extra import need_torch
 
 @owning
 def study(
-    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="STUDY")],
-    workers: Annotated[int, WORKERS] = 1,
+    what: Annotated[str, Parameter(metavar="NAME|FILE")],
+    *,
+    workers: Annotated[int, number(WORKERS)] = 1,
     engine: Engine = "local",
-    timeout: Annotated[float, TIMEOUT_S] = 7200.0,
+    timeout: Annotated[float, number(TIMEOUT_S, "SECONDS")] = 7200.0,
     resume: bool = False,
     out: Dir = Path("out/study"),
 ) -> int:
@@ -45,7 +46,9 @@ def study(
     from craftsim.cli.study_progress import watching
     from craftsim.cli.study_text import conclusions, runs_table
     from craftsim.cli.tables import show
+    from craftsim.cli.terminal import Terminal
     from craftsim.experiments.experiment import RunOptions
+    from craftsim.report import write_report
     from craftsim.studies.results import figures_of, plot_results
     from craftsim.studies.runs import run_study
     from craftsim.studies.study import read_study

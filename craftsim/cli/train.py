@@ -6,193 +6,110 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, closing
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-import tyro
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from cyclopts import Parameter
 
-from craftsim.cli.progress import counting
-from craftsim.cli.terminal import Terminal
+from craftsim.choices import AlgoName, Backend
+from craftsim.cli.options import RESULTS, OptionalDir, Settings, Shown, settings_of
 from craftsim.cli.text import say
-from craftsim.discrete.rules import RuleSet
-from craftsim.errors import InputError
-from craftsim.mjcf.parameters import Drive
-from craftsim.report import write_report
+from craftsim.errors import InputError, suggestion
+from craftsim.options import number
 from craftsim.storage.folders import owned
-from craftsim.storage.limits import (
-    BATCH,
-    BLOCKS,
-    BONUS,
-    CARS,
-    EXPLORED_TICKS,
-    HELPER_DEPTH,
-    IMITATED_PLANS,
-    NETWORK_WIDTH,
-    SEED,
-    SHARE,
-    TRAIN_EPISODES,
-    TRAIN_STEPS,
-    WORKERS,
-)
-from craftsim.training.config import (
-    HALF,
-    PRESETS,
-    WORLDS,
-    Acting,
-    AlgoName,
-    NetworkName,
-    PresetName,
-    TrainBackend,
-    TrainConfig,
-)
-from craftsim.training.extra import need_torch
-from craftsim.training.settings import read_settings
+from craftsim.storage.limits import SEED, SHARE, TRAIN_EPISODES, TRAIN_STEPS, WORKERS
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from craftsim.discrete.tasks import Task
+    from craftsim.training.config import TrainConfig
     from craftsim.training.tensorboard_log import TensorboardLog
     from craftsim.training.trainer import Trainer
 
 INTERRUPTED: Final = 130
 LINE_EVERY_S: Final = 15.0
 """How often a run says how far it is where there is no terminal for a bar."""
+_BESIDES: Final[tuple[str, ...]] = ("cars", "blocks", "starts", "settings", "workers", "tensorboard")
+"""What --set takes besides fields of the configuration and the algorithm's hyperparameters."""
 
 
 def train(
-    task: str = "strip",
+    task: Annotated[str, Parameter(metavar="TASK")] = "strip",
+    *,
     algo: AlgoName = "ippo",
-    seed: Annotated[int, SEED] = 0,
-    steps: Annotated[int, TRAIN_STEPS] = 3_000_000,
-    until: Annotated[float, SHARE] = 0.99,
-    backend: TrainBackend = "grid",
-    worlds: Annotated[int | None, BATCH] = None,
-    workers: Annotated[int | None, WORKERS] = None,
-    drive: Drive | None = None,
-    randomize: Annotated[
-        str | None, tyro.conf.arg(metavar="{none,mild,strong,lab_floor,workshop_floor}")
-    ] = None,
-    preset: PresetName | None = None,
-    rules: RuleSet | None = None,
-    helper_depth: Annotated[int | None, HELPER_DEPTH] = None,
-    network: NetworkName = "map",
-    width: Annotated[int, NETWORK_WIDTH] = 128,
-    novelty: Annotated[float, BONUS] = 0.0,
-    explore: Annotated[int | None, EXPLORED_TICKS] = None,
-    imitate: Annotated[int | None, IMITATED_PLANS] = None,
-    shown_share: Annotated[float, SHARE] = HALF,
-    pretrained: Annotated[str, tyro.conf.arg(metavar="POLICY")] = "",
-    stages: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK [TASK ...]", help_behavior_hint="")] = (),
-    stage_steps: Annotated[int | None, TRAIN_STEPS] = None,
-    acting: Acting = "greedy",
-    settings: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
-    cars: Annotated[int | None, CARS] = None,
-    blocks: Annotated[int | None, BLOCKS] = None,
-    starts: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
-    episodes: Annotated[int, TRAIN_EPISODES] = 1000,
-    record: bool = False,
-    tensorboard: bool = False,
-    resume: bool = False,
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    seed: Annotated[int, number(SEED)] = 0,
+    steps: Annotated[int, number(TRAIN_STEPS)] = 3_000_000,
+    until: Annotated[float, number(SHARE)] = 0.99,
+    backend: Backend = "grid",
+    preset: Literal["paper"] | None = None,
+    settings: Annotated[Settings, Parameter(name="--set")] = (),
+    episodes: Annotated[int, number(TRAIN_EPISODES)] = 1000,
+    record: Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS)] = "none",
+    resume: Shown = False,
+    out: OptionalDir = None,
 ) -> int:
-    """Train a policy on the grid, or in physics, and report its success rate there on fresh episodes.
+    """Train a policy on the grid or in physics, and report its success rate there on fresh episodes.
 
-    On the grid it runs on one core, and gains and machine parameters mean nothing, so there is no --gains or
-    --parameters here. Ctrl-C ends it after the current iteration with everything saved;
-    --resume goes on as if it had never stopped. Exit status 0 when training ended by itself.
+    Ctrl-C ends it after the current iteration with everything saved; --resume goes on as if it had never stopped. Exit
+    status 0 when training ended by itself.
+
+    --set takes, each as NAME=VALUE: worlds (stepped side by side in a rollout; 500 on the grid, 32 in physics), network
+    (map, or relative, which serves any number of cars), width (of its layers; 128), rules (physical), helper_depth
+    (search depth of the action helper; none), novelty (exploration bonus for a building never seen; 0), explore (ticks
+    of random exploration before learning; 0), imitate (plans of the planner that are imitated before learning; 0),
+    shown_share (of the episodes that start on the way of such a plan; 0.5), starts (a plan or a file of reached worlds
+    with which every second episode starts), pretrained (a policy to begin with), stages (easier tasks before, divided
+    by commas) and stage_steps (on each), acting (greedy or sampled, in evaluations), cars and blocks (other than the
+    task's), in physics drive (reduced), randomize (none) and workers (one for each processor), tensorboard (true for
+    its log), settings (a YAML file of hyperparameters), and each hyperparameter of the algorithm, such as
+    learning_rate.
 
     Args:
         task: one of the paper's six, one that varies such as random_strip, or a task of one's own: a registered name, a
             file, or module:factory.
         algo: independent or multi-agent PPO, COMA, QMIX, QTRAN, VDN, or independent Q-learning.
-        seed: decides everything that is drawn.
+        seed: random seed.
         steps: ticks to play at most, all worlds together.
         until: end when this success rate is reached in an evaluation.
         backend: where it is trained and evaluated.
-        worlds: how many are stepped side by side in a rollout; 500 on the grid and 32 in physics unless given.
-        workers: processes that share the worlds in physics, one for each processor unless given; results do not depend
-            on it.
-        drive: how cars touch the ground in physics: by forty free rollers, or reduced to one body, which is several
-            times as fast; reduced unless given.
-        randomize: what is drawn of physics, floor, machines, motors and sensors in each episode; nothing unless given.
         preset: paper is the protocol of CraftEnv's paper: published rules, action helper of depth 20, the task's own
-            starts and nothing shown.
-        rules: what is legal on the grid: what physics supports, or what CraftEnv's code allows; physical unless given.
-        helper_depth: search depth of the action helper on the grid; without it unless given.
-        network: what a car's observation is looked up by: each cell of the map, or how a thing lies from the car, which
-            serves any number of cars.
-        width: of the network's layers.
-        novelty: exploration bonus for a building never seen before, smaller the more often it was seen.
-        explore: ticks of exploration at random on the grid before learning: worlds once reached are returned
-            to, the way to the best is imitated, and every second episode of training starts with one of them.
-        imitate: how many plans of the planner are imitated before learning; every second episode of training then
-            starts with a world of one of them, or of starts.
-        shown_share: with --imitate in a task that varies, how many of the episodes start with a world of a plan, where
-            not every second one.
-        pretrained: policy to begin with, a name, file or folder; one that looks from a car may be of another area.
-        stages: tasks to learn on before, one after the other: a curriculum of easier ones, of the same size and with as
-            many things.
-        stage_steps: ticks on each of them, all worlds together.
-        acting: how the policy acts in evaluations and later: what it rates highest, or drawn by its probabilities.
-        settings: YAML file of the algorithm's hyperparameters that are not to be its own, such as learning_rate.
-        cars: other than the task's number of cars; those that its start does not list are drawn at random.
-        blocks: the same for blocks.
-        starts: start every second episode of training with a world of this .plan, or of a file of reached worlds.
+            starts and no demonstrations.
+        settings: any other setting; see above.
         episodes: how many episodes the final evaluation has.
         record: write the trajectories of the final evaluation's episodes, in physics only.
-        tensorboard: write the learning curve for TensorBoard, too, into tensorboard/ of the output folder.
         resume: go on with the run in the output folder, begun with the same options; where nothing has been saved yet,
             begin it.
         out: folder for policy.safetensors, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not
             given.
     """
+    from craftsim.training.extra import need_torch
+
     need_torch()
+    from craftsim.cli.terminal import Terminal
     from craftsim.discrete.tasks import as_task
     from craftsim.rendering.trajectory import TRAJECTORIES
 
-    if backend == "grid" and workers is not None:
-        raise InputError("--workers is for physics; on the grid one process steps all worlds: leave it out")
-    if backend == "grid" and drive is not None:
-        raise InputError("--drive is for physics; on the grid nothing rolls: leave it out")
-    if backend == "grid" and randomize is not None:
-        raise InputError("--randomize is for physics; on the grid nothing is drawn of it: leave it out")
-    if backend == "grid" and record:
-        raise InputError("--record is for physics; on the grid nothing moves: leave it out")
-    worlds = WORLDS[backend] if worlds is None else worlds
-    config = TrainConfig(
-        *(task, algo, seed, worlds),
-        width=width,
-        network=network,
-        shown_share=shown_share,
-        pretrained=pretrained,
-        stages=stages,
-        stage_steps=stage_steps or 0,
-        acting=acting,
-        novelty=novelty,
-        n_cars=cars,
-        n_blocks=blocks,
-        backend=backend,
-        drive=drive or "reduced",
-        randomize=randomize or "none",
-        hyperparameters=read_settings(settings, algo) if settings else {},
-        **_protocol(
-            preset,
-            starts or pretrained,
-            rules=rules,
-            helper_depth=helper_depth,
-            explore=explore,
-            imitate=imitate,
-        ),
-    )
+    given = settings_of(settings)
+    besides: dict[str, Any] = {name: given.pop(name) for name in _BESIDES if name in given}
+    workers, starts = besides.get("workers"), besides.get("starts")
+    cars, blocks = besides.get("cars"), besides.get("blocks")
+    if workers is not None:
+        WORKERS.check("workers", workers)
+    if backend == "grid":
+        physical = {"workers": workers, "drive": given.get("drive"), "randomize": given.get("randomize")}
+        _only_in_physics({**physical, "record": None if record == "none" else record})
+    config = _config(given, besides, preset, task=task, algo=algo, seed=seed, backend=backend)
     learnt = as_task(task, cars, blocks)
     if not learnt.has_goal:
         raise InputError(
             f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, "
             "or name one in a task file (docs/tasks.md)"
         )
-    staged = [as_task(name, cars, blocks) for name in stages]
+    staged = [as_task(name, cars, blocks) for name in config.stages]
     folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}")
+    reached = None if starts is None else Path(str(starts))
 
     import torch
 
@@ -202,9 +119,9 @@ def train(
     begun = time.perf_counter()
     with (
         owned(folder),
-        closing(_trainer(config, learnt, staged, starts, folder, resume, workers)) as trainer,
+        closing(_trainer(config, learnt, staged, reached, folder, resume, workers)) as trainer,
     ):
-        log = _log(folder, trainer) if tensorboard else None
+        log = _log(folder, trainer) if besides.get("tensorboard") in (True, "true") else None
         _ = trainer.guidance  # shows progress of its own
         try:
             _run(trainer, console, steps, until, folder, log)
@@ -213,21 +130,56 @@ def train(
             say(f"Interrupted; --resume goes on. Policy: {folder / 'policy.safetensors'}")
             return INTERRUPTED
         trainer.save(folder)
-        asked = config.as_dict() | {"steps": steps, "until": until, "starts": starts, "episodes": episodes}
+        asked = config.as_dict() | {"steps": steps, "until": until, "starts": reached, "episodes": episodes}
         asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
         asked["pretrained_digest"] = trainer.pretrained
-        place = folder / TRAJECTORIES if record else None
+        place = folder / TRAJECTORIES if record == "trajectory" else None
         _report(trainer, folder, asked, time.perf_counter() - begun, place)
     return 0
 
 
-def _protocol(preset: PresetName | None, shown: Path | str | None, **given: Any) -> dict[str, Any]:
-    """Return what is given; a preset settles the rest."""
-    if preset is not None and (shown or given["imitate"]):
-        raise InputError(
-            f"--preset {preset} learns from nothing; leave --starts, --imitate and --pretrained out"
-        )
-    return {**(PRESETS[preset] if preset else {}), **{k: v for k, v in given.items() if v is not None}}
+def _only_in_physics(given: dict[str, Any]) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(f"{name} is for physics; on the grid nothing moves: leave it out")
+
+
+def _config(
+    given: dict[str, Any], besides: dict[str, Any], preset: Literal["paper"] | None, **flags: Any
+) -> TrainConfig:
+    """Return the configuration that flags and --set ask for; a preset settles the rest.
+
+    Raises InputError for a name that is no setting.
+    """
+    from craftsim.training.config import PRESETS, WORLDS, TrainConfig
+    from craftsim.training.settings import KINDS, read_settings
+
+    if preset is not None and ({"imitate", "pretrained"} & {*given} or "starts" in besides):
+        raise InputError(f"--preset {preset} learns from nothing; leave starts, imitate and pretrained out")
+    named = {field.name for field in fields(TrainConfig)} - {*flags, "n_cars", "n_blocks", "hyperparameters"}
+    own = {field.name for field in fields(KINDS[flags["algo"]])}
+    for name in given:
+        if name not in named | own:
+            known = sorted(named | own | {*_BESIDES})
+            raise InputError(
+                f"--set: no setting '{name}' of {flags['algo']}{suggestion(name, known)} "
+                f"(settings: {', '.join(known)})"
+            )
+    chosen = {name: value for name, value in given.items() if name in named}
+    if "stages" in chosen:
+        chosen["stages"] = tuple(str(chosen["stages"]).split(","))
+    hyperparameters = (
+        dict(read_settings(Path(str(besides["settings"])), flags["algo"])) if "settings" in besides else {}
+    )
+    hyperparameters |= {name: value for name, value in given.items() if name in own}
+    protocol = PRESETS[preset] if preset else {}
+    return TrainConfig(
+        **flags,
+        **{"worlds": WORLDS[flags["backend"]], **protocol, **chosen},
+        n_cars=besides.get("cars"),
+        n_blocks=besides.get("blocks"),
+        hyperparameters=hyperparameters,
+    )
 
 
 def _trainer(
@@ -239,6 +191,8 @@ def _trainer(
     resume: bool,
     workers: int | None,
 ) -> Trainer:
+    from craftsim.cli.progress import counting
+    from craftsim.cli.terminal import Terminal
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
@@ -267,6 +221,8 @@ def _log(folder: Path, trainer: Trainer) -> TensorboardLog:
 def _run(
     trainer: Trainer, console: Console, steps: int, until: float, folder: Path, log: TensorboardLog | None
 ) -> None:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -304,6 +260,7 @@ def _run(
 def _report(
     trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: float, record: Path | None
 ) -> None:
+    from craftsim.report import write_report
     from craftsim.training.curve import plot_curve
     from craftsim.training.trainer import training_versions
 

@@ -2,34 +2,41 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
-import tyro
+from cyclopts import Parameter
 
+from craftsim.choices import Drive
 from craftsim.cli.again import command_again
-from craftsim.cli.options import Dir, PhysicsOptions
-from craftsim.cli.terminal import Terminal
+from craftsim.cli.options import Dir
 from craftsim.cli.text import say
+from craftsim.options import Physics, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TRIAL_COUNT, WORKERS
 
-OPTIONS: Final = PhysicsOptions(drive="reduced")
 _Objective = Literal["time", "error", "margin", "energy", "force"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TunedPhysics(Physics):
+    """Physics in which gains are tried."""
+
+    drive: Drive | None = "reduced"
 
 
 @owning
 def tune(
-    subject: Annotated[
-        Literal["drive", "board", "hinge", "all"], tyro.conf.Positional, tyro.conf.arg(metavar="SKILL")
-    ],
-    weights: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=WEIGHT ...")] = (),
+    subject: Literal["drive", "board", "hinge", "all"],
+    *,
+    weights: Annotated[tuple[str, ...], Parameter(metavar="NAME=WEIGHT")] = (),
     objectives: tuple[_Objective, ...] = (),
     choose: Literal["knee", "time", "error", "margin", "energy", "force"] = "knee",
-    evaluations: Annotated[int, TRIAL_COUNT] = 400,
-    trials: Annotated[int, TRIAL_COUNT] = 2,
-    physics: tyro.conf.OmitArgPrefixes[PhysicsOptions] = OPTIONS,
-    workers: Annotated[int, WORKERS] = 1,
+    evaluations: Annotated[int, number(TRIAL_COUNT)] = 400,
+    trials: Annotated[int, number(TRIAL_COUNT)] = 2,
+    physics: TunedPhysics = TunedPhysics(),
+    workers: Annotated[int, number(WORKERS)] = 1,
     resume: bool = False,
     out: Dir = Path("out/tune"),
 ) -> int:
@@ -52,8 +59,8 @@ def tune(
         resume: go on with what an interrupted run has left in the output folder.
         out: folder for gains.yaml, report.html, report.json and trials.jsonl.
     """
-    given = locals().copy()
     from craftsim.cli.progress import counting
+    from craftsim.cli.terminal import Terminal
     from craftsim.cli.tune_text import gains_table, verdict_table
     from craftsim.experiments.experiment import RunOptions
     from craftsim.report import write_report
@@ -83,7 +90,7 @@ def tune(
             ),
         ),
     )
-    command = command_again(tune, given)
+    command = command_again()
     write_report(
         out,
         figures(tuned),

@@ -7,12 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
+from cyclopts import Parameter
 
-from craftsim.cli.options import PhysicsOptions
 from craftsim.cli.strangers import warn_of_strangers
 from craftsim.cli.text import say
-from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.options import Physics, number
 from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
 from craftsim.storage.limits import PORTS
 from craftsim.storage.paths import is_file, is_folder
@@ -28,9 +27,10 @@ if TYPE_CHECKING:
 
 
 def view(
-    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")],
-    host: str = LOOPBACK,
-    port: Annotated[int, PORTS] = PORT,
+    what: Annotated[str, Parameter(metavar="RUN|FILE|TASK")],
+    *,
+    host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
+    port: Annotated[int, number(PORTS)] = PORT,
 ) -> int:
     """Watch a run in the browser: play, pause, go from action to action, and look at what each car does and feels.
 
@@ -43,6 +43,7 @@ def view(
         port: 0 takes one that is free.
     """
     need_viser()
+    from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.rendering.viewer.live import LiveView
     from craftsim.rendering.viewer.page import REAL_TIME
@@ -92,7 +93,7 @@ def _carry_out(building: Building, live: LiveView) -> Trajectory:
         live.follow(judge, building.name, task.goal_cells, lambda: attempts)
         return attempts.extend
 
-    setup = PhysicsOptions(randomize="none").setup()
+    setup = Physics(randomize="none").setup()
     done = building.run(setup, 0, "concurrent", watch)
     assert done.trajectory is not None
     return done.trajectory

@@ -8,6 +8,8 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, Strict
 
+from craftsim.choices import AlgoName as AlgoName
+from craftsim.choices import Backend as TrainBackend
 from craftsim.discrete.rules import RuleSet
 from craftsim.mjcf.parameters import Drive
 from craftsim.storage.limits import (
@@ -28,8 +30,6 @@ from craftsim.storage.limits import (
 from craftsim.storage.records import record
 from craftsim.training.settings import settings_of
 
-AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran"]
-TrainBackend = Literal["grid", "physics"]
 WORLDS: Final[Mapping[TrainBackend, int]] = {"grid": 500, "physics": 32}
 """How many are stepped side by side unless said otherwise."""
 PresetName = Literal["paper"]

@@ -1,20 +1,16 @@
-"""``craftsim evaluate``: how often a trained policy succeeds on the grid, and from how many different starts."""
+"""How often trained policies succeed on the grid, and from how many different starts: validate --backend grid."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Any
 
-import tyro
-
-from craftsim.cli.options import Dir
 from craftsim.cli.tables import Cells, show
 from craftsim.cli.terminal import Terminal
 from craftsim.cli.text import say
 from craftsim.errors import InputError
+from craftsim.options import Physics, Rollouts, Trials
 from craftsim.report import write_report
-from craftsim.storage.folders import owning
-from craftsim.storage.limits import BLOCKS, CARS, DESIGN_SIDE, SEED, TRAIN_EPISODES
 from craftsim.training.config import Acting
 from craftsim.training.extra import need_torch
 
@@ -22,45 +18,40 @@ if TYPE_CHECKING:
     from craftsim.discrete.tasks import Task
     from craftsim.training.policy import TrainedPolicy
 
-EPISODES: Final = 1000
 
-
-@owning
-def evaluate(
-    policies: Annotated[
-        tuple[str, ...],
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar="POLICY [POLICY ...]", help_behavior_hint=""),
-    ],
-    task: Annotated[tuple[str, ...], tyro.conf.arg(help_behavior_hint="")] = (),
-    episodes: Annotated[int, TRAIN_EPISODES] = EPISODES,
-    cars: Annotated[int | None, CARS] = None,
-    blocks: Annotated[int | None, BLOCKS] = None,
-    area: Annotated[tuple[int, ...], DESIGN_SIDE] = (),
-    acting: Acting | None = None,
-    seed: Annotated[int, SEED] = 0,
-    out: Dir = Path("out/evaluate"),
+def play_policies(
+    tasks: tuple[str, ...],
+    what: Rollouts,
+    physics: Physics,
+    campaign: Trials,
+    area: tuple[int, ...],
+    acting: Acting | None,
+    out: Path,
 ) -> int:
-    """Play trained policies on the grid, and count what differs.
+    """Play trained policies on the grid, and count what differs; return the exit status.
 
     A deterministic policy plays one start alike each time: what is repeated counts once, and only different starts have
     an interval. Tasks may start otherwise than those of training, but are of the same size, and have as many cars and
     things unless the network looks from a car.
-    'craftsim validate --policy' plays it in physics. Exit status 0, or 2 for wrong input.
 
     Args:
-        policies: what 'craftsim train' wrote, files or folders, or shipped ones such as random_strip.
-        task: tasks to play, such as random_strip@test; that which a policy was trained on unless given.
-        episodes: how many of each; of a list of held-out starts one after the other.
-        cars: other than the task's number of cars, for networks that look from a car.
-        blocks: the same for blocks.
+        tasks: to play, such as random_strip@test; that which a policy was trained on unless given.
+        what: the policies: what 'craftsim train' wrote, files or folders, or shipped ones such as random_strip; and
+            numbers of cars and blocks other than the task's.
+        physics: its seed, of starts, of the order in which cars act, and of what is drawn.
+        campaign: its trials: how many episodes of each; of a list of held-out starts one after the other.
         area: length, width and height of another area, of tasks that vary.
-        acting: do what a policy rates highest, or draw by its probabilities; as it was trained for unless given.
-        seed: of starts, of the order in which cars act, and of what is drawn.
+        acting: do what a policy rates highest, or draw by its probabilities; as it was trained for if None.
         out: folder for report.json.
     """
-    if not policies:
-        raise InputError("name at least one policy: what 'craftsim train' wrote, a file or a folder")
+    task, policies = tasks, [str(policy) for policy in what.policy]
+    cars, blocks = what.n_cars, what.n_blocks
+    episodes, seed = campaign.trials, physics.seed
+    if not policies or what.plan is not None or what.actions is not None:
+        raise InputError(
+            "on the grid trained policies are played; name one or more with --policy: what 'craftsim train' wrote, a "
+            "file or a folder"
+        )
     need_torch()
     from craftsim.training.evaluation import evaluate as play
     from craftsim.training.policy import load_policy

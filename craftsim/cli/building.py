@@ -1,51 +1,40 @@
-"""``craftsim build``: plans, builds in physics, and plans again from what is there where something went wrong."""
+"""Buildings that are planned, built in physics, and planned again where it went wrong: validate --plan auto."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Any
 
-import tyro
-
-from craftsim.cli.options import CampaignOptions, Dir, File
 from craftsim.cli.terminal import Terminal
 from craftsim.cli.text import say
-from craftsim.storage.folders import owning
-from craftsim.storage.limits import PLAN_ROUNDS, REPLANS, TIMEOUT_S
-
-OPTIONS: Final = CampaignOptions(trials=1)
+from craftsim.options import Physics, Trials
 
 
-@owning
 def build(
-    start: Annotated[str, tyro.conf.Positional],
-    goal: File = None,
-    campaign: tyro.conf.OmitArgPrefixes[CampaignOptions] = OPTIONS,
-    replans: Annotated[int, REPLANS] = 10,
-    rounds: Annotated[int, PLAN_ROUNDS] = 60,
-    disturb: Annotated[
-        Literal["shove", "fold", "dead-car"] | None, tyro.conf.arg(help_behavior_hint="")
-    ] = None,
-    timeout: Annotated[float, TIMEOUT_S] = 600.0,
-    video: bool = False,
-    out: Dir = Path("out/build"),
+    start: str,
+    goal: Path | None,
+    asked: tuple[int, int, Any],
+    timeout_s: float,
+    physics: Physics,
+    campaign: Trials,
+    video: bool,
+    out: Path,
 ) -> int:
     """Plan a building, build it in physics, read the world from poses, and plan again from what is there.
 
     After an action that did not do what the rules predict, what does not depend on it comes to its end; then follows
-    another plan. A car that does not act any more is an obstacle to the others. Exit status 0 when all is built, 1 when
-    not, 2 for wrong input or where there is no plan.
+    another plan. A car that does not act any more is an obstacle to the others. Return the exit status, 0 when all is
+    built.
 
     Args:
         start: name of a task, a start file, or 'module:factory'.
         goal: design to build, in place of the task's goal.
-        replans: plans after the first one, at most.
-        rounds: attempts at each plan, of which the best is taken.
-        disturb: what goes wrong on purpose: a block is shoved by one cell, a slope is folded again, or a car gets no
-            commands any more.
-        timeout: seconds after which a building counts as hanging.
+        asked: plans after the first one, attempts at each, and what goes wrong on purpose.
+        timeout_s: after which a building counts as hanging.
+        physics: in which it is built.
+        campaign: how often, and where.
         video: film every building from its start to its end.
-        out: folder for report.json, trials.jsonl, durations.csv, the bundles of disagreements, films and trajectories.
+        out: folder for results.
     """
     from craftsim.cli.build_text import builds_table, conclusion
     from craftsim.cli.films import film_runs, rendering_works
@@ -56,16 +45,16 @@ def build(
     from craftsim.validation.runs.rebuilding import Rebuilding
 
     task = read_goal(start, goal)
-    setup = campaign.setup()
+    setup = physics.setup()
     console = Terminal()
     filming = video and rendering_works(console)
     result = build_all(
-        *(task, setup, Rebuilding(replans, rounds, disturb)),
+        *(task, setup, Rebuilding(*asked)),
         trials=campaign.trials,
-        seed=campaign.seed,
+        seed=physics.seed,
         out=out,
         options=campaign.run(lambda total: counting(console, "buildings", total, _is_built)),
-        timeout_s=timeout,
+        timeout_s=timeout_s,
         record=video,
     )
     if filming:

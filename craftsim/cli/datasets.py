@@ -1,19 +1,16 @@
-"""``craftsim export``: episodes of a plan, the planner or a policy as a Minari dataset."""
+"""Episodes of a plan, the planner or a policy as a Minari dataset: validate --record minari."""
 
 from __future__ import annotations
 
 import re
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Final
 
-import tyro
-
-from craftsim.cli.options import Dir, File
+from craftsim.choices import Backend
 from craftsim.cli.text import say
-from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError
-from craftsim.storage.limits import SEED, TRAIN_EPISODES
+from craftsim.options import Physics, Rollouts, Trials
 
 if TYPE_CHECKING:
     from craftsim.envs.datasets import MakeAct
@@ -22,32 +19,27 @@ if TYPE_CHECKING:
 _PLANNER: Final = "planner"
 
 
-def export(
-    task: Annotated[str, tyro.conf.Positional],
-    policy: str = _PLANNER,
-    plan: File = None,
-    episodes: Annotated[int, TRAIN_EPISODES] = 100,
-    backend: Literal["grid", "physics"] = "grid",
-    rules: RuleSet = "physical",
-    seed: Annotated[int, SEED] = 0,
-    name: str | None = None,
-    out: Dir = Path("out/minari"),
+def write_episodes(
+    task: str,
+    what: Rollouts,
+    physics: Physics,
+    campaign: Trials,
+    backend: Backend,
+    name: str | None,
+    out: Path,
 ) -> int:
     """Play episodes and write them as a dataset for offline learning, which minari.load_dataset reads.
 
-    It needs the extra 'minari'. Episode i has the seed --seed + i, and is the same whatever else is exported. Physics
-    is nominal. Exit status 0 when the dataset is written, however the episodes went, 2 for wrong input.
+    It needs the extra 'minari'. Episode i has the seed i after the first, and is the same whatever else is exported.
+    Physics is nominal. Return the exit status, 0 however the episodes went.
 
     Args:
         task: name of a task, a file, or 'module:factory'.
-        policy: 'planner', 'random' (what is legal, lifting rather than turning), 'module:function', or a file or folder
-            that 'craftsim train' wrote.
-        plan: plan file to carry out, or a shipped plan's name, in place of a policy.
-        episodes: how many.
+        what: a plan, or a policy; the planner if neither.
+        physics: its rules and its seed, of the first episode.
+        campaign: its trials, which are the episodes.
         backend: where they are played.
-        rules: the rule set that is played by.
-        seed: of the first episode.
-        name: of the dataset, with a version; craftsim/TASK/POLICY-v0 unless given.
+        name: of the dataset, with a version; craftsim/TASK/POLICY-v0 if None.
         out: folder of datasets, for MINARI_DATASETS_PATH; report.json lies with the dataset.
     """
     from craftsim.cli.progress import counting
@@ -59,10 +51,15 @@ def export(
     from craftsim.report import write_report
 
     need_minari()
+    if len(what.policy) > 1 or what.actions is not None:
+        raise InputError("a dataset is of one --plan or one --policy")
+    plan = None if what.plan is None else Path(str(what.plan))
+    policy = str(what.policy[0]) if what.policy else _PLANNER
+    episodes, seed, rules = campaign.trials, physics.seed, physics.rules
     played = as_task(task)
     env = parallel_env(played, backend, rule_set=rules)
     player = policy if plan is None else "plan"
-    if plan is not None and policy != _PLANNER:
+    if plan is not None and what.policy:
         raise InputError("--plan and --policy both say what is played; give one of them")
     make_act = _player(env, policy, plan)
     name = name or f"craftsim/{_word(played.name)}/{_word(Path(player).name)}-v0"

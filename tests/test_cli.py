@@ -13,16 +13,17 @@ from typing import get_args
 import pytest
 
 import craftsim
-from craftsim import cli, report
+from craftsim import cli
 from craftsim.cli import app as cli_app
 from craftsim.cli import doctor as doctor_module
 from craftsim.cli import former
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, HEADINGS
 from craftsim.cli.doctor import Check
 from craftsim.cli.help import REFERRED, _default, _heading
-from craftsim.cli.text import clean
 from craftsim.errors import InputError
 from craftsim.options import Physics, range_of
+from craftsim.reports import json_file
+from craftsim.reports.text import clean
 
 EVERY = [words for name in COMMANDS for words in ([name], *([name, below] for below in BELOW.get(name, ())))]
 EVERY = [words for words in EVERY if words[0] not in ALONE or len(words) == 2]
@@ -577,7 +578,7 @@ def test_only_missing_physics_fails_the_doctor(monkeypatch, capsys, broken, stat
 
 
 def test_the_doctor_knows_the_version_with_wrong_physics(monkeypatch):
-    monkeypatch.setattr(report, "versions", lambda: {"mujoco": "4.0.0"})
+    monkeypatch.setattr(json_file, "versions", lambda: {"mujoco": "4.0.0"})
     check = doctor_module._physics()
     assert not check.works
     assert "!=4.0.0" in check.remedy

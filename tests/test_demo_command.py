@@ -11,7 +11,7 @@ import pytest
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.rendering.frames import Frames, Look
 from craftsim.rendering.trajectory import Trajectory
-from craftsim.report import SCHEMA_VERSION
+from craftsim.reports.json_file import SCHEMA_VERSION
 
 NAME = "simple_two_story"
 
@@ -40,7 +40,7 @@ CARRY = """\
 
 
 def _demo(*words: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "craftsim.cli", "demo", *map(str, words)]
+    command = [sys.executable, "-m", "craftsim", "demo", *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
@@ -82,9 +82,9 @@ def test_the_table_has_a_row_for_each_action(shipped):
     assert {row[1] for row in rows} == {"0", "1"}
 
 
-def test_without_a_film_the_report_and_the_trajectory_are_written(shipped):
+def test_without_a_film_the_report_its_page_and_the_trajectory_are_written(shipped):
     _, out = shipped
-    written = ["report.json", "simple_two_story.log.csv", "simple_two_story.npz"]
+    written = ["report.html", "report.json", "simple_two_story.log.csv", "simple_two_story.npz"]
     assert sorted(path.name for path in out.iterdir()) == written
 
 
@@ -159,7 +159,7 @@ def test_an_action_that_the_rules_forbid_is_named_and_ends_with_status_1(tmp_pat
     plan = CARRY.replace("1 0 LIFT", "1 0 DROP")
     result = _demo("--no-video", "--out", tmp_path, *_write(tmp_path, blueprint=FLAT, plan=plan))
     assert result.returncode == 1
-    assert "tick 1, car 0 DROP: the rules forbid it: " in result.stdout
+    assert "own: tick 1, car 0 DROP: not tried: the rules forbid it: " in result.stdout
     figures = _report(tmp_path)["figures"]
     assert [action["legal"] for action in figures["actions"]] == [True, False, True, False]
     assert _last_line(result).startswith("2 of 4 actions agree")

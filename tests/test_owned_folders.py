@@ -15,7 +15,7 @@ from craftsim.cli import main
 from craftsim.cli.app import bind
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS
 from craftsim.errors import InputError
-from craftsim.report import write_report
+from craftsim.reports.json_file import write_report
 from craftsim.storage.folders import LOCK, directory_within, owned
 from craftsim.validation.validation import validate
 

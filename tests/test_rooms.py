@@ -42,7 +42,7 @@ ALLOWED = {
         "models",
         "discrete",
         "mjcf",
-        "report",
+        "reports",
     },
     "audit": {"storage", "checking", "skills", "mjcf", "models", "discrete"},
     "validation": {
@@ -57,7 +57,7 @@ ALLOWED = {
         "mjcf",
         "models",
         "discrete",
-        "report",
+        "reports",
         "training.policy",
         "logs",
         "planning",
@@ -74,7 +74,7 @@ ALLOWED = {
         "mjcf",
         "models",
         "discrete",
-        "report",
+        "reports",
         "logs",
     },
     "envs": {
@@ -86,9 +86,9 @@ ALLOWED = {
         "models",
         "discrete",
         "rendering",
-        "report",
+        "reports",
     },
-    "studies": {"storage", "discrete", "training", "experiments"},
+    "studies": {"storage", "discrete", "training", "experiments", "reports"},
     "training": {
         "storage",
         "discrete",
@@ -96,11 +96,11 @@ ALLOWED = {
         "checking.setup",
         "envs",
         "planning",
-        "report",
+        "reports",
     },
-    "rendering": {"storage", "checking", "skills", "mjcf", "models", "discrete", "report"},
+    "rendering": {"storage", "checking", "skills", "mjcf", "models", "discrete", "reports"},
     "testing": {"envs", "discrete"},
-    "report": {"storage"},
+    "reports": {"storage"},
     "__main__": {"cli"},
 }
 """What each room may import of ours, besides itself, the version and those of SHARED; cli may import all."""
@@ -209,7 +209,7 @@ def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
         ("craftsim.discrete.grid", "from ..models import world"),
         ("craftsim.models.world", "import craftsim.skills.move"),
         ("craftsim.skills.move", "from craftsim.rendering.frames import Frames"),
-        ("craftsim.report", "from craftsim.discrete.grid import Grid"),
+        ("craftsim.reports.report", "from craftsim.discrete.grid import Grid"),
     ],
 )
 def test_an_import_against_the_arrows_is_found(module, source):
@@ -224,7 +224,7 @@ def test_an_import_against_the_arrows_is_found(module, source):
             "from craftsim.models.world import PhysicsWorld\nfrom craftsim.discrete import grid",
         ),
         ("craftsim.models.world", "import mujoco\nfrom .parameters import Car"),
-        ("craftsim.report", "from craftsim.errors import InputError"),
+        ("craftsim.reports.report", "from craftsim.errors import InputError"),
         ("craftsim.cli.demo", "from craftsim.skills.move import Move"),
     ],
 )

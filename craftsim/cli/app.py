@@ -133,7 +133,7 @@ def write_config(words: Sequence[str], bound: inspect.BoundArguments) -> None:
     named = len(words) > 1 and words[1] in BELOW.get(words[0], ())
     import yaml
 
-    from craftsim.report import versions
+    from craftsim.reports.json_file import versions
     from craftsim.storage.writing import write_whole
 
     document = {

@@ -12,7 +12,6 @@ from cyclopts import Parameter
 from craftsim.choices import RuleSet
 from craftsim.cli.again import command_again
 from craftsim.cli.options import RESULTS, Actions, Dir, Shown, check_actions
-from craftsim.cli.text import say
 from craftsim.errors import InputError
 from craftsim.options import Physics, Trials, number
 from craftsim.storage.folders import owning
@@ -71,17 +70,12 @@ def audit(
     check_actions(actions)
     from craftsim.audit.plan import audit_plan
     from craftsim.audit.quick import quick_rows
-    from craftsim.cli.audit_text import conclude, print_results
     from craftsim.cli.films import record_failures, rendering_works
-    from craftsim.cli.notes_text import print_notes
-    from craftsim.cli.progress import counting
-    from craftsim.cli.smallest_text import print_smallest, shrinking
-    from craftsim.cli.terminal import Terminal
-    from craftsim.experiments.statistics import capped_steps, retried
+    from craftsim.cli.progress import counting, shrinking
+    from craftsim.reports.terminal import Terminal
     from craftsim.validation.audit.audit import run_audit
+    from craftsim.validation.audit.report import audit_report
     from craftsim.validation.audit.trial import BATCH
-    from craftsim.validation.html.audit import audit_page
-    from craftsim.validation.html.writing import write_html
 
     console = Terminal()
     setup = physics.setup()  # says what is wrong with its files before contexts are looked for
@@ -113,14 +107,7 @@ def audit(
     )
     if filming or record == "trajectory":
         record_failures(console, out, result.records, campaign.workers, filming)
-    page = write_html(out, audit_page(result, command_again()))
-    print_results(console, result.results)
-    print_smallest(console, out, result.smallest)
-    print_notes(capped_steps(result.records), retried(result.records))
-    if result.comparison is not None:
-        say(result.comparison)
-    say(f"Report: {out / 'report.json'}\nPage:   {page}")
-    return conclude(result)
+    return audit_report(result, out, command_again()).publish(out, console)
 
 
 def _chosen(plan: Sequence[PlanRow], contexts: str, only: str) -> list[PlanRow]:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from craftsim.choices import RuleSet
 from craftsim.cli.options import OptionalDir
 from craftsim.options import number
-from craftsim.storage.folders import owning
+from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import BATCH, BENCH_S, SEED
+from craftsim.storage.writing import write_whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -59,9 +60,9 @@ def bench(
         out: folder for report.json, and for the table in Markdown.
     """
     from craftsim.cli.calibration import COLUMNS, measure
-    from craftsim.cli.tables import Cells, show
-    from craftsim.cli.terminal import Terminal
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import document
+    from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
+    from craftsim.reports.terminal import Terminal
 
     cases = {
         "rules": lambda task: rule_cases(task, rules, worlds, seed),
@@ -76,12 +77,21 @@ def bench(
             rate = measure(step, n, seconds, task, helper)
             rates[task][name] = rate.as_dict()
             rows.append((task, name, *rate.cells()))
-    table = Cells(f"Steps a CPU second, {what}", ("task", "case", *COLUMNS), tuple(rows))
-    show([table], (), Terminal(highlight=False), None if out is None else out / f"{what}.md")
+    columns = (Column("task"), Column("case"), *(Column(name, "number") for name in COLUMNS))
+    table = DataTable(columns, rows, f"Steps a CPU second, {what}")
+    config = {"what": what, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
+    report = Report(
+        "Speed",
+        f"{what}, on this machine",
+        Headline(
+            "Measured", Tone.PLAIN, "CraftEnv's steps are estimated from the calibration, not measured."
+        ),
+        sections=[Section("speed", "Speed", "In CPU seconds, resets included.", [table], terminal=True)],
+        document=document({}, command="bench", seed=seed, config=config, wall={"rates": rates}),
+    )
     if out is not None:
-        config = {"what": what, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
-        write_report(out, {}, command="bench", seed=seed, config=config, wall={"rates": rates})
-    return 0
+        write_whole(output_directory(out) / f"{what}.md", f"{table.as_markdown()}\n")
+    return report.publish(out, Terminal())
 
 
 def rule_cases(task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[Case]:

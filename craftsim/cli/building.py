@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from craftsim.cli.terminal import Terminal
-from craftsim.cli.text import say
+from craftsim.cli.again import command_again
 from craftsim.options import Physics, Trials
+from craftsim.reports.terminal import Terminal
 
 
 def build(
@@ -36,12 +36,10 @@ def build(
         video: film every building from its start to its end.
         out: folder for results.
     """
-    from craftsim.cli.build_text import builds_table, conclusion
     from craftsim.cli.films import film_runs, rendering_works
-    from craftsim.cli.notes_text import print_notes
     from craftsim.cli.progress import counting
-    from craftsim.cli.validate_text import print_disagreements
     from craftsim.validation.builds import build_all, read_goal
+    from craftsim.validation.report import builds_report
     from craftsim.validation.runs.rebuilding import Rebuilding
 
     task = read_goal(start, goal)
@@ -59,14 +57,7 @@ def build(
     )
     if filming:
         film_runs(console, out, campaign.workers)
-    console.print(builds_table(result.records))
-    print_disagreements(out, result.records)
-    print_notes(result.figures.capped_steps, result.figures.retried)
-    if result.comparison is not None:
-        say(result.comparison)
-    say(f"Report: {out / 'report.json'}")
-    say(conclusion(result))
-    return 0 if result.all_built else 1
+    return builds_report(result, out, command_again()).publish(out, console)
 
 
 def _is_built(record: dict[str, dict[str, str]]) -> bool:

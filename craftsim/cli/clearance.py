@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from craftsim.choices import RuleSet
 from craftsim.cli.options import Actions, Dir, File, check_actions
-from craftsim.cli.text import say
 from craftsim.storage.folders import owning
 
 if TYPE_CHECKING:
@@ -16,9 +15,7 @@ if TYPE_CHECKING:
 
     from craftsim.audit.neighbours import Neighbour
     from craftsim.discrete.rules import Rules
-
-_SHOWN: Final = 30
-"""How many findings of a kind are printed; the others are in the report."""
+    from craftsim.reports.report import DataTable, Report
 
 
 @owning
@@ -40,48 +37,23 @@ def clearance(
         machines: YAML file of machine parameters, for machines of other dimensions.
         out: folder for report.json, which lists every neighbour within reach.
     """
-    from rich.table import Table
-
     from craftsim.audit.neighbours import neighbours
-    from craftsim.cli.terminal import Terminal
     from craftsim.discrete.rules import Rules
     from craftsim.mjcf.machine_files import load_machines
     from craftsim.mjcf.parameters import NOMINAL
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import document
 
     check_actions(actions)
     parameters = NOMINAL if machines is None else load_machines(machines)
     judged = [_judged(one, Rules(rules)) for one in neighbours(parameters, actions)]
-    table = Table("situation", "neighbours", "within reach", "in the way", "allowed", "unexplained", box=None)
-    table.columns[0].no_wrap = True
-    for column in table.columns[1:]:
-        column.justify = "right"
-    for name, group in groupby(judged, lambda one: one["situation"]):
-        row = list(group)
-        reach = [one["clearance_mm"] for one in row if one["clearance_mm"] is not None]
-        counts = (
-            len(row),
-            len(reach),
-            sum(mm < 0 for mm in reach),
-            *(len(found) for found in _findings(row)),
-        )
-        table.add_row(name, *map(str, counts))
-    console = Terminal(highlight=False)
-    console.print(table)
-    allowed, unexplained = _findings(judged)
-    _list("Collisions that the rules allow", allowed)
-    _list("Forbidden although out of reach", unexplained)
     listed = [one for one in judged if one["clearance_mm"] is not None or _unexplained(one)]
-    write_report(
-        out,
+    written = document(
         {"clearance": {"neighbours": len(judged), "rows": listed}},
         command="clearance",
         seed=0,
         config={"rules": rules, "actions": actions, "machines": parameters.digest},
-        wall={},
     )
-    say(f"Report: {out / 'report.json'}")
-    return 1 if allowed else 0
+    return _report(judged, rules, written).publish(out)
 
 
 def _judged(one: Neighbour, rules: Rules) -> dict[str, Any]:
@@ -109,11 +81,56 @@ def _findings(judged: Sequence[Mapping[str, Any]]) -> tuple[list[Mapping[str, An
     return sorted(allowed, key=lambda one: one["clearance_mm"]), [one for one in judged if _unexplained(one)]
 
 
-def _list(title: str, found: Sequence[Mapping[str, Any]]) -> None:
-    say(f"{title}: {len(found)}")
-    for one in found[:_SHOWN]:
-        place = ",".join(map(str, one["at"]))
-        depth = "" if one["clearance_mm"] is None else f" {one['clearance_mm']:.1f} mm, {one['closest']}"
-        say(f"  {one['situation']}/near={one['occupant']}@({place}){depth}")
-    if len(found) > _SHOWN:
-        say(f"  and {len(found) - _SHOWN} more in the report")
+def _report(judged: Sequence[Mapping[str, Any]], rules: RuleSet, written: Mapping[str, Any]) -> Report:
+    """Return the report; ``written`` is what ``report.json`` holds."""
+    from craftsim.reports.report import Column, DataTable, Headline, KeyFigure, Report, Section, Tone, count
+
+    allowed, unexplained = _findings(judged)
+    rows = []
+    for name, group in groupby(judged, lambda one: one["situation"]):
+        row = list(group)
+        reach = [one["clearance_mm"] for one in row if one["clearance_mm"] is not None]
+        counts = (len(row), len(reach), sum(mm < 0 for mm in reach))
+        rows.append((name, *counts, *(len(found) for found in _findings(row))))
+    heads = ("neighbours", "within reach", "in the way", "allowed", "unexplained")
+    columns = (Column("situation", "path"), *(Column(name, "number") for name in heads))
+    table = DataTable(columns, rows, "Situations", tall=True, most=100)
+    findings = [
+        _findings_table("Collisions that the rules allow", allowed),
+        _findings_table("Forbidden although out of reach", unexplained),
+    ]
+    sentence = (
+        f"The {rules} rules allow {count(len(allowed), 'collision')} of {count(len(judged), 'neighbour')}."
+    )
+    return Report(
+        "Clearance of actions",
+        f"rule set: {rules}",
+        Headline("Collides", Tone.BAD, sentence) if allowed else Headline("Clear", Tone.GOOD, sentence),
+        [
+            KeyFigure(f"{len(found):,}", name)
+            for name, found in (("collisions allowed", allowed), ("forbidden out of reach", unexplained))
+        ],
+        [
+            Section(
+                "situations", "Situations", "The volume that each action sweeps.", [table], terminal=True
+            ),
+            Section("findings", "Findings", "The deepest first.", findings, terminal=True),
+        ],
+        document=written,
+        exit_code=1 if allowed else 0,
+    )
+
+
+def _findings_table(title: str, found: Sequence[Mapping[str, Any]]) -> DataTable:
+    from craftsim.reports.report import Column, DataTable
+
+    rows = [
+        (
+            f"{one['situation']}/near={one['occupant']}@({','.join(map(str, one['at']))})",
+            None if one["clearance_mm"] is None else f"{one['clearance_mm']:.1f}",
+            one["closest"] or None,
+        )
+        for one in found
+    ]
+    columns = (Column("situation and neighbour", "path"), Column("mm", "number"), Column("closest"))
+    return DataTable(columns, rows, f"{title}: {len(found)}", tall=True, most=30)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 from craftsim.cli.options import Dir
-from craftsim.cli.text import say
 from craftsim.options import number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import SEED
@@ -31,16 +30,9 @@ def compare(
         seed: decides the bootstrap of the correlations' intervals.
         out: folder for report.json.
     """
-    from craftsim.cli.compare_text import print_gap
-    from craftsim.cli.terminal import Terminal
     from craftsim.experiments.compare import compare_with_reality
-    from craftsim.report import write_report
+    from craftsim.experiments.gap_report import gap_report
     from craftsim.validation.forms import read_run
 
     gap = compare_with_reality(read_run(run), read_run(other), seed)
-    report = write_report(
-        out, {"compare": gap}, command="compare", seed=seed, config={"sim": run, "real": other}
-    )
-    print_gap(Terminal(), gap)
-    say(f"Report: {report}")
-    return 0 if gap.agrees else 1
+    return gap_report(gap, run, other, seed).publish(out)

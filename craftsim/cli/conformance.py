@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from craftsim.choices import RuleSet
 from craftsim.cli.options import OptionalDir
-from craftsim.cli.text import say
 from craftsim.options import number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import SHOWN
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from craftsim.discrete.conformance import Checker, Mismatch
+    from craftsim.reports.report import Report
 
 
 @owning
@@ -44,7 +42,7 @@ def conformance(
     from craftsim.discrete.conformance import Checker, read_records
     from craftsim.discrete.rules import Rules
     from craftsim.errors import CraftsimError, InputError
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import document
 
     if not files:
         raise InputError("no recordings given; name one or more .jsonl.gz files")
@@ -56,51 +54,65 @@ def conformance(
                 checker.check(line, record)
             except CraftsimError as error:
                 raise InputError(f"{file}:{line}: not a record: {error}") from error
-    _print(checker)
-    if out is not None:
-        wall = {"seconds": time.perf_counter() - begun}
-        config = {"files": [file.name for file in files], "rules": rules}
-        write_report(out, checker.figures(), command="conformance", config=config, wall=wall)
-    return 1 if checker.mismatches.total() else 0
+    wall = {"seconds": time.perf_counter() - begun}
+    config = {"files": [file.name for file in files], "rules": rules}
+    written = document(checker.figures(), command="conformance", config=config, wall=wall)
+    return _report(checker, rules, written).publish(out)
 
 
-def _print(checker: Checker) -> None:
-    """Print what was compared, by action and by check, and draw the first mismatches."""
-    from rich.table import Table
-
-    from craftsim.cli.terminal import Terminal
+def _report(checker: Checker, rules: RuleSet, written: dict[str, Any]) -> Report:
+    """Return the report; ``written`` is what ``report.json`` holds."""
     from craftsim.discrete.drawing import LEGEND
     from craftsim.discrete.kinds import Action
+    from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
 
-    console = Terminal(highlight=False)
-    by_action = Table("action", "taken", "legal", "mismatches")
-    for action in Action:
-        numbers = [
-            table[action.name] for table in (checker.actions, checker.applied, checker.action_mismatches)
-        ]
-        if any(numbers):
-            by_action.add_row(action.name, *map(str, numbers))
-    by_check = Table("compared", "checks", "mismatches")
-    for what, checks in checker.checks.items():
-        by_check.add_row(what, str(checks), str(checker.mismatches[what]))
-    console.print(by_action, by_check)
-    for mismatch in checker.first:
-        _draw(console, mismatch)
-    if checker.first:
-        console.print(LEGEND)
-    if checker.skipped:
-        console.print(f"{checker.skipped} records with a quirk were left out")
-    if checker.corrected:
-        console.print(f"{checker.corrected} records that a correction changes were left out")
+    tables = (checker.actions, checker.applied, checker.action_mismatches)
+    by_action = [(action.name, *(table[action.name] for table in tables)) for action in Action]
+    by_check = [(what, n, checker.mismatches[what]) for what, n in checker.checks.items()]
+    heads = ("taken", "legal", "mismatches")
+    left_out = {
+        "records with a quirk were left out": checker.skipped,
+        "records that a correction changes were left out": checker.corrected,
+    }
     mismatches = checker.mismatches.total()
-    say(f"{checker.records} records, {checker.checks.total()} checks, {mismatches} mismatches")
+    sentence = f"{checker.records} records, {checker.checks.total()} checks, {mismatches} mismatches"
+    drawn = [*map(_drawn, checker.first), *([str(LEGEND)] if checker.first else [])]
+    return Report(
+        "Conformance with CraftEnv",
+        f"rule set: {rules}",
+        Headline("Differs", Tone.BAD, sentence) if mismatches else Headline("Agrees", Tone.GOOD, sentence),
+        sections=[
+            Section(
+                "compared",
+                "What was compared",
+                "Recordings of CraftEnv, record by record.",
+                [
+                    DataTable(
+                        (Column("action"), *(Column(name, "number") for name in heads)),
+                        [row for row in by_action if any(row[1:])],
+                        "By action",
+                    ),
+                    DataTable(
+                        (Column("compared"), Column("checks", "number"), Column("mismatches", "number")),
+                        by_check,
+                        "By check",
+                    ),
+                ],
+                terminal=True,
+            ),
+            *([Section("first", "First mismatches", "", drawn, terminal=True)] if drawn else []),
+        ],
+        notes=[f"{n} {what}" for what, n in left_out.items() if n],
+        document=written,
+        exit_code=1 if mismatches else 0,
+    )
 
 
-def _draw(console: Console, mismatch: Mismatch) -> None:
+def _drawn(mismatch: Mismatch) -> str:
     from craftsim.discrete.drawing import world_text
 
-    console.rule(f"{mismatch.where}: {mismatch.what}", align="left")
-    console.print(f"expected {mismatch.expected}\ngot      {mismatch.got}", markup=False)
+    lines = [f"{mismatch.where}: {mismatch.what}"]
+    lines += [f"expected {mismatch.expected}", f"got      {mismatch.got}"]
     for title, grid in zip(("before", "expected after", "got after"), mismatch.grids, strict=False):
-        console.print(f"{title}:", style="bold")
-        console.print(world_text(grid))
+        lines += [f"{title}:", world_text(grid).plain]
+    return "\n".join(lines)

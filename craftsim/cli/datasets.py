@@ -43,12 +43,12 @@ def write_episodes(
         out: folder of datasets, for MINARI_DATASETS_PATH; report.json lies with the dataset.
     """
     from craftsim.cli.progress import counting
-    from craftsim.cli.terminal import Terminal
     from craftsim.discrete.tasks import as_task
     from craftsim.envs import parallel_env
     from craftsim.envs.datasets import need_minari, write_dataset
     from craftsim.experiments.intervals import Proportion
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import write_report
+    from craftsim.reports.terminal import Terminal
 
     need_minari()
     if len(what.policy) > 1 or what.actions is not None:

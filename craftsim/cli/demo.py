@@ -13,8 +13,8 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from craftsim.choices import PlanOrder
+from craftsim.cli.again import command_again
 from craftsim.cli.options import Dir, File, Shown
-from craftsim.cli.text import say
 from craftsim.errors import InputError
 from craftsim.options import Physics, number
 from craftsim.storage.folders import owning
@@ -53,18 +53,17 @@ def demo(
         out: folder for report.json, the films, the trajectories that they show, and the cars' logs.
     """
     from craftsim.checking.setup import set_up
-    from craftsim.cli import demo_text
     from craftsim.cli.films import rendering_works
-    from craftsim.cli.notes_text import print_notes
     from craftsim.cli.progress import counting
     from craftsim.cli.robots import robots_at
-    from craftsim.cli.terminal import Terminal
     from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.logs.tables import LOG_SUFFIX, write_table
     from craftsim.rendering.render import render
     from craftsim.rendering.trajectory import SUFFIX
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import document
+    from craftsim.reports.terminal import Terminal
     from craftsim.validation.building import Building, read_building
+    from craftsim.validation.report import demo_report
 
     started = time.perf_counter()
     console = Terminal()
@@ -76,7 +75,7 @@ def demo(
     names = TASK_NAMES if task == "all" else (task,)
     buildings = [read_building(name, start, plan, goal) for name in names]
     filming = video and rendering_works(console)
-    films: list[str] = []
+    films: dict[str, Path] = {}
     done: list[Building] = []
     for building in buildings:
         with (
@@ -90,7 +89,7 @@ def demo(
         if filming:
             path = out / f"{one.name}.mp4"
             render(one.trajectory, path, progress=lambda total: counting(console, "frames", total, bool))
-            films.append(str(path))
+            films[one.name] = path
         done.append(replace(one, trajectory=None, logs={}))
     config: dict[str, Any] = {"setup": setup, "order": order, "rules": physics.rules}
     config |= {"robot": robot, "randomize": physics.randomize, "digests": setup.digests}
@@ -102,22 +101,13 @@ def demo(
             "good": sum(one.good for one in done),
         }
         config["tasks"] = {one.name: one.files for one in done}
-        console.print(demo_text.summary(done))
     else:
         figures = done[0].figures
         config |= done[0].files
-        console.print(demo_text.actions_table(done[0]))
-        demo_text.print_worst(figures)
-    print_notes(*(sum(one.figures[name] for one in done) for name in ("capped_steps", "retried")))
     wall = {"total_s": time.perf_counter() - started}
-    report = write_report(out, figures, command="demo", seed=physics.seed, config=config, wall=wall)
-    say(f"Report: {report}")
-    for text in films:
-        say(f"Film:   {text}")
-    for one in done:
-        demo_text.print_disagreements(one, name_task=task == "all")
-    say(demo_text.conclusion(done))
-    return 0 if all(one.good for one in done) else 1
+    written = document(figures, command="demo", seed=physics.seed, config=config, wall=wall)
+    about = (physics.seed, config)
+    return demo_report(done, command_again(), about, written, films).publish(out, console)
 
 
 def _telling(tell: Callable[[Any], None]) -> Callable[[Any], Callable[[Iterable[Any]], None]]:

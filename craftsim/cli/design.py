@@ -93,12 +93,12 @@ def design(
 
 
 def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) -> None:
-    from craftsim.cli.terminal import Terminal
     from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.files.blueprint import blueprint_text
     from craftsim.discrete.files.design import design_text
     from craftsim.discrete.kinds import Kind
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import write_report
+    from craftsim.reports.terminal import Terminal
     from craftsim.storage.writing import write_whole
 
     grid, goal = start.grid, start.design

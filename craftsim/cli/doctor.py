@@ -57,8 +57,8 @@ def doctor(*, out: OptionalDir = None) -> int:
     """
     from rich.table import Table
 
-    from craftsim.cli.terminal import Terminal, cell
-    from craftsim.report import versions, write_report
+    from craftsim.reports.json_file import versions, write_report
+    from craftsim.reports.terminal import Terminal, cell
 
     physics = _physics()
     films = [_rendering(), _encoder()]
@@ -89,7 +89,7 @@ def _physics() -> Check:
     what = "physics (MuJoCo)"
     wanted = next(line for line in requires("craftsim") or [] if line.startswith("mujoco"))
     install = f"{sys.executable} -m pip install '{wanted}'"
-    from craftsim.report import versions
+    from craftsim.reports.json_file import versions
 
     found = versions()["mujoco"]
     if found == _WRONG_MUJOCO:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from craftsim.cli.tables import Cells, show
-from craftsim.cli.terminal import Terminal
-from craftsim.cli.text import say
 from craftsim.errors import InputError
 from craftsim.options import Physics, Rollouts, Trials
-from craftsim.report import write_report
+from craftsim.reports.json_file import document
+from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, count
+from craftsim.reports.terminal import Terminal
 from craftsim.training.config import Acting
 from craftsim.training.extra import need_torch
 
@@ -57,7 +56,6 @@ def play_policies(
     from craftsim.training.policy import load_policy
     from craftsim.training.shape import Shape
 
-    columns = ("policy", "task", "success", "starts solved", "at 95 %", "ways", "ticks")
     games = []
     for path in policies:
         policy = load_policy(path)
@@ -80,12 +78,30 @@ def play_policies(
         solved = f"{played.solved} of {played.starts}"
         figures = (solved, interval, str(played.trajectories), f"{played.mean_ticks:.1f}")
         lines.append((Path(path).name, asked.name, f"{played.success:.3f}", *figures))
-    title = f"{episodes} episodes each; ways are different trajectories"
-    show([Cells(title, columns, tuple(lines))], (), Terminal())
     asked_of = {"policies": list(policies), "task": list(task), "episodes": episodes}
     asked_of |= {"cars": cars, "blocks": blocks, "area": list(area)}
-    say(f"Report: {write_report(out, {'evaluations': rows}, command='evaluate', seed=seed, config=asked_of)}")
-    return 0
+    numbers = ("success", "starts solved", "at 95 %", "ways", "ticks")
+    columns = (Column("policy"), Column("task"), *(Column(name, "number") for name in numbers))
+    table = DataTable(columns, lines, f"{episodes} episodes each; ways are different trajectories")
+    sentence = (
+        f"{count(len(rows), 'evaluation')} of {count(len(policies), 'policy', 'policies')} on the grid."
+    )
+    report = Report(
+        "Evaluation of policies",
+        ", ".join(dict.fromkeys(row["task"] for row in rows)),
+        Headline("Evaluated", Tone.PLAIN, sentence),
+        sections=[
+            Section(
+                "evaluations",
+                "Evaluations",
+                "What repeats itself counts once: only different starts have an interval.",
+                [table],
+                terminal=True,
+            )
+        ],
+        document=document({"evaluations": rows}, command="evaluate", seed=seed, config=asked_of),
+    )
+    return report.publish(out, Terminal())
 
 
 def _tasks(

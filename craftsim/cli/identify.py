@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from craftsim.choices import Drive
 from craftsim.cli.options import Dir, File
-from craftsim.cli.text import say
 from craftsim.options import number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import LOGGED_CARS
-
-if TYPE_CHECKING:
-    from craftsim.tuning.identification import Identification, Identified
 
 
 @owning
@@ -49,12 +45,13 @@ def identify(
     from dataclasses import replace
 
     from craftsim.checking.setup import setup_of
-    from craftsim.cli.terminal import Terminal
     from craftsim.logs.files import read_log
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import document
+    from craftsim.reports.terminal import Terminal
     from craftsim.tuning import findings
     from craftsim.tuning.identification import identify as fit
     from craftsim.tuning.identified_plot import draw_prediction
+    from craftsim.tuning.identified_report import identified_report
     from craftsim.tuning.prediction import Predictor
 
     started = time.perf_counter()
@@ -78,39 +75,10 @@ def identify(
     }
     config |= {"load": load, "machines": assumed, "digests": {"machines": assumed.digest}}
     wall = {"total_s": time.perf_counter() - started}
-    report = write_report(out, figures, command="identify", config=config, wall=wall)
-    console.print(_table(found))
-    for text in figures["untold"]:
-        say(f"Not told: {text}")
-    for text in left_out:
-        say(f"Not in parameters.yaml: {text}")
-    for name, of in (("fitted_log", log), ("held_out_log", held_out)):
-        if name in figures:
-            say(_prediction(f"{of}", figures[name]))
-    say(f"Parameters: {out / 'parameters.yaml'}\nNoise:      {out / 'noise.yaml'}")
-    say(f"Figure:     {drawn[0]}\nReport:     {report}")
-    return 0 if any(one.told for one in found.estimates) else 1
-
-
-def _table(found: Identification) -> object:
-    from rich.table import Table
-
-    table = Table("what", "assumed", "identified", "95 % interval")
-    for one in found.estimates:
-        table.add_row(one.unknown.words, f"{one.start:.4g}", *_said(one))
-    return table
-
-
-def _said(one: Identified) -> tuple[str, str]:
-    if one.half_width is None:
-        return "held", ""
-    return f"{one.value:.4g}", "at the border of the search" if one.at_bound else f"+- {one.half_width:.2g}"
-
-
-def _prediction(name: str, figures: dict[str, dict[str, dict[str, object]]]) -> str:
-    """Return a line on how well a log is predicted."""
-    parts = []
-    for channel, errors in figures["as_identified"].items():
-        was = figures["as_assumed"][channel]["rms"]
-        parts.append(f"{channel} {errors['rms']:.3g} {errors['unit']} (as assumed {was:.3g})")
-    return f"RMS error of 1.5 s predictions, {name}: {', '.join(parts)}"
+    files = {
+        "Parameters": out / "parameters.yaml",
+        "Noise": out / "noise.yaml",
+        "Figure": drawn[0],
+    }
+    written = document(figures, command="identify", config=config, wall=wall)
+    return identified_report(found, log.name, written, files).publish(out, console)

@@ -11,7 +11,6 @@ from cyclopts import Parameter
 from craftsim.choices import Drive
 from craftsim.cli.again import command_again
 from craftsim.cli.options import Dir
-from craftsim.cli.text import say
 from craftsim.errors import InputError
 from craftsim.options import Physics, Randomize, Trials, number
 from craftsim.storage.folders import owning
@@ -61,14 +60,12 @@ def margins(
         quick: six imperfections in the first scenario of each action, with 20 trials: two minutes on two cores.
         out: folder for report.html, report.json, trials.jsonl and the bundles of what fails first.
     """
-    from craftsim.cli.margins_text import print_margins
     from craftsim.cli.progress import counting
-    from craftsim.cli.terminal import Terminal
-    from craftsim.validation.html.margins import margins_page
-    from craftsim.validation.html.writing import write_html
+    from craftsim.reports.terminal import Terminal
     from craftsim.validation.margins import scenarios as known
     from craftsim.validation.margins.axes import WORTH, axes_of
     from craftsim.validation.margins.margins import run_margins
+    from craftsim.validation.margins.report import margins_report
 
     console = Terminal()
     over = axes_of(pair or ())
@@ -94,7 +91,4 @@ def margins(
         ),
         pair=(over[0], over[1]) if pair else None,
     )
-    page = write_html(out, margins_page(result, command_again()))
-    print_margins(console, out, result)
-    say(f"Report: {out / 'report.json'}\nPage:   {page}")
-    return 0 if result.stands else 1
+    return margins_report(result, command_again()).publish(out, console)

@@ -95,10 +95,10 @@ def _figures(planned: Planned) -> str:
 def _draw(planned: Planned, out: Path, name: str, video: bool) -> None:
     """Draw the Gantt chart of a plan, and film it."""
     from craftsim.cli.progress import counting
-    from craftsim.cli.terminal import Terminal
     from craftsim.discrete.rules import Rules
     from craftsim.rendering.plan_film import film_plan
     from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
+    from craftsim.reports.terminal import Terminal
 
     for ending in FORMATS:
         say(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', planned.schedule, name)}")
@@ -113,7 +113,7 @@ def _draw(planned: Planned, out: Path, name: str, video: bool) -> None:
 def _report(
     planned: Planned, out: Path, name: str, objective: Objective, rounds: int, seed: int, took_s: float
 ) -> None:
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import write_report
 
     figures = {
         "makespan_s": planned.makespan_s,

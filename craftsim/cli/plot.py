@@ -16,11 +16,11 @@ def draw_figures(recorded: Path, run: str | None, out: Path) -> int:
         out: folder for the figures; each trajectory gets a folder of its own in it.
     """
     from craftsim.cli.progress import counting
-    from craftsim.cli.terminal import Terminal
     from craftsim.rendering.plots.figures import write_figures
     from craftsim.rendering.plots.signals import Signals
     from craftsim.rendering.recorded import trajectory_files
     from craftsim.rendering.trajectory import Trajectory
+    from craftsim.reports.terminal import Terminal
     from craftsim.storage.folders import directory_within, output_directory
 
     files = trajectory_files(recorded, run)

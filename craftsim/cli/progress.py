@@ -6,13 +6,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from operator import itemgetter
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from craftsim.cli.text import clean
+from craftsim.reports.text import clean
+
+if TYPE_CHECKING:
+    from craftsim.validation.shrinking.campaign import ShrinkProgress
 
 LINE_EVERY_S: Final = 20.0
 """Without a terminal, a line says how far things are so often."""
@@ -57,3 +60,10 @@ def counting(
                 console.print(f"{what}: {done} of {total}, {failed} failed, about {left:.0f} s left")
 
         yield on_result
+
+
+def shrinking(console: Console) -> ShrinkProgress:
+    """Return what shows how far the shrinking of the failures of a campaign is."""
+    return lambda total: counting(
+        console, "kinds of failure shrunk", total, lambda shrunk: shrunk.folder is not None
+    )

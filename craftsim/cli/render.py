@@ -75,11 +75,11 @@ def render(
         return draw_figures(Path(what), run, out)
     from craftsim.cli.progress import counting
     from craftsim.cli.sources import find_trajectory
-    from craftsim.cli.terminal import Terminal
     from craftsim.rendering.backend import choose_backend
     from craftsim.rendering.frames import Look
     from craftsim.rendering.render import check_format
     from craftsim.rendering.render import render as render_file
+    from craftsim.reports.terminal import Terminal
     from craftsim.storage.folders import output_directory
 
     look = Look(_pixels(size), fps, camera, layout, quality, speed, None, ghost, captions, cards, title)

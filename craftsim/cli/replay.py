@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from craftsim.cli.options import Dir
-from craftsim.cli.text import say
 from craftsim.errors import InputError
+from craftsim.reports.report import Block, Headline, KeyFigure, Report, Section, Tone
 from craftsim.storage.folders import owning
 from craftsim.storage.paths import resolved
 
@@ -59,8 +59,7 @@ def replay(
     if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("--view needs a display, and there is none here; try --video")
     from craftsim.cli.films import film_bundle, rendering_works
-    from craftsim.cli.terminal import Terminal
-    from craftsim.report import write_report
+    from craftsim.reports.terminal import Terminal
 
     filming = video and rendering_works(Terminal())
 
@@ -71,23 +70,21 @@ def replay(
     film = out / f"{resolved(bundle).name}.mp4"
     watch = _viewer if view else again.unwatched
     result = film_bundle(recorded, film) if filming else again.replay(recorded, watch)
-    report = write_report(
-        out, {"bundle": bundle.name, **_figures(recorded, result)}, command="replay", config={"view": view}
-    )
-    _print(recorded, result)
-    say(f"Report: {report}")
-    if filming:
-        say(f"Film:   {film}")
-    return 0 if result.reproduced else 1
+    from craftsim.reports.json_file import document
+
+    figures = {"bundle": bundle.name, **_figures(recorded, result)}
+    written = document(figures, command="replay", config={"view": view})
+    files = {"Film": film} if filming else {}
+    return _report(recorded, result, written, files).publish(out)
 
 
 def _shrink(folder: Path, out: Path) -> int:
     """Shrink what a bundle shows; exit status 0 when it fails from a fresh start, too."""
     from craftsim.cli.progress import counting
-    from craftsim.cli.smallest_text import print_smallest
-    from craftsim.cli.terminal import Terminal
     from craftsim.experiments.bundle import read_bundle
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import document
+    from craftsim.reports.terminal import Terminal
+    from craftsim.validation.sections import smallest_section
     from craftsim.validation.shrinking.campaign import shrink_bundle
     from craftsim.validation.shrinking.shrink import MOST_TRIALS
 
@@ -95,9 +92,21 @@ def _shrink(folder: Path, out: Path) -> int:
     bundle = read_bundle(folder).bundle
     with counting(console, "trials", MOST_TRIALS, lambda fails: fails) as on_trial:
         found = shrink_bundle(bundle, out, ".", on_trial)
-    write_report(out, {"bundle": folder.name, "smallest": found}, command="replay", config={"shrink": True})
-    print_smallest(console, out, [found])
-    return 0 if found.folder is not None else 1
+    written = document({"bundle": folder.name, "smallest": found}, command="replay", config={"shrink": True})
+    made = found.folder is not None
+    headline = (
+        Headline("Smallest world", Tone.GOOD, "It fails in a smaller world, too, or in no smaller one.")
+        if made
+        else Headline("Not made smaller", Tone.CAUTION, found.sentence)
+    )
+    return Report(
+        "Smallest world of a failure",
+        bundle.key,
+        headline,
+        sections=smallest_section([found]),
+        document=written,
+        exit_code=0 if made else 1,
+    ).publish(out, console)
 
 
 def _figures(recorded: Recorded, result: Replay) -> dict[str, object]:
@@ -112,32 +121,43 @@ def _figures(recorded: Recorded, result: Replay) -> dict[str, object]:
     }
 
 
-def _print(recorded: Recorded, result: Replay) -> None:
-    from craftsim.report import versions
+def _report(recorded: Recorded, result: Replay, written: dict[str, object], files: dict[str, Path]) -> Report:
+    """Return the report of a replay; ``written`` is what ``report.json`` holds."""
+    from craftsim.reports.json_file import versions
+    from craftsim.validation.sections import actions_table
 
     bundle = recorded.bundle
-    say(bundle.key)
-    for attempt in bundle.attempts:
-        say(
-            f"car {attempt.car} {attempt.action}: {attempt.result}. Predicted {attempt.predicted}, read {attempt.read}."
-        )
-        if attempt.reason:
-            say(f"  {attempt.reason}")
-    for package, (was, now) in result.changed.items():
-        say(f"Recorded with {package} {was}, replayed with {now}: bits may differ.")
-    if not result.differing:
-        say("Reproduced: the same bit for bit.")
-        return
     apart = f"{1e3 * result.position_m:.2g} mm and {1e3 * result.angle_rad:.2g} mrad apart at most"
-    if result.reproduced:
-        say(f"Reproduced within the tolerance: {apart}.")
-        return
-    say(f"DIFFERS: {apart}. Not the same: {', '.join(result.differing)}.")
-    platform = bundle.versions.get("platform")
-    if platform != versions()["platform"]:
-        say(f"It was recorded on {platform}; bits are the same on one kind of machine only.")
-    for attempt in result.attempts:
-        say(f"  now: car {attempt.car} {attempt.action}: {attempt.result}. {attempt.reason}")
+    notes = [
+        f"Recorded with {package} {was}, replayed with {now}: bits may differ."
+        for package, (was, now) in result.changed.items()
+    ]
+    if not result.differing:
+        headline = Headline("Reproduced", Tone.GOOD, "Reproduced: the same bit for bit.")
+    elif result.reproduced:
+        headline = Headline("Reproduced", Tone.GOOD, f"Reproduced within the tolerance: {apart}.")
+    else:
+        differing = f"DIFFERS: {apart}. Not the same: {', '.join(result.differing)}."
+        headline = Headline("Differs", Tone.BAD, differing)
+        platform = bundle.versions.get("platform")
+        if platform != versions()["platform"]:
+            notes.append(f"It was recorded on {platform}; bits are the same on one kind of machine only.")
+    blocks: list[Block] = [bundle.key, actions_table(bundle.attempts, "As recorded")]
+    blocks += [] if headline.tone is Tone.GOOD else [actions_table(result.attempts, "Now")]
+    blocks += [
+        f"car {one.car} {one.action}: {one.result}. {one.reason}" for one in bundle.attempts if one.reason
+    ]
+    return Report(
+        "Replay of a failure",
+        bundle.key,
+        headline,
+        [KeyFigure(f"{1e3 * result.position_m:.2g} mm", "apart at most")],
+        [Section("actions", "Actions", "Of the last step of the bundle.", blocks, terminal=True)],
+        notes,
+        files,
+        written,
+        0 if result.reproduced else 1,
+    )
 
 
 @contextmanager

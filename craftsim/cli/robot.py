@@ -61,7 +61,7 @@ def serve(
     from craftsim.checking.setup import Seed, set_up
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.tasks import as_task, free_play
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import write_report
     from craftsim.robots.channel import Network
     from craftsim.robots.connecting import world_digest
     from craftsim.robots.serving import Server

@@ -71,7 +71,6 @@ def show(
         return 0
     import numpy as np
 
-    from craftsim.cli.terminal import Terminal
     from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.files.design import read_design
@@ -79,6 +78,7 @@ def show(
     from craftsim.discrete.files.shipped import shipped_blueprint
     from craftsim.discrete.grid import Kind
     from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, as_task
+    from craftsim.reports.terminal import Terminal
 
     name, rng = str(start), np.random.default_rng(seed)
     shipped, varied = name in TASK_NAMES, name.partition("@")[0] in VARIED_NAMES
@@ -140,9 +140,9 @@ def _export(
 def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) -> int:
     """Say how long a plan takes and what of it is forbidden, draw and film it; return the exit status."""
     from craftsim.cli.progress import counting
-    from craftsim.cli.terminal import Terminal
     from craftsim.discrete.rules import Rules
     from craftsim.discrete.schedule import make_schedule
+    from craftsim.reports.terminal import Terminal
 
     rules = Rules("physical")
     schedule = make_schedule(grid, plan.ticks, rules, after=plan.after)

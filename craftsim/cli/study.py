@@ -10,7 +10,6 @@ from cyclopts import Parameter
 
 from craftsim.choices import Engine
 from craftsim.cli.options import Dir
-from craftsim.cli.text import say
 from craftsim.options import number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S, WORKERS
@@ -44,11 +43,10 @@ def study(
     """
     need_torch()
     from craftsim.cli.study_progress import watching
-    from craftsim.cli.study_text import conclusions, runs_table
-    from craftsim.cli.tables import show
-    from craftsim.cli.terminal import Terminal
     from craftsim.experiments.experiment import RunOptions
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import document
+    from craftsim.reports.terminal import Terminal
+    from craftsim.studies.report import study_report, write_markdown
     from craftsim.studies.results import figures_of, plot_results
     from craftsim.studies.runs import run_study
     from craftsim.studies.study import read_study
@@ -58,13 +56,13 @@ def study(
     options = RunOptions(workers, engine, resume, progress=lambda total: watching(console, asked, out))
     records = run_study(asked, out, options, timeout)
     figures = figures_of(asked, records)
-    show([runs_table(asked, figures)], conclusions(figures), console, out / "study.md")
+    write_markdown(out / "study.md", asked, figures)
     pictures = plot_results(out, asked, figures)
     config: dict[str, Any] = {"study": asked, "what": what}
     wall = {
         "this_call_s": time.perf_counter() - begun,
         "cpu_s": {record["key"]: record["extra"].get("cpu_s") for record in records},
     }
-    report = write_report(out, figures, command="study", seed=0, config=config, wall=wall)
-    say(f"Plots: {', '.join(map(str, pictures))}\nReport: {report}")
-    return 0 if all(record["agrees"] for record in records) else 1
+    written = document(figures, command="study", seed=0, config=config, wall=wall)
+    reached = sum(record["agrees"] for record in records)
+    return study_report(asked, reached, written, pictures).publish(out, console)

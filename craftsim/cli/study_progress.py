@@ -13,8 +13,8 @@ from rich.live import Live
 from rich.text import Text
 
 from craftsim.cli.progress import LINE_EVERY_S
-from craftsim.cli.text import clean
 from craftsim.experiments.experiment import TrialRecord
+from craftsim.reports.text import clean
 from craftsim.studies.runs import RUNS
 from craftsim.studies.study import Study, StudyRun
 from craftsim.training.curve import CURVE_FILE, read_last

@@ -5,28 +5,15 @@ from __future__ import annotations
 import codecs
 import io
 import os
-import re
 import select
 import sys
 from typing import Final
 
-_STEERING: Final = re.compile(
-    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
-)
-"""Control characters besides tab and newline, those that turn the direction of writing, and what is no text."""
+from craftsim.reports.text import clean
+
 _ASCII: Final = {"←": "<", "→": ">", "↑": "^", "↓": "v", "…": "."}
 """What stands for a sign that a terminal lacks, where it is not a question mark."""
 _ERRORS: Final = "craftsim.plain"
-
-
-def clean(text: object) -> str:
-    """Return a text with escapes such as ``\\x1b`` for all that would steer a terminal.
-
-    Example:
-        >>> clean("red: \\x1b[31m")
-        'red: \\\\x1b[31m'
-    """
-    return _STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
 
 
 def say(text: object) -> None:

@@ -17,14 +17,27 @@ from craftsim.cli.options import RESULTS, OptionalDir, Settings, Shown, settings
 from craftsim.cli.text import say
 from craftsim.errors import InputError, suggestion
 from craftsim.options import number
+from craftsim.reports.report import (
+    Column,
+    DataTable,
+    Drawing,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    count,
+)
 from craftsim.storage.folders import owned
 from craftsim.storage.limits import SEED, SHARE, TRAIN_EPISODES, TRAIN_STEPS, WORKERS
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from rich.console import Console
 
     from craftsim.discrete.tasks import Task
     from craftsim.training.config import TrainConfig
+    from craftsim.training.curve import Point
     from craftsim.training.tensorboard_log import TensorboardLog
     from craftsim.training.trainer import Trainer
 
@@ -87,9 +100,9 @@ def train(
     from craftsim.training.extra import need_torch
 
     need_torch()
-    from craftsim.cli.terminal import Terminal
     from craftsim.discrete.tasks import as_task
     from craftsim.rendering.trajectory import TRAJECTORIES
+    from craftsim.reports.terminal import Terminal
 
     given = settings_of(settings)
     besides: dict[str, Any] = {name: given.pop(name) for name in _BESIDES if name in given}
@@ -192,7 +205,7 @@ def _trainer(
     workers: int | None,
 ) -> Trainer:
     from craftsim.cli.progress import counting
-    from craftsim.cli.terminal import Terminal
+    from craftsim.reports.terminal import Terminal
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
@@ -260,7 +273,7 @@ def _run(
 def _report(
     trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: float, record: Path | None
 ) -> None:
-    from craftsim.report import write_report
+    from craftsim.reports.json_file import document
     from craftsim.training.curve import plot_curve
     from craftsim.training.trainer import training_versions
 
@@ -274,9 +287,50 @@ def _report(
         "training_versions": training_versions(),
     }
     wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
-    report = write_report(folder, figures, command="train", seed=config.seed, config=asked, wall=wall)
-    say(
+    files = {"Policy": folder / "policy.safetensors"}
+    written = document(figures, command="train", seed=config.seed, config=asked, wall=wall)
+    sentence = (
         f"{trainer.task.name}, {config.algo}: {played.in_words}, {played.mean_ticks:.1f} ticks, after "
         f"{trainer.steps:,} steps in {trainer.wall_s:.0f} s."
     )
-    say(f"Policy: {folder / 'policy.safetensors'}\nReport: {report}")
+    reached = played.success >= asked["until"]
+    headline = Headline(*(("Learnt", Tone.GOOD) if reached else ("Not learnt", Tone.CAUTION)), sentence)
+    starts = f"{played.solved:,} of {count(played.starts, 'different start')} solved"
+    Report(
+        "Training",
+        f"{trainer.task.name}, {config.algo}, seed {config.seed}",
+        headline,
+        [
+            KeyFigure(f"{played.success:.3f}", "success", starts),
+            KeyFigure(f"{trainer.steps:,}", "steps", f"{trainer.wall_s:.0f} s"),
+        ],
+        [_curve_section(curve)] if curve else [],
+        files=files,
+        document=written,
+    ).publish(folder)
+
+
+def _curve_section(curve: Sequence[Point]) -> Section:
+    from craftsim.reports.plots import ACCENT, percent_ticks
+
+    steps, success = [point.steps for point in curve], [point.success for point in curve]
+
+    def draw(axes: Axes) -> None:
+        axes.plot(steps, success, color=ACCENT, lw=1.8)
+        axes.set_ylim(-0.02, 1.04)
+        axes.yaxis.set_major_formatter(percent_ticks)
+        axes.set_xlabel("steps")
+
+    drawing = Drawing.of_axes(draw, 2.9, "Success of evaluations during training.", "learning curve")
+    numbers = ("steps", "success", "return", "ticks")
+    table = DataTable(
+        [Column(name, "number") for name in numbers],
+        [
+            (one.steps, f"{one.success:.3f}", f"{one.mean_return:.2f}", f"{one.mean_ticks:.1f}")
+            for one in curve
+        ],
+        "Learning curve",
+        folded=True,
+        tall=True,
+    )
+    return Section("curve", "Learning curve", "Evaluations on fresh episodes.", [drawing, table])

@@ -11,7 +11,6 @@ from cyclopts import Parameter
 from craftsim.choices import Drive
 from craftsim.cli.again import command_again
 from craftsim.cli.options import Dir
-from craftsim.cli.text import say
 from craftsim.options import Physics, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TRIAL_COUNT, WORKERS
@@ -60,16 +59,12 @@ def tune(
         out: folder for gains.yaml, report.html, report.json and trials.jsonl.
     """
     from craftsim.cli.progress import counting
-    from craftsim.cli.terminal import Terminal
-    from craftsim.cli.tune_text import gains_table, verdict_table
     from craftsim.experiments.experiment import RunOptions
-    from craftsim.report import write_report
+    from craftsim.reports.terminal import Terminal
     from craftsim.tuning.gains.goal import Goal
-    from craftsim.tuning.gains.page import sentence, tune_page
-    from craftsim.tuning.gains.tune import COMMAND
+    from craftsim.tuning.gains.report import tune_report
     from craftsim.tuning.gains.tune import tune as run
-    from craftsim.tuning.gains.writing import figures, write_gains
-    from craftsim.validation.html.writing import write_html
+    from craftsim.tuning.gains.writing import write_gains
 
     goal = Goal.of(weights, objectives, choose)
     setup = physics.setup()
@@ -91,18 +86,5 @@ def tune(
         ),
     )
     command = command_again()
-    write_report(
-        out,
-        figures(tuned),
-        command=COMMAND,
-        seed=tuned.seed,
-        config=tuned.config,
-        wall={"total_s": tuned.wall_s, "workers": workers},
-    )
-    page = write_html(out, tune_page(tuned, command))
     gains = write_gains(out, tuned, command)
-    console.print(gains_table(tuned))
-    console.print(verdict_table(tuned))
-    say(f"Gains:  {gains}\nReport: {out / 'report.json'}\nPage:   {page}")
-    say(sentence(tuned))
-    return 0 if tuned.verdict.improved else 1
+    return tune_report(tuned, gains, command, workers).publish(out, console)

@@ -10,7 +10,6 @@ from cyclopts import Parameter
 from craftsim.choices import Backend
 from craftsim.cli.again import command_again
 from craftsim.cli.options import RESULTS, Dir, File, Films, Name, Shown
-from craftsim.cli.text import say
 from craftsim.errors import InputError
 from craftsim.options import Physics, Rollouts, Trials, number
 from craftsim.storage.folders import owning
@@ -113,15 +112,11 @@ def _validate(
     out: Path,
 ) -> int:
     from craftsim.cli.films import film_runs, record_failures, rendering_works
-    from craftsim.cli.notes_text import print_notes
-    from craftsim.cli.progress import counting
-    from craftsim.cli.smallest_text import print_smallest, shrinking
-    from craftsim.cli.terminal import Terminal
-    from craftsim.cli.validate_text import conclusion, coverage_table, print_disagreements, runs_table
+    from craftsim.cli.progress import counting, shrinking
     from craftsim.discrete.tasks import TASK_NAMES
+    from craftsim.reports.terminal import Terminal
     from craftsim.validation import validation
-    from craftsim.validation.html.validate import validate_page
-    from craftsim.validation.html.writing import write_html
+    from craftsim.validation.report import validation_report
 
     RUNS.check(
         "--trials times worlds and policies",
@@ -143,15 +138,4 @@ def _validate(
         record_failures(console, out, result.records, campaign.workers, filming)
     if filming and video == "all":
         film_runs(console, out, campaign.workers)
-    page = write_html(out, validate_page(result, command_again()))
-    console.print(runs_table(result.records))
-    if result.coverage is not None:
-        console.print(coverage_table(result.coverage))
-    print_disagreements(out, result.records)
-    print_smallest(console, out, result.smallest)
-    print_notes(result.figures.capped_steps, result.figures.retried)
-    if result.comparison is not None:
-        say(result.comparison)
-    say(f"Report: {out / 'report.json'}\nPage:   {page}")
-    say(conclusion(result))
-    return 0 if result.agrees else 1
+    return validation_report(result, out, command_again()).publish(out, console)

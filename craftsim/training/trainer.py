@@ -19,7 +19,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
-from craftsim.report import versions
+from craftsim.reports.json_file import versions
 from craftsim.training.algorithms import make_learner
 from craftsim.training.checkpoint import RUN_FILE, PolicyHead, RunHead, open_run, save_policy, save_run
 from craftsim.training.config import TrainBackend, TrainConfig

@@ -12,10 +12,10 @@ from owner import owner
 from sessions import cut_off
 
 from craftsim.cli import main, study_progress
-from craftsim.cli.study_text import conclusions, runs_table
-from craftsim.cli.terminal import Terminal
 from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
+from craftsim.reports.terminal import Terminal
+from craftsim.studies.report import conclusions, runs_table
 from craftsim.studies.runs import RUNS, run_study, train_and_evaluate
 from craftsim.studies.study import SHIPPED, Study, read_study
 from craftsim.training.curve import CURVE_FILE, Point, read_last, write_curve

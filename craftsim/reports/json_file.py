@@ -1,4 +1,4 @@
-"""Write the figures of a run as ``report.json``, so that two runs can be compared byte for byte."""
+"""A report as ``report.json``, so that two runs can be compared byte for byte."""
 
 from __future__ import annotations
 
@@ -37,34 +37,28 @@ def _version(package: str) -> str:
         return "not installed"
 
 
-def write_report(
-    out: Path,
+def document(
     figures: Mapping[str, Any],
     *,
     command: str,
     seed: int | None = None,
     config: Mapping[str, Any] | None = None,
     wall: Mapping[str, Any] | None = None,
-) -> Path:
-    """Write ``report.json`` into the directory ``out`` and return its path.
+) -> dict[str, Any]:
+    """Return what ``report.json`` holds of a run.
 
-    The file appears whole or not at all. Everything outside ``wall`` is the same for two runs of the same
-    command with the same seed and configuration on the same machine.
+    Everything outside ``wall`` is the same for two runs of the same command with the same seed and configuration on the
+    same machine.
 
     Args:
-        out: directory, made when missing.
         figures: results. Dataclasses, enums (by name), paths and NumPy values may be nested in them; a number
             that is not finite is written as null, since JSON has no other value for it.
         command: name of the command that ran.
         seed: what its random generators were seeded with, if it has any.
         config: what else decides the figures.
         wall: what the clock said (durations, rates): never the same twice, hence kept apart.
-
-    Raises:
-        InputError: the directory cannot be written to, or somebody else owns it.
-        TypeError: a value has no place in JSON.
     """
-    report = {
+    return {
         "schema_version": SCHEMA_VERSION,
         "command": command,
         "seed": seed,
@@ -73,7 +67,23 @@ def write_report(
         "figures": figures,
         "wall": wall or {},
     }
-    text = json.dumps(plain(report), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def write_report(out: Path, figures: Mapping[str, Any], **about: Any) -> Path:
+    """Write ``report.json`` with some figures; ``about`` and errors as :func:`document` and :func:`write_json`."""
+    return write_json(out, document(figures, **about))
+
+
+def write_json(out: Path, document: Mapping[str, Any]) -> Path:
+    """Write ``report.json`` into the directory ``out``, made when missing, and return its path.
+
+    The file appears whole or not at all.
+
+    Raises:
+        InputError: the directory cannot be written to, or somebody else owns it.
+        TypeError: a value has no place in JSON.
+    """
+    text = json.dumps(plain(document), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
     with owned(out):
         return write_whole(out / "report.json", text)
 

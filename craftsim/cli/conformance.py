@@ -67,7 +67,9 @@ def _report(checker: Checker, rules: RuleSet, written: dict[str, Any]) -> Report
     from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
 
     tables = (checker.actions, checker.applied, checker.action_mismatches)
-    by_action = [(action.name, *(table[action.name] for table in tables)) for action in Action]
+    by_action: list[tuple[str, *tuple[int, ...]]] = [
+        (action.name, *(table[action.name] for table in tables)) for action in Action
+    ]
     by_check = [(what, n, checker.mismatches[what]) for what, n in checker.checks.items()]
     heads = ("taken", "legal", "mismatches")
     left_out = {

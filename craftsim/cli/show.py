@@ -149,7 +149,8 @@ def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) 
     took, name = schedule.makespan(), plan.path.stem
     say(f"plan {name}: {len(schedule.acts)} actions in {len(plan.ticks)} ticks, makespan {took:.1f} s")
     for step in schedule.forbidden[:_NAMED]:
-        say(f"forbidden: car {step.car} {step.action.name} in tick {step.tick}")
+        why = rules.explain(step.before, step.car, step.action).why
+        say(f"forbidden: car {step.car} {step.action.name} in tick {step.tick}: {why}")
     if more := len(schedule.forbidden[_NAMED:]):
         say(f"and {more} more")
     if out is not None:

@@ -8,7 +8,7 @@ from disturbances import pushed
 from craftsim import cli
 from craftsim.checking import setup
 from craftsim.checking.attempt import Thresholds
-from craftsim.cli import demo as demo_module
+from craftsim.discrete import tasks
 from craftsim.validation import building
 
 
@@ -39,7 +39,7 @@ def test_a_plan_that_leaves_blocks_apart_misses_the_goal(tmp_path, capsys):
 
 def test_all_tasks_give_one_summary_and_one_report(tmp_path, capsys, monkeypatch):
     names = ("block", "breaking_barrier")
-    monkeypatch.setattr(demo_module, "TASK_NAMES", names)
+    monkeypatch.setattr(tasks, "TASK_NAMES", names)
     assert cli.main(["demo", "--task", "all", "--no-video", "--out", str(tmp_path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == "40 of 40 actions agree with the rules; 2 of 2 goals are reached."
@@ -52,14 +52,14 @@ def test_all_tasks_give_one_summary_and_one_report(tmp_path, capsys, monkeypatch
     assert all(task["matches_goal"] for task in figures["tasks"].values())
     trajectories = [f"{name}.{ending}" for name in names for ending in ("npz", "log.csv")]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
-        [*trajectories, "report.html", "report.json"]
+        [*trajectories, "config.yaml", "report.html", "report.json"]
     )
 
 
 def test_one_failure_among_all_tasks_is_named_and_ends_with_status_1(tmp_path, capsys, monkeypatch):
     plan = tmp_path / "wrong.plan"
     plan.write_text("0 0 DROP\n", encoding="utf-8")
-    monkeypatch.setattr(demo_module, "TASK_NAMES", ("strip", "block"))
+    monkeypatch.setattr(tasks, "TASK_NAMES", ("strip", "block"))
     monkeypatch.setattr(building, "shipped_plan", lambda name: plan)
     assert cli.main(["demo", "--task", "all", "--no-video", "--out", str(tmp_path / "out")]) == 1
     output = capsys.readouterr().out
@@ -73,7 +73,7 @@ def one_stop(tmp_path):
     """Return the words of a demo in which one car stops once."""
     (tmp_path / "stop.plan").write_text("0 0 MOVE_LEFT\n", encoding="utf-8")
     words = ["--plan", str(tmp_path / "stop.plan"), "--no-video", "--out", str(tmp_path / "out")]
-    return ["demo", "--task", "strip", *words]
+    return ["demo", "--task", "strip", "--randomize", "none", *words]
 
 
 def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predicted(
@@ -122,11 +122,16 @@ def test_nothing_is_said_of_the_errors_of_what_was_not_done(one_stop, tmp_path, 
 def test_each_task_has_its_own_film(tmp_path, capsys, monkeypatch):
     plan = tmp_path / "short.plan"
     plan.write_text("0 0 STOP\n", encoding="utf-8")
-    monkeypatch.setattr(demo_module, "TASK_NAMES", ("strip", "block"))
+    monkeypatch.setattr(tasks, "TASK_NAMES", ("strip", "block"))
     monkeypatch.setattr(building, "shipped_plan", lambda name: plan)
     cli.main(["demo", "--task", "all", "--out", str(tmp_path / "out")])
     films = {f"{name}.{ending}" for name in ("strip", "block") for ending in ("mp4", "npz", "log.csv")}
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.html", "report.json", *films}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "config.yaml",
+        "report.html",
+        "report.json",
+        *films,
+    }
     assert capsys.readouterr().out.count("Film of ") == 2
 
 

@@ -95,7 +95,9 @@ def conclusions(figures: dict[str, Any]) -> list[str]:
     for pair, (likely, low, high) in figures["improvement"].items():
         a, b = pair.split(" over ")
         line = f"A run of {a} beats one of {b} with probability {likely:.2f} ({low:.2f} to {high:.2f})"
-        if low <= 0.5 <= high:
+        if low == high:
+            line += ": the interval has no width, which says nothing of how sure that is"
+        elif low <= 0.5 <= high:
             least = least_detectable(low, high)
             line += f": no difference shows; the least detectable one is {least:.2f} from 0.5"
         lines.append(f"{line}.")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import craftsim
-from craftsim.commands.bench import pick
+from craftsim.cli.bench import pick
 from craftsim.discrete.tasks.episodes import Episodes
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))

@@ -10,10 +10,11 @@ import re
 from collections.abc import Callable, Iterable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, get_args, get_type_hints
+from typing import Any, Final
 
-from craftsim.cli import COMMANDS, ranges_of
-from craftsim.storage.limits import ALL, size_text
+from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
+from craftsim.options import ranges_of
+from craftsim.storage.limits import ALL, Range, size_text
 from craftsim.training.settings import KINDS, Settings
 
 DOCS: Final = Path(__file__).parents[1] / "docs"
@@ -53,13 +54,13 @@ def _files() -> str:
 
 def _options() -> str:
     commands: dict[tuple[str, str], list[str]] = {}
-    for name in COMMANDS:
-        function = getattr(importlib.import_module(f"craftsim.commands.{name}"), name)
-        hints = get_type_hints(function).values()
-        groups = [one for hint in hints for one in (hint, *get_args(hint)) if dataclasses.is_dataclass(one)]
-        for group in (function, *groups):
-            for option, allowed in ranges_of(group).items():
-                commands.setdefault((f"`--{option.replace('_', '-')}`", str(allowed)), []).append(f"`{name}`")
+    every = [name for name in COMMANDS if name not in ALONE]
+    every += [f"{name} {one}" for name, others in BELOW.items() for one in others]
+    for name in every:
+        words = name.split()
+        module = importlib.import_module(f"craftsim.cli.{MODULES.get(words[-1], words[-1])}")
+        for option, allowed in ranges_of(getattr(module, words[-1])):
+            commands.setdefault((f"`--{option}`", str(allowed)), []).append(f"`{name}`")
     rows = (
         (option, allowed, ", ".join(dict.fromkeys(names)))
         for (option, allowed), names in sorted(commands.items())
@@ -72,11 +73,17 @@ def _settings() -> str:
     for algorithm, kind in KINDS.items():
         algorithms.setdefault(kind, []).append(f"`{algorithm}`")
     rows = [
-        (", ".join(names), f"`{of.name}`", of.default, ranges_of(kind)[of.name], _docstrings(kind)[of.name])
+        (", ".join(names), f"`{of.name}`", of.default, _allowed(kind)[of.name], _docstrings(kind)[of.name])
         for kind, names in algorithms.items()
         for of in dataclasses.fields(kind)
     ]
     return _table(("algorithms", "setting", "default", "allowed", "what it is"), *rows)
+
+
+def _allowed(kind: type) -> dict[str, Range]:
+    """Return what the numbers of a record may be, by name."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: one for name, hint in hints.items() for one in get_args(hint) if isinstance(one, Range)}
 
 
 def _docstrings(kind: type) -> dict[str, str]:

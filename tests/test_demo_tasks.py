@@ -8,7 +8,7 @@ from disturbances import pushed
 from craftsim import cli
 from craftsim.checking import setup
 from craftsim.checking.attempt import Thresholds
-from craftsim.commands import demo as demo_module
+from craftsim.discrete import tasks
 from craftsim.validation import building
 
 
@@ -39,29 +39,31 @@ def test_a_plan_that_leaves_blocks_apart_misses_the_goal(tmp_path, capsys):
 
 def test_all_tasks_give_one_summary_and_one_report(tmp_path, capsys, monkeypatch):
     names = ("block", "breaking_barrier")
-    monkeypatch.setattr(demo_module, "TASK_NAMES", names)
+    monkeypatch.setattr(tasks, "TASK_NAMES", names)
     assert cli.main(["demo", "--task", "all", "--no-video", "--out", str(tmp_path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == "40 of 40 actions agree with the rules; 2 of 2 goals are reached."
     rows = [line.split() for line in lines if "reached" in line and line.startswith(names)]
     assert [row[0] for row in rows] == list(names)
-    assert max(map(len, (line for line in lines if "Report:" not in line))) <= 80
+    assert max(map(len, (line for line in lines if not line.startswith(("Report:", "Page:"))))) <= 80
     figures = _figures(tmp_path)
     assert list(figures["tasks"]) == sorted(names)
     assert (figures["agree"], figures["total"], figures["good"]) == (40, 40, 2)
     assert all(task["matches_goal"] for task in figures["tasks"].values())
     trajectories = [f"{name}.{ending}" for name in names for ending in ("npz", "log.csv")]
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*trajectories, "report.json"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        [*trajectories, "config.yaml", "report.html", "report.json"]
+    )
 
 
 def test_one_failure_among_all_tasks_is_named_and_ends_with_status_1(tmp_path, capsys, monkeypatch):
     plan = tmp_path / "wrong.plan"
     plan.write_text("0 0 DROP\n", encoding="utf-8")
-    monkeypatch.setattr(demo_module, "TASK_NAMES", ("strip", "block"))
+    monkeypatch.setattr(tasks, "TASK_NAMES", ("strip", "block"))
     monkeypatch.setattr(building, "shipped_plan", lambda name: plan)
     assert cli.main(["demo", "--task", "all", "--no-video", "--out", str(tmp_path / "out")]) == 1
     output = capsys.readouterr().out
-    assert "strip, tick 0, car 0 DROP: the rules forbid it: " in output
+    assert "strip: tick 0, car 0 DROP: not tried: the rules forbid it: " in output
     assert output.splitlines()[-1] == "0 of 2 actions agree with the rules; 0 of 2 goals are reached."
     assert _figures(tmp_path / "out")["good"] == 0
 
@@ -71,7 +73,7 @@ def one_stop(tmp_path):
     """Return the words of a demo in which one car stops once."""
     (tmp_path / "stop.plan").write_text("0 0 MOVE_LEFT\n", encoding="utf-8")
     words = ["--plan", str(tmp_path / "stop.plan"), "--no-video", "--out", str(tmp_path / "out")]
-    return ["demo", "--task", "strip", *words]
+    return ["demo", "--task", "strip", "--randomize", "none", *words]
 
 
 def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predicted(
@@ -80,7 +82,7 @@ def test_a_bystander_that_moves_too_far_disagrees_though_the_reading_is_as_predi
     monkeypatch.setattr(setup, "Executor", pushed(0, 0.004))
     assert cli.main(one_stop) == 1
     output = capsys.readouterr().out
-    assert "tick 0, car 0 MOVE_LEFT: block 0 was moved by" in output
+    assert "tick 0, car 0 MOVE_LEFT: side effect: block 0 was moved by" in output
     assert "0 of 1 actions agree" in output
     (action,) = _figures(tmp_path / "out")["actions"]
     assert (action["finding"], action["result"]) == ("agrees", "side effect")
@@ -92,7 +94,7 @@ def test_a_car_beyond_its_limit_disagrees_though_the_reading_is_as_predicted(
     strict = (Thresholds(car_m=1e-9), *setup.RANDOMIZE["none"][1:])
     monkeypatch.setitem(setup.RANDOMIZE, "none", strict)
     assert cli.main(one_stop) == 1
-    assert "tick 0, car 0 MOVE_LEFT: the car is " in capsys.readouterr().out
+    assert "tick 0, car 0 MOVE_LEFT: failed: the car is " in capsys.readouterr().out
     (action,) = _figures(tmp_path / "out")["actions"]
     assert (action["finding"], action["result"]) == ("agrees", "failed")
 
@@ -120,12 +122,17 @@ def test_nothing_is_said_of_the_errors_of_what_was_not_done(one_stop, tmp_path, 
 def test_each_task_has_its_own_film(tmp_path, capsys, monkeypatch):
     plan = tmp_path / "short.plan"
     plan.write_text("0 0 STOP\n", encoding="utf-8")
-    monkeypatch.setattr(demo_module, "TASK_NAMES", ("strip", "block"))
+    monkeypatch.setattr(tasks, "TASK_NAMES", ("strip", "block"))
     monkeypatch.setattr(building, "shipped_plan", lambda name: plan)
     cli.main(["demo", "--task", "all", "--out", str(tmp_path / "out")])
     films = {f"{name}.{ending}" for name in ("strip", "block") for ending in ("mp4", "npz", "log.csv")}
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json", *films}
-    assert capsys.readouterr().out.count("Film:") == 2
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "config.yaml",
+        "report.html",
+        "report.json",
+        *films,
+    }
+    assert capsys.readouterr().out.count("Film of ") == 2
 
 
 def test_files_of_ones_own_do_not_go_with_all_tasks(tmp_path, capsys):

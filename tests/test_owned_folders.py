@@ -6,15 +6,16 @@ import os
 import subprocess
 import sys
 import threading
-from importlib import import_module
 from pathlib import Path
 
 import pytest
 from owner import kill, owner
 
-from craftsim.cli import COMMANDS, main
+from craftsim.cli import main
+from craftsim.cli.app import bind
+from craftsim.cli.commands import ALONE, BELOW, COMMANDS
 from craftsim.errors import InputError
-from craftsim.report import write_report
+from craftsim.reports.json_file import write_report
 from craftsim.storage.folders import LOCK, directory_within, owned
 from craftsim.validation.validation import validate
 
@@ -23,19 +24,17 @@ WORDS = {
     "demo": [],
     "validate": ["strip"],
     "plan": ["strip"],
-    "build": ["strip"],
     "audit": ["--quick"],
     "tune": ["drive"],
-    "margins": ["--quick"],
+    "audit margins": ["--quick"],
     "compare": ["a", "b"],
-    "clearance": [],
+    "audit clearance": [],
     "replay": ["a"],
-    "excite": [],
-    "identify": ["a.csv"],
-    "robot": [],
+    "robot excite": [],
+    "robot identify": ["a.csv"],
+    "robot serve": [],
     "train": [],
-    "study": ["quick"],
-    "evaluate": ["a.safetensors"],
+    "train study": ["quick"],
     "conformance": ["a.gz"],
     "bench": ["rules"],
     "design": ["tower"],
@@ -44,10 +43,8 @@ WORDS = {
 """Commands that own the folder that they write into, with what they cannot do without."""
 WITHOUT = {
     "render": "one film or some pictures",
-    "plot": "pictures",
     "show": "pictures",
     "view": "nothing",
-    "export": "a folder of its own within the one it is given",
 }
 """Commands that own no folder, and what they write."""
 
@@ -79,16 +76,17 @@ def taken(tmp_path_factory):
 
 
 def test_every_command_with_a_folder_is_here():
-    assert {*WORDS, *WITHOUT} == {*COMMANDS}
-    for name in WORDS:
-        function = getattr(import_module(f"craftsim.commands.{name}"), name)
+    below = {f"{name} {one}" for name, others in BELOW.items() for one in others}
+    assert {*WORDS, *WITHOUT} == {*COMMANDS, *below} - {*ALONE}
+    for name, words in WORDS.items():
+        function, _ = bind([*name.split(), *words])
         assert "out" in inspect.signature(function).parameters
 
 
 @pytest.mark.parametrize("command", WORDS)
 def test_a_second_process_is_told_and_the_first_loses_nothing(command, taken, capsys):
     before = sorted(taken.iterdir())
-    assert main([command, *WORDS[command], "--out", str(taken)]) == 2
+    assert main([*command.split(), *WORDS[command], "--out", str(taken)]) == 2
     assert f"{taken} {IN_USE}; wait until it has ended, or choose another --out" in capsys.readouterr().err
     assert sorted(taken.iterdir()) == before
     assert (taken / "report.json").read_text() == "the first's"

@@ -9,7 +9,7 @@ import pytest
 
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.report import SCHEMA_VERSION, write_report
+from craftsim.reports.json_file import SCHEMA_VERSION, write_report
 from craftsim.storage.folders import output_directory
 
 

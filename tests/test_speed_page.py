@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from speed_tables import tables
 
-from craftsim.commands.calibration import Rate
+from craftsim.cli.calibration import Rate
 
 SPEED = Path(__file__).parents[1] / "docs/speed"
 

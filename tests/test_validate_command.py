@@ -74,7 +74,7 @@ def test_a_disagreement_is_found_kept_to_replay_and_equal_however_it_is_run(fold
     words = ["crowded.yaml", "--actions", "unfold.txt", "--rules", "published", "--trials", "2"]
     assert _validate(*words) == 1
     told = capsys.readouterr().out
-    assert "crowded/unfold/0000: tick 1 car 0 UNFOLD: side effect: block 0 was moved by " in told
+    assert "crowded/unfold/0000: tick 1, car 0 UNFOLD: side effect: block 0 was moved by " in told
     assert "mm (allowed 1.00); slope 0 touched block 0" in told
     records = _records(folder / "out")
     assert [record["key"] for record in records] == [f"crowded/unfold/000{i}" for i in range(2)]
@@ -116,8 +116,8 @@ def test_a_plan_that_the_rules_forbid_is_not_tried_and_the_rule_is_told(folder, 
     (folder / "forbidden.plan").write_text("0 0 UNFOLD\n")
     assert _validate("crowded.yaml", "--plan", "forbidden.plan", "--trials", "1", "--randomize", "none") == 1
     told = capsys.readouterr().out
-    assert "crowded/forbidden/0000: tick 0 car 0 UNFOLD: not tried: the rules forbid it: " in told
-    assert told.splitlines()[-1].endswith("1 asked for actions that the rules forbid.")
+    assert "crowded/forbidden/0000: tick 0, car 0 UNFOLD: not tried: the rules forbid it: " in told
+    assert told.splitlines()[-1].endswith("1 run asked for what the rules forbid, which was not tried.")
     (record,) = _records(folder / "out")
     (attempt,) = record["attempts"]
     assert (attempt["legal"], attempt["performed"], record["bundle"]) == (False, False, None)
@@ -195,7 +195,7 @@ def test_a_killed_validation_goes_on_to_the_report_of_an_undisturbed_one(folder)
     (folder / "long.txt").write_text("0 MOVE_LEFT\n0 MOVE_RIGHT\n")
     words = ["empty.yaml", "--actions", "long.txt", "--randomize", "strong"]
     words += ["--trials", "8", "--video", "none"]
-    command = [sys.executable, "-m", "craftsim.cli", "validate", *words, "--out", "killed"]
+    command = [sys.executable, "-m", "craftsim", "validate", *words, "--out", "killed"]
 
     def results(out):
         return _report(out), (out / "trials.jsonl").read_bytes()

@@ -106,7 +106,7 @@ def test_every_file_of_the_package_is_in_the_wheel(wheel):
         "data/plans",
         "data/gains",
         "data/randomizations",
-        "validation/html/template",
+        "reports/template",
     ):
         assert any(name.startswith(f"craftsim/{part}/") for name in packed), part
 

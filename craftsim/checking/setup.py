@@ -14,6 +14,7 @@ import numpy as np
 
 from craftsim.checking.attempt import Thresholds
 from craftsim.checking.judge import Judge
+from craftsim.choices import preset_of_level
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules, RuleSet
@@ -205,6 +206,7 @@ def setup_of(
 
 
 def _randomization(given: Randomize | str | Path) -> _Terms:
+    given = preset_of_level(given) if isinstance(given, str) else given
     if given in RANDOMIZE:
         return RANDOMIZE[cast(Randomize, given)]
     _check_file(given, "randomization")

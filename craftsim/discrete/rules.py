@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Final, Literal, get_args
+from typing import Final, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.choices import RuleSet as RuleSet
 from craftsim.discrete import own_actions
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel import batch
@@ -17,8 +18,6 @@ from craftsim.discrete.kernel.search import SearchBuffers, search_buffers
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action, Correction
 from craftsim.discrete.reasons import Explanation, explain
 from craftsim.errors import InputError, suggestion
-
-RuleSet = Literal["published", "physical"]
 
 RULE_SETS: Final[dict[RuleSet, Correction]] = {"published": Correction(0), "physical": ~Correction(0)}
 """The corrections of each rule set. What physics shows to be wrong is one more correction, read in its rule."""

@@ -25,7 +25,7 @@ from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
 from craftsim.models.world import PhysicsWorld
-from craftsim.report import versions
+from craftsim.reports.json_file import versions
 from craftsim.skills.library import check_known
 from craftsim.storage import limits
 from craftsim.storage.folders import directory_within

@@ -12,7 +12,14 @@ import numpy as np
 from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Experiment, RunOptions, TrialRecord
-from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, RankAgreement, agreement_of
+from craftsim.experiments.intervals import (
+    CONFIDENCE,
+    Estimate,
+    Proportion,
+    RankAgreement,
+    agreement_of,
+    paired_difference,
+)
 from craftsim.experiments.records import Finished, differences, read_finished
 from craftsim.experiments.session import Session
 from craftsim.experiments.statistics import (
@@ -51,6 +58,11 @@ class Paired:
     p_value: float
     """Of McNemar's exact test, two-sided: how likely a split of the differing pairs at least as uneven as this one is,
     if the settings do equally well."""
+
+    @property
+    def difference(self) -> Estimate:
+        """By how much more trials agree under the second setting than under the first, as a share of the pairs."""
+        return paired_difference(self.only_first, self.only_second, self.pairs)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any, TypedDict
 
 from craftsim.errors import DISK_ERRORS
 from craftsim.experiments.schema import ANY, Form
-from craftsim.report import plain
+from craftsim.reports.json_file import plain
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS, TRIALS, size_text
 from craftsim.workers.pool import Engine
 

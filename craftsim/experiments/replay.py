@@ -25,7 +25,7 @@ from craftsim.experiments.bundle import (
     physics_of,
     state_of,
 )
-from craftsim.report import versions
+from craftsim.reports.json_file import versions
 from craftsim.skills.executor import Observer
 from craftsim.storage.reading import Arrays
 

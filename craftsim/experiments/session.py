@@ -56,7 +56,7 @@ from craftsim.experiments.records import (
     texts,
     with_tables,
 )
-from craftsim.report import plain, versions, write_report
+from craftsim.reports.json_file import plain, versions, write_report
 from craftsim.storage.folders import owned, remove
 from craftsim.storage.writing import whole
 from craftsim.workers.pool import NoAnswer, Pool

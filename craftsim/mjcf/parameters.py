@@ -21,6 +21,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from craftsim.choices import Drive as Drive
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD, LEVEL_HEIGHT_M
 from craftsim.errors import InputError
 from craftsim.mjcf.fit import check_car, check_machines
@@ -28,8 +29,6 @@ from craftsim.storage.limits import Range
 from craftsim.storage.records import record
 
 Origin = Literal["published", "derived", "assumed"]
-Drive = Literal["rollers", "reduced"]
-"""How a car's mecanum wheels touch the ground: by ten free rollers each, or by one ball each that stands for them."""
 DRIVES: Final[tuple[Drive, ...]] = get_args(Drive)
 
 REACH: Final = 1e6

@@ -23,7 +23,7 @@ from craftsim.rendering.trajectory import (
     motors_of,
     poses_of,
 )
-from craftsim.report import versions
+from craftsim.reports.json_file import versions
 from craftsim.storage.limits import TRAJECTORY
 
 _Samples = list[NDArray[np.float64]]

@@ -23,7 +23,7 @@ from craftsim.discrete.grid import Cell, Kind
 from craftsim.errors import InputError
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.shapes import Wanted
-from craftsim.report import versions
+from craftsim.reports.json_file import versions
 from craftsim.storage import limits
 from craftsim.storage.reading import Arrays, read_arrays
 from craftsim.storage.records import Listed, from_json, to_json

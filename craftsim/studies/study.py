@@ -13,6 +13,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
 
+from craftsim.choices import PresetName
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import (
@@ -27,7 +28,7 @@ from craftsim.storage.limits import (
 from craftsim.storage.paths import exists
 from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
-from craftsim.training.config import AlgoName, PresetName, Protocol, TrainConfig, protocol
+from craftsim.training.config import AlgoName, Protocol, TrainConfig, protocol
 from craftsim.training.guidance import check_guidance
 from craftsim.training.policy import policy_file
 from craftsim.training.shape import Shape, check_stage

@@ -8,6 +8,9 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, Strict
 
+from craftsim.choices import AlgoName as AlgoName
+from craftsim.choices import Backend as TrainBackend
+from craftsim.choices import PresetName
 from craftsim.discrete.rules import RuleSet
 from craftsim.mjcf.parameters import Drive
 from craftsim.storage.limits import (
@@ -29,8 +32,6 @@ from craftsim.storage.limits import (
 from craftsim.storage.records import record
 from craftsim.training.settings import settings_of
 
-AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran", "pqn"]
-TrainBackend = Literal["grid", "physics"]
 PHYSICS_WORLDS: Final = 32
 """How many are stepped side by side in physics unless said otherwise."""
 GRID_WORLDS: Final[Mapping[AlgoName, int]] = {
@@ -156,7 +157,6 @@ class TrainConfig:
         return asdict(self)
 
 
-PresetName = Literal["paper", "paper_plus"]
 PAPER_STEPS: Final = 1_000_500
 PAPER_LONG_STEPS: Final = 2_000_000
 """Of two-story buildings and harder tasks."""
@@ -176,7 +176,8 @@ def protocol(preset: PresetName, task: str, algo: AlgoName) -> Protocol:
     """Return the protocol of CraftEnv's paper (Zhao et al., AAMAS 2023) for a task and an algorithm.
 
     Published rules, the action helper with depth 20, the task's own start, greedy evaluations of 20 episodes every
-    10,000 ticks, and no end at the first success. Value-based algorithms explore with probability 0.21, soon 0.2. Learning rates but those of PPO fall to nothing.
+    10,000 ticks, and no end at the first success. Value-based algorithms explore with probability 0.21, soon 0.2.
+    Learning rates but those of PPO fall to nothing.
     ``paper_plus`` adds exploration of craftsim's own before learning.
     """
     short = task in _SHORT_TASKS

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
-from craftsim.report import versions
+from craftsim.reports.json_file import versions
 from craftsim.training.checkpoint import RUN_FILE, PolicyHead, RunHead, open_run, save_policy, save_run
 from craftsim.training.coma import COMALearner
 from craftsim.training.config import WITH_PROBABILITIES, TrainConfig

@@ -59,6 +59,11 @@ class Builds:
     builds: BuildFigures
     figures: Figures
     comparison: Comparison | None
+    config: dict[str, Any]
+    """What decided it, besides the seed."""
+    seed: int
+    items: Sequence[Item]
+    """What was run, parallel to the records."""
 
     @property
     def all_built(self) -> bool:
@@ -131,7 +136,7 @@ def build_all(
         comparison = None if earlier is None else compare_runs(earlier, session)
         session.write_report({"builds": builds, "validation": figures, "paired": comparison})
         write_durations(out, figures.durations)
-    return Builds(records, builds, figures, comparison)
+    return Builds(records, builds, figures, comparison, config, seed, items)
 
 
 def _enough(number: int, best: Planned | None) -> None:

@@ -13,16 +13,15 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from types import TracebackType
-from typing import Any, Final, Generic, Literal, Self, TypeVar
+from typing import Any, Final, Generic, Self, TypeVar
 
+from craftsim.choices import Engine as Engine
 from craftsim.errors import CraftsimError
 from craftsim.workers.actor import Actor, WorkerDiedError, defer_sigint
 from craftsim.workers.ray_actor import RayActor, processors
 
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
-Engine = Literal["local", "ray"]
-"""Processes of this machine, or actors of an existing Ray cluster."""
 
 RELEASE_EVERY: Final = 20
 """Jobs after which a worker gives memory back."""

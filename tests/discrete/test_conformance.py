@@ -11,7 +11,7 @@ import pytest
 from craftsim.discrete.conformance import QUIRK_TAGS, Checker, read_records
 from craftsim.discrete.kinds import Correction
 from craftsim.discrete.rules import Rules
-from craftsim.report import SCHEMA_VERSION
+from craftsim.reports.json_file import SCHEMA_VERSION
 
 DATA = Path(__file__).parents[1] / "data"
 DERIVED = Correction.derived_marks

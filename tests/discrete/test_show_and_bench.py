@@ -8,7 +8,7 @@ import pytest
 from benches import ToAndFro, yard
 
 from craftsim.cli import main
-from craftsim.commands.calibration import Rate
+from craftsim.cli.calibration import Rate
 from craftsim.discrete.drawing import GOAL, KIND_COLOURS, car_colour, world_text
 from craftsim.discrete.grid import Kind
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from measure_durations import measure_durations
 
-from craftsim.commands import calibration
-from craftsim.commands.calibration import (
+from craftsim.cli import calibration
+from craftsim.cli.calibration import (
     PRIMITIVE_TIMES_HELPER,
     REFERENCE_PER_UNIT,
     measure,

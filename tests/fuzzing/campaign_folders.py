@@ -13,7 +13,6 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
-from craftsim.commands.validate_text import runs_table
 from craftsim.experiments.compare import compare_paired
 from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions
 from craftsim.experiments.records import DATABASE, OLD, TRIALS, Records, read_finished
@@ -22,6 +21,7 @@ from craftsim.experiments.statistics import campaign_figures
 from craftsim.validation.audit.verdicts import audit_rows
 from craftsim.validation.forms import RUNS
 from craftsim.validation.play.play import Coverage
+from craftsim.validation.report import runs_table
 from craftsim.validation.shrinking.campaign import first_of_each_kind
 from fuzzing.mutations import mutated_bytes, mutated_json
 

@@ -1,15 +1,15 @@
 """Some hostile things in the place of what commands take; ``make fuzz ARGS=--commands`` tries them all."""
 
-import dataclasses
-import importlib
 import re
-from typing import get_args, get_type_hints
 
 import pytest
 
-from craftsim import cli
+from craftsim.cli.app import _command, make_app
+from craftsim.cli.commands import ALONE, BELOW, COMMANDS
 from fuzzing.commands import SLOTS, forms, some_cases
 
+EVERY = [[name] for name in COMMANDS if name not in ALONE]
+EVERY += [[name, below] for name, others in BELOW.items() for below in others]
 SAMPLED = 4
 """Every so many slots."""
 
@@ -19,25 +19,21 @@ def test_a_hostile_thing_ends_a_command_with_a_status_and_no_traceback(case, tmp
     assert case.run(tmp_path) == ""
 
 
-def _paths(command) -> set[str]:
+def _paths(words) -> set[str]:
     """Return the options of a command that are paths, those in its groups of options included."""
-    found = set()
-    for name, hint in get_type_hints(command, include_extras=True).items():
-        groups = [hint, *get_args(hint)]
-        for group in groups:
-            found |= _paths(group) if isinstance(group, type) and dataclasses.is_dataclass(group) else set()
-        if name != "return" and "Path" in str(hint) and "Positional" not in str(hint):
-            found.add(f"--{name.replace('_', '-')}")
-    return found
+    app = make_app()
+    found, name = _command(app, words)
+    with app.app_stack(name):
+        takes = found.assemble_argument_collection()
+    return {one.names[0] for one in takes if "Path" in str(one.hint) and one.index is None}
 
 
-@pytest.mark.parametrize("name", cli.COMMANDS)
-def test_every_path_that_a_command_takes_is_attacked(name):
-    command = getattr(importlib.import_module(f"craftsim.commands.{name}"), name)
-    attacked = [slot for slot in SLOTS if slot.split()[0] == name]
+@pytest.mark.parametrize("words", EVERY, ids=" ".join)
+def test_every_path_that_a_command_takes_is_attacked(words):
+    attacked = [slot for slot in SLOTS if slot.split()[: len(words)] == words]
     assert attacked
-    words = {option for slot in attacked for option in re.findall(r"(--[\w-]+) @", slot)}
-    assert _paths(command) - words == set()
+    options = {option for slot in attacked for option in re.findall(r"(--[\w-]+) @", slot)}
+    assert _paths(words) - options == set()
 
 
 def test_forms_have_names_of_their_own():

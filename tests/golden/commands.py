@@ -16,6 +16,7 @@ import numpy as np
 from discrete.test_hostile import HOSTILE
 
 from craftsim import cli
+from craftsim.cli.commands import COMMANDS
 from craftsim.discrete.files.shipped import shipped_plan
 
 from .golden import digest, record
@@ -71,17 +72,28 @@ def _reporting(name: str, *words: str) -> Callable[[], Any]:
     return record()(make)
 
 
-_PHYSICS = ("--randomize", "mild", "--trials", "3", "--video", "none", *REDUCED)
-_FLOOR = ("--randomize", "workshop_floor", "--trials", "2", "--video", "none", *REDUCED)
+_PHYSICS = ("--randomize", "mild", "--order", "ticks", "--trials", "3", "--video", "none", *REDUCED)
+_FLOOR = ("--randomize", "workshop_floor", "--order", "ticks", "--trials", "2", "--video", "none", *REDUCED)
 
-_reporting("demo", "demo", "--no-video")
-_reporting("demo_reduced", "demo", "--no-video", *REDUCED)
-_reporting("validate_plans", "validate", "--randomize", "none", "--trials", "1", "--video", "none")
+_reporting("demo", "demo", "--no-video", "--level", "0")
+_reporting("demo_reduced", "demo", "--no-video", "--level", "0", *REDUCED)
+_reporting(
+    "validate_plans",
+    "validate",
+    "--randomize",
+    "none",
+    "--order",
+    "ticks",
+    "--trials",
+    "1",
+    "--video",
+    "none",
+)
 _reporting("validate_policy", "validate", "random_strip@test", "--policy", "random_strip", *_PHYSICS)
 _reporting("validate_floor", "validate", "strip", "simple_two_story", *_FLOOR)
 _reporting("validate_random", "validate", "random", "--seed", "5", *_PHYSICS)
 _reporting("audit_physical", "audit", "--quick", "--rules", "physical", *REDUCED)
-_reporting("margins", "margins", "--quick", "--scenarios", "lift*", "--trials", "20", *REDUCED)
+_reporting("margins", "audit", "margins", "--quick", "--situations", "lift*", "--trials", "20", *REDUCED)
 _reporting("tune", "tune", "drive", "--evaluations", "12", "--trials", "1")
 _reporting("train", "train", "--task", "strip", "--steps", "20000", "--episodes", "50")
 
@@ -116,9 +128,22 @@ def study_and_compare() -> Any:
     with _work() as folder:
         own = "title: small\ntasks: [strip, block]\nalgos: [ippo, vdn]\nseeds: 2\nsteps: 4000\n"
         (folder / "small.yaml").write_text(own, encoding="utf-8")
-        study = _report("study", "small.yaml")
+        study = _report("train", "study", "small.yaml")
         for drive in ("rollers", "reduced"):
-            run("validate", "strip", "--trials", "3", "--video", "none", "--drive", drive, "--out", drive)
+            run(
+                "validate",
+                "strip",
+                "--order",
+                "ticks",
+                "--trials",
+                "3",
+                "--video",
+                "none",
+                "--drive",
+                drive,
+                "--out",
+                drive,
+            )
         (folder / "out" / "report.json").unlink()
         return {"study": study, "compare": _report("compare", "rollers", "reduced")}
 
@@ -137,7 +162,7 @@ def film() -> Any:
     import av
 
     with _work():
-        run("demo", "--no-video", "--task", "strip", "--out", "strip", *REDUCED)
+        run("demo", "--no-video", "--level", "0", "--task", "strip", "--out", "strip", *REDUCED)
         run("render", "strip", "--quality", "draft", "--size", "320x240", "--fps", "4", "--out", "film.mp4")
         with av.open("film.mp4") as container:
             frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
@@ -148,7 +173,7 @@ def film() -> Any:
 def help_texts() -> Any:
     """What every command says of its options."""
     with _work():
-        return {command: digest(run(command, "--help")[1]) for command in cli.COMMANDS}
+        return {command: digest(run(command, "--help")[1]) for command in COMMANDS}
 
 
 @record("python", fast=True)

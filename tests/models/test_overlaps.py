@@ -6,7 +6,7 @@ from drawn import draw
 import craftsim
 from craftsim.audit.situation import Row, Situation
 from craftsim.checking.setup import Setup, set_up
-from craftsim.commands.validate import validate
+from craftsim.cli.validate import validate
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action

@@ -85,7 +85,7 @@ def test_show_says_what_a_plan_takes_and_writes_its_pictures(tmp_path, capsys):
 def test_show_names_what_the_rules_forbid_and_says_so_with_its_exit_status(tmp_path, capsys):
     (tmp_path / "p.plan").write_text("0 0 DROP\n1 1 ROTATE_LEFT\n")
     assert main(["show", "strip", "--plan", str(tmp_path / "p.plan")]) == 1
-    assert "forbidden: car 0 DROP in tick 0" in capsys.readouterr().out
+    assert "forbidden: car 0 DROP in tick 0: the car carries nothing" in capsys.readouterr().out
 
 
 def test_a_gantt_chart_that_the_disk_does_not_take_is_told(tmp_path):

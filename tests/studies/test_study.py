@@ -11,12 +11,11 @@ import pytest
 from owner import owner
 from sessions import cut_off
 
-from craftsim.cli import main
-from craftsim.commands import study_progress
-from craftsim.commands.study_text import conclusions, runs_table
-from craftsim.commands.terminal import Terminal
+from craftsim.cli import main, study_progress
 from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
+from craftsim.reports.terminal import Terminal
+from craftsim.studies.report import conclusions, runs_table
 from craftsim.studies.runs import RUNS, run_study, train_and_evaluate
 from craftsim.studies.study import SHIPPED, Study, read_study
 from craftsim.training.curve import CURVE_FILE, Point, read_last, write_curve

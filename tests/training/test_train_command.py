@@ -149,7 +149,7 @@ def test_a_run_goes_on_from_the_starts_of_then_only(tmp_path, capsys):
 
 
 def test_without_a_terminal_it_says_now_and_then_how_far_it_is(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("craftsim.commands.train.LINE_EVERY_S", 0.0)
+    monkeypatch.setattr("craftsim.cli.train.LINE_EVERY_S", 0.0)
     assert _train(tmp_path, "--steps", "600") == 0
     assert "strip, ippo: 400 of at most 600 steps, success -, return -," in capsys.readouterr().out
 
@@ -164,7 +164,7 @@ def test_without_the_extra_it_says_how_to_install_it(tmp_path, capsys, monkeypat
     assert "craftsim[train]" not in error, "the name on the package index belongs to somebody else"
 
 
-@pytest.mark.parametrize("module", ["craftsim.commands.train", "craftsim.training.policy"])
+@pytest.mark.parametrize("module", ["craftsim.cli.train", "craftsim.training.policy"])
 def test_the_command_is_there_without_torch(module):
     code = f"import sys, {module}; print('torch' in sys.modules)"
     child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from craftsim.commands.study_text import conclusions, runs_table
+from craftsim.studies.report import conclusions, runs_table
 from craftsim.studies.study import read_study
 
 DOCS = Path(__file__).parents[2] / "docs"

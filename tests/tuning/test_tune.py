@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 import yaml
@@ -12,14 +13,15 @@ from craftsim.checking.setup import setup_of
 from craftsim.cli import main
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import RunOptions
+from craftsim.reports.html import write_html
 from craftsim.skills.gains import load_gains
 from craftsim.tuning.gains import phases
 from craftsim.tuning.gains import tune as module
 from craftsim.tuning.gains.goal import Goal
-from craftsim.tuning.gains.page import tune_page
 from craftsim.tuning.gains.phases import FINAL_BLOCKS, HELD_OUT_BLOCKS
-from craftsim.tuning.gains.writing import convergence, write_gains
-from craftsim.validation.html.writing import write_html
+from craftsim.tuning.gains.report import convergence, tune_report
+from craftsim.tuning.gains.situations import situations
+from craftsim.tuning.gains.writing import write_gains
 
 
 def _tune(monkeypatch, folder, goal=None, lose=lambda job: False, evaluations=120):
@@ -103,9 +105,29 @@ def test_the_file_says_where_it_comes_from_and_can_be_read_by_gains(monkeypatch,
         assert part in text
 
 
+def test_a_change_whose_interval_holds_none_is_not_called_better_and_each_failure_is_named(
+    monkeypatch, tmp_path
+):
+    def lose(job):
+        return min(job.blocks) == 2 + FINAL_BLOCKS
+
+    tuned, _ = _tune(monkeypatch, tmp_path, lose=lose)
+    ratio = replace(tuned.verdict.against_start, low=0.44, high=1.43, factor=0.69)
+    tuned = replace(tuned, verdict=replace(tuned.verdict, against_start=ratio, improved=True))
+    report = tune_report(tuned, tmp_path / "gains.yaml", "craftsim tune board", 1)
+    assert report.headline.badge == "Not shown to be better"
+    assert "-31.0 %, 95 % interval -56.0 to +43.0 %" in report.headline.sentence
+    assert "least detectable change is -56.9 %" in report.headline.sentence
+    assert {name for name, _ in tuned.failures} == {"before", "after", "shipped"}
+    page = write_html(tmp_path, report).read_text(encoding="utf-8")
+    assert f"Failures: {len(tuned.failures)}" in page
+    assert str(situations("board")[0]).partition("/")[0] in page
+
+
 def test_the_page_holds_all_drawings_and_says_why_gains_are_kept(monkeypatch, tmp_path):
     tuned, _ = _tune(monkeypatch, tmp_path, Goal.of((), ["time", "energy"]), evaluations=40)
-    text = write_html(tmp_path, tune_page(tuned, "craftsim tune board")).read_text(encoding="utf-8")
+    report = tune_report(tuned, tmp_path / "gains.yaml", "craftsim tune board", 1)
+    text = write_html(tmp_path, report).read_text(encoding="utf-8")
     assert text.count("<svg role") == 3
     assert "drive.position_tolerance" in text
     assert "the front of time, energy" in text

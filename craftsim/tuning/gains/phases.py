@@ -5,7 +5,7 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,13 +151,22 @@ class Phases:
         wide = [front[n] for n in spread(_costs(front, goal), FINALISTS)]
         return [one.values for one in (*wide, *(one for one in ranked if one not in wide))][:FINALISTS]
 
-    def judge(self, best: Candidate) -> HeldOut:
-        """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by."""
+    def judge(self, best: Candidate) -> tuple[HeldOut, list[tuple[str, Mapping[str, Any]]]]:
+        """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by.
+
+        Returns the verdict, and each trial that failed, with the name of the gains that it was tried with.
+        """
         plan, nominal = self.plan, load_gains()
         shipped = {knob.name: knob.of(nominal) for knob in self.knobs}
         blocks = self._blocks(plan.trials + FINAL_BLOCKS, HELD_OUT_BLOCKS)
         start, found, usual = (self._try_apart(own, blocks) for own in (plan.start, best.values, shipped))
-        return verdict_on(start, found, usual, plan.goal)
+        failures: list[tuple[str, Mapping[str, Any]]] = [
+            (name, trial)
+            for name, records in (("before", start), ("after", found), ("shipped", usual))
+            for trial in joined(records)
+            if not trial["agrees"]
+        ]
+        return verdict_on(start, found, usual, plan.goal), failures
 
     def sensitivity(self, values: Values) -> dict[str, Effect]:
         """Return what each knob does around some gains, on the search's seeds."""

@@ -33,6 +33,8 @@ class Tuned:
     gains: Gains
     """The best; those of the start where nothing better was found."""
     verdict: HeldOut
+    failures: Sequence[tuple[str, Mapping[str, Any]]]
+    """The trials on held-out seeds that failed, with the gains that they were tried with: before, after or shipped."""
     finalists: Sequence[Candidate]
     """On fresh seeds, first the chosen one; of a front those that are on it."""
     searched: Sequence[Candidate]
@@ -94,9 +96,11 @@ def tune(
         phases = Phases(plan, partial(session.run_some, on_record=on_record))
         searched, favourites = phases.search()
         finalists = phases.finals(searched, favourites)
-        verdict = phases.judge(finalists[0])
+        verdict, failures = phases.judge(finalists[0])
         values = finalists[0].values if verdict.improved else plan.start
         sensitivity = phases.sensitivity(values)
     gains = turned(setup.gains, plan.knobs, values) if verdict.improved else setup.gains
     wall_s = time.perf_counter() - started
-    return Tuned(goal, plan.knobs, gains, verdict, finalists, searched, sensitivity, config, seed, wall_s)
+    return Tuned(
+        *(goal, plan.knobs, gains, verdict, failures, finalists, searched, sensitivity, config, seed, wall_s)
+    )

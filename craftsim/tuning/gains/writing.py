@@ -1,20 +1,17 @@
-"""What a tuning leaves: a file of gains that says where it comes from, and the figures of its report."""
+"""What a tuning leaves: a file of gains that says where it comes from."""
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import yaml
 
-from craftsim.report import versions
+from craftsim.reports.json_file import versions
 from craftsim.skills.gains import SECTIONS
 from craftsim.storage.writing import write_whole
-from craftsim.tuning.gains.knobs import KEPT
 from craftsim.tuning.gains.tune import GAINS_FILE, Tuned
 
 
@@ -45,33 +42,3 @@ def _provenance(tuned: Tuned, command: str) -> Iterator[str]:
         yield f"  {name}: {verdict.before.values[name]:.4g}, {verdict.after.values[name]:.4g}"
     yield f"  failed: {verdict.before.failed}, {verdict.after.failed}"
     yield f"  product of the goal: {verdict.against_start.factor:.4f} times that of the start"
-
-
-def figures(tuned: Tuned) -> dict[str, Any]:
-    """Return what ``report.json`` holds."""
-    return {
-        "verdict": tuned.verdict,
-        "gains": {
-            knob.name: {
-                "before": knob.start,
-                "after": knob.of(tuned.gains),
-                "least": knob.least,
-                "most": knob.most,
-                "sensitivity": tuned.sensitivity[knob.name],
-            }
-            for knob in tuned.knobs
-        },
-        "finalists": tuned.finalists,
-        "convergence": convergence(tuned),
-        "kept": KEPT,
-    }
-
-
-def convergence(tuned: Tuned) -> list[float]:
-    """Return the best product so far after each candidate, as a factor of the start's, on the search's seeds."""
-    start = tuned.searched[0].score.log_cost(tuned.goal.weights)
-    best, found = start, []
-    for candidate in tuned.searched:
-        best = min(best, candidate.score.log_cost(tuned.goal.weights))
-        found.append(math.exp(best - start))
-    return found

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
 from craftsim.checking.episode import Step
+from craftsim.choices import PlanOrder as PlanOrder
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import Constraints
-
-PlanOrder = Literal["sequential", "ticks", "concurrent"]
-"""How a plan is carried out: one action after the other; tick after tick, all cars of one at the same time; or each
-action as early as those that it depends on have ended."""
 
 
 def steps_of(

@@ -132,7 +132,7 @@ def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_so
     words = ["--contexts", "MOVE/scene=on* a second ramp", "--trials", "2", "--out"]
     assert cli.main(["audit", *words, str(tmp_path / "published")]) == 1
     printed = capsys.readouterr().out
-    assert "1 of 1 rows that the rules allow are unsound" in printed
+    assert "1 of 1 row that the rules allow are unsound" in printed
     assert "second_ramp 1" in printed
     report = json.loads((tmp_path / "published" / "report.json").read_text())
     (row,) = report["figures"]["audit"]["rows"]
@@ -149,7 +149,7 @@ def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_so
     words += [str(tmp_path / "physical"), "--rules", "physical", "--against", str(tmp_path / "published")]
     assert cli.main(["audit", *words]) == 0
     printed = capsys.readouterr().out
-    assert "0 of 1 rows that the rules allow are unsound" in printed
+    assert "0 of 1 row that the rules allow are unsound" in printed
     assert "of 2 paired trials 0 agree with the rules in both, 0 only there, 2 only here" in printed
     paired = json.loads((tmp_path / "physical" / "report.json").read_text())["figures"]["paired"]
     changed = ["published", "physical"]

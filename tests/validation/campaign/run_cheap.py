@@ -32,6 +32,6 @@ if __name__ == "__main__":
     import craftsim.cli
 
     OUT, NAME = Path(sys.argv[1]), sys.argv[2]
-    sys.modules[f"craftsim.commands.{NAME}"] = sys.modules["__main__"]
+    sys.modules[f"craftsim.cli.{NAME}"] = sys.modules["__main__"]
     craftsim.cli.COMMANDS[NAME] = "Test."
     sys.exit(main([NAME, *sys.argv[3:]]))

@@ -1,0 +1,33 @@
+"""Words that options take, where nothing heavy has to be imported to know them."""
+
+from __future__ import annotations
+
+from typing import Final, Literal
+
+RuleSet = Literal["published", "physical"]
+"""CraftEnv's own rules, or those that physics supports."""
+Drive = Literal["rollers", "reduced"]
+"""How a car's mecanum wheels touch the ground: by ten free rollers each, or by one ball each that stands for them."""
+Engine = Literal["local", "ray"]
+"""Processes of this machine, or actors of an existing Ray cluster."""
+PlanOrder = Literal["sequential", "ticks", "concurrent"]
+"""How a plan is carried out: one action after the other; tick after tick, all cars of one at the same time; or each
+action as early as those that it depends on have ended."""
+AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran", "pqn"]
+Backend = Literal["grid", "physics"]
+PresetName = Literal["paper", "paper_plus"]
+"""The training protocol of CraftEnv's paper, and the same after exploration of craftsim's own."""
+
+LEVELS: Final = ("none", "mild", "strong", "lab_floor", "workshop_floor")
+"""The ladder of what is unknown, from level 0 to level 4: exact, mild, strong, lab floor, workshop floor."""
+
+
+def preset_of_level(name: str) -> str:
+    """Return the preset that a level's number, or its name, stands for; what is none as it is.
+
+    Example:
+        >>> preset_of_level("0"), preset_of_level("4"), preset_of_level("exact"), preset_of_level("mine.yaml")
+        ('none', 'workshop_floor', 'none', 'mine.yaml')
+    """
+    levels = {str(number): preset for number, preset in enumerate(LEVELS)} | {"exact": LEVELS[0]}
+    return levels.get(name, name)

@@ -1,0 +1,140 @@
+"""The command line: ``craftsim COMMAND``.
+
+A command is one function of the command's name in ``craftsim/cli/NAME.py``; its typed parameters become options and
+its integer result the exit status. It is imported only when it is called.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from craftsim.cli.commands import COMMANDS, overview
+from craftsim.cli.text import complain, drop_output, reader_is_gone, say, show_what_can_be_shown
+from craftsim.compiling import tell
+from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
+from craftsim.modules import import_own, safe_path
+from craftsim.storage.paths import check_working_folder
+
+PLUGINS: Final = "--plugins"
+"""Comes before the command, with modules of one's own to import first, divided by commas."""
+COMPLETION: Final = "completion"
+"""Prints what lets a shell complete words."""
+SHELLS: Final = ("bash", "zsh", "fish")
+BROKEN_PIPE: Final = 141
+"""What a shell says of a process that SIGPIPE ended."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit status: what it says, 2 for wrong input, 130 when interrupted.
+
+    It is 141, as if ended by SIGPIPE, where what reads the output has gone.
+
+    Args:
+        arguments: words after ``craftsim``; those of this process if None.
+    """
+    show_what_can_be_shown()
+    tell()
+    try:
+        try:
+            with safe_path():
+                return _answer(list(sys.argv[1:] if arguments is None else arguments))
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()
+    except BrokenPipeError:
+        if not reader_is_gone():
+            raise
+        drop_output()
+        return BROKEN_PIPE
+    except OSError as error:
+        if error.errno not in DISK_ERRORS:
+            raise
+        drop_output()
+        complain(f"cannot write {error.filename or 'the results'}: {error.strerror or error}")
+        return 2
+
+
+def _answer(words: list[str]) -> int:
+    try:
+        if words[:1] == [PLUGINS]:
+            words = _import_plugins(words)
+        if not words or words[0] in ("-h", "--help"):
+            say(overview())
+            return 0 if words else 2
+        if words[0] == "--version":
+            import craftsim
+
+            say(f"craftsim {craftsim.__version__}")
+            return 0
+        if words[0] == COMPLETION:
+            return _complete(words[1:])
+        check_working_folder()
+        return _run(words)
+    except CraftsimError as error:
+        complain(error)
+        return 2
+    except KeyboardInterrupt as interrupt:
+        complain(str(interrupt) or "interrupted")
+        return 130
+    except ImportError as error:
+        # Of a Ctrl-C during its import an extension module such as MuJoCo's makes an error of its own.
+        if not any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error)):
+            raise
+        complain("interrupted")
+        return 130
+
+
+def _import_plugins(words: list[str]) -> list[str]:
+    """Import the modules that register something, and return the words of the command."""
+    if len(words) < 3:
+        raise InputError(f"{PLUGINS} needs modules and then a command: craftsim {PLUGINS} MODULE,... COMMAND")
+    for module in words[1].split(","):
+        try:
+            import_own(module)
+        except CraftsimError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise InputError(
+                f"{PLUGINS}: the module '{module}' cannot be imported: {type(error).__name__}: {error}"
+            ) from error
+    return words[2:]
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def _run(words: list[str]) -> int:
+    from craftsim.cli import former
+    from craftsim.cli.again import ASKED
+    from craftsim.cli.app import bind, help_of, write_config
+
+    if words[0] not in {**COMMANDS, **former.COMMANDS}:
+        known = ", ".join(COMMANDS)
+        raise InputError(f"no command '{words[0]}'{suggestion(words[0], COMMANDS)} (commands: {known})")
+    words = former.current(words)
+    if {"-h", "--help"} & {*words}:
+        say(help_of(words))
+        return 0
+    function, bound = bind(words)
+    ASKED.set(tuple(words))
+    status: int = function(*bound.args, **bound.kwargs)
+    write_config(words, bound)
+    return status
+
+
+def _complete(words: list[str]) -> int:
+    """Print what lets a shell complete commands, options and their values at the tab key."""
+    from craftsim.cli.app import make_app
+
+    if len(words) != 1 or words[0] not in SHELLS:
+        raise InputError(
+            f"'craftsim {COMPLETION}' needs a shell: {', '.join(SHELLS)}; for bash: "
+            f'eval "$(craftsim {COMPLETION} bash)" in ~/.bashrc'
+        )
+    say(make_app().generate_completion(shell=words[0]))  # type: ignore[arg-type]
+    return 0

@@ -1,0 +1,163 @@
+"""The commands, under their headings, and what they all have: help, configuration files and completion."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final, get_args, get_type_hints
+
+import cyclopts
+from cyclopts import App, Parameter, UnknownOptionError
+from cyclopts.config import Dict
+
+from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
+from craftsim.cli.help import command_help
+from craftsim.errors import InputError
+from craftsim.options import option_name
+
+CONFIG: Final = "config.yaml"
+"""What every run writes into its output folder, and ``--config`` reads."""
+NO_MATTER: Final = ("out", "workers", "engine", "resume")
+"""Options that say where the work is done and where results go, which decide none of them."""
+
+
+def make_app() -> App:
+    """Return the command line; the module of a command is imported when it is used."""
+    app = App(
+        name="craftsim",
+        version_flags=(),
+        help_format="plaintext",
+        default_parameter=Parameter(negative_iterable=(), consume_multiple=True),
+        result_action="return_value",
+    )
+    for name, text in COMMANDS.items():
+        where = f"craftsim.cli.{name}:{name}"
+        if name not in BELOW:
+            app.command(where, name=name, help=text)
+            continue
+        parent = App(name=name, help=text)
+        app.command(parent)
+        for below, its in BELOW[name].items():
+            parent.command(f"craftsim.cli.{MODULES.get(below, below)}:{below}", name=below, help=its)
+    return app
+
+
+def _command(app: App, words: Sequence[str]) -> tuple[App, list[str]]:
+    """Return the command that words ask for, with its function, and its name."""
+    name = words[0]
+    found = app[name]
+    if len(words) > 1 and words[1] in BELOW.get(name, ()):
+        return found[words[1]], [name, words[1]]
+    if name in BELOW and name not in ALONE:
+        found.default(getattr(import_module(f"craftsim.cli.{name}"), name))
+    return found, [name]
+
+
+def help_of(words: Sequence[str]) -> str:
+    """Return what the help of a command says, whose words these are."""
+    app = make_app()
+    found, name = _command(app, words)
+    with app.app_stack(name):
+        arguments = (
+            [] if found.default_command is None else found.assemble_argument_collection(parse_docstring=True)
+        )
+    return command_help(found, arguments, name, BELOW.get(words[0], {}) if len(name) == 1 else {})
+
+
+def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArguments]:
+    """Return the function that words of the command line ask for and its arguments, read from them and from a file.
+
+    Raises:
+        InputError: something is wrong with them.
+    """
+    words, file = _without_config(list(words))
+    app = make_app()
+    _command(app, words)
+    if file is not None:
+        app.config = Dict(_configured(file, words), source=str(file), use_commands_as_keys=False)
+    try:
+        function, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
+    except cyclopts.CycloptsError as error:
+        raise InputError(_said(error)) from None
+    return function, bound
+
+
+def _said(error: cyclopts.CycloptsError) -> str:
+    """Return what is wrong in one line."""
+    text = " ".join(str(error).split())
+    if isinstance(error, UnknownOptionError) and "Did you mean" not in text:
+        named = [name for one in error.argument_collection for name in one.names if name.startswith("--")]
+        text += f" Allowed: {', '.join(dict.fromkeys(named))}."
+    return text
+
+
+def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
+    """Return words without ``--config FILE``, and the file if there is one."""
+    for place, word in enumerate(words):
+        if word == "--":
+            break
+        if word.startswith("--config="):
+            return words[:place] + words[place + 1 :], Path(word.partition("=")[2])
+        if word == "--config":
+            if len(words) == place + 1:
+                raise InputError("--config needs a file, such as the config.yaml of a run")
+            return words[:place] + words[place + 2 :], Path(words[place + 1])
+    return words, None
+
+
+def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
+    """Return the options in a file, by name; raise InputError where it is not for this command."""
+    from craftsim.storage.yaml import read_document
+
+    document = read_document(file).plain
+    options = document.get("options", {})
+    command = document.get("command", words[0])
+    if not isinstance(options, dict) or not isinstance(command, str):
+        raise InputError(
+            f"{file}: allowed are 'command', 'versions' and 'options', a mapping from names to values"
+        )
+    if command.split() != list(words[: len(command.split())]):
+        raise InputError(f"{file}: is for 'craftsim {command}', not for 'craftsim {words[0]}'")
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def write_config(words: Sequence[str], bound: inspect.BoundArguments) -> None:
+    """Write what a command was asked for into its output folder, if it has one, for ``--config``."""
+    bound.apply_defaults()
+    out = bound.arguments.get("out")
+    if out is None or not out.is_dir():
+        return
+    named = len(words) > 1 and words[1] in BELOW.get(words[0], ())
+    import yaml
+
+    from craftsim.reports.json_file import versions
+    from craftsim.storage.writing import write_whole
+
+    document = {
+        "command": " ".join(words[: 1 + named]),
+        "versions": versions(),
+        "options": {name: value for name, value in _options(bound.arguments) if name not in NO_MATTER},
+    }
+    write_whole(out / CONFIG, yaml.safe_dump(document, sort_keys=False))
+
+
+def _options(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield options by their names on the command line, those of groups included."""
+    for name, value in arguments.items():
+        if is_dataclass(value):
+            hints = get_type_hints(type(value), include_extras=True)
+            for field in fields(value):
+                parts = get_args(hints[field.name])
+                parameter = next((part for part in parts if isinstance(part, Parameter)), Parameter())
+                yield option_name(parameter, field.name), _plain(getattr(value, field.name))
+        else:
+            yield name.replace("_", "-"), _plain(value)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,120 @@
+"""``craftsim demo``: drawings become buildings, and every action is checked."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from contextlib import nullcontext
+from dataclasses import replace
+from operator import attrgetter
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from craftsim.choices import PlanOrder
+from craftsim.cli.again import command_again
+from craftsim.cli.options import Dir, File, Shown
+from craftsim.errors import InputError
+from craftsim.options import Physics, number
+from craftsim.storage.folders import owning
+from craftsim.storage.limits import TIMEOUT_S
+
+
+@owning
+def demo(
+    task: str = "simple_two_story",
+    *,
+    order: PlanOrder = "concurrent",
+    start: File = None,
+    plan: File = None,
+    goal: File = None,
+    robot: Annotated[str | None, Parameter(metavar="HOST:PORT")] = None,
+    timeout: Annotated[float, number(TIMEOUT_S, "SECONDS")] = 1.0,
+    physics: Physics = Physics(),  # noqa: B008
+    video: Shown = True,
+    out: Dir = Path("out/demo"),
+) -> int:
+    """Build one of the paper's tasks in physics, or all six, and check every action against the rules.
+
+    The same seed gives the same film every time. Exit status 0 when every action
+    did what the rules predict, within all limits, and each goal is reached, 1 when not, 2 for wrong input.
+
+    Args:
+        task: what to build: a shipped task's name, a file or 'module:factory' (then with --plan); all builds the six.
+        order: one action after the other; tick after tick, the cars of one at the same time; or each action as
+            early as those that it depends on have ended.
+        start: start file of your own, in place of the task's; needs --plan.
+        plan: plan file of your own, one 'tick car ACTION' a line.
+        goal: goal file of your own; a blueprint of your own needs none.
+        robot: address of robots elsewhere that are driven in place of simulated ones, such as those of craftsim robot.
+        timeout: seconds; without a message from these robots for so long they count as lost.
+        video: make a film of each task; without a rendering backend the demo goes on without.
+        out: folder for report.json, the films, the trajectories that they show, and the cars' logs.
+    """
+    from craftsim.checking.setup import set_up
+    from craftsim.cli.films import rendering_works
+    from craftsim.cli.progress import counting
+    from craftsim.cli.robots import robots_at
+    from craftsim.discrete.tasks import TASK_NAMES
+    from craftsim.logs.tables import LOG_SUFFIX, write_table
+    from craftsim.rendering.render import render
+    from craftsim.rendering.trajectory import SUFFIX
+    from craftsim.reports.json_file import document
+    from craftsim.reports.terminal import Terminal
+    from craftsim.validation.building import Building, read_building
+    from craftsim.validation.report import demo_report
+
+    started = time.perf_counter()
+    console = Terminal()
+    if task == "all" and (start or plan or goal):
+        raise InputError("--task all builds the shipped tasks; files of your own go with a single task")
+    if task == "all" and robot is not None:
+        raise InputError("robots stand in one world; --robot goes with a single task")
+    setup = physics.setup()
+    names = TASK_NAMES if task == "all" else (task,)
+    buildings = [read_building(name, start, plan, goal) for name in names]
+    filming = video and rendering_works(console)
+    films: dict[str, Path] = {}
+    done: list[Building] = []
+    for building in buildings:
+        with (
+            nullcontext(set_up) if robot is None else robots_at(robot, timeout) as where,
+            counting(console, building.name, building.n_actions, attrgetter("agrees")) as tell,
+        ):
+            one = building.run(setup, physics.seed, order, _telling(tell), where)
+        assert one.trajectory is not None
+        one.trajectory.write(out / f"{one.name}{SUFFIX}")
+        write_table(out / f"{one.name}{LOG_SUFFIX}", one.logs)
+        if filming:
+            path = out / f"{one.name}.mp4"
+            render(one.trajectory, path, progress=lambda total: counting(console, "frames", total, bool))
+            films[one.name] = path
+        done.append(replace(one, trajectory=None, logs={}))
+    config: dict[str, Any] = {"setup": setup, "order": order, "rules": physics.rules}
+    config |= {"robot": robot, "randomize": physics.randomize, "digests": setup.digests}
+    if task == "all":
+        figures: dict[str, Any] = {
+            "tasks": {one.name: one.figures for one in done},
+            "agree": sum(one.n_agree for one in done),
+            "total": sum(one.n_actions for one in done),
+            "good": sum(one.good for one in done),
+        }
+        config["tasks"] = {one.name: one.files for one in done}
+    else:
+        figures = done[0].figures
+        config |= done[0].files
+    wall = {"total_s": time.perf_counter() - started}
+    written = document(figures, command="demo", seed=physics.seed, config=config, wall=wall)
+    about = (physics.seed, config)
+    return demo_report(done, command_again(), about, written, films).publish(out, console)
+
+
+def _telling(tell: Callable[[Any], None]) -> Callable[[Any], Callable[[Iterable[Any]], None]]:
+    """Return who looks on at a building, and tells of each attempt."""
+
+    def tell_each(attempts: Iterable[Any]) -> None:
+        for attempt in attempts:
+            tell(attempt)
+
+    return lambda judge: tell_each

@@ -1,0 +1,141 @@
+"""Help in plain text: a command's options under headings, each with its values, its range and its default."""
+
+from __future__ import annotations
+
+import inspect
+import shutil
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from craftsim.options import range_of
+
+if TYPE_CHECKING:
+    from cyclopts import App
+    from cyclopts.argument import Argument
+
+_INDENT: Final = 26
+"""Where explanations begin, in characters."""
+REFERRED: Final = ("What is run", "Physics", "Trials")
+"""Groups of options that the help of validate explains; the help of other commands lists them with their defaults."""
+
+
+def command_help(app: App, found: Iterable[Argument], words: Sequence[str], below: Mapping[str, str]) -> str:
+    """Return what the help of a command says.
+
+    Args:
+        app: the command's.
+        found: its arguments.
+        words: its name, and that of the command below it.
+        below: commands below it, with one line on each.
+    """
+    width = min(100, shutil.get_terminal_size().columns)
+    function = app.default_command
+    arguments = [one for one in found if one.show]
+    usage = ["usage: craftsim", *words]
+    usage += [
+        f"[{_value(one)}]" if not one.required else _value(one) for one in arguments if _is_positional(one)
+    ]
+    lines = [" ".join([*usage, "[OPTIONS]" if function is not None else "COMMAND"])]
+    lines += _explanation(function, app, width)
+    if below:
+        lines += ["", "Commands", *(f"  {name:<12}{text}" for name, text in below.items())]
+    headings: dict[str, list[Argument]] = {}
+    for one in arguments:
+        headings.setdefault(_heading(one), []).append(one)
+    for heading, its in sorted(headings.items(), key=lambda item: _rank(item[1][0])):
+        lines += ["", heading]
+        if heading in REFERRED and words != ["validate"]:
+            listed = ", ".join(_brief(one) for one in its)
+            text = f"{listed}: as explained by 'craftsim validate --help'"
+            lines += textwrap.wrap(
+                text, width, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False
+            )
+            continue
+        for one in its:
+            lines += _option(one, width)
+    return "\n".join(lines)
+
+
+def _explanation(function: Callable[..., Any] | None, app: App, width: int) -> Iterator[str]:
+    text = (inspect.getdoc(function) if function is not None else app.help) or ""
+    for paragraph in text.partition("\nArgs:")[0].strip().split("\n\n"):
+        yield ""
+        yield from textwrap.wrap(" ".join(paragraph.split()), width, break_on_hyphens=False)
+
+
+def _option(one: Argument, width: int) -> Iterator[str]:
+    """Yield the lines on an option: its names and value, and what it is for."""
+    name = (
+        _value(one) if _is_positional(one) else " ".join(filter(None, [", ".join(_names(one)), _value(one)]))
+    )
+    told = " ".join((one.parameter.help or "").split()).rstrip(".")
+    notes = [
+        f"[{note}]" for note in (_range(one), f"default {_default(one)}" if _default(one) else "") if note
+    ]
+    text = " ".join([f"{told[:1].lower()}{told[1:]}" if told[1:2].islower() else told, *notes])
+    indent = " " * _INDENT
+    explained = textwrap.wrap(
+        text, width, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False
+    )
+    if len(name) + 4 > _INDENT:
+        yield f"  {name}"
+        yield from explained
+    else:
+        yield f"  {name:<{_INDENT - 2}}{explained[0].strip()}"
+        yield from explained[1:]
+
+
+def _is_positional(one: Argument) -> bool:
+    return one.index is not None
+
+
+def _names(one: Argument) -> list[str]:
+    """Return the names of an option; with "no-" only where it is on unless said otherwise."""
+    off = {name for name in one.negatives if one.field_info.default is not True}
+    return [name for name in one.names if name.startswith("--") and name not in off]
+
+
+def _value(one: Argument) -> str:
+    """Return what stands for the value of an option."""
+    several = " ..." if "tuple" in str(one.hint) and "..." not in (one.parameter.metavar or "") else ""
+    if one.parameter.metavar:
+        return f"{one.parameter.metavar}{several}"
+    if choices := one.get_choices():
+        return f"{{{','.join(choices)}}}{several}"
+    if bool in (one.hint, one.field_info.annotation):
+        return ""
+    return (one.names[0].strip("-").upper().rstrip("S") if _is_positional(one) else "TEXT") + several
+
+
+def _default(one: Argument) -> str:
+    default = one.field_info.default
+    if (default in (None, (), "", False, inspect.Parameter.empty) and default != 0) or default is False:
+        return ""
+    if default is True:
+        return "yes"
+    if isinstance(default, float):
+        return f"{default:g}"
+    return " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
+
+
+def _range(one: Argument) -> str:
+    return str(range_of(one.parameter) or "")
+
+
+def _brief(one: Argument) -> str:
+    return f"{_names(one)[0]}{f' [{_default(one)}]' if _default(one) else ''}"
+
+
+def _heading(one: Argument) -> str:
+    if _is_positional(one):
+        return "Arguments"
+    groups: Any = one.parameter.group
+    named = [group.name for group in groups or () if not isinstance(group, str)]
+    return "Options" if not named or named[0] in ("Parameters", "Arguments") else named[0]
+
+
+def _rank(one: Argument) -> int:
+    """Return where a heading stands: arguments first, then the command's own options, then groups."""
+    order = ("Arguments", "Options", "What is run", "Physics", "Trials", "Results")
+    return order.index(_heading(one)) if _heading(one) in order else len(order)

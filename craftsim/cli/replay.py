@@ -1,0 +1,183 @@
+"""``craftsim replay``: re-run a recorded failure bit for bit, and check that it is the same."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from craftsim.cli.options import Dir
+from craftsim.errors import InputError
+from craftsim.reports.report import Block, Headline, KeyFigure, Report, Section, Tone
+from craftsim.storage.folders import owning
+from craftsim.storage.paths import resolved
+
+if TYPE_CHECKING:
+    from craftsim.checking.judge import Judge
+    from craftsim.experiments.bundle import Recorded
+    from craftsim.experiments.replay import Replay
+    from craftsim.models.world import PhysicsWorld
+    from craftsim.skills.executor import Observer
+
+
+@owning
+def replay(
+    bundle: Annotated[Path, Parameter(metavar="BUNDLE")],
+    *,
+    view: bool = False,
+    video: bool = False,
+    minimize: bool = False,
+    skills: Annotated[str | None, Parameter(metavar="MODULE:NAME")] = None,
+    out: Dir = Path("out/replay"),
+) -> int:
+    """Re-run what a replay bundle shows, bit for bit, and compare it with what was recorded.
+
+    With the versions of the bundle everything must be the same bit for bit; with others, poses must agree within 2 mm
+    and 10 mrad, and every action must come out as it did. Exit status 0 when it is reproduced, 1 when it differs, 2
+    for a bundle that cannot be read.
+
+    Args:
+        bundle: folder of the bundle.
+        view: watch it in MuJoCo's viewer, as fast as it happens; needs a display.
+        video: film it, in three seconds.
+        minimize: find the smallest world in which its first failure still happens, instead of comparing.
+        skills: the skills of your own that the bundle was made with; a bundle alone has nothing imported.
+        out: folder for report.json and the film, or the smallest world.
+    """
+    if view + video + minimize > 1:
+        raise InputError("--view, --video and --minimize exclude each other; give one of them")
+    if skills is not None:
+        from craftsim.skills.library import own_skills
+
+        own_skills(skills)
+    if minimize:
+        return _shrink(bundle, out)
+    if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError("--view needs a display, and there is none here; try --video")
+    from craftsim.cli.films import film_bundle, rendering_works
+    from craftsim.reports.terminal import Terminal
+
+    filming = video and rendering_works(Terminal())
+
+    from craftsim.experiments import replay as again
+    from craftsim.experiments.bundle import read_bundle
+
+    recorded = read_bundle(bundle)
+    film = out / f"{resolved(bundle).name}.mp4"
+    watch = _viewer if view else again.unwatched
+    result = film_bundle(recorded, film) if filming else again.replay(recorded, watch)
+    from craftsim.reports.json_file import document
+
+    figures = {"bundle": bundle.name, **_figures(recorded, result)}
+    written = document(figures, command="replay", config={"view": view})
+    files = {"Film": film} if filming else {}
+    return _report(recorded, result, written, files).publish(out)
+
+
+def _shrink(folder: Path, out: Path) -> int:
+    """Shrink what a bundle shows; exit status 0 when it fails from a fresh start, too."""
+    from craftsim.cli.progress import counting
+    from craftsim.experiments.bundle import read_bundle
+    from craftsim.reports.json_file import document
+    from craftsim.reports.terminal import Terminal
+    from craftsim.validation.sections import smallest_section
+    from craftsim.validation.shrinking.campaign import shrink_bundle
+    from craftsim.validation.shrinking.shrink import MOST_TRIALS
+
+    console = Terminal()
+    bundle = read_bundle(folder).bundle
+    with counting(console, "trials", MOST_TRIALS, lambda fails: fails) as on_trial:
+        found = shrink_bundle(bundle, out, ".", on_trial)
+    written = document({"bundle": folder.name, "smallest": found}, command="replay", config={"shrink": True})
+    made = found.folder is not None
+    headline = (
+        Headline("Smallest world", Tone.GOOD, "It fails in a smaller world, too, or in no smaller one.")
+        if made
+        else Headline("Not made smaller", Tone.CAUTION, found.sentence)
+    )
+    return Report(
+        "Smallest world of a failure",
+        bundle.key,
+        headline,
+        sections=smallest_section([found]),
+        document=written,
+        exit_code=0 if made else 1,
+    ).publish(out, console)
+
+
+def _figures(recorded: Recorded, result: Replay) -> dict[str, object]:
+    return {
+        "key": recorded.bundle.key,
+        "reproduced": result.reproduced,
+        "changed_versions": result.changed,
+        "differing": result.differing,
+        "position_m": result.position_m,
+        "angle_rad": result.angle_rad,
+        "attempts": result.attempts,
+    }
+
+
+def _report(recorded: Recorded, result: Replay, written: dict[str, object], files: dict[str, Path]) -> Report:
+    """Return the report of a replay; ``written`` is what ``report.json`` holds."""
+    from craftsim.reports.json_file import versions
+    from craftsim.validation.sections import actions_table
+
+    bundle = recorded.bundle
+    apart = f"{1e3 * result.position_m:.2g} mm and {1e3 * result.angle_rad:.2g} mrad apart at most"
+    notes = [
+        f"Recorded with {package} {was}, replayed with {now}: bits may differ."
+        for package, (was, now) in result.changed.items()
+    ]
+    if not result.differing:
+        headline = Headline("Reproduced", Tone.GOOD, "Reproduced: the same bit for bit.")
+    elif result.reproduced:
+        headline = Headline("Reproduced", Tone.GOOD, f"Reproduced within the tolerance: {apart}.")
+    else:
+        differing = f"DIFFERS: {apart}. Not the same: {', '.join(result.differing)}."
+        headline = Headline("Differs", Tone.BAD, differing)
+        platform = bundle.versions.get("platform")
+        if platform != versions()["platform"]:
+            notes.append(f"It was recorded on {platform}; bits are the same on one kind of machine only.")
+    blocks: list[Block] = [bundle.key, actions_table(bundle.attempts, "As recorded")]
+    blocks += [] if headline.tone is Tone.GOOD else [actions_table(result.attempts, "Now")]
+    blocks += [
+        f"car {one.car} {one.action}: {one.result}. {one.reason}" for one in bundle.attempts if one.reason
+    ]
+    return Report(
+        "Replay of a failure",
+        bundle.key,
+        headline,
+        [KeyFigure(f"{1e3 * result.position_m:.2g} mm", "apart at most")],
+        [Section("actions", "Actions", "Of the last step of the bundle.", blocks, terminal=True)],
+        notes,
+        files,
+        written,
+        0 if result.reproduced else 1,
+    )
+
+
+@contextmanager
+def _viewer(judge: Judge) -> Iterator[Observer]:
+    """Show a world in MuJoCo's viewer at the speed at which things happen, until the window is closed."""
+    import time
+
+    import mujoco.viewer
+
+    from craftsim.rendering.playback import SeenWorld
+
+    physics, seen = judge.physics, SeenWorld(judge.physics)
+    with mujoco.viewer.launch_passive(seen.model, seen.now()) as viewer:
+        ahead_s = time.monotonic() - physics.time_s
+
+        def watch(physics: PhysicsWorld) -> None:
+            seen.now()
+            viewer.sync()
+            time.sleep(max(0.0, ahead_s + physics.time_s - time.monotonic()))
+
+        yield watch
+        while viewer.is_running():
+            time.sleep(0.05)

@@ -1,0 +1,55 @@
+"""Text for people, whoever wrote it: nothing steers their terminal, and no letter that it lacks stops a command."""
+
+from __future__ import annotations
+
+import codecs
+import io
+import os
+import select
+import sys
+from typing import Final
+
+from craftsim.reports.text import clean
+
+_ASCII: Final = {"←": "<", "→": ">", "↑": "^", "↓": "v", "…": "."}
+"""What stands for a sign that a terminal lacks, where it is not a question mark."""
+_ERRORS: Final = "craftsim.plain"
+
+
+def say(text: object) -> None:
+    """Print a text, cleaned, on standard output."""
+    print(clean(text))
+
+
+def complain(text: object) -> None:
+    """Print a text, cleaned, on standard error, as coming from this program."""
+    print(f"craftsim: {clean(text)}", file=sys.stderr)
+
+
+def show_what_can_be_shown() -> None:
+    """Let standard output and error put other signs in place of those that their encoding lacks."""
+    codecs.register_error(_ERRORS, _other_signs)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=_ERRORS)
+
+
+def _other_signs(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(_ASCII.get(sign, "?") for sign in error.object[error.start : error.end]), error.end
+
+
+def reader_is_gone() -> bool:
+    """Return whether standard output or error is a pipe that nobody reads from any more."""
+    poll = select.poll()
+    for number in (1, 2):
+        poll.register(number, 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
+
+
+def drop_output() -> None:
+    """Drop what standard output still holds, and all that comes, so that the end of the process does not fail on it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.close(nowhere)

@@ -1,0 +1,345 @@
+"""``craftsim train``: cars learn a task on the grid, or in contact physics."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, closing
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+from cyclopts import Parameter
+
+from craftsim.choices import AlgoName, Backend, PresetName
+from craftsim.cli.options import RESULTS, OptionalDir, Settings, Shown, settings_of
+from craftsim.cli.text import say
+from craftsim.errors import InputError, suggestion
+from craftsim.options import number
+from craftsim.reports.report import (
+    Column,
+    DataTable,
+    Drawing,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    count,
+)
+from craftsim.storage.folders import owned
+from craftsim.storage.limits import SEED, SHARE, TRAIN_EPISODES, TRAIN_STEPS, WORKERS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from rich.console import Console
+
+    from craftsim.discrete.tasks import Task
+    from craftsim.training.config import Protocol, TrainConfig
+    from craftsim.training.curve import Point
+    from craftsim.training.tensorboard_log import TensorboardLog
+    from craftsim.training.trainer import Trainer
+
+INTERRUPTED: Final = 130
+LINE_EVERY_S: Final = 15.0
+"""How often a run says how far it is where there is no terminal for a bar."""
+_BESIDES: Final[tuple[str, ...]] = ("cars", "blocks", "starts", "settings", "workers", "tensorboard")
+"""What --set takes besides fields of the configuration and the algorithm's hyperparameters."""
+
+
+def train(
+    task: Annotated[str, Parameter(metavar="TASK")] = "strip",
+    *,
+    algo: AlgoName = "ippo",
+    seed: Annotated[int, number(SEED)] = 0,
+    steps: Annotated[int | None, number(TRAIN_STEPS)] = None,
+    until: Annotated[float | None, number(SHARE)] = None,
+    backend: Backend = "grid",
+    preset: PresetName | None = None,
+    settings: Annotated[Settings, Parameter(name="--set")] = (),
+    episodes: Annotated[int, number(TRAIN_EPISODES)] = 1000,
+    record: Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS)] = "none",
+    resume: Shown = False,
+    out: OptionalDir = None,
+) -> int:
+    """Train a policy on the grid or in physics, and report its success rate there on fresh episodes.
+
+    Ctrl-C ends it after the current iteration with everything saved; --resume goes on as if it had never stopped. Exit
+    status 0 when training ended by itself.
+
+    --set takes, each as NAME=VALUE: worlds (stepped side by side in a rollout; 32 in physics, on the grid 500 with ippo
+    and mappo, 100 with pqn, 25 with the others), network
+    (map, or relative, which serves any number of cars), width (of its layers; 128), rules (physical), helper_depth
+    (search depth of the action helper; none), novelty (exploration bonus for a building never seen; 0), explore (ticks
+    of random exploration before learning; 0), imitate (plans of the planner that are imitated before learning; 0),
+    shown_share (of the episodes that start on the way of such a plan; 0.5), starts (a plan or a file of reached worlds
+    with which every second episode starts), pretrained (a policy to begin with), stages (easier tasks before, divided
+    by commas) and stage_steps (on each), acting (greedy or sampled, in evaluations), cars and blocks (other than the
+    task's), in physics drive (reduced), randomize (none) and workers (one for each processor), tensorboard (true for
+    its log), settings (a YAML file of hyperparameters), and each hyperparameter of the algorithm, such as
+    learning_rate.
+
+    Args:
+        task: one of the paper's six, one that varies such as random_strip, or a task of one's own: a registered name, a
+            file, or module:factory.
+        algo: independent or multi-agent PPO, COMA, QMIX, QTRAN, VDN, independent Q-learning, or PQN-VDN.
+        seed: random seed.
+        steps: ticks to play at most, all worlds together; 3,000,000 unless given, or what the preset says.
+        until: end when this success rate is reached in an evaluation; 0.99 unless given, with a preset never.
+        backend: where it is trained and evaluated.
+        preset: paper is the protocol of CraftEnv's paper: published rules, action helper of depth 20, the task's own
+            starts, no demonstrations, 20 episodes every 10,000 steps, no end at the first success; paper_plus explores
+            at random before.
+        settings: any other setting; see above.
+        episodes: how many episodes the final evaluation has.
+        record: write the trajectories of the final evaluation's episodes, in physics only.
+        resume: go on with the run in the output folder, begun with the same options; where nothing has been saved yet,
+            begin it.
+        out: folder for policy.safetensors, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not
+            given.
+    """
+    from craftsim.training.extra import need_torch
+
+    need_torch()
+    from craftsim.discrete.tasks import as_task
+    from craftsim.rendering.trajectory import TRAJECTORIES
+    from craftsim.reports.terminal import Terminal
+
+    given = settings_of(settings)
+    besides: dict[str, Any] = {name: given.pop(name) for name in _BESIDES if name in given}
+    workers, starts = besides.get("workers"), besides.get("starts")
+    cars, blocks = besides.get("cars"), besides.get("blocks")
+    if workers is not None:
+        WORKERS.check("workers", workers)
+    if backend == "grid":
+        physical = {"workers": workers, "drive": given.get("drive"), "randomize": given.get("randomize")}
+        _only_in_physics({**physical, "record": None if record == "none" else record})
+    run = _protocol(preset, task, algo)
+    steps, until = steps or run.steps, until or run.until
+    config = _config(given, besides, run, task=task, algo=algo, seed=seed, backend=backend)
+    learnt = as_task(task, cars, blocks)
+    if not learnt.has_goal:
+        raise InputError(
+            f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, "
+            "or name one in a task file (docs/tasks.md)"
+        )
+    staged = [as_task(name, cars, blocks) for name in config.stages]
+    folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}")
+    reached = None if starts is None else Path(str(starts))
+
+    import torch
+
+    # One thread adds numbers up in one order, so that a run can be repeated bit for bit.
+    torch.set_num_threads(1)
+    console = Terminal()
+    begun = time.perf_counter()
+    with (
+        owned(folder),
+        closing(_trainer(config, learnt, staged, reached, folder, resume, workers)) as trainer,
+    ):
+        log = _log(folder, trainer) if besides.get("tensorboard") in (True, "true") else None
+        _ = trainer.guidance  # shows progress of its own
+        try:
+            _run(trainer, console, steps, until, folder, log)
+        except KeyboardInterrupt:
+            trainer.save(folder)
+            say(f"Interrupted; --resume goes on. Policy: {folder / 'policy.safetensors'}")
+            return INTERRUPTED
+        trainer.save(folder)
+        asked = config.as_dict() | {"steps": steps, "until": until, "starts": reached, "episodes": episodes}
+        asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
+        asked["pretrained_digest"] = trainer.pretrained
+        place = folder / TRAJECTORIES if record == "trajectory" else None
+        _report(trainer, folder, asked, time.perf_counter() - begun, place)
+    return 0
+
+
+def _only_in_physics(given: dict[str, Any]) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(f"{name} is for physics; on the grid nothing moves: leave it out")
+
+
+def _protocol(preset: PresetName | None, task: str, algo: AlgoName) -> Protocol:
+    from craftsim.training.config import Protocol, protocol
+
+    return protocol(preset, task, algo) if preset else Protocol(steps=3_000_000)
+
+
+def _config(given: dict[str, Any], besides: dict[str, Any], run: Protocol, **flags: Any) -> TrainConfig:
+    """Return the configuration that flags and --set ask for; a preset settles the rest.
+
+    Raises InputError for a name that is no setting.
+    """
+    from craftsim.training.config import TrainConfig
+    from craftsim.training.settings import KINDS, read_settings
+
+    if run.settings and ({"imitate", "pretrained"} & {*given} or "starts" in besides):
+        raise InputError("a --preset learns from nothing; leave starts, imitate and pretrained out")
+    named = {field.name for field in fields(TrainConfig)} - {*flags, "n_cars", "n_blocks", "hyperparameters"}
+    own = {field.name for field in fields(KINDS[flags["algo"]])}
+    for name in given:
+        if name not in named | own:
+            known = sorted(named | own | {*_BESIDES})
+            raise InputError(
+                f"--set: no setting '{name}' of {flags['algo']}{suggestion(name, known)} "
+                f"(settings: {', '.join(known)})"
+            )
+    chosen = {name: value for name, value in given.items() if name in named}
+    if "stages" in chosen:
+        chosen["stages"] = tuple(str(chosen["stages"]).split(","))
+    hyperparameters = (
+        dict(read_settings(Path(str(besides["settings"])), flags["algo"])) if "settings" in besides else {}
+    )
+    hyperparameters |= {name: value for name, value in given.items() if name in own}
+    settled = dict(run.settings)
+    hyperparameters = settled.pop("hyperparameters", {}) | hyperparameters
+    return TrainConfig(
+        **flags,
+        **{**settled, **chosen},
+        n_cars=besides.get("cars"),
+        n_blocks=besides.get("blocks"),
+        hyperparameters=hyperparameters,
+    )
+
+
+def _trainer(
+    config: TrainConfig,
+    task: Task,
+    stages: Sequence[Task],
+    starts: Path | None,
+    folder: Path,
+    resume: bool,
+    workers: int | None,
+) -> Trainer:
+    from craftsim.cli.progress import counting
+    from craftsim.reports.terminal import Terminal
+    from craftsim.training.checkpoint import RUN_FILE
+    from craftsim.training.starts import with_starts
+    from craftsim.training.trainer import Trainer
+
+    def progress(total: int) -> AbstractContextManager[Callable[[bool], None]]:
+        return counting(Terminal(), "plans", total, bool)
+
+    other = with_starts(task, starts, config.rules) if starts else None
+    begun = (folder / RUN_FILE).exists()
+    if begun and resume:
+        return Trainer.resume(folder, other, task, config, workers, progress, stages)
+    if begun:
+        raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
+    if resume:
+        # As with a campaign: what was cut off before anything was kept begins again.
+        say(f"Nothing is saved in {folder} yet: the run begins.")
+    return Trainer(config, other, task, workers, progress, stages)
+
+
+def _log(folder: Path, trainer: Trainer) -> TensorboardLog:
+    from craftsim.training.tensorboard_log import TensorboardLog
+
+    return TensorboardLog(folder, trainer.curve)
+
+
+def _run(
+    trainer: Trainer, console: Console, steps: int, until: float, folder: Path, log: TensorboardLog | None
+) -> None:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn(
+            "success {task.fields[success]}, return {task.fields[earned]}, {task.fields[rate]:,.0f} steps/s"
+        ),
+        TimeElapsedColumn(),
+        TextColumn("at most"),
+        TimeRemainingColumn(),
+    )
+    what = f"{trainer.task.name}, {trainer.config.algo}"
+    begun = printed = time.perf_counter()
+    before, success, earned = trainer.steps, "-", "-"
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        row = bar.add_task(what, total=steps, completed=before, success=success, earned=earned, rate=0.0)
+        for evaluated in trainer.run(steps, until):
+            now = time.perf_counter()
+            rate = (trainer.steps - before) / (now - begun)
+            if evaluated:
+                point = trainer.curve[-1]
+                success, earned = f"{point.success:.2f}", f"{point.mean_return:.2f}"
+                trainer.save(folder)
+                if log is not None:
+                    log.write(point)
+            bar.update(row, completed=trainer.steps, rate=rate, success=success, earned=earned)
+            if not console.is_terminal and now - printed >= LINE_EVERY_S:
+                printed = now
+                console.print(
+                    f"{what}: {trainer.steps:,} of at most {steps:,} steps, success {success}, return {earned}, "
+                    f"{rate:,.0f} steps/s",
+                    soft_wrap=True,
+                )
+
+
+def _report(
+    trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: float, record: Path | None
+) -> None:
+    from craftsim.reports.json_file import document
+    from craftsim.training.curve import plot_curve
+    from craftsim.training.trainer import training_versions
+
+    config, curve = trainer.config, trainer.curve
+    played = trainer.evaluate(asked["episodes"], record=record)
+    plot_curve(folder / "curve.png", f"{trainer.task.name}, {config.algo}, seed {config.seed}", curve)
+    figures: dict[str, Any] = {
+        "steps": trainer.steps,
+        **played.as_figures(),
+        "learning_curve": curve,
+        "training_versions": training_versions(),
+    }
+    wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
+    files = {"Policy": folder / "policy.safetensors"}
+    written = document(figures, command="train", seed=config.seed, config=asked, wall=wall)
+    sentence = (
+        f"{trainer.task.name}, {config.algo}: {played.in_words}, {played.mean_ticks:.1f} ticks, after "
+        f"{trainer.steps:,} steps in {trainer.wall_s:.0f} s."
+    )
+    reached = played.success >= asked["until"]
+    headline = Headline(*(("Learnt", Tone.GOOD) if reached else ("Not learnt", Tone.CAUTION)), sentence)
+    starts = f"{played.solved:,} of {count(played.starts, 'different start')} solved"
+    Report(
+        "Training",
+        f"{trainer.task.name}, {config.algo}, seed {config.seed}",
+        headline,
+        [
+            KeyFigure(f"{played.success:.3f}", "success", starts),
+            KeyFigure(f"{trainer.steps:,}", "steps", f"{trainer.wall_s:.0f} s"),
+        ],
+        [_curve_section(curve)] if curve else [],
+        files=files,
+        document=written,
+    ).publish(folder)
+
+
+def _curve_section(curve: Sequence[Point]) -> Section:
+    from craftsim.reports.plots import ACCENT, percent_ticks
+
+    steps, success = [point.steps for point in curve], [point.success for point in curve]
+
+    def draw(axes: Axes) -> None:
+        axes.plot(steps, success, color=ACCENT, lw=1.8)
+        axes.set_ylim(-0.02, 1.04)
+        axes.yaxis.set_major_formatter(percent_ticks)
+        axes.set_xlabel("steps")
+
+    drawing = Drawing.of_axes(draw, 2.9, "Success of evaluations during training.", "learning curve")
+    numbers = ("steps", "success", "return", "ticks")
+    table = DataTable(
+        [Column(name, "number") for name in numbers],
+        [
+            (one.steps, f"{one.success:.3f}", f"{one.mean_return:.2f}", f"{one.mean_ticks:.1f}")
+            for one in curve
+        ],
+        "Learning curve",
+        folded=True,
+        tall=True,
+    )
+    return Section("curve", "Learning curve", "Evaluations on fresh episodes.", [drawing, table])

@@ -1,1 +1,0 @@
-"""The commands, one module and one function each; registered in `craftsim.cli`."""

@@ -1,0 +1,160 @@
+"""The report of a comparison of two runs, such as a simulation and a laboratory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from craftsim.experiments.compare import ErrorShift, RealityGap
+from craftsim.experiments.intervals import Estimate, Proportion
+from craftsim.experiments.sections import changes_table, difference_text
+from craftsim.reports.json_file import document
+from craftsim.reports.report import (
+    Block,
+    Column,
+    DataTable,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    interval,
+    percent,
+)
+
+_ERRORS: Final = {
+    "car_error_m": "car's place, mm",
+    "heading_error_rad": "car's heading, mrad",
+    "height_error_m": "car's height, mm",
+    "placed_error_m": "place set down, mm",
+    "bystander_displacement_m": "others moved, mm",
+    "thing_heading_rad": "heading of what is handled, mrad",
+    "reach_m": "its reach out of its cell, mm",
+    "bystander_turn_rad": "others turned, mrad",
+    "drift_m": "others from where they were left, mm",
+}
+_KS_AT_5_PERCENT: Final = 1.358
+"""Kolmogorov's constant: times the root of (n + m) / (n m) it is the least distance that the test finds at 5 %."""
+
+
+def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
+    """Return the report of how a simulation and reality agree; ``seed`` is the bootstrap's."""
+    trials = gap.trials
+    shares = (trials.first, trials.second)
+    return Report(
+        "Simulation and reality",
+        f"{sim} and {real}",
+        _headline(gap),
+        [
+            KeyFigure(percent(p.rate), f"agree in {where}", interval(p.wilson_low, p.wilson_high))
+            for where, p in zip(("the simulation", "reality"), shares, strict=True)
+        ],
+        [_outcomes(gap), _verbs(gap), _errors(gap.error_shifts), _plans(gap)],
+        document=document({"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}),
+        exit_code=0 if gap.agrees else 1,
+    )
+
+
+def _headline(gap: RealityGap) -> Headline:
+    told = difference_text(gap.trials, "the simulation", "reality")
+    if gap.agrees:
+        return Headline("No difference shows", Tone.CAUTION, told)
+    return Headline("Differs", Tone.BAD, told)
+
+
+def _outcomes(gap: RealityGap) -> Section:
+    trials = gap.trials
+    text = (
+        f"Of {trials.pairs} paired trials {trials.both} agree with the rules in both, {trials.only_first} only in the "
+        f"simulation, {trials.only_second} only in reality, {trials.neither} in neither; McNemar's exact test: "
+        f"p = {trials.p_value:.3g}."
+    )
+    lead = "The same trials in both, paired by their names."
+    return Section(
+        "outcomes", "Outcomes", lead, [text, changes_table(gap.changed, "simulation", "reality")], True
+    )
+
+
+def _verbs(gap: RealityGap) -> Section:
+    names = ("pairs", "alike (95 %)", "good: sim", "real", "durations (95 %)")
+    table = DataTable(
+        (Column("action"), *(Column(name, "number") for name in names)),
+        [
+            (
+                *(verb, one.agreement.trials, _share(one.agreement)),
+                *(f"{p.successes}/{p.trials}" for p in (one.sim, one.real)),
+                _estimate(one.duration_ratio),
+            )
+            for verb, one in gap.by_verb.items()
+        ],
+        "By action",
+        "Alike: as predicted in both or in neither; durations: of reality by the simulation, median.",
+    )
+    return Section("verbs", "By action", "Of what the rules allow.", [table], True)
+
+
+def _errors(shifts: Mapping[str, ErrorShift]) -> Section:
+    names = ("sim median", "95th", "real median", "95th", "KS distance", "detectable", "p")
+    table = DataTable(
+        (Column("error"), *(Column(name, "number") for name in names)),
+        [
+            (
+                _ERRORS[name],
+                *(f"{value:.3f}" for value in (one.sim.median, one.sim.p95, one.real.median, one.real.p95)),
+                *(f"{one.distance:.3f}", f"{_least_distance(one):.3f}", f"{one.p_value:.2g}"),
+            )
+            for name, one in shifts.items()
+        ],
+        "Errors",
+        "Of actions as predicted. Detectable: the least distance of Kolmogorov and Smirnov that their test finds at 5 "
+        "% among so many.",
+    )
+    return Section("errors", "Errors", "How errors are distributed in both.", [table], True)
+
+
+def _least_distance(one: ErrorShift) -> float:
+    n, m = one.sim.n, one.real.n
+    return min(1.0, _KS_AT_5_PERCENT * math.sqrt((n + m) / (n * m)))
+
+
+def _plans(gap: RealityGap) -> Section:
+    blocks: list[Block] = []
+    if gap.plans:
+        names = ("runs", "success: sim", "real")
+        table = DataTable(
+            (Column("world: plan or policy"), *(Column(name, "number") for name in names)),
+            [
+                (
+                    *(one.plan, one.runs),
+                    *(
+                        _share(Proportion.of(round(rate * one.runs), one.runs))
+                        for rate in (one.sim, one.real)
+                    ),
+                )
+                for one in gap.plans
+            ],
+            "Plans and policies",
+        )
+        blocks.append(table)
+    if gap.ranks is None:
+        blocks.append("Ranks: at least three plans are needed.")
+    else:
+        pearson, spearman = (_estimate(one) for one in (gap.ranks.pearson, gap.ranks.spearman))
+        blocks.append(
+            f"Ranks of {gap.ranks.policies} plans: Pearson {pearson}, Spearman {spearman}, mean maximum rank violation "
+            f"{gap.ranks.mmrv:.3f}"
+        )
+    return Section("plans", "Plans and policies", "Success, and whether both rank alike.", blocks, True)
+
+
+def _share(p: Proportion) -> str:
+    return "-" if p.rate is None else f"{p.rate:.2f} ({p.wilson_low:.2f} to {p.wilson_high:.2f})"
+
+
+def _estimate(one: Estimate) -> str:
+    if one.value is None:
+        return "not defined"
+    low, high = ("?" if bound is None else f"{bound:.2f}" for bound in (one.low, one.high))
+    return f"{one.value:.2f} ({low} to {high})"

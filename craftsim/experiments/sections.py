@@ -1,0 +1,428 @@
+"""Sections that the reports of experiments share: results, errors, durations, survival, comparisons and provenance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from itertools import cycle
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from craftsim.checking.attempt import capped_text
+from craftsim.experiments import statistics
+from craftsim.experiments.compare import Comparison, Paired
+from craftsim.experiments.durations import Duration
+from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, least_detectable
+from craftsim.experiments.statistics import (
+    Figures,
+    LegalityMatrix,
+    MatrixRow,
+    PlanSurvival,
+    PolicyScore,
+    Precision,
+    Survival,
+)
+from craftsim.reports.json_file import plain, versions
+from craftsim.reports.plots import (
+    ACCENT,
+    CAUTION,
+    GOOD,
+    GRID,
+    PAPER,
+    SOFT,
+    interval_rows,
+    percent_ticks,
+    rows_height_in,
+    short,
+)
+from craftsim.reports.report import (
+    SHARE,
+    Block,
+    Cell,
+    Column,
+    DataTable,
+    Drawing,
+    Section,
+    Tone,
+    Value,
+    share_cells,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+RESULTS: Final = (
+    Column("trials", "number"),
+    Column("as predicted", "number", "did what the rules predict, and nothing else"),
+    Column("failed", "number", "the intended effect is missing, or out of its limits"),
+    Column("side effect", "number", "did what was predicted, and something else moved or changed"),
+    Column("unsafe", "number", "something tipped, fell, or hit harder than it may"),
+    Column("numerics", "number", "the solver gave up, which says nothing of the action"),
+)
+"""The columns of :func:`result_cells`."""
+_TONES: Final = {
+    "as_predicted": Tone.GOOD,
+    "failed": Tone.CAUTION,
+    "side_effect": Tone.CAUTION,
+    "unsafe": Tone.BAD,
+    "numerics": Tone.MUTED,
+}
+_MARKERS: Final = "os^DvPX*"
+_QUANTILES: Final = np.linspace(0, 1, 201)
+_MOST_ERRORS: Final = 20
+
+
+def result_cells(row: Any) -> list[Value]:
+    """Return how many trials there are, and how many of each result, what is zero set back."""
+    cells: list[Value] = [row.trials]
+    for name, tone in _TONES.items():
+        number = getattr(row, name)
+        cells.append(Cell(f"{number:,}", tone if number else Tone.MUTED))
+    return cells
+
+
+def results_table(title: str, name: str, rows: Mapping[str, MatrixRow]) -> DataTable:
+    """Return a table of how many attempts of each kind had which result."""
+    return DataTable(
+        (Column(name), *RESULTS, *SHARE),
+        [(key, *result_cells(row), *share_cells(row.success)) for key, row in rows.items() if row.trials],
+        title,
+    )
+
+
+def legality_table(matrix: LegalityMatrix) -> DataTable:
+    """Return the results of what the rules allow, and of what they forbid and was tried on purpose."""
+    rows = {"allowed by the rules": matrix.legal, "forbidden, tried on purpose": matrix.forbidden}
+    return results_table("Legality and result", "attempts", rows)
+
+
+def success_drawing(by_verb: Mapping[str, MatrixRow]) -> Drawing:
+    """Return a drawing of the success of each verb with its interval."""
+    rows = {
+        verb: (row.success.successes / row.trials, row.success.wilson_low, row.success.wilson_high)
+        for verb, row in by_verb.items()
+        if row.trials
+    }
+
+    def draw(axes: Axes) -> None:
+        interval_rows(axes, rows)
+        low = min((low for _, low, _ in rows.values()), default=0.0)
+        axes.set_xlim(math.floor(10 * low) / 10 - 0.02, 1.02)
+        axes.xaxis.set_major_formatter(percent_ticks)
+
+    caption = "Share of legal actions that did what the rules predicted, and its 95 % interval."
+    return Drawing.of_axes(draw, rows_height_in(len(rows)), caption, "success by action, with intervals")
+
+
+def error_tables(errors: Mapping[str, int]) -> list[Block]:
+    """Return a table of what kept trials from an end; nothing where nothing did."""
+    if not errors:
+        return []
+    more = len(errors) - _MOST_ERRORS
+    note = "They count in no figure." + (
+        f" {more} more kinds of error are in trials.jsonl." if more > 0 else ""
+    )
+    rows = list(errors.items())[:_MOST_ERRORS]
+    columns = (Column("error"), Column("trials", "number"))
+    return [DataTable(columns, rows, "Trials that did not come to an end", note)]
+
+
+def precision_table(found: Precision) -> DataTable:
+    """Return a table of errors."""
+    named = {
+        "car's place, mm": found.car_error_mm,
+        "car's heading, mrad": found.heading_error_mrad,
+        "car's height, mm": found.height_error_mm,
+        "place of what is set down, mm": found.placed_error_mm,
+        "heading of what is handled, mrad": found.thing_heading_mrad,
+        "its reach out of its cell, mm": found.reach_mm,
+        "movement of anything else, mm": found.bystander_displacement_mm,
+        "turn of anything else, mrad": found.bystander_turn_mrad,
+        "anything else from where it was left, mm": found.drift_mm,
+        "duration against the median of its kind, s": found.duration_error_s,
+        "peak contact force, N (all attempts)": found.peak_force_n,
+    }
+    names = ("n", "median", "95th percentile", "99th percentile", "largest")
+    return DataTable(
+        (Column("error"), *(Column(name, "number") for name in names)),
+        [
+            (name, one.n, *(_figure(value) for value in (one.median, one.p95, one.p99, one.max)))
+            for name, one in named.items()
+            if one is not None
+        ],
+        "Errors",
+        "Of the legal attempts that did as predicted, unless it says all.",
+    )
+
+
+def _figure(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3f}"
+
+
+def error_drawing(attempts: DataFrame) -> Drawing:
+    """Return a drawing of how the errors of the attempts that did as predicted are distributed."""
+    found = statistics.errors(attempts)
+    kinds = (
+        ("car_error_m", "car", ACCENT),
+        ("placed_error_m", "what is placed", GOOD),
+        ("height_error_m", "height", CAUTION),
+        ("bystander_displacement_m", "others moved", SOFT),
+    )
+
+    def draw(axes: Axes) -> None:
+        for field, label, colour in kinds:
+            if len(values := found[field]):
+                axes.plot(np.quantile(values, _QUANTILES), _QUANTILES, color=colour, lw=1.8, label=label)
+        axes.set_xscale("symlog", linthresh=0.1, linscale=0.4)
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.set_xlim(left=0)
+        axes.yaxis.set_major_formatter(percent_ticks)
+        axes.set_xlabel("at most so many millimetres off")
+        if axes.lines:
+            axes.legend(loc="lower right")
+
+    caption = "Share of attempts that did as predicted with errors of at most so many millimetres."
+    return Drawing.of_axes(draw, 2.9, caption, "distribution of errors")
+
+
+def duration_blocks(table: Sequence[Duration]) -> list[Block]:
+    """Return the durations of each kind of action, as a drawing and a table."""
+    rows = {duration_name(row): (row.median_s, row.p05_s, row.p95_s) for row in table}
+
+    def draw(axes: Axes) -> None:
+        interval_rows(axes, rows, 5)
+        axes.set_xlim(left=0)
+        axes.set_xlabel("seconds")
+
+    caption = (
+        "Durations of the actions that did as predicted: median, and from the 5th to the 95th percentile."
+    )
+    names = ("n", "mean s", "5 %", "median", "95 %", "longest")
+    seconds = [(row.mean_s, row.p05_s, row.median_s, row.p95_s, row.max_s) for row in table]
+    return [
+        Drawing.of_axes(draw, rows_height_in(len(rows), 0.23), caption, "durations by kind of action"),
+        DataTable(
+            (Column("kind of action"), *(Column(name, "number") for name in names)),
+            [
+                (duration_name(row), row.n, *(f"{value:.2f}" for value in values))
+                for row, values in zip(table, seconds, strict=True)
+            ],
+            "Durations in seconds",
+            "The same table is in durations.csv.",
+            folded=True,
+        ),
+    ]
+
+
+def duration_name(row: Duration) -> str:
+    """Return a kind of action in words."""
+    load = "" if row.load == "none" else f" with {row.load}"
+    return f"{row.verb}{load}, {'slope' if row.slope else 'flat'}, level {row.level}"
+
+
+def survival_section(found: PlanSurvival) -> Section:
+    """Return a section of how long a plan is good for."""
+
+    def draw(axes: Axes) -> None:
+        _curve(axes, found.with_resync, GOOD, "re-synchronised")
+        _curve(axes, found.without_resync, ACCENT, "not re-synchronised")
+        axes.set_ylim(-0.02, 1.04)
+        axes.set_xlim(left=0)
+        axes.yaxis.set_major_formatter(percent_ticks)
+        axes.set_xlabel("actions carried out")
+        axes.legend(loc="lower left")
+
+    caption = (
+        "Share of runs still good after so many actions (Kaplan-Meier, 95 % band). Without re-synchronising a run ends "
+        "with its first disagreement; with it, with the first action that is no longer possible, or unsafe."
+    )
+    drawing = Drawing.of_axes(draw, 2.9, caption, "plan survival")
+    return Section("survival", "Survival", "How long a plan is good for.", [drawing])
+
+
+def _curve(axes: Axes, curve: Survival, colour: str, label: str) -> None:
+    steps = [0, *curve.actions]
+    axes.step(steps, [1.0, *curve.share], where="post", color=colour, lw=1.8, label=label)
+    low, high = (np.array([1.0, *bound], dtype=float) for bound in (curve.low, curve.high))
+    axes.fill_between(steps, low, high, step="post", color=colour, alpha=0.16, lw=0)
+
+
+def policies_section(figures: Figures) -> list[Section]:
+    """Return a section of how policies do in the grid world and in physics; none where there are no policies."""
+    scores = figures.policies
+    if not scores:
+        return []
+    shares = [
+        [Proportion.of(round(rate * one.episodes), one.episodes) for rate in (one.grid, one.physics)]
+        for one in scores
+    ]
+    names = ("episodes", "grid world", "95 % interval", "physics", "95 % interval")
+    table = DataTable(
+        (Column("policy"), *(Column(name, "number") for name in names)),
+        [
+            (one.policy, one.episodes, *share_cells(grid), *share_cells(physics))
+            for one, (grid, physics) in zip(scores, shares, strict=True)
+        ],
+        "Success",
+    )
+    caption = "Each policy's success in both worlds; on the line they agree."
+    label = "success of policies in the grid world and in physics"
+    blocks: list[Block] = [Drawing.of_axes(partial(_policies, scores), 3.4, caption, label), table]
+    agreement = figures.rank_agreement
+    if agreement is not None:
+        blocks.append(
+            DataTable(
+                (Column("figure"), Column("value", "number"), Column("95 % interval", "number")),
+                [
+                    ("Pearson correlation", *estimate_cells(agreement.pearson)),
+                    ("Spearman correlation", *estimate_cells(agreement.spearman)),
+                    ("mean maximum rank violation", f"{agreement.mmrv:.3f}", None),
+                ],
+                f"Agreement over {agreement.policies} policies",
+                "Intervals by bootstrap over policies. A rank violation is the distance in physics of two policies "
+                "that the worlds order differently.",
+            )
+        )
+    lead = "Does a policy that does better in the grid world also do better in physics?"
+    return [Section("policies", "Policies in both worlds", lead, blocks)]
+
+
+def _policies(scores: Sequence[PolicyScore], axes: Axes) -> None:
+    axes.plot((0, 1), (0, 1), color=GRID, lw=1.2, zorder=1)
+    look: dict[str, Any] = {"color": ACCENT, "ms": 8, "mec": PAPER, "clip_on": False, "zorder": 3}
+    for score, marker in zip(scores, cycle(_MARKERS)):
+        axes.plot(score.grid, score.physics, marker, label=short(score.policy), **look)
+    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), handletextpad=0.1)
+    axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
+    axes.set(xlabel="success in the grid world", ylabel="success in physics")
+    axes.xaxis.set_major_formatter(percent_ticks)
+    axes.yaxis.set_major_formatter(percent_ticks)
+
+
+def estimate_cells(one: Estimate) -> tuple[Value, Value]:
+    """Return an estimate as two cells: its value and its interval."""
+    if one.value is None:
+        return "not defined", None
+    low, high = ("?" if bound is None else f"{bound:.3f}" for bound in (one.low, one.high))
+    return f"{one.value:.3f}", f"{low} to {high}"
+
+
+def difference_text(paired: Paired, first: str, second: str) -> str:
+    """Return by how much the shares of trials that agree differ, and what difference so many pairs could show."""
+    found = paired.difference
+    if found.value is None or found.low is None or found.high is None:
+        return "Nothing is paired, so that no difference could show."
+    least = least_detectable(found.low, found.high)
+    text = (
+        f"Share of trials that agree, {second} less {first}: {100 * found.value:+.1f} points (95 % interval "
+        f"{100 * found.low:+.1f} to {100 * found.high:+.1f}); the least detectable difference is "
+        f"{100 * least:.1f} points."
+    )
+    return text if paired.p_value < 1 - CONFIDENCE else f"{text} So no difference shows."
+
+
+def paired_sections(comparison: Comparison | None) -> list[Section]:
+    """Return how the same trials went under other settings; nothing without an earlier run."""
+    if comparison is None:
+        return []
+    trials = comparison.trials
+    counts = {
+        "both runs": trials.both,
+        "the earlier run alone": trials.only_first,
+        "this run alone": trials.only_second,
+        "neither": trials.neither,
+    }
+    blocks: list[Block] = [
+        DataTable(
+            (Column("agrees with the rules in"), Column("trials", "number")),
+            list(counts.items()),
+            f"{trials.pairs:,} pairs",
+            f"McNemar's exact test, two-sided: p = {trials.p_value:.3g}. {trials.unpaired:,} trials that only one of "
+            "the runs carried out are left out.",
+        ),
+        DataTable(
+            (Column("run"), *SHARE),
+            [("earlier run", *share_cells(trials.first)), ("this run", *share_cells(trials.second))],
+            "Trials that agree",
+            difference_text(trials, "the earlier run", "this run"),
+        ),
+        changes_table(comparison.changed, "earlier run", "this run"),
+    ]
+    lead = f"The same trials under other settings, in {comparison.against}."
+    return [Section("paired", "Two settings", lead, [*blocks, str(comparison.actions)])]
+
+
+def changes_table(changed: Mapping[str, tuple[Any, Any]], first: str, second: str) -> DataTable:
+    """Return a table of the settings that differ between two runs."""
+    return DataTable(
+        (Column("setting", "path"), Column(first, "path"), Column(second, "path")),
+        [
+            (name, *("none" if value is None else str(value) for value in values))
+            for name, values in changed.items()
+        ],
+        "What differs",
+        folded=True,
+    )
+
+
+def comparison_notes(comparison: Comparison | None) -> list[str]:
+    """Return in short how the same trials went under other settings."""
+    return (
+        [] if comparison is None else [str(comparison), difference_text(comparison.trials, "there", "here")]
+    )
+
+
+def run_notes(capped_steps: int, retried: int) -> list[str]:
+    """Return in how many physics steps the solver gave up and how many actions were tried again, if any."""
+    notes = []
+    if capped_steps:
+        notes.append(f"Note: {capped_text(capped_steps)}; failures there are reported as numerics.")
+    if retried:
+        actions = "1 action was" if retried == 1 else f"{retried} actions were"
+        notes.append(f"Note: {actions} tried again; what counts is how the last try ended.")
+    return notes
+
+
+def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Section:
+    """Return what decides the figures of a run, each by its dotted name: thresholds, configuration, and versions.
+
+    Args:
+        command: as it can be typed again.
+        seed: of the run.
+        config: of the run, the ``setup`` of the physics included.
+    """
+    setup = config["setup"]
+    brief = {key: value for key, value in config.items() if key != "setup"}
+    run = {"command": command, "seed": seed, **brief, "gains": setup.gains, "machines": setup.machines}
+    described = {
+        ("Thresholds", "threshold"): setup.thresholds,
+        ("Run", "setting"): run,
+        ("Versions", "package"): versions(),
+    }
+    return Section(
+        "provenance",
+        "Thresholds and provenance",
+        "The thresholds were set before the run. Seed, configuration and versions decide every figure: on one machine, "
+        "the same ones give this page again, byte for byte.",
+        [
+            DataTable((Column(name, "path"), Column("value", "path")), list(flat(plain(values))), title)
+            for (title, name), values in described.items()
+        ],
+    )
+
+
+def flat(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the leaves of nested mappings with their dotted names."""
+    if isinstance(value, Mapping) and value:
+        for key, item in value.items():
+            yield from flat(item, f"{prefix}.{key}" if prefix else str(key))
+    elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+        for number, item in enumerate(value):
+            yield from flat(item, f"{prefix}.{number}")
+    elif isinstance(value, list):
+        yield prefix, ", ".join("none" if item is None else str(item) for item in value) or "none"
+    else:
+        yield prefix, "none" if value is None or value == {} else str(value)

@@ -1,0 +1,180 @@
+"""Groups of options that commands and Python functions share: one name, one meaning, one default.
+
+A field is an option of the command line (its annotation says its name, its values and its range), an argument of the
+Python function of the same name, and a key of ``config.yaml``.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+
+from cyclopts import Group, Parameter
+
+from craftsim.choices import Drive, Engine, PlanOrder, RuleSet
+from craftsim.errors import InputError, suggestion
+from craftsim.storage.limits import BLOCKS, CARS, EPISODE_TICKS, SEED, TIMEOUT_S, TRIAL_COUNT, WORKERS, Range
+
+if TYPE_CHECKING:
+    from craftsim.checking.setup import Setup
+    from craftsim.discrete.files.plan import Plan
+    from craftsim.experiments.experiment import Progress, RunOptions
+    from craftsim.mjcf.parameters import Machines
+    from craftsim.models.sensing import SensorNoise
+    from craftsim.skills.gains import Gains
+    from craftsim.skills.library import SkillChoice
+
+    Randomize = str | Path
+    Noise = SensorNoise | str | Path | None
+    GainsChoice = Gains | str | Path | None
+    MachinesChoice = Machines | str | Path | None
+    SkillsChoice = SkillChoice | None
+    PlanChoice = str | Path | Plan | None
+    ActionsFile = str | Path | None
+    PolicyChoice = tuple[str | Callable[..., Any], ...]
+    Folder = str | Path | None
+else:
+    Randomize = Noise = GainsChoice = MachinesChoice = SkillsChoice = PlanChoice = ActionsFile = str
+    Folder = Path
+    PolicyChoice = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class InRange:
+    """Holds the numbers of an option to a range, for the command line."""
+
+    allowed: Range
+
+    def __call__(self, _type: Any, value: Any) -> None:
+        """Raise ValueError for a number outside; nothing that was not given is."""
+        for number in value if isinstance(value, tuple) else (value,):
+            if number is not None and number not in self.allowed:
+                raise ValueError(f"Allowed: {self.allowed}.")
+
+
+def number(allowed: Range, metavar: str = "N", **more: Any) -> Parameter:
+    """Return the annotation of an option that is a number, or several, within a range."""
+    return Parameter(validator=InRange(allowed), metavar=metavar, **more)
+
+
+def range_of(parameter: Parameter) -> Range | None:
+    """Return the range of an option's numbers, if it has one."""
+    checks = parameter.validator
+    return next((check.allowed for check in checks if isinstance(check, InRange)), None)  # type: ignore[union-attr]
+
+
+def option_name(parameter: Parameter, name: str) -> str:
+    """Return what the option of a field of this name is called on the command line, without dashes before it."""
+    own: Any = parameter.name
+    return (own[0] if own else name).strip("-").replace("_", "-")
+
+
+def ranges_of(options: Any) -> Iterator[tuple[str, Range]]:
+    """Yield the names of the options of a function or of a class that are numbers, and their ranges."""
+    for name, hint in get_type_hints(options, include_extras=True).items():
+        for part in (hint, *get_args(hint)):
+            if is_dataclass(part):
+                yield from ranges_of(part)
+            if isinstance(part, Parameter) and (allowed := range_of(part)):
+                yield option_name(part, name), allowed
+
+
+@Parameter(name="*", group=Group("Physics", sort_key=10))
+@dataclass(frozen=True, kw_only=True)
+class Physics:
+    """What decides a world in physics besides its start."""
+
+    randomize: Annotated[Randomize, Parameter(alias="--level", metavar="LEVEL|NAME|FILE")] = "mild"
+    """What is drawn of physics, floor, machines, motors and sensors; sets the limits of the errors, too. Names are
+    none (exact), mild, strong, lab_floor and workshop_floor, levels 0 to 4."""
+    noise: Annotated[Noise | None, Parameter(metavar="FILE")] = None
+    """YAML file of the sensors' and motors' noise; what it leaves out is that of --randomize."""
+    assume: Annotated[Noise | None, Parameter(metavar="NAME|FILE")] = None
+    """What the cars take that noise to be before they estimate it, whatever it is; with none they take each measured
+    pose as it is."""
+    gains: Annotated[GainsChoice | None, Parameter(metavar="{robust,fast}|FILE")] = None
+    """Gains of the skills: a preset, or a YAML file; robust unless given, as is what a file leaves out."""
+    machines: Annotated[MachinesChoice | None, Parameter(metavar="FILE")] = None
+    """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
+    drive: Drive | None = None
+    """How cars touch the ground: by forty free rollers, or reduced to one body, which is several times as fast; rollers
+    unless given here or by --machines."""
+    skills: Annotated[SkillsChoice | None, Parameter(metavar="MODULE:NAME")] = None
+    """Skills of your own in place of built-in ones: a mapping from actions, or from cars to such mappings."""
+    rules: RuleSet = "physical"
+    """The rule set that predicts: CraftEnv's own, or the one that physics supports."""
+    seed: Annotated[int, number(SEED)] = 0
+    """Random seed."""
+
+    def setup(self) -> "Setup":
+        """Return the configuration of the physics; raise InputError for a file that says what it should not."""
+        from craftsim.checking.setup import setup_of
+
+        return setup_of(
+            *(self.randomize, self.rules, self.gains, self.machines, self.noise, self.assume, self.drive),
+            skills=self.skills,
+        )
+
+
+@Parameter(name="*", group=Group("Trials", sort_key=11))
+@dataclass(frozen=True, kw_only=True)
+class Trials:
+    """How many trials are run and where."""
+
+    trials: Annotated[int, number(TRIAL_COUNT)] = 10
+    """How many of each."""
+    workers: Annotated[int, number(WORKERS)] = 1
+    """Processes to share the work; results do not depend on it."""
+    engine: Engine = "local"
+    """Processes of this machine, or an existing Ray cluster to which the output folder is shared."""
+    baseline: Annotated[Folder | None, Parameter(metavar="DIR")] = None
+    """Folder of an earlier run under other settings, to compare trial by trial."""
+    resume: bool = False
+    """Go on with what an interrupted run has left in the output folder."""
+
+    def run(self, progress: "Progress") -> "RunOptions":
+        """Return how an experiment is run, and what shows how far it is."""
+        from craftsim.experiments.experiment import RunOptions
+
+        baseline = None if self.baseline is None else Path(self.baseline)
+        return RunOptions(self.workers, self.engine, self.resume, baseline, progress)
+
+
+@Parameter(name="*", group=Group("What is run", sort_key=9))
+@dataclass(frozen=True, kw_only=True)
+class Rollouts:
+    """What is run in a world, and for how long."""
+
+    plan: Annotated[PlanChoice | None, Parameter(metavar="FILE|auto")] = None
+    """Plan to carry out, a file of 'tick car ACTION' lines; auto plans, acts, reads the world, and plans again from
+    what is there where something went wrong."""
+    actions: Annotated[ActionsFile | None, Parameter(metavar="FILE")] = None
+    """File with one 'car ACTION' a line, tried one after the other."""
+    policy: Annotated[PolicyChoice, Parameter(metavar="NAME")] = ()
+    """planner (the shipped plan, or where there is none a plan made then, and again where physics disagrees), random,
+    play (random play by the rules, weighted towards rare actions), module:function, or what 'craftsim train' wrote;
+    several are compared with each other. The planner unless given, in random worlds play."""
+    order: PlanOrder = "concurrent"
+    """How plans are carried out: one action after the other; tick after tick, the cars of one at the same time; or each
+    action as early as those that it depends on have ended."""
+    n_cars: Annotated[int | None, number(CARS, name="--cars")] = None
+    """Other than a world's number of cars; those that its start does not list are drawn at random. Random worlds have 1
+    to 12."""
+    n_blocks: Annotated[int | None, number(BLOCKS, name="--blocks")] = None
+    """The same for blocks; of a random world's stacks, about."""
+    max_steps: Annotated[int, number(EPISODE_TICKS)] = 14
+    """Length of an episode in random worlds, less two ticks."""
+    timeout_s: Annotated[float, number(TIMEOUT_S, "SECONDS", name="--timeout")] = 600.0
+    """Seconds after which a run counts as hanging."""
+
+
+def changed(groups: tuple[Any, ...], given: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return groups of options with other values in place of some; raise InputError for a name that none has."""
+    names = [field.name for group in groups for field in fields(group)]
+    for name in given:
+        if name not in names:
+            raise InputError(f"no option '{name}'{suggestion(name, names)} (options: {', '.join(names)})")
+    return tuple(
+        replace(group, **{field.name: given[field.name] for field in fields(group) if field.name in given})
+        for group in groups
+    )

@@ -1,0 +1,110 @@
+"""A report on the terminal, and the console that everything is shown on: nothing in a text steers the terminal."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from craftsim.reports.report import Cases, Cell, DataTable, Report, Tone, Value, text_of
+from craftsim.reports.text import clean
+
+_STYLES: Final = {Tone.GOOD: "green", Tone.CAUTION: "yellow", Tone.BAD: "red", Tone.MUTED: "dim"}
+_ONE_LINE: Final = 14
+"""Characters of a cell that stays in one line."""
+_NARROWEST: Final = 9
+"""Characters of a longer one in a line, at least."""
+
+
+class Terminal(Console):
+    """A console that shows text from files and from others' code as text: nothing in it steers the terminal."""
+
+    def render_str(self, text: str, *arguments: Any, **options: Any) -> Text:
+        """Return a text with its markup, cleaned."""
+        return super().render_str(clean(text), *arguments, **options)
+
+    def on_broken_pipe(self) -> None:
+        """Leave it to the command line what follows when nobody reads any more."""
+        raise
+
+    def say(self, text: object, style: str = "") -> None:
+        """Print a text of others: cleaned, without markup, and in one line, however long it is."""
+        self.print(cell(text), style=style, soft_wrap=True, highlight=False)
+
+
+def cell(text: object) -> Text:
+    """Return a text of others for a table: cleaned, and without markup."""
+    return Text(clean(text))
+
+
+def print_report(
+    console: Terminal, report: Report, out: Path | None, files: Mapping[str, str | Path]
+) -> None:
+    """Print what a report says in short: its short sections, its notes, what was written, and the verdict last."""
+    for section in report.sections:
+        for block in section.blocks if section.terminal else ():
+            match block:
+                case DataTable():
+                    print_table(console, block)
+                case Cases():
+                    _print_cases(console, block, out or Path())
+                case str():
+                    console.say(block)
+    if any(section.terminal for section in report.sections):
+        console.print()
+    for note in report.notes:
+        console.say(note)
+    width = max(map(len, files), default=0) + 1
+    for name, file in files.items():
+        console.say(f"{f'{name}:':<{width}} {file}")
+    headline = report.headline
+    console.say(headline.sentence, _STYLES.get(headline.tone, ""))
+
+
+def print_table(console: Terminal, table: DataTable) -> None:
+    """Print a table; where the terminal is narrow, long texts go over several lines."""
+    if not table.rows or not table.most:
+        return
+    shown = [number for number, column in enumerate(table.columns) if column.terminal]
+    if table.title:
+        console.print(cell(f"\n{table.title}"), style="bold")
+    grid = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="italic")
+    for number in shown:
+        column = table.columns[number]
+        width = max(len(text_of(row[number])) for row in table.rows[: table.most])
+        one_line = width <= _ONE_LINE or column.kind == "number"
+        grid.add_column(
+            cell(column.name),
+            justify="right" if column.kind == "number" else "left",
+            no_wrap=one_line,
+            overflow="fold",
+            min_width=width if one_line else min(width, _NARROWEST),
+        )
+    for row in table.rows[: table.most]:
+        grid.add_row(*(_styled(row[number]) for number in shown))
+    console.print(grid)
+    if more := len(table.rows[table.most :]):
+        console.say(f"and {more:,} more in the report", "dim")
+    if table.note:
+        console.print(cell(table.note), style="dim")
+
+
+def _styled(value: Value) -> Text:
+    tone = value.tone if isinstance(value, Cell) else Tone.PLAIN
+    return Text("-" if value is None else clean(text_of(value)), _STYLES.get(tone, ""))
+
+
+def _print_cases(console: Terminal, cases: Cases, out: Path) -> None:
+    for case in cases.cases[: cases.most]:
+        console.say(f"{case.title}: {case.result}: {case.reason}", _STYLES.get(case.tone, ""))
+        for line in case.differences:
+            if line not in case.reason:
+                console.say(f"  {line}")
+        if case.again:
+            words = (str(out / word) if isinstance(word, Path) else word for word in case.again)
+            console.say(f"  {shlex.join(words)}")

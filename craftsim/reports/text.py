@@ -1,0 +1,21 @@
+"""Text of others, such that nothing in it steers a terminal."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+_STEERING: Final = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""Control characters besides tab and newline, those that turn the direction of writing, and what is no text."""
+
+
+def clean(text: object) -> str:
+    """Return a text with escapes such as ``\\x1b`` for all that would steer a terminal.
+
+    Example:
+        >>> clean("red: \\x1b[31m")
+        'red: \\\\x1b[31m'
+    """
+    return _STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))

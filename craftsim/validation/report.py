@@ -1,0 +1,473 @@
+"""The reports of a validation, of buildings with re-planning, and of a demonstration."""
+
+from __future__ import annotations
+
+from array import array
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+from craftsim.checking.attempt import Verdict
+from craftsim.experiments.experiment import TrialRecord
+from craftsim.experiments.intervals import Proportion
+from craftsim.experiments.sections import (
+    comparison_notes,
+    duration_blocks,
+    error_drawing,
+    error_tables,
+    legality_table,
+    paired_sections,
+    policies_section,
+    precision_table,
+    provenance_section,
+    results_table,
+    run_notes,
+    success_drawing,
+    survival_section,
+)
+from craftsim.experiments.statistics import Figures, legal_attempts
+from craftsim.rendering.trajectory import SUFFIX
+from craftsim.reports.report import (
+    SHARE,
+    Block,
+    Case,
+    Cases,
+    Cell,
+    Column,
+    DataTable,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    Value,
+    count,
+    interval,
+    percent,
+    share_cells,
+)
+from craftsim.validation.building import Building
+from craftsim.validation.builds import Builds
+from craftsim.validation.play.play import ALL, NEIGHBOURS, Coverage
+from craftsim.validation.sections import (
+    RunFailure,
+    actions_section,
+    attempts_of,
+    failures_of,
+    failures_section,
+    recorded_runs,
+    recorded_section,
+    smallest_section,
+)
+from craftsim.validation.validation import Validation
+
+_GOALS: Final = ("physics_success", "grid_success")
+_RENDER: Final = "To watch it, from the folder of this report: craftsim render FILE, or craftsim view FILE."
+_WORST: Final = {
+    "car_error_mm": "mm",
+    "car_heading_error_mrad": "mrad",
+    "placed_error_mm": "set",
+    "bystander_displacement_mm": "others",
+}
+"""What a summary says of the worst action, and the heads of its columns."""
+_OTHER_GOALS: Final = {
+    "free_building": ("all blocks form one platform", "the blocks do NOT form one platform"),
+    "breaking_barrier": ("the flag is at the goal", "the flag is NOT at the goal"),
+}
+"""What to say of goals that are no building, reached and missed."""
+
+
+def validation_report(result: Validation, out: Path, command: str) -> Report:
+    """Return the report of a validation in the folder ``out``; ``command`` is how it can be run again."""
+    figures, records = result.figures, result.records
+    legal = legal_attempts(records)
+    title = f"{', '.join(result.config['worlds'])}: {', '.join(result.config['by'])}"
+    sections = [
+        _results(figures, records),
+        *_coverage(result.coverage),
+        *paired_sections(result.comparison),
+        *smallest_section(result.smallest),
+        *_plans(records),
+        failures_section(failures_of(records), error_tables(figures.errors)),
+        *recorded_section(out, recorded_runs(result.items, records)),
+        survival_section(figures.survival),
+        *policies_section(figures),
+        Section(
+            "errors",
+            "Errors and forces",
+            "Where physics agrees with the rules, how far it is from them in numbers.",
+            [precision_table(figures.precision), error_drawing(legal)],
+        ),
+        Section(
+            "durations",
+            "Durations",
+            "What a planner can count on; by action, load, ground and level.",
+            duration_blocks(figures.durations),
+        ),
+        provenance_section(command, result.seed, result.config),
+    ]
+    notes = [*run_notes(figures.capped_steps, figures.retried), *comparison_notes(result.comparison)]
+    return Report(
+        "Validation in physics",
+        title,
+        _headline(figures, records),
+        [*_key_figures(figures)],
+        sections,
+        [*notes, *_drift(figures)],
+        exit_code=0 if result.agrees else 1,
+    )
+
+
+def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
+    actions = figures.matrix.legal
+    runs = figures.all.runs
+    missed = actions.trials - actions.as_predicted
+    errors = sum(figures.errors.values())
+    lost = f" {count(errors, 'more trial')} did not come to an end." if errors else ""
+    if not runs.trials:
+        return Headline("Nothing to judge", Tone.CAUTION, "No trial was carried out to its end." + lost)
+    if runs.successes == runs.trials:
+        sentence = f"All {count(runs.trials, 'run')} did in physics what the rules predict."
+        return Headline("Agrees", Tone.CAUTION if errors else Tone.GOOD, sentence + lost)
+    asked = sum(any(not a["legal"] for a in record["attempts"]) for record in records)
+    lost += f" {count(asked, 'run')} asked for what the rules forbid, which was not tried." if asked else ""
+    if not missed:
+        return Headline("Forbidden by the rules", Tone.CAUTION, "All that was tried did as predicted." + lost)
+    refused = sum(any(a["legal"] and _disagrees(a) for a in record["attempts"]) for record in records)
+    sentence = (
+        f"In {refused:,} of {count(runs.trials, 'run')} physics disagrees with the rules; "
+        f"of {count(actions.trials, 'action')} that the rules allow, {missed:,} did not do what they predict."
+    )
+    return Headline("Disagrees", Tone.BAD, sentence + lost)
+
+
+def _disagrees(attempt: Mapping[str, Any]) -> bool:
+    return bool(attempt["result"] != Verdict.AS_PREDICTED)
+
+
+def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
+    shares = {"runs that agree": figures.all.runs, "actions as predicted": figures.all.actions}
+    for label, p in shares.items():
+        yield KeyFigure(percent(p.rate), label, _note(p))
+    if car := figures.precision.car_error_mm:
+        yield KeyFigure(f"{car.median:.2g} mm", "car's error, median", f"95 % within {car.p95:.2g} mm")
+    if force := figures.precision.peak_force_n:
+        yield KeyFigure(f"{force.max:.0f} N", "peak contact force", f"median {force.median:.0f} N")
+    if figures.rank_agreement:
+        yield KeyFigure(f"{figures.rank_agreement.mmrv:.2f}", "rank violation (MMRV)", "0 best, 1 worst")
+
+
+def _note(p: Proportion) -> str:
+    return f"{p.successes:,} of {p.trials:,}; {interval(p.wilson_low, p.wilson_high)}"
+
+
+def _drift(figures: Figures) -> list[str]:
+    if not all(thirds := figures.drift.values()):
+        return []
+    found = ", ".join(f"{d.median:.2f} (at most {d.max:.2f}, {d.n} things)" for d in thirds if d)
+    return [f"Set down in the first, middle and last third of the runs: median {found} mm off."]
+
+
+def _results(figures: Figures, records: Iterable[TrialRecord]) -> Section:
+    blocks: list[Block] = [runs_table(records)]
+    if len(figures.by_group) > 1:
+        columns = ("runs", "runs that agree", SHARE[1].name, "actions", "actions as predicted", SHARE[1].name)
+        rows = [
+            (
+                *(name, one.runs.trials, *share_cells(one.runs)),
+                *(one.actions.trials, *share_cells(one.actions)),
+            )
+            for name, one in figures.by_group.items()
+        ]
+        heads = (Column("plan or policy", "path"), *(Column(name, "number") for name in columns))
+        blocks.append(DataTable(heads, rows, "By plan or policy", most=0))
+    verbs = results_table("By action", "action", figures.by_verb)
+    legality = legality_table(figures.matrix)
+    blocks += [_of_page(legality), _of_page(verbs), success_drawing(figures.by_verb)]
+    lead = "Each action is predicted by the rules, carried out by motors, and judged on the poses afterwards."
+    return Section("results", "Results", lead, blocks, terminal=True)
+
+
+def _of_page(table: DataTable) -> DataTable:
+    return replace(table, most=0)
+
+
+@dataclass
+class _Row:
+    """What is counted of the runs of one plan or policy in one world."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    makespans: array[float] = field(default_factory=lambda: array("d"))
+
+    def add(self, record: TrialRecord) -> None:
+        self.counts["runs"] += 1
+        if record["error"] is not None:
+            return
+        self.makespans.append(record["extra"].get("makespan_s", 0.0))
+        self.counts["agree"] += record["agrees"]
+        self.counts["actions"] += len(record["attempts"])
+        self.counts["good"] += sum(not _disagrees(a) for a in record["attempts"])
+        for key in _GOALS:
+            self.counts[f"with {key}"] += key in record["extra"]
+            self.counts[key] += record["extra"].get(key, False)
+
+    def cells(self) -> list[Value]:
+        done, n = len(self.makespans), self.counts
+        known = done and all(n[f"with {key}"] == done for key in _GOALS)
+        goals = [f"{n[key]}/{done}" if known else None for key in _GOALS]
+        makespan = f"{median(self.makespans):.1f}" if done else None
+        counted = [n[key] for key in ("runs", "agree", "actions", "good")]
+        return [*counted, *goals, makespan, n["runs"] - done]
+
+
+def runs_table(records: Iterable[TrialRecord]) -> DataTable:
+    """Return a table with a row for each world and each plan or policy."""
+    rows: dict[tuple[str | None, str], _Row] = {}
+    for record in records:
+        rows.setdefault((record["context"], record["group"]), _Row()).add(record)
+    names = ("runs", "agree", "actions", "good", "goal", "rules", "makespan", "errors")
+    return DataTable(
+        (Column("world"), Column("plan or policy"), *(Column(name, "number") for name in names)),
+        [(name or "", by, *row.cells()) for (name, by), row in rows.items()],
+        "Runs",
+        "goal: runs that reach it, in physics and by the rules; makespan: median, s simulated",
+    )
+
+
+def _coverage(coverage: Coverage | None) -> list[Section]:
+    """Return what random play did, and how often beside what."""
+    if coverage is None:
+        return []
+    totals = ", ".join(f"{n:,} {name}" for name, n in coverage.totals.items())
+    note = f"{coverage.actions:,} actions in {coverage.worlds:,} worlds: {totals}"
+    if coverage.do_not_stand:
+        note += f"; {coverage.do_not_stand:,} more worlds cannot be, and nothing was tried there"
+    table = DataTable(
+        (
+            Column("action, level, load"),
+            *(Column(name, "number", terminal=name == ALL) for name in (ALL, *NEIGHBOURS)),
+        ),
+        [(name, *(n or None for n in counts.values())) for name, counts in coverage.rows.items()],
+        "Coverage",
+        note,
+        tall=True,
+    )
+    lead = "What random play has done, and how often beside what."
+    return [Section("coverage", "Coverage", lead, [table], terminal=True)]
+
+
+def _plans(records: Sequence[TrialRecord]) -> list[Section]:
+    """Return what each action of the runs did, where there are few enough to look at."""
+    total = len(records)
+    return [actions_section(attempts_of(records), total)] if total else []
+
+
+def builds_report(result: Builds, out: Path, command: str) -> Report:
+    """Return the report of buildings with re-planning in the folder ``out``; ``command`` builds them again."""
+    figures, builds, records = result.figures, result.builds, result.records
+    n, built = len(records), builds.endings.get("built", 0)
+    sentence = f"{built} of {n} buildings stand"
+    sentence += f"; {builds.replans} further plans were made." if builds.replans else "."
+    badge, tone = (
+        ("Built", Tone.GOOD)
+        if result.all_built
+        else ("Not all built", Tone.BAD if not built else Tone.CAUTION)
+    )
+    times = {"first plan's makespan": builds.planned_s, "real makespan": builds.real_s}
+    return Report(
+        "Building with re-planning",
+        str(records[0]["context"]),
+        Headline(badge, tone, sentence),
+        [
+            KeyFigure(percent(builds.built.rate), "built", _note(builds.built)),
+            KeyFigure(
+                f"{builds.replans:,}", "further plans", f"{count(builds.disturbed, 'building')} disturbed"
+            ),
+            *(
+                KeyFigure(f"{value:.1f} s", name, "median")
+                for name, value in times.items()
+                if value is not None
+            ),
+        ],
+        [
+            Section(
+                "buildings", "Buildings", "Each from its start to its end.", [_builds_table(records)], True
+            ),
+            *paired_sections(result.comparison),
+            failures_section(failures_of(records), error_tables(figures.errors)),
+            actions_section(attempts_of(records), n),
+            *recorded_section(out, recorded_runs(result.items, records)),
+            Section(
+                "errors",
+                "Errors and durations",
+                "Of the actions that did as predicted.",
+                [
+                    results_table("By action", "action", figures.by_verb),
+                    precision_table(figures.precision),
+                    *duration_blocks(figures.durations),
+                ],
+            ),
+            provenance_section(command, result.seed, result.config),
+        ],
+        [*run_notes(figures.capped_steps, figures.retried), *comparison_notes(result.comparison)],
+        exit_code=0 if result.all_built else 1,
+    )
+
+
+def _builds_table(records: Iterable[TrialRecord]) -> DataTable:
+    note = "good: actions as predicted; planned: makespan of the first plan; both times in simulated seconds"
+    names = ("actions", "good", "replans", "planned", "real")
+    columns = (Column("building"), *(Column(name, "number") for name in names), Column("ended"))
+    return DataTable(columns, [_build_row(record) for record in records], "Buildings", note)
+
+
+def _build_row(record: TrialRecord) -> tuple[Value, ...]:
+    if record["error"] is not None:
+        return record["key"], *[None] * 5, Cell(record["error"], Tone.MUTED)
+    extra, attempts = record["extra"], record["attempts"]
+    good = sum(not _disagrees(attempt) for attempt in attempts)
+    ended = "; ".join(filter(None, (extra["ended"], extra["why"], extra["disturbed"])))
+    tone = Tone.GOOD if extra["ended"] == "built" else Tone.BAD
+    times = [f"{extra[key]:.1f}" for key in ("planned_s", "makespan_s")]
+    return record["key"], len(attempts), good, extra["replans"], *times, Cell(ended, tone)
+
+
+def demo_report(
+    buildings: Sequence[Building],
+    command: str,
+    about: tuple[int, Mapping[str, Any]],
+    document: Mapping[str, Any],
+    films: Mapping[str, Path],
+) -> Report:
+    """Return the report of a demonstration.
+
+    Args:
+        buildings: with their episodes.
+        command: how it can be run again.
+        about: its seed and its configuration.
+        document: what ``report.json`` holds.
+        films: of buildings, by their names.
+    """
+    agree, total = sum(one.n_agree for one in buildings), sum(one.n_actions for one in buildings)
+    good = all(one.good for one in buildings)
+    badge, tone = ("Agrees", Tone.GOOD) if good else ("Disagrees", Tone.BAD)
+    if agree == total and not good:
+        badge = "Goal missed"
+    failures = [failure for one in buildings for failure in _building_failures(one)]
+    sections = [
+        _summary(buildings),
+        actions_section(((one.name, one.attempts) for one in buildings), len(buildings)),
+        *([failures_section(iter(failures), note=_RENDER)] if failures else []),
+        *_films(buildings, films),
+        provenance_section(command, *about),
+    ]
+    return Report(
+        "Demonstration",
+        ", ".join(one.name for one in buildings),
+        Headline(badge, tone, _conclusion(buildings, agree, total)),
+        [*_demo_figures(buildings, agree, total)],
+        sections,
+        [
+            *([_worst(buildings[0].figures)] if len(buildings) == 1 else []),
+            *run_notes(
+                *(sum(one.figures[name] for one in buildings) for name in ("capped_steps", "retried"))
+            ),
+        ],
+        {f"Film of {name}" if len(films) > 1 else "Film": path for name, path in films.items()},
+        document,
+        0 if good else 1,
+    )
+
+
+def _building_failures(building: Building) -> Iterator[RunFailure]:
+    for attempt in building.attempts:
+        if not attempt.agrees:
+            yield RunFailure(building.name, asdict(attempt), "", f"{building.name}{SUFFIX}")
+
+
+def _summary(buildings: Sequence[Building]) -> Section:
+    """Return a section with a row for each building."""
+    names = ("ticks", "agree", "goal", "s", *_WORST.values())
+    goals = {
+        None: Cell("none", Tone.MUTED),
+        True: Cell("reached", Tone.GOOD),
+        False: Cell("missed", Tone.BAD),
+    }
+    rows = [
+        (
+            *(one.name, one.figures["ticks"]),
+            Cell(
+                f"{one.n_agree} of {one.n_actions}", Tone.GOOD if one.n_agree == one.n_actions else Tone.BAD
+            ),
+            *(goals[one.reached], f"{one.figures['makespan_s']:.1f}"),
+            *(None if (v := one.figures[f"max_{name}"]) is None else f"{v:.2f}" for name in _WORST),
+        )
+        for one in buildings
+    ]
+    note = "s: makespan; at worst: mm, mrad of cars, set: mm of things set down, others: mm that bystanders moved"
+    columns = (Column("task"), *(Column(name, "number") for name in names))
+    table = DataTable(columns, rows, "Built in physics, checked by the rules", note)
+    lead = "Each action is predicted by the rules, carried out by motors, and judged on the poses afterwards."
+    return Section("buildings", "Buildings", lead, [table], terminal=len(buildings) > 1)
+
+
+def _demo_figures(buildings: Sequence[Building], agree: int, total: int) -> Iterator[KeyFigure]:
+    share = Proportion.of(agree, total)
+    yield KeyFigure(percent(share.rate), "actions as predicted", _note(share))
+    figures = [one.figures for one in buildings]
+    yield KeyFigure(f"{sum(one['makespan_s'] for one in figures):.1f} s", "makespan, simulated")
+    for name, label in (
+        ("car_error_mm", "car's error, at worst"),
+        ("placed_error_mm", "set down off, at worst"),
+    ):
+        values = [one[f"max_{name}"] for one in figures if one[f"max_{name}"] is not None]
+        if values:
+            yield KeyFigure(f"{max(values):.2f} mm", label)
+
+
+def _films(buildings: Sequence[Building], films: Mapping[str, Path]) -> list[Section]:
+    if not films:
+        return []
+    cases = [
+        Case(
+            *(one.name, "built" if one.good else "not as planned", Tone.GOOD if one.good else Tone.BAD),
+            f"{one.figures['makespan_s']:.1f} s, {one.n_agree} of {one.n_actions} actions as predicted",
+            film=films[one.name].name,
+            trajectory=f"{one.name}{SUFFIX}",
+        )
+        for one in buildings
+    ]
+    return [Section("films", "Films", "From the start to the end.", [Cases(cases)])]
+
+
+def _worst(figures: Mapping[str, Any]) -> str:
+    """Return how inexact the worst action of a run was; nothing of what was not set down."""
+    placed = figures["max_placed_error_mm"]
+    return (
+        f"At worst: cars {figures['max_car_error_mm']:.2f} mm and "
+        f"{figures['max_car_heading_error_mrad']:.2f} mrad off, "
+        + ("" if placed is None else f"things set down {placed:.2f} mm off, ")
+        + f"bystanders moved {figures['max_bystander_displacement_mm']:.2f} mm. "
+        f"{figures['simulated_s']:.1f} s simulated."
+    )
+
+
+def _conclusion(buildings: Sequence[Building], agree: int, total: int) -> str:
+    """Return how many actions agree, and whether the goal, or each goal, is reached."""
+    actions = f"{agree} of {total} actions agree with the rules"
+    if len(buildings) > 1:
+        reached = sum(one.reached is True for one in buildings)
+        return f"{actions}; {reached} of {len(buildings)} goals are reached."
+    return f"{actions}; {_goal_words(buildings[0])}."
+
+
+def _goal_words(building: Building) -> str:
+    if building.reached is None:
+        return "no goal was given"
+    words = ("the building matches its goal", "the building does NOT match its goal")
+    if building.task.design is None:
+        words = _OTHER_GOALS.get(building.name, ("the goal is reached", "the goal is NOT reached"))
+    return words[0] if building.reached else words[1]

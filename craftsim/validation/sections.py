@@ -1,0 +1,287 @@
+"""Sections that reports on runs and trials share: every failure, what each action did, recordings, smallest worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+from craftsim.checking.attempt import Attempt, Verdict
+from craftsim.errors import InputError
+from craftsim.experiments.bundle import FILM, TRAJECTORY
+from craftsim.experiments.experiment import Item, TrialRecord
+from craftsim.rendering.plots.figures import plots_of
+from craftsim.rendering.plots.signals import Signals
+from craftsim.rendering.plots.style import DENSE, WIDTH_IN
+from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
+from craftsim.reports.report import (
+    Block,
+    Case,
+    Cases,
+    Cell,
+    Column,
+    DataTable,
+    Drawing,
+    Group,
+    Section,
+    Tone,
+    Value,
+    count,
+)
+from craftsim.validation.shrinking.campaign import ACTIONS, BLUEPRINT, Shrunk
+
+MOST_FAILURES: Final = 1000
+"""Failures that a report lists."""
+MOST_RUNS: Final = 4
+"""Recorded runs that a page draws."""
+MOST_PLANS: Final = 20
+"""Runs whose actions a page lists one by one."""
+_ON_TERMINAL: Final = 20
+"""Failures that the terminal lists."""
+_MOST_POINTS: Final = 300
+"""Of a line of a drawing."""
+
+REPLAY: Final = (
+    "Replay, from the folder of this report: craftsim replay BUNDLE. The first failure of a run, of an action that the "
+    "rules allow, has a bundle; what fails after it starts from the world that it left."
+)
+
+TONES: Final = {
+    Verdict.AS_PREDICTED: Tone.GOOD,
+    Verdict.FAILED: Tone.CAUTION,
+    Verdict.SIDE_EFFECT: Tone.CAUTION,
+    Verdict.UNSAFE: Tone.BAD,
+    Verdict.SOLVER: Tone.MUTED,
+}
+_LENGTHS: Final = ("car_error_m", "placed_error_m", "bystander_displacement_m")
+
+
+def case_of(
+    title: str, result: str, tone: Tone, reason: str, bundle: str = "", differences: Any = ()
+) -> Case:
+    """Return a failure with the files of its replay bundle."""
+    film, trajectory = ((f"{bundle}/{name}" if bundle else "") for name in (FILM, TRAJECTORY))
+    again = ("craftsim", "replay", Path(bundle)) if bundle else ()
+    return Case(title, result, tone, reason, tuple(differences), again, film, trajectory)
+
+
+@dataclass(frozen=True)
+class RunFailure:
+    """One action that did not go as predicted, or a run that did not come to its end."""
+
+    run: str
+    attempt: Mapping[str, Any] | None
+    """None where it is the run that failed."""
+    error: str
+    kept: str
+    """What shows it again, relative to the report's folder, empty where nothing does: the replay bundle of a run's
+    first action that the rules allow and that did not go as predicted, or the trajectory of a demonstration."""
+
+    @property
+    def result(self) -> str:
+        """What became of it, in a word or two."""
+        if self.attempt is None:
+            return "error"
+        return str(self.attempt["result"]) if self.attempt["legal"] else "not tried"
+
+    @property
+    def tone(self) -> Tone:
+        """Its colour."""
+        return Tone.MUTED if self.attempt is None else TONES[Verdict(self.attempt["result"])]
+
+    @property
+    def case(self) -> Case:
+        """It in detail."""
+        if self.attempt is None:
+            return case_of(self.run, self.result, self.tone, self.error)
+        what = self.attempt
+        title = f"{self.run}: tick {what['tick']}, car {what['car']} {what['action']}"
+        found = case_of(title, self.result, self.tone, what["reason"], self.kept, what["differences"])
+        if not self.kept.endswith(SUFFIX):
+            return found
+        again = ("craftsim", "render", Path(self.kept))
+        return replace(found, again=again, film=str(Path(self.kept).with_suffix(".mp4")), trajectory="")
+
+    @property
+    def row(self) -> tuple[Value, ...]:
+        """It as a row of :func:`failures_section`."""
+        what, kept = self.attempt, self.kept or None
+        result = Cell(self.result, self.tone)
+        if what is None:
+            return self.run, None, None, None, result, None, self.error, kept
+        place = (self.run, str(what["tick"]), str(what["car"]), what["action"])
+        return *place, result, _off(what), what["reason"], kept
+
+
+def _off(attempt: Mapping[str, Any]) -> str | None:
+    """Return how far the car, what it set down or a bystander was off in mm, whichever is most."""
+    known = [attempt[name] for name in _LENGTHS if attempt[name] is not None]
+    return f"{1e3 * max(known):.2f}" if attempt["performed"] and known else None
+
+
+def failures_of(records: Iterable[TrialRecord]) -> Iterator[RunFailure]:
+    """Yield all that failed, in the order of the records."""
+    for record in records:
+        if record["error"] is not None:
+            yield RunFailure(record["key"], None, record["error"], "")
+            continue
+        bundle = record["bundle"] or ""
+        for attempt in record["attempts"]:
+            if attempt["result"] != Verdict.AS_PREDICTED:
+                own = bundle if attempt["legal"] else ""
+                yield RunFailure(record["key"], attempt, "", own)
+                bundle = "" if own else bundle
+
+
+def failures_section(
+    found: Iterator[RunFailure], errors: Sequence[Block] = (), note: str = REPLAY
+) -> Section:
+    """Return a section of every failure: the first in detail, then all in a table; ``errors`` come after it."""
+    listed = list(islice(found, MOST_FAILURES))
+    more = sum(1 for _ in found)
+    columns = (
+        *(Column("run", "path"), Column("tick", "number"), Column("car", "number"), Column("action")),
+        Column("result"),
+        Column("mm off", "number", "of the car, of what it set down, or of what it does not concern"),
+        *(Column("cause", "wide"), Column("replay", "path", "what shows it again")),
+    )
+    note += f" {count(more, 'more failure')}: in trials.jsonl." if more else ""
+    filmed = [one.case for number, one in enumerate(listed) if not number or one.kept]
+    table = DataTable(
+        columns, [one.row for one in listed], "All failures", note, tall=True, most=_ON_TERMINAL
+    )
+    blocks: list[Block] = [Cases(filmed, unfilmed=1)]
+    blocks += [table] if listed else ["None."]
+    title = f"Failures: {len(listed) + more:,}" if listed else "Failures"
+    lead = "Each action that did not go as predicted, and each run that did not come to its end; the first in detail."
+    return Section("failures", title, lead, [*blocks, *errors], terminal=bool(listed))
+
+
+def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") -> DataTable:
+    """Return a table with a row for each action: what the rules predict, and what was read from poses."""
+    columns = (
+        *(Column("tick", "number"), Column("car", "number"), Column("action"), Column("predicted")),
+        *(Column("read"), Column("result")),
+        *(Column(unit, "number") for unit in ("s", "mm", "mrad")),
+        Column("reason", "wide", terminal=False),
+    )
+    rows = [
+        (
+            *(str(one.tick), str(one.car), one.action, one.predicted),
+            "same" if one.read == one.predicted else one.read,
+            Cell(_short_result(one), TONES[Verdict(one.result)]),
+            *(f"{one.duration_s:.2f}", f"{1e3 * one.car_error_m:.2f}", f"{1e3 * one.heading_error_rad:.2f}"),
+            one.reason,
+        )
+        for one in attempts
+    ]
+    note = "Predicted by the rules, read from poses: cell, heading, load, low or high on a slope; mm, mrad: of the car."
+    return DataTable(columns, rows, title, note, tall=True, most=400)
+
+
+def _short_result(one: Attempt) -> str:
+    return "agrees" if one.agrees else one.result if one.legal else "not tried"
+
+
+def actions_section(runs: Iterable[tuple[str, Sequence[Attempt]]], total: int) -> Section:
+    """Return a section of what each action did; ``runs`` are names and attempts, and only one alone is printed."""
+    title, lead = (
+        "Action by action",
+        "What the rules predict of each action, and what was read from poses after it.",
+    )
+    if total == 1:
+        return Section(
+            "actions", title, lead, [actions_table(attempts) for _, attempts in runs], terminal=True
+        )
+    blocks: list[Block] = [
+        Group(name, [actions_table(attempts, "")], *_badge(attempts))
+        for name, attempts in islice(runs, MOST_PLANS)
+    ]
+    blocks += [f"{count(total - MOST_PLANS, 'more run')}: in trials.jsonl."] if total > MOST_PLANS else []
+    return Section("actions", title, lead, blocks)
+
+
+def _badge(attempts: Sequence[Attempt]) -> tuple[str, Tone]:
+    wrong = sum(not attempt.agrees for attempt in attempts)
+    return ("", Tone.PLAIN) if not wrong else (count(wrong, "failure"), Tone.CAUTION)
+
+
+def attempts_of(records: Iterable[TrialRecord]) -> Iterator[tuple[str, list[Attempt]]]:
+    """Yield each run's name and attempts."""
+    return ((record["key"], [*map(Attempt.of, record["attempts"])]) for record in records)
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """A run whose trajectory should lie beside the page."""
+
+    title: str
+    file: str
+    """Relative to the page."""
+    agrees: bool
+    """Whether physics did what the rules predict."""
+
+
+def recorded_runs(items: Sequence[Item], records: Sequence[TrialRecord]) -> list[RecordedRun]:
+    """Return the runs that were recorded and came to an end, those first that disagree."""
+    ended = [
+        RecordedRun(item.key, f"{TRAJECTORIES}/{item.job.file_name}{SUFFIX}", record["agrees"])
+        for item, record in zip(items, records, strict=False)
+        if item.job.terms.record and record["error"] is None
+    ]
+    return sorted(ended, key=lambda run: run.agrees)
+
+
+def recorded_section(out: Path, runs: Iterable[RecordedRun]) -> list[Section]:
+    """Return drawings of what recorded runs did; nothing where none was recorded in the folder ``out``."""
+    there = [run for run in runs if (out / run.file).is_file()]
+    if not there:
+        return []
+    blocks: list[Block] = [_recorded(out, run, not number) for number, run in enumerate(there[:MOST_RUNS])]
+    blocks.append(
+        f"All {count(len(there), 'recorded run')}, as PDF and PNG: craftsim plot . in the folder of this page."
+    )
+    lead = "What cars did and bore: framed actions, and the numbered marks at their ends, did not go as predicted."
+    return [Section("recorded", "Recorded runs", lead, blocks)]
+
+
+def _recorded(out: Path, run: RecordedRun, first: bool) -> Group:
+    badge, tone = ("", Tone.PLAIN) if run.agrees else ("disagrees", Tone.CAUTION)
+    try:
+        signals = Signals.of(Trajectory.read(out / run.file))
+    except InputError as error:
+        # A campaign that has come to its end gets its page, whatever became of a trajectory.
+        return Group(run.title, [f"No figures: {error}"], badge, tone, first)
+    drawings = [
+        Drawing(
+            *(plot.draw, plot.height_in, plot.caption, f"{run.title}: {plot.caption}"),
+            width_in=WIDTH_IN,
+            wide=True,
+            style=DENSE,
+        )
+        for plot in plots_of(signals, _MOST_POINTS)
+    ]
+    return Group(run.title, drawings, badge, tone, first)
+
+
+def smallest_section(found: Sequence[Shrunk]) -> list[Section]:
+    """Return failures in their smallest worlds; nothing where none was shrunk."""
+    if not found:
+        return []
+    title = f"Smallest worlds: {count(len(found), 'kind')} of failure"
+    lead = "The first failure of each kind, with all taken away that it does not need. Try it again from this folder."
+    cases = Cases([_smallest(one) for one in found], most=40)
+    return [Section("smallest", title, lead, [cases], terminal=True)]
+
+
+def _smallest(one: Shrunk) -> Case:
+    if one.folder is None or one.cells is None:
+        return Case(one.key, "not made smaller", Tone.MUTED, one.sentence)
+    left = "" if one.minimal else "; perhaps not the smallest: the trials were used up"
+    size = " x ".join(map(str, one.cells))
+    folder, rules = Path(one.folder), ("--rules", one.rules) if one.rules != "physical" else ()
+    again = ("craftsim", "validate", folder / BLUEPRINT, "--actions", folder / ACTIONS, *rules)
+    reason = f"{size} cells, of {one.key}; {one.trials} trials{left}"
+    return Case(one.sentence, "smallest world", Tone.CAUTION, reason, again=again)

@@ -49,7 +49,7 @@ class InRange:
         """Raise ValueError for a number outside; nothing that was not given is."""
         for number in value if isinstance(value, tuple) else (value,):
             if number is not None and number not in self.allowed:
-                raise ValueError(f"Allowed: {self.allowed}.")
+                raise ValueError(f"allowed: {self.allowed}")
 
 
 def number(allowed: Range, metavar: str = "N", **more: Any) -> Parameter:

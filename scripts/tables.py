@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args, get_type_hints
 
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
 from craftsim.options import ranges_of

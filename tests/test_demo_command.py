@@ -40,7 +40,7 @@ CARRY = """\
 
 
 def _demo(*words: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "craftsim.cli", "demo", *map(str, words)]
+    command = [sys.executable, "-m", "craftsim", "demo", *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 

@@ -195,7 +195,7 @@ def test_a_killed_validation_goes_on_to_the_report_of_an_undisturbed_one(folder)
     (folder / "long.txt").write_text("0 MOVE_LEFT\n0 MOVE_RIGHT\n")
     words = ["empty.yaml", "--actions", "long.txt", "--randomize", "strong"]
     words += ["--trials", "8", "--video", "none"]
-    command = [sys.executable, "-m", "craftsim.cli", "validate", *words, "--out", "killed"]
+    command = [sys.executable, "-m", "craftsim", "validate", *words, "--out", "killed"]
 
     def results(out):
         return _report(out), (out / "trials.jsonl").read_bytes()
@@ -233,7 +233,7 @@ def test_worlds_that_each_run_draws_anew_differ_and_are_the_same_at_any_number_o
 def test_without_worlds_the_six_tasks_of_the_paper_are_validated(monkeypatch):
     asked = []
 
-    def validate(worlds, **options):
+    def validate(worlds, *groups, **options):
         asked.append(tuple(worlds))
         raise InputError("enough")
 
@@ -291,7 +291,7 @@ def test_against_pairs_the_runs_with_those_of_an_earlier_campaign(folder, earlie
     page = (folder / "out" / "report.html").read_text(encoding="utf-8")
     assert "this run alone" in page
     assert "p = 0.5" in page
-    assert "--against earlier" in page
+    assert "--baseline earlier" in page
     # The earlier run decides nothing of this one, so that it can be compared later on, too.
     assert _validate(*earlier, "--resume") == 0
     assert _report(folder / "out")["figures"]["paired"] is None

@@ -173,13 +173,12 @@ def _config(
     )
     hyperparameters |= {name: value for name, value in given.items() if name in own}
     protocol = PRESETS[preset] if preset else {}
-    return TrainConfig(
-        **flags,
-        **{"worlds": WORLDS[flags["backend"]], **protocol, **chosen},
-        n_cars=besides.get("cars"),
-        n_blocks=besides.get("blocks"),
-        hyperparameters=hyperparameters,
-    )
+    chosen = {"worlds": WORLDS[flags["backend"]], **protocol, **chosen}
+    chosen |= {"n_cars": besides.get("cars"), "n_blocks": besides.get("blocks")}
+    try:
+        return TrainConfig(**flags, **chosen, hyperparameters=hyperparameters)
+    except InputError as error:
+        raise InputError(str(error).replace("TrainConfig.", "--set ")) from None
 
 
 def _trainer(

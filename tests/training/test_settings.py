@@ -7,7 +7,7 @@ import pytest
 import torch
 from training_files import read_content, write_content
 
-from craftsim.cli import main, ranges_of
+from craftsim.cli import main
 from craftsim.errors import InputError
 from craftsim.training.checkpoint import POLICY_FILE, read_policy
 from craftsim.training.config import ALGO_NAMES, TrainConfig

@@ -69,12 +69,12 @@ def option_name(parameter: Parameter, name: str) -> str:
     return (own[0] if own else name).strip("-").replace("_", "-")
 
 
-def ranges_of(options: Any) -> Iterator[tuple[str, Range]]:
+def option_ranges(options: Any) -> Iterator[tuple[str, Range]]:
     """Yield the names of the options of a function or of a class that are numbers, and their ranges."""
     for name, hint in get_type_hints(options, include_extras=True).items():
         for part in (hint, *get_args(hint)):
             if is_dataclass(part):
-                yield from ranges_of(part)
+                yield from option_ranges(part)
             if isinstance(part, Parameter) and (allowed := range_of(part)):
                 yield option_name(part, name), allowed
 

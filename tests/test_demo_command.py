@@ -65,7 +65,7 @@ def _last_line(result: subprocess.CompletedProcess[str]) -> str:
 @pytest.fixture(scope="module")
 def shipped(tmp_path_factory) -> tuple[subprocess.CompletedProcess[str], Path]:
     out = tmp_path_factory.mktemp("shipped") / "new" / "folder"
-    return _demo("--no-video", "--out", out, "--seed", 7), out
+    return _demo("--no-video", "--level", "0", "--out", out, "--seed", 7), out
 
 
 def test_the_shipped_demo_succeeds_and_says_so_last(shipped):
@@ -84,7 +84,7 @@ def test_the_table_has_a_row_for_each_action(shipped):
 
 def test_without_a_film_the_report_and_the_trajectory_are_written(shipped):
     _, out = shipped
-    written = ["report.json", "simple_two_story.log.csv", "simple_two_story.npz"]
+    written = ["config.yaml", "report.json", "simple_two_story.log.csv", "simple_two_story.npz"]
     assert sorted(path.name for path in out.iterdir()) == written
 
 
@@ -110,7 +110,7 @@ def test_the_report_says_what_ran_and_what_came_out(shipped):
 
 
 def test_the_same_seed_gives_the_same_report(shipped, tmp_path):
-    assert _demo("--no-video", "--out", tmp_path, "--seed", 7).returncode == 0
+    assert _demo("--no-video", "--level", "0", "--out", tmp_path, "--seed", 7).returncode == 0
     first, second = _report(shipped[1]), _report(tmp_path)
     assert first.pop("wall")["total_s"] > 0
     assert second.pop("wall")["total_s"] > 0

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 from cyclopts import Group, Parameter
 
-from craftsim.choices import Drive, Engine, PlanOrder, RuleSet
+from craftsim.choices import Drive, Engine, PlanOrder, RuleSet, preset_of_level
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import BLOCKS, CARS, EPISODE_TICKS, SEED, TIMEOUT_S, TRIAL_COUNT, WORKERS, Range
 
@@ -105,6 +105,10 @@ class Physics:
     """The rule set that predicts: CraftEnv's own, or the one that physics supports."""
     seed: Annotated[int, number(SEED)] = 0
     """Random seed."""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.randomize, str):
+            object.__setattr__(self, "randomize", preset_of_level(self.randomize))
 
     def setup(self) -> "Setup":
         """Return the configuration of the physics; raise InputError for a file that says what it should not."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 from cyclopts import Group, Parameter
 
-from craftsim.choices import Drive, Engine, PlanOrder, RuleSet
+from craftsim.choices import Drive, Engine, PlanOrder, RuleSet, preset_of_level
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import BLOCKS, CARS, EPISODE_TICKS, SEED, TIMEOUT_S, TRIAL_COUNT, WORKERS, Range
 
@@ -49,7 +49,7 @@ class InRange:
         """Raise ValueError for a number outside; nothing that was not given is."""
         for number in value if isinstance(value, tuple) else (value,):
             if number is not None and number not in self.allowed:
-                raise ValueError(f"Allowed: {self.allowed}.")
+                raise ValueError(f"allowed: {self.allowed}")
 
 
 def number(allowed: Range, metavar: str = "N", **more: Any) -> Parameter:
@@ -69,12 +69,12 @@ def option_name(parameter: Parameter, name: str) -> str:
     return (own[0] if own else name).strip("-").replace("_", "-")
 
 
-def ranges_of(options: Any) -> Iterator[tuple[str, Range]]:
+def option_ranges(options: Any) -> Iterator[tuple[str, Range]]:
     """Yield the names of the options of a function or of a class that are numbers, and their ranges."""
     for name, hint in get_type_hints(options, include_extras=True).items():
         for part in (hint, *get_args(hint)):
             if is_dataclass(part):
-                yield from ranges_of(part)
+                yield from option_ranges(part)
             if isinstance(part, Parameter) and (allowed := range_of(part)):
                 yield option_name(part, name), allowed
 
@@ -105,6 +105,10 @@ class Physics:
     """The rule set that predicts: CraftEnv's own, or the one that physics supports."""
     seed: Annotated[int, number(SEED)] = 0
     """Random seed."""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.randomize, str):
+            object.__setattr__(self, "randomize", preset_of_level(self.randomize))
 
     def setup(self) -> "Setup":
         """Return the configuration of the physics; raise InputError for a file that says what it should not."""

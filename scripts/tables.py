@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
-from craftsim.options import ranges_of
-from craftsim.storage.limits import ALL, Range, size_text
+from craftsim.options import option_ranges
+from craftsim.storage.limits import ALL, ranges_of, size_text
 from craftsim.training.settings import KINDS, Settings
 
 DOCS: Final = Path(__file__).parents[1] / "docs"
@@ -59,7 +59,7 @@ def _options() -> str:
     for name in every:
         words = name.split()
         module = importlib.import_module(f"craftsim.cli.{MODULES.get(words[-1], words[-1])}")
-        for option, allowed in ranges_of(getattr(module, words[-1])):
+        for option, allowed in option_ranges(getattr(module, words[-1])):
             commands.setdefault((f"`--{option}`", str(allowed)), []).append(f"`{name}`")
     rows = (
         (option, allowed, ", ".join(dict.fromkeys(names)))
@@ -73,17 +73,11 @@ def _settings() -> str:
     for algorithm, kind in KINDS.items():
         algorithms.setdefault(kind, []).append(f"`{algorithm}`")
     rows = [
-        (", ".join(names), f"`{of.name}`", of.default, _allowed(kind)[of.name], _docstrings(kind)[of.name])
+        (", ".join(names), f"`{of.name}`", of.default, ranges_of(kind)[of.name], _docstrings(kind)[of.name])
         for kind, names in algorithms.items()
         for of in dataclasses.fields(kind)
     ]
     return _table(("algorithms", "setting", "default", "allowed", "what it is"), *rows)
-
-
-def _allowed(kind: type) -> dict[str, Range]:
-    """Return what the numbers of a record may be, by name."""
-    hints = get_type_hints(kind, include_extras=True)
-    return {name: one for name, hint in hints.items() for one in get_args(hint) if isinstance(one, Range)}
 
 
 def _docstrings(kind: type) -> dict[str, str]:

@@ -132,7 +132,7 @@ def test_a_number_has_a_range_and_one_outside_is_refused_before_anything_is_done
             printed = capsys.readouterr()
             assert (printed.out, printed.err.count("\n")) == ("", 1)
             assert one.names[0] in printed.err
-            assert f"Allowed: {allowed}." in printed.err or "unable to convert" in printed.err
+            assert f"; allowed: {allowed}\n" in printed.err or "unable to convert" in printed.err
     assert not (tmp_path / "out").exists()
 
 
@@ -365,7 +365,7 @@ def test_a_configuration_repeats_a_run(tmp_path, capsys):
     ("text", "message"),
     [
         ("options: {sed: 3}", "Unknown option"),
-        ("options: {seed: -3}", "Allowed: 0 to"),
+        ("options: {seed: -3}", "allowed: 0 to"),
         ("options: [1]", "'options', a mapping from names to values"),
         ("command: audit\noptions: {}", "is for 'craftsim audit', not for 'craftsim validate'"),
         ("{", "c.yaml:2: not valid YAML"),

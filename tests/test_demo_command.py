@@ -50,9 +50,9 @@ def _write(folder: Path, **texts: str) -> list[str]:
     """Write files and return the options that name them."""
     words = []
     for option, text in texts.items():
-        path = folder / {"blueprint": "own.yaml", "goal": "own_goal.yaml", "plan": "own.plan"}[option]
+        path = folder / {"start": "own.yaml", "goal": "own_goal.yaml", "plan": "own.plan"}[option]
         path.write_text(text, encoding="utf-8")
-        words += [f"--{OPTIONS[option]}", str(path)]
+        words += [f"--{option}", str(path)]
     return words
 
 
@@ -129,7 +129,7 @@ def test_the_same_seed_gives_the_same_report(shipped, tmp_path):
 def test_the_film_plays_in_a_browser(tmp_path):
     import av
 
-    result = _demo("--out", tmp_path, *_write(tmp_path, blueprint=FLAT, goal=GOAL, plan=CARRY))
+    result = _demo("--out", tmp_path, *_write(tmp_path, start=FLAT, goal=GOAL, plan=CARRY))
     assert result.returncode == 0, result.stderr
     with av.open(str(tmp_path / "own.mp4")) as film:
         stream = film.streams.video[0]
@@ -142,14 +142,14 @@ def test_the_film_plays_in_a_browser(tmp_path):
 
 
 def test_a_drawing_of_ones_own_is_built(tmp_path):
-    result = _demo("--no-video", "--out", tmp_path, *_write(tmp_path, blueprint=FLAT, goal=GOAL, plan=CARRY))
+    result = _demo("--no-video", "--out", tmp_path, *_write(tmp_path, start=FLAT, goal=GOAL, plan=CARRY))
     assert result.returncode == 0, result.stderr
     assert _last_line(result) == "4 of 4 actions agree with the rules; the building matches its goal."
     assert _report(tmp_path)["config"]["blueprint"] == "own.yaml"
 
 
 def test_without_a_goal_the_last_line_says_that_there_is_none(tmp_path):
-    result = _demo("--no-video", "--out", tmp_path, *_write(tmp_path, blueprint=FLAT, plan=CARRY))
+    result = _demo("--no-video", "--out", tmp_path, *_write(tmp_path, start=FLAT, plan=CARRY))
     assert result.returncode == 0, result.stderr
     assert _last_line(result) == "4 of 4 actions agree with the rules; no goal was given."
     assert _report(tmp_path)["figures"]["matches_goal"] is None
@@ -157,7 +157,7 @@ def test_without_a_goal_the_last_line_says_that_there_is_none(tmp_path):
 
 def test_a_missed_goal_ends_with_status_1(tmp_path):
     half = CARRY.replace("3 0 DROP\n", "")
-    result = _demo("--no-video", "--out", tmp_path, *_write(tmp_path, blueprint=FLAT, goal=GOAL, plan=half))
+    result = _demo("--no-video", "--out", tmp_path, *_write(tmp_path, start=FLAT, goal=GOAL, plan=half))
     assert result.returncode == 1
     assert _last_line(result) == "3 of 3 actions agree with the rules; the building does NOT match its goal."
     assert _report(tmp_path)["figures"]["matches_goal"] is False
@@ -165,7 +165,7 @@ def test_a_missed_goal_ends_with_status_1(tmp_path):
 
 def test_an_action_that_the_rules_forbid_is_named_and_ends_with_status_1(tmp_path):
     plan = CARRY.replace("1 0 LIFT", "1 0 DROP")
-    result = _demo("--no-video", "--out", tmp_path, *_write(tmp_path, blueprint=FLAT, plan=plan))
+    result = _demo("--no-video", "--out", tmp_path, *_write(tmp_path, start=FLAT, plan=plan))
     assert result.returncode == 1
     assert "own: tick 1, car 0 DROP: not tried: the rules forbid it: " in result.stdout
     figures = _report(tmp_path)["figures"]
@@ -180,15 +180,15 @@ def _line(text: str, part: str) -> int:
 WRONG = [
     (
         "unknown key",
-        "blueprint",
+        "start",
         FLAT.replace("area_width", "area_widht"),
         "area_widht",
         "did you mean 'area_width'?",
     ),
-    ("outside", "blueprint", FLAT.replace("x: 1,", "x: 3,"), "x: 3,", "3 is out of range, allowed: 0 to 2"),
+    ("outside", "start", FLAT.replace("x: 1,", "x: 3,"), "x: 3,", "3 is out of range, allowed: 0 to 2"),
     (
         "two things in a cell",
-        "blueprint",
+        "start",
         FLAT.replace("block_num: 1", "block_num: 2").replace(
             "smartcar:\n", "  - {id: 1, x: 1, y: 0, z: 1}\nsmartcar:\n"
         ),
@@ -197,13 +197,13 @@ WRONG = [
     ),
     (
         "wrong type",
-        "blueprint",
+        "start",
         FLAT.replace("area_height: 2", "area_height: two"),
         "two",
         "an integer from 1",
     ),
-    ("wrong type of list", "blueprint", FLAT.replace("block_num: 1", "block_num: [1]"), "[1]", "a list"),
-    ("no YAML", "blueprint", FLAT + "goal: ]", "goal: ]", "not valid YAML"),
+    ("wrong type of list", "start", FLAT.replace("block_num: 1", "block_num: [1]"), "[1]", "a list"),
+    ("no YAML", "start", FLAT + "goal: ]", "goal: ]", "not valid YAML"),
     ("goal outside", "goal", GOAL.replace("x: 2", "x: 9"), "x: 9", "is outside the area"),
     ("goal with an unknown key", "goal", GOAL.replace("block", "blok"), "blok", "did you mean 'block'?"),
     ("unknown car", "plan", CARRY.replace("1 0 LIFT", "1 1 LIFT"), "1 1 LIFT", "no car '1'"),
@@ -216,7 +216,7 @@ WRONG = [
     ("which", "text", "at", "message"), [case[1:] for case in WRONG], ids=[case[0] for case in WRONG]
 )
 def test_a_wrong_file_gives_one_message_with_file_and_line(tmp_path, which, text, at, message):
-    good = {"blueprint": FLAT, "goal": GOAL, "plan": CARRY}
+    good = {"start": FLAT, "goal": GOAL, "plan": CARRY}
     words = _write(tmp_path, **(good | {which: text}))
     wrong = words[words.index(f"--{OPTIONS[which]}") + 1]
     out = tmp_path / "out"
@@ -229,7 +229,7 @@ def test_a_wrong_file_gives_one_message_with_file_and_line(tmp_path, which, text
     assert not out.exists() or not list(out.iterdir())
 
 
-@pytest.mark.parametrize("which", ["blueprint", "goal", "plan"])
+@pytest.mark.parametrize("which", ["start", "goal", "plan"])
 def test_a_missing_file_gives_one_message_with_its_name(tmp_path, which):
     words = _write(tmp_path, blueprint=FLAT, goal=GOAL, plan=CARRY)
     missing = Path(words[words.index(f"--{OPTIONS[which]}") + 1])
@@ -242,7 +242,7 @@ def test_a_missing_file_gives_one_message_with_its_name(tmp_path, which):
 
 
 def test_a_blueprint_of_ones_own_without_a_plan_is_refused_and_the_shipped_plans_are_named(tmp_path):
-    words = _write(tmp_path, blueprint=FLAT)
+    words = _write(tmp_path, start=FLAT)
     result = _demo("--no-video", "--out", tmp_path / "out", *words)
     assert (result.returncode, result.stdout) == (2, "")
     assert f"there is no shipped plan for {words[1]}; give one with --plan" in result.stderr
@@ -254,7 +254,7 @@ def test_a_blueprint_of_ones_own_without_a_plan_is_refused_and_the_shipped_plans
 def test_a_shipped_plan_does_not_fit_a_drawing_with_one_car(tmp_path):
     with as_file(files("craftsim.data")) as data:
         plan = data / "plans" / f"{NAME}.plan"
-        words = [*_write(tmp_path, blueprint=FLAT), "--plan", plan]
+        words = [*_write(tmp_path, start=FLAT), "--plan", plan]
         result = _demo("--no-video", "--out", tmp_path / "out", *words)
         assert result.returncode == 2
         line = _line(plan.read_text(encoding="utf-8"), "0  1 ")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from craftsim.cli import COMMANDS
+from craftsim.cli.commands import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = (

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from craftsim.cli import COMMANDS
+from craftsim.cli.commands import COMMANDS
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))

@@ -233,7 +233,7 @@ def test_worlds_that_each_run_draws_anew_differ_and_are_the_same_at_any_number_o
 def test_without_worlds_the_six_tasks_of_the_paper_are_validated(monkeypatch):
     asked = []
 
-    def validate(worlds, **options):
+    def validate(worlds, *groups, **options):
         asked.append(tuple(worlds))
         raise InputError("enough")
 
@@ -275,7 +275,7 @@ def earlier(folder):
 
 
 def test_against_pairs_the_runs_with_those_of_an_earlier_campaign(folder, earlier, capsys):
-    assert _validate(*earlier, "--against", "earlier") == 0
+    assert _validate(*earlier, "--baseline", "earlier") == 0
     told = capsys.readouterr().out
     assert (
         "of 2 paired trials 0 agree with the rules in both, 0 only there, 2 only here, 0 in neither" in told
@@ -291,7 +291,7 @@ def test_against_pairs_the_runs_with_those_of_an_earlier_campaign(folder, earlie
     page = (folder / "out" / "report.html").read_text(encoding="utf-8")
     assert "this run alone" in page
     assert "p = 0.5" in page
-    assert "--against earlier" in page
+    assert "--baseline earlier" in page
     # The earlier run decides nothing of this one, so that it can be compared later on, too.
     assert _validate(*earlier, "--resume") == 0
     assert _report(folder / "out")["figures"]["paired"] is None
@@ -299,7 +299,7 @@ def test_against_pairs_the_runs_with_those_of_an_earlier_campaign(folder, earlie
 
 def test_against_refuses_what_cannot_be_paired_before_anything_is_tried(folder, earlier, capsys):
     def refused(*words, out="out"):
-        assert _validate(*(words or earlier), "--against", "earlier", out=out) == 2
+        assert _validate(*(words or earlier), "--baseline", "earlier", out=out) == 2
         assert not (folder / "out" / "session.db").exists()
         return capsys.readouterr().err
 
@@ -316,7 +316,7 @@ def test_against_refuses_what_cannot_be_paired_before_anything_is_tried(folder, 
     ("words", "message"),
     [
         (["crowded.yaml"], "no shipped plan"),
-        (["strip", "--against", "nowhere"], "nowhere holds no run"),
+        (["strip", "--baseline", "nowhere"], "nowhere holds no run"),
         (["missing.yaml"], "missing.yaml"),
         (["crowded.yaml", "--actions", "missing.txt"], "missing.txt"),
         (["crowded.yaml", "--plan", "unfold.txt"], "unfold.txt:1: 2 words, but a line is: tick car ACTION"),

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any, Final, get_args, get_type_hints
 
 import cyclopts
-from cyclopts import App, Parameter, UnknownOptionError
+from cyclopts import App, Parameter, UnknownOptionError, ValidationError
 from cyclopts.config import Dict
 
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
 from craftsim.cli.help import command_help
 from craftsim.errors import InputError
-from craftsim.options import option_name
+from craftsim.options import option_name, range_of
+from craftsim.storage.limits import Range
 
 CONFIG: Final = "config.yaml"
 """What every run writes into its output folder, and ``--config`` reads."""
@@ -87,11 +88,26 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
 
 def _said(error: cyclopts.CycloptsError) -> str:
     """Return what is wrong in one line."""
+    argument = error.argument
+    if (
+        isinstance(error, ValidationError)
+        and argument is not None
+        and (allowed := range_of(argument.parameter))
+    ):
+        outside = next((one for one in argument.tokens if _outside(one.value, allowed)), argument.tokens[0])
+        return f"{outside.keyword or argument.name} is {outside.value}; allowed: {allowed}"
     text = " ".join(str(error).split())
     if isinstance(error, UnknownOptionError) and "Did you mean" not in text:
         named = [name for one in error.argument_collection for name in one.names if name.startswith("--")]
         text += f" Allowed: {', '.join(dict.fromkeys(named))}."
     return text
+
+
+def _outside(text: str, allowed: Range) -> bool:
+    try:
+        return float(text) not in allowed
+    except ValueError:
+        return True
 
 
 def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
@@ -128,7 +144,7 @@ def write_config(words: Sequence[str], bound: inspect.BoundArguments) -> None:
     """Write what a command was asked for into its output folder, if it has one, for ``--config``."""
     bound.apply_defaults()
     out = bound.arguments.get("out")
-    if out is None or not out.is_dir():
+    if out is None or not (out / "report.json").is_file():
         return
     named = len(words) > 1 and words[1] in BELOW.get(words[0], ())
     import yaml

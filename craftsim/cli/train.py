@@ -195,13 +195,11 @@ def _config(given: dict[str, Any], besides: dict[str, Any], run: Protocol, **fla
     hyperparameters |= {name: value for name, value in given.items() if name in own}
     settled = dict(run.settings)
     hyperparameters = settled.pop("hyperparameters", {}) | hyperparameters
-    return TrainConfig(
-        **flags,
-        **{**settled, **chosen},
-        n_cars=besides.get("cars"),
-        n_blocks=besides.get("blocks"),
-        hyperparameters=hyperparameters,
-    )
+    chosen = {**settled, **chosen, "n_cars": besides.get("cars"), "n_blocks": besides.get("blocks")}
+    try:
+        return TrainConfig(**flags, **chosen, hyperparameters=hyperparameters)
+    except InputError as error:
+        raise InputError(str(error).replace("TrainConfig.", "--set ")) from None
 
 
 def _trainer(

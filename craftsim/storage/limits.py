@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, get_args, get_type_hints
 
 from craftsim.errors import InputError
 
@@ -189,6 +189,19 @@ class Range:
             else []
         )
         return " and ".join(ends)
+
+
+def ranges_of(record: Any) -> dict[str, Range]:
+    """Return, by name, what the numbers of a record, or the arguments of a function, may be."""
+    hints = get_type_hints(record, include_extras=True)
+    return {name: found for name, hint in hints.items() if (found := _range(hint)) is not None}
+
+
+def _range(annotation: Any) -> Range | None:
+    """Return the range within an annotation, such as ``Annotated[int, SEED] | None``."""
+    if isinstance(annotation, Range):
+        return annotation
+    return next(filter(None, map(_range, get_args(annotation))), None)
 
 
 SEED: Final = Range(0, 2**63 - 1)

@@ -19,7 +19,7 @@ from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 import craftsim
-from craftsim.cli import ranges_of
+from craftsim.storage.limits import ranges_of
 
 PUBLIC = frozenset(craftsim.__all__) - {"__version__"}
 

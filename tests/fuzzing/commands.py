@@ -186,7 +186,10 @@ class Case:
 
     def run(self, folder: Path) -> str:
         """Run it; return what is wrong about its end, if anything."""
-        words = [self._word(word, folder) if "@" in word else word for word in shlex.split(self.slot)]
+        words = [
+            f"{word[: word.index('@')]}{self._word(word[word.index('@') :], folder)}" if "@" in word else word
+            for word in shlex.split(self.slot)
+        ]
         screen = io.StringIO()
         with contextlib.redirect_stdout(screen), contextlib.redirect_stderr(screen), contextlib.chdir(folder):
             try:

@@ -251,7 +251,7 @@ def test_a_trajectory_is_read_and_drawn(place):
 TEXTS = {
     "task file": ("start: strip\ngoal: strip_goal\nreward: paper\n", lambda path: as_task(str(path))),
     "blueprint": ("area_length: 3\narea_width: 3\narea_height: 2\nflag: [{id: 0, x: 1, y: 1, z: 1}]\n", None),
-    "machines": ("smartcar: {chassis_mass_kg: 1.1}\ncars: [{}, {wheel_mass_kg: 2.5}]\n", "--parameters"),
+    "machines": ("smartcar: {chassis_mass_kg: 1.1}\ncars: [{}, {wheel_mass_kg: 2.5}]\n", "--machines"),
     "gains": ("gains: {drive: {max_speed: 0.4}}\n", "--gains"),
     "noise": ("{min_delay_s: 0.02, max_delay_s: 0.04, position_m: 0.001}\n", "--noise"),
     "camera": ("lookat: [0, 0, 0]\ndistance: 1\nazimuth: 1\nelevation: 1\n", read_aim),

@@ -187,7 +187,7 @@ def test_a_row_has_all_columns():
 
 
 def test_a_recorded_run_writes_its_log_beside_its_trajectory(tmp_path):
-    validate("strip", policy="random", drive="reduced", randomize="mild", out=tmp_path, record=True)
+    validate("strip", policy="random", drive="reduced", randomize="mild", out=tmp_path, record=True, trials=1)
     (log,), (trajectory,) = (list((tmp_path / "trajectories").glob(end)) for end in ("*.log.csv", "*.npz"))
     assert log.name == f"{trajectory.stem}.log.csv"
     moved = Trajectory.read(trajectory)

@@ -6,7 +6,6 @@ from drawn import draw
 import craftsim
 from craftsim.audit.situation import Row, Situation
 from craftsim.checking.setup import Setup, set_up
-from craftsim.cli.validate import validate
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
@@ -37,7 +36,7 @@ def test_no_judge_takes_such_a_world(tmp_path):
     world.write_text(blueprint_text(IN_THE_GEAR), encoding="utf-8")
     (tmp_path / "its.actions").write_text("0 DROP\n", encoding="utf-8")
     with pytest.raises(StartError):
-        validate((str(world),), actions=tmp_path / "its.actions", out=tmp_path / "out", video="none")
+        craftsim.validate(world, actions=tmp_path / "its.actions")
 
 
 def test_an_audit_tries_nothing_there_and_says_why():

@@ -146,12 +146,12 @@ def test_why_there_is_no_plan_is_said(reason):
 
 
 def test_the_command_writes_a_plan_that_can_be_read(tmp_path, capsys):
-    assert cli.main(["plan", "strip", "--rounds", "3", "--out", str(tmp_path / "made")]) == 0
+    assert cli.main(["plan", "strip", "--attempts", "3", "--out", str(tmp_path / "made")]) == 0
     plan = read_plan(tmp_path / "made" / "strip.plan", 2)
     assert plan.after
     assert (tmp_path / "made" / "report.json").exists()
     assert (tmp_path / "made" / "strip-gantt.svg").exists()
-    assert cli.main(["plan", "strip", "--rounds", "1", "--out", str(tmp_path / "only.plan")]) == 0
+    assert cli.main(["plan", "strip", "--attempts", "1", "--out", str(tmp_path / "only.plan")]) == 0
     assert [path.name for path in tmp_path.glob("*.plan")] == ["only.plan"]
 
 

@@ -368,7 +368,7 @@ def test_a_demo_with_robots_that_lie_ends_in_words(tmp_path, monkeypatch, capsys
     plan = tmp_path / "short.plan"
     plan.write_text("0 0 ROTATE_LEFT\n", encoding="utf-8")
     with answering(answer) as address:
-        words = ["demo", "--robot", address, "--plan", str(plan), "--timeout-s", "0.2", "--no-video"]
+        words = ["demo", "--robot", address, "--plan", str(plan), "--timeout", "0.2", "--no-video"]
         assert main([*words, "--out", str(tmp_path / "out")]) == 2
     assert re.search(why, capsys.readouterr().err)
 

@@ -73,7 +73,7 @@ def test_a_plan_is_carried_out_by_robots_in_another_process(tmp_path, capsys):
     with served(tmp_path / "robot", "--lockstep", "--once", *BUSY) as (process, address):
         words = ["demo", "--robot", address, "--plan", str(plan), "--drive", "reduced", "--no-video"]
         assert (
-            main([*words, "--timeout-s", "60", "--out", str(tmp_path / "demo")]) == 1
+            main([*words, "--timeout", "60", "--out", str(tmp_path / "demo")]) == 1
         )  # the goal is not reached
         assert process.wait(60) == 0
     figures = json.loads((tmp_path / "demo/report.json").read_text())["figures"]
@@ -85,7 +85,7 @@ def test_a_plan_is_carried_out_by_robots_in_another_process(tmp_path, capsys):
 
 
 def test_robots_and_who_drives_them_outlive_each_other(tmp_path, start):
-    with served(tmp_path, "--lockstep", "--patience-s", "3") as (process, address):
+    with served(tmp_path, "--lockstep", "--timeout", "3") as (process, address):
         words = [sys.executable, "-c", DRIVE.format(address=address)]
         driver = start(words, stdout=subprocess.PIPE, text=True)
         assert driver.stdout.readline() == "acting\n"
@@ -120,7 +120,7 @@ def test_robots_that_other_machines_reach_say_so(tmp_path, capsys, monkeypatch, 
 
 def test_an_address_where_no_robots_are_is_refused_in_words(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("craftsim.robots.link._GREETED_S", 0.2)
-    words = ["demo", "--robot", "127.0.0.1:9", "--timeout-s", "0.1", "--no-video", "--out", str(tmp_path)]
+    words = ["demo", "--robot", "127.0.0.1:9", "--timeout", "0.1", "--no-video", "--out", str(tmp_path)]
     assert main(words) == 2
     assert "no robots answer within 0.2 s; start some with: craftsim robot" in capsys.readouterr().err
     assert main([*words, "--task", "all"]) == 2

@@ -199,11 +199,11 @@ def test_a_run_file_that_unpacks_to_more_or_has_many_parts_is_refused(tmp_path):
     ("words", "message"),
     [
         (["--seed", str(2**64)], "seed is 18446744073709551616; allowed: 0 to 9223372036854775807"),
-        (["--worlds", "1000000000"], "worlds is 1000000000; allowed: 1 to 100000"),
+        (["--set", "worlds=1000000000"], "--set worlds: 1000000000 is out of range, allowed: 1 to 100000"),
         (["--episodes", "0"], "--episodes is 0"),
         (["--steps", str(10**30)], "--steps is 1000"),
         (["--until", "nan"], "--until is nan"),
-        (["--novelty", "inf"], "novelty is inf"),
+        (["--set", "novelty=.inf"], "--set novelty: "),
     ],
 )
 def test_a_number_that_is_too_large_is_told(words, message, tmp_path, capsys):

@@ -1,5 +1,6 @@
 """Training in physics: the same run at any number of workers."""
 
+import re
 from contextlib import closing
 from dataclasses import replace
 
@@ -64,6 +65,6 @@ def test_where_training_runs_is_one_of_two_and_workers_and_drives_are_for_physic
         TrainConfig("strip", backend="physics", randomize="wild")
     with pytest.raises(InputError, match="on the grid nothing is drawn of physics"):
         TrainConfig("strip", randomize="mild")
-    for words in (["--workers", "2"], ["--drive", "rollers"], ["--randomize", "mild"], ["--record"]):
-        assert main(["train", *words]) == 2
-        assert f"{words[0]} is for physics" in capsys.readouterr().err
+    for option in ("--set workers=2", "--set drive=rollers", "--set randomize=mild", "--record trajectory"):
+        assert main(["train", *option.split()]) == 2
+        assert re.search(r"(workers|drive|randomize|record) is for physics", capsys.readouterr().err)

@@ -7,8 +7,9 @@ import pytest
 import torch
 from training_files import read_content, write_content
 
-from craftsim.cli import main, ranges_of
+from craftsim.cli import main
 from craftsim.errors import InputError
+from craftsim.storage.limits import ranges_of
 from craftsim.training.checkpoint import POLICY_FILE, read_policy
 from craftsim.training.config import ALGO_NAMES, TrainConfig
 from craftsim.training.settings import KINDS, read_settings, settings_of

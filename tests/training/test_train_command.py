@@ -16,7 +16,8 @@ from craftsim.training.trainer import Trainer
 
 
 def _train(out, *words):
-    return main(["train", "--task", "strip", "--episodes", "20", "--worlds", "10", "--out", str(out), *words])
+    task = [] if "--task" in words else ["strip"]
+    return main(["train", *task, "--episodes", "20", "--set", "worlds=10", "--out", str(out), *words])
 
 
 def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
@@ -46,17 +47,17 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--until", "2"], "--until is 2.0"),
+        (["--until", "2"], "--until is 2; allowed: 0 to 1"),
         (["--steps", "0"], "--steps is 0; allowed: 1 to"),
         (["--seed", "-1"], "seed is -1"),
-        (["--novelty", "nan"], "novelty is nan"),
-        (["--starts", "no_such.plan"], "no_such.plan"),
+        (["--set", "novelty=nan"], "--set novelty"),
+        (["--set", "starts=no_such.plan"], "no_such.plan"),
         (
-            ["--starts", "some.plan", "--preset", "paper"],
-            "learns from nothing; leave --starts, --imitate and --pretrained out",
+            ["--set", "starts=some.plan", "--preset", "paper"],
+            "learns from nothing; leave starts, imitate and pretrained out",
         ),
-        (["--explore", "-1"], "--explore is -1"),
-        (["--helper-depth", "5", "--backend", "physics"], "or train on the grid"),
+        (["--set", "explore=-1"], "--set explore: -1 is out of range"),
+        (["--set", "helper_depth=5", "--backend", "physics"], "or train on the grid"),
         (["--task", "strap"], "strip"),
     ],
 )
@@ -91,7 +92,7 @@ def test_a_task_and_a_stage_that_code_makes_are_trained_on_and_gone_on_with(tmp_
     assert main(evaluate) == 2
     error = capsys.readouterr().err
     assert "out: the task that it was trained on is not there: task 'corners:corner'" in error
-    assert "name one with --task" in error
+    assert "name one" in error
     assert main([*evaluate, "--task", "corners:corner"]) == 0
     sys.modules.pop("corners")
 

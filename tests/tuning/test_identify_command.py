@@ -49,7 +49,7 @@ def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeyp
     [
         (["identify", "no.csv"], "no.csv: no such file"),
         (["identify", "no.bin"], "no log by its ending"),
-        (["excite", "--time", "1"], "--time is 1.0; allowed: 10 to 3600"),
+        (["excite", "--time", "1"], "--duration is 1; allowed: 10 to 3600"),
         (["excite", "--length", "0.1"], "--length is 0.1; allowed: 0.6 to 20"),
     ],
 )

@@ -108,13 +108,13 @@ def files(tmp_path_factory):
 
 
 def test_a_design_is_planned_and_built(files, tmp_path):
-    assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", "--rounds", "3") == 0
+    assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", "--attempts", "3") == 0
     figures = json.loads((tmp_path / "report.json").read_text())["figures"]["builds"]
     assert (figures["endings"], figures["replans"]) == ({"built": 1}, 0)
 
 
 def test_a_building_whose_only_car_is_out_of_action_ends_as_given_up(files, tmp_path):
-    words = ("--rounds", "3", "--disturb", "dead-car", "--trials", "1")
+    words = ("--attempts", "3", "--disturb", "dead-car", "--trials", "1")
     assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", *words) == 1
     (record,) = map(json.loads, (tmp_path / "trials.jsonl").read_text().splitlines())
     assert record["error"] is None
@@ -123,13 +123,13 @@ def test_a_building_whose_only_car_is_out_of_action_ends_as_given_up(files, tmp_
 
 
 def test_a_design_that_cannot_be_built_is_wrong_input(files, tmp_path, capsys):
-    assert _build(tmp_path, files / "start.yaml", files / "two.yaml", "--rounds", "3") == 2
+    assert _build(tmp_path, files / "start.yaml", files / "two.yaml", "--attempts", "3") == 2
     assert "not enough blocks" in capsys.readouterr().err
 
 
 def test_a_run_to_compare_with_is_read_before_anything_is_planned(files, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(builds, "plan_building", lambda *args, **kwargs: pytest.fail("is planned"))
-    assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", "--against", "gone") == 2
+    assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", "--baseline", "gone") == 2
     assert "gone" in capsys.readouterr().err
 
 

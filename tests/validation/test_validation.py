@@ -30,7 +30,7 @@ MOVES = _plan(((0, RIGHT), (1, RIGHT)), ((0, RIGHT),))
 
 
 def test_a_plan_in_a_world_of_ones_own_agrees_and_every_action_is_a_row():
-    result = validate(GRID, plan=MOVES)
+    result = validate(GRID, plan=MOVES, randomize="none", trials=1, order="ticks")
     assert result.agrees
     assert repr(result) == "Validation(1 of 1 runs agree, 3 of 3 actions as predicted)"
     frame = result.to_frame()
@@ -47,7 +47,7 @@ def test_a_function_plays_as_a_policy():
     def stay(observations):
         return {agent: int(Action.STOP) for agent in observations}
 
-    result = validate("strip", policy=stay, trials=2)
+    result = validate("strip", policy=stay, trials=2, randomize="none")
     assert result.agrees
     assert [record["group"] for record in result.records] == ["stay", "stay"]
     assert {attempt.action for attempt in result.attempts} == {"STOP"}
@@ -56,18 +56,20 @@ def test_a_function_plays_as_a_policy():
 
 @pytest.mark.parametrize("order", ["sequential", "ticks", "concurrent"])
 def test_every_order_of_a_plan_leads_to_the_same_attempts_and_only_concurrency_saves_time(order):
-    (record,) = validate(GRID, plan=MOVES, order=order).records
+    (record,) = validate(GRID, plan=MOVES, order=order, randomize="none", trials=1).records
     assert record["agrees"]
     assert [(a["tick"], a["car"]) for a in record["attempts"]] == [(0, 0), (0, 1), (1, 0)]
     starts = [a["start_s"] for a in record["attempts"]]
     assert (starts[0] == starts[1]) is (order != "sequential")
-    alone = validate(GRID, plan=MOVES, order="sequential").records[0]["extra"]["makespan_s"]
+    alone = validate(GRID, plan=MOVES, order="sequential", randomize="none", trials=1).records[0]["extra"][
+        "makespan_s"
+    ]
     assert (record["extra"]["makespan_s"] < 0.8 * alone) is (order != "sequential")
 
 
 def test_a_bystander_that_moves_too_far_disagrees_whoever_asks(monkeypatch):
     monkeypatch.setattr(setup, "Executor", pushed(0, 0.004))
-    result = validate(GRID, plan=_plan(((0, RIGHT),)))
+    result = validate(GRID, plan=_plan(((0, RIGHT),)), randomize="none", trials=1, order="ticks")
     (attempt,) = result.attempts
     assert 0.001 < attempt.bystander_displacement_m < 0.025
     assert attempt.finding == "agrees", "the grid that is read is the predicted one"
@@ -86,14 +88,14 @@ def test_a_bystander_that_moves_too_far_disagrees_whoever_asks(monkeypatch):
 def test_a_car_beyond_its_limit_disagrees(monkeypatch):
     strict = (Thresholds(car_m=1e-9), *setup.RANDOMIZE["none"][1:])
     monkeypatch.setitem(setup.RANDOMIZE, "none", strict)
-    result = validate(GRID, plan=_plan(((0, RIGHT),)))
+    result = validate(GRID, plan=_plan(((0, RIGHT),)), randomize="none", trials=1, order="ticks")
     (attempt,) = result.attempts
     assert (attempt.result, attempt.finding, result.agrees) == ("failed", "agrees", False)
     assert attempt.reason.startswith("the car is ")
 
 
 def test_what_the_rules_forbid_is_not_tried_and_named_with_rule_and_cells():
-    result = validate(GRID, plan=_plan(((0, Action.LIFT),)))
+    result = validate(GRID, plan=_plan(((0, Action.LIFT),)), randomize="none", trials=1, order="ticks")
     (attempt,) = result.attempts
     assert not result.agrees
     assert (attempt.legal, attempt.performed, attempt.result) == (False, False, "failed")
@@ -110,7 +112,7 @@ def test_a_failing_car_stops_what_depends_on_it_and_nothing_else(monkeypatch):
             physics.model.actuator_forcerange[physics.cars[0].wheel_actuators] = 0.0
 
     monkeypatch.setattr(setup, "Executor", Weak)
-    result = validate(GRID, plan=MOVES, order="concurrent")
+    result = validate(GRID, plan=MOVES, order="concurrent", randomize="none", trials=1)
     first, other, last = result.attempts
     assert (first.performed, first.agrees) == (True, False)
     assert other.agrees
@@ -125,7 +127,8 @@ def test_gains_and_machines_of_ones_own_decide_and_are_part_of_the_configuration
     slow = replace(gains, drive=replace(gains.drive, max_speed=gains.drive.max_speed / 2))
     heavy = Machines((SmartcarParameters(chassis_mass_kg=2.0),))
     plain, slower, heavier = (
-        validate(GRID, plan=MOVES, **options) for options in ({}, {"gains": slow}, {"machines": heavy})
+        validate(GRID, plan=MOVES, randomize="none", trials=1, **options)
+        for options in ({}, {"gains": slow}, {"machines": heavy})
     )
     assert slower.attempts[0].duration_s > plain.attempts[0].duration_s
     digests = [result.config["digests"] for result in (plain, slower, heavier)]
@@ -136,9 +139,16 @@ def test_gains_and_machines_of_ones_own_decide_and_are_part_of_the_configuration
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_records_in_a_folder_are_those_without_one(tmp_path, workers):
-    here = validate(GRID, plan=MOVES, randomize="strong", trials=2, seed=3)
+    here = validate(GRID, plan=MOVES, randomize="strong", trials=2, seed=3, order="ticks")
     there = validate(
-        GRID, plan=MOVES, randomize="strong", trials=2, seed=3, out=tmp_path / "out", workers=workers
+        GRID,
+        plan=MOVES,
+        randomize="strong",
+        trials=2,
+        seed=3,
+        out=tmp_path / "out",
+        workers=workers,
+        order="ticks",
     )
     assert there.attempts == here.attempts
     one, other = (record["attempts"] for record in here.records)
@@ -161,26 +171,38 @@ def test_wrong_arguments_are_refused(options, message):
 
 def test_two_worlds_of_one_name_are_refused():
     with pytest.raises(InputError, match="two worlds are called 'grid'"):
-        validate([GRID, GRID], policy="random")
+        validate([GRID, GRID], policy="random", randomize="none", trials=1)
 
 
 def test_a_plan_is_for_one_world():
     with pytest.raises(InputError, match="plan needs the one world"):
-        validate(["strip", "block"], plan=MOVES)
+        validate(["strip", "block"], plan=MOVES, randomize="none", trials=1, order="ticks")
 
 
 def test_the_start_is_not_changed():
     before = GRID.copy()
-    validate(GRID, plan=MOVES)
+    validate(GRID, plan=MOVES, randomize="none", trials=1, order="ticks")
     assert GRID.same_visible(before)
     np.testing.assert_array_equal(GRID.cars, before.cars)
 
 
 def test_an_observer_of_ones_own_sees_every_control_period_of_a_plan_and_of_a_policy():
     times: list[float] = []
-    validate("strip", observers=[lambda physics: times.append(physics.time_s)])
+    validate(
+        "strip",
+        observers=[lambda physics: times.append(physics.time_s)],
+        randomize="none",
+        trials=1,
+        order="ticks",
+    )
     assert len(times) > 400
     assert all(later > earlier for earlier, later in pairwise(times))
     times.clear()
-    validate("strip", policy="random", observers=[lambda physics: times.append(physics.time_s)])
+    validate(
+        "strip",
+        policy="random",
+        observers=[lambda physics: times.append(physics.time_s)],
+        randomize="none",
+        trials=1,
+    )
     assert len(times) > 400

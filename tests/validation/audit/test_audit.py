@@ -129,7 +129,7 @@ def test_each_of_them_is_traced_to_the_switch_that_corrects_it():
 
 
 def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_sound(tmp_path, capsys):
-    words = ["--contexts", "MOVE/scene=on* a second ramp", "--trials", "2", "--out"]
+    words = ["--situations", "MOVE/scene=on* a second ramp", "--trials", "2", "--out"]
     assert cli.main(["audit", *words, str(tmp_path / "published")]) == 1
     printed = capsys.readouterr().out
     assert "1 of 1 row that the rules allow are unsound" in printed
@@ -146,7 +146,7 @@ def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_so
     assert row["corrections"] == ["second_ramp"]
     (bundle,) = row["bundles"]
     assert replay(read_bundle(tmp_path / "published" / bundle)).reproduced
-    words += [str(tmp_path / "physical"), "--rules", "physical", "--against", str(tmp_path / "published")]
+    words += [str(tmp_path / "physical"), "--rules", "physical", "--baseline", str(tmp_path / "published")]
     assert cli.main(["audit", *words]) == 0
     printed = capsys.readouterr().out
     assert "0 of 1 row that the rules allow are unsound" in printed
@@ -160,7 +160,7 @@ def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_so
 
 def test_the_command_refuses_wrong_input(tmp_path, capsys):
     assert cli.main(["audit", "--trials", "0", "--out", str(tmp_path)]) == 2
-    assert cli.main(["audit", "--contexts", "nothing like it", "--out", str(tmp_path)]) == 2
+    assert cli.main(["audit", "--situations", "nothing like it", "--out", str(tmp_path)]) == 2
     assert "no row matches 'nothing like it'" in capsys.readouterr().err
 
 

@@ -194,7 +194,7 @@ def main(names: list[str], rounds: int, seed: int) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", default=list(COMMANDS), help=f"of {', '.join(COMMANDS)}")
-    parser.add_argument("--rounds", type=int, default=5, help="of each command")
+    parser.add_argument("--attempts", type=int, default=5, help="of each command")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     main(given.names, given.rounds, given.seed)

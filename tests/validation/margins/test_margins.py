@@ -46,13 +46,13 @@ def searched(tmp_path_factory):
     out = tmp_path_factory.mktemp("margins")
     words = [
         "margins",
-        "--scenarios",
+        "--situations",
         "lift a block",
         "--trials",
         "1",
         "--seed",
         "2",
-        "--pair",
+        "--map",
         "position-bias",
         "mass",
     ]
@@ -86,7 +86,7 @@ def test_a_search_finds_the_same_in_any_process(searched):
 def test_a_finished_search_is_compared_with_an_earlier_one(searched, tmp_path, capsys):
     out, words = searched
     (shutil.copytree(out, tmp_path / "later") / "report.json").unlink()
-    assert cli.main([*words[:-1], str(tmp_path / "later"), "--resume", "--against", str(out)]) == 0
+    assert cli.main([*words[:-1], str(tmp_path / "later"), "--resume", "--baseline", str(out)]) == 0
     figures = json.loads((tmp_path / "later" / "report.json").read_text())["figures"]["margins"]
     assert all(one["before"]["margin"] == one["margin"] for one in figures["scenarios"])
 
@@ -94,7 +94,7 @@ def test_a_finished_search_is_compared_with_an_earlier_one(searched, tmp_path, c
 def test_wrong_input_is_named(tmp_path, capsys):
     assert cli.main(["margins", "--axes", "lipage", "--out", str(tmp_path)]) == 2
     assert "did you mean 'lippage'" in capsys.readouterr().err
-    assert cli.main(["margins", "--scenarios", "fly*", "--out", str(tmp_path)]) == 2
+    assert cli.main(["margins", "--situations", "fly*", "--out", str(tmp_path)]) == 2
     assert "no scenario matches 'fly*'" in capsys.readouterr().err
-    assert cli.main(["margins", "--pair", "delay", "delay", "--out", str(tmp_path)]) == 2
+    assert cli.main(["margins", "--map", "delay", "delay", "--out", str(tmp_path)]) == 2
     assert "two different imperfections" in capsys.readouterr().err

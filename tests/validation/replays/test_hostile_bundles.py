@@ -91,7 +91,7 @@ def test_a_hostile_value_is_one_message_before_any_work(name, folder, capsys):
     begun = time.process_time()
     assert cli.main(words) == 2
     said = capsys.readouterr().err
-    assert cli.main([*words, "--shrink"]) == 2
+    assert cli.main([*words, "--minimize"]) == 2
     assert time.process_time() - begun < 10
     assert TEXT in said
     assert message in said

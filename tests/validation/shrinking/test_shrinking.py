@@ -138,7 +138,7 @@ def test_replay_shrinks_a_bundle_into_files_that_validate_reads(tmp_path, capsys
     grid = grid_of(_cars_first(*NEEDED, *IDLE[4:6]), SIZE)
     bundle = write_bundle(tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, PUBLISHED))
     assert [a.action for a in bundle.attempts if not a.agrees] == ["STOP", "ROTATE_LEFT"], "both are blamed"
-    assert cli.main(["replay", str(tmp_path / "bundle"), "--shrink", "--out", str(tmp_path / "out")]) == 0
+    assert cli.main(["replay", str(tmp_path / "bundle"), "--minimize", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "when car 1 is in the next cell to the right" in said
     assert f"--actions {tmp_path / 'out' / 'smallest.actions'} --rules published" in said
@@ -151,7 +151,7 @@ def test_validate_shrinks_its_failures_into_report_and_page(tmp_path, capsys):
     (tmp_path / "tries.txt").write_text("1 STOP\n0 ROTATE_LEFT\n")
     out = tmp_path / "out"
     words = ["validate", str(tmp_path / "site.yaml"), "--actions", str(tmp_path / "tries.txt")]
-    words += ["--rules", "published", "--trials", "1", "--video", "none", "--shrink", "--out", str(out)]
+    words += ["--rules", "published", "--trials", "1", "--video", "none", "--minimize", "--out", str(out)]
     assert cli.main(words) == 1
     (found,) = json.loads((out / "report.json").read_text())["figures"]["smallest"]
     assert found["sentence"].endswith("when car 1 is in the next cell to the right")

@@ -11,7 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.observation import car_vectors
-from craftsim.envs.physics_vector import PhysicsVectorEnv
+from craftsim.envs.vector import PhysicsVectorEnv
 from craftsim.training.grid_env import TeamEnv
 
 
@@ -19,7 +19,7 @@ class PhysicsEnv(TeamEnv):
     """Worlds in physics, spread over worker processes; none of their numbers depends on how many there are."""
 
     def __init__(self, task: Task, n_worlds: int, **options: Any) -> None:
-        """Prepare; options are those of :class:`craftsim.envs.physics_vector.PhysicsVectorEnv`."""
+        """Prepare; options are those of :class:`craftsim.envs.vector.PhysicsVectorEnv`."""
         super().__init__(task, n_worlds)
         self.worlds = PhysicsVectorEnv(task, n_worlds, **options)
         self._next_seed: int | None = None

@@ -17,7 +17,7 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from craftsim.discrete.tasks import Task, known_task
-from craftsim.envs.physics_vector import PhysicsVectorEnv
+from craftsim.envs.vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.report import versions
 from craftsim.training.algorithms import make_learner

@@ -2,6 +2,7 @@
 
 from contextlib import closing
 from dataclasses import replace
+from importlib import import_module
 
 import gymnasium
 import numpy as np
@@ -10,7 +11,7 @@ from gymnasium import spaces
 
 from craftsim.discrete.kinds import Action
 from craftsim.envs import GYMNASIUM_IDS, env, parallel_env, vector_env
-from craftsim.envs.observe import Observe
+from craftsim.envs.observations import Observe
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
@@ -107,10 +108,10 @@ def test_a_batch_of_either_backend_is_made_by_one_function():
     for options, words in (
         ({"render_mode": "ansi"}, "knows no 'render_mode'"),
         ({"gains": load_gains()}, "backend='physics'"),
-        ({"helper": 3}, "unknown option 'helper'"),
-        ({"backend": "grit"}, "there are physics, grid"),
-        ({"backend": "physics", "num_envs": 0}, "num_envs is 0"),
-        ({"backend": "physics", "noise": 0.1}, "must be a SensorNoise"),
+        ({"helper": 3}, "unknown key 'helper'; did you mean 'helper_depth'"),
+        ({"backend": "grit"}, "allowed: physics, grid"),
+        ({"backend": "physics", "num_envs": 0}, "num_envs: 0 is out of range"),
+        ({"backend": "physics", "noise": 0.1}, "instance of SensorNoise"),
     ):
         with pytest.raises(InputError, match=words):
             vector_env("strip", **({"num_envs": 2} | options))
@@ -158,3 +159,21 @@ def test_what_is_handed_out_may_be_changed_without_any_consequence(form):
         return [info["illegal"] for info in infos.values()] if form == "parallel" else infos["illegal"]
 
     np.testing.assert_array_equal(play(spoils=True), play(spoils=False))
+
+
+@pytest.mark.parametrize(
+    ("old", "name", "now"),
+    [
+        ("answers", "answer_text", "text"),
+        ("collecting", "reached_worlds", "datasets"),
+        ("conversation", "converse", "text"),
+        ("entity_sets", "observe_entities", "observations"),
+        ("images", "Images", "observations"),
+        ("observe", "Observe", "observations"),
+        ("physics_vector", "PhysicsVectorEnv", "vector"),
+    ],
+)
+def test_names_of_0_2_go_on_working_and_say_where_they_are_now(old, name, now):
+    with pytest.warns(DeprecationWarning, match=rf"craftsim\.envs\.{now}\.{name} now"):
+        found = getattr(import_module(f"craftsim.envs.{old}"), name)
+    assert found is getattr(import_module(f"craftsim.envs.{now}"), name)

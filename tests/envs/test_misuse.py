@@ -8,9 +8,11 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
-from craftsim.envs.images import Images
+from craftsim.envs.observations import Images
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import InputError
+from craftsim.models.randomization import DomainRandomization
+from craftsim.skills.gains import load_gains
 
 STOP = int(Action.STOP)
 
@@ -20,27 +22,28 @@ STOP = int(Action.STOP)
     [
         ({"task": "strap"}, "did you mean 'strip'"),
         ({"task": 3}, "a task is a Task"),
-        ({"backend": "grit"}, "there are physics, grid"),
+        ({"backend": "grit"}, "did you mean 'grid'.*allowed: physics, grid"),
         ({"rule_set": "pysical"}, "did you mean 'physical'"),
         ({"render_mode": "rgb"}, "rgb_array"),
         ({"helper_dept": 3}, "did you mean 'helper_depth'"),
-        ({"helper_depth": -1}, "0 and more"),
-        ({"helper_depth": 2.5}, "0 and more"),
+        ({"helper_depth": -1}, "allowed: 0 to 100"),
+        ({"helper_depth": 2.5}, "integer from 0 to 100"),
         ({"time_weight": float("nan")}, "finite"),
-        ({"time_weight": "much"}, "finite"),
-        ({"randomization": object()}, "backend='physics'"),
-        ({"backend": "physics", "noise": 0.1}, "must be a SensorNoise"),
-        ({"backend": "physics", "randomization": 0.1}, "must be a DomainRandomization"),
-        ({"backend": "physics", "config": {"sleep": False}}, "must be a SimulationConfig"),
-        ({"backend": "physics", "gains": {"drive": 3}}, "must be a Gains"),
-        ({"gains": object()}, "backend='physics'"),
-        ({"backend": "physics", "machines": "heavy.yaml"}, "must be a Machines"),
+        ({"time_weight": "much"}, "a number of at least 0, not 'much'"),
+        ({"randomization": DomainRandomization()}, "backend='physics'"),
+        ({"backend": "physics", "noise": 0.1}, "instance of SensorNoise"),
+        ({"backend": "physics", "randomization": 0.1}, "instance of DomainRandomization"),
+        ({"backend": "physics", "config": {"sleep": False}}, "instance of SimulationConfig"),
+        ({"backend": "physics", "gains": {"drive": 3}}, "instance of Gains"),
+        ({"gains": load_gains()}, "backend='physics'"),
+        ({"check_contacts": True}, "knows no 'check_contacts'"),
+        ({"backend": "physics", "machines": "heavy.yaml"}, "instance of Machines"),
         ({"render_camera": "top"}, "backend='physics'"),
-        ({"backend": "physics", "render_size": (640, 0)}, "width, height"),
-        ({"backend": "physics", "observers": 3}, "functions of a PhysicsWorld"),
-        ({"observers": [print]}, "no control periods"),
-        ({"observe": print}, "must be an Observe"),
-        ({"backend": "physics", "images": "front"}, "must be an Images"),
+        ({"backend": "physics", "render_size": (640, 0)}, r"render_size\[1\]: 0 is out of range"),
+        ({"backend": "physics", "observers": 3}, "observers: must be"),
+        ({"observers": [print]}, "knows no 'observers'"),
+        ({"observe": print}, "instance of Observe"),
+        ({"backend": "physics", "images": "front"}, "instance of Images"),
         ({"images": Images()}, "backend='physics'"),
     ],
 )

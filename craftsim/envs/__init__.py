@@ -100,8 +100,8 @@ def vector_env(
         workers: physics only: how many processes share the worlds, one for each processor unless given; no number
             depends on it.
         engine: physics only: processes of this machine, or actors of an existing Ray cluster.
-        options: on the grid ``rule_set``, ``helper_depth``, ``time_weight`` and ``actions``; in physics the fields of
-            :class:`craftsim.envs.options.Options`, ``observe`` aside.
+        options: the other fields of :class:`craftsim.envs.options.Options`: in physics all but ``observe``, on the grid
+            those that its ``BATCH_OPTIONS`` name.
 
     Raises:
         InputError: there is no such task, backend, option or option value.

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from craftsim.discrete.kinds import Action
@@ -50,6 +51,8 @@ class ActionForm:
         self.own = tuple(own)
         self.n_actions = len(Action) + len(self.own)
         """How many an agent chooses from."""
+        self._numbers = np.array([*Action, *self.own], np.int64) if self.own else None
+        """The number of the action of each column, unless it is the same."""
 
     def masks(self, episodes: Episodes) -> Masks:
         """Return the offered actions; STOP, which does nothing, where the rules leave a car nothing."""
@@ -63,10 +66,18 @@ class ActionForm:
         The latter is None without the helper. Whatever such a car is asked for is not done: it counts as STOP.
         """
         queued = None if episodes.depth is None else episodes.queue[:, :, 0] >= 0
-        if not self.own:
+        if self._numbers is None:
             return chosen, queued
-        numbers = np.array([*Action, *self.own], np.int64)[chosen]
+        numbers = self._numbers[chosen]
         return (numbers if queued is None else np.where(queued, int(Action.STOP), numbers)), queued
+
+    def spaces(self) -> dict[str, spaces.Space[Any]]:
+        """Return the spaces of what a car observes, by key, to choose its actions by."""
+        return {}
+
+    def observed(self, episodes: Episodes) -> dict[str, NDArray[Any]]:
+        """Return what cars observe to choose their actions by, each (B, n, ...), after :meth:`masks`."""
+        return {}
 
 
 def illegal(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.tasks import Task
 from craftsim.envs.core import SingleWorld
-from craftsim.envs.observations import Observation, central_space, joint_action_space
+from craftsim.envs.observations import Observation, central_space, extra_spaces, joint_action_space
 from craftsim.envs.options import Options
 from craftsim.errors import InputError
 
@@ -31,9 +31,10 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
             )
         self._prepare(task, chosen)
         self.render_mode = chosen.render_mode
-        n_actions = self.core.form.n_actions
-        self.observation_space = central_space(self.core.task, chosen.images, n_actions)
-        self.action_space = joint_action_space(self.core.task, n_actions)
+        played, form = self.core.task, self.core.form
+        beside = extra_spaces(played, form, chosen.local_view)
+        self.observation_space = central_space(played, chosen.images, form.n_actions, beside)
+        self.action_space = joint_action_space(played, form.n_actions)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -62,5 +63,6 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
 
     def _observe(self) -> Observation:
         observation: Observation = {"observation": self.core.state(), "action_mask": self.core.masks.copy()}
+        observation |= {key: array.copy() for key, array in self.core.extras.items()}
         images = self.core.options.images
         return observation if images is None else observation | images.of_all(self.core.images)

@@ -18,9 +18,9 @@ from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.discrete.tasks.rewards import Reward
 from craftsim.discrete.tasks.starts import Starts, Targets
-from craftsim.envs.actions import ActionForm, checked, illegal
+from craftsim.envs.actions import checked, illegal
 from craftsim.envs.backend import Backend, Tick, make_backend
-from craftsim.envs.observations import Observation
+from craftsim.envs.observations import Observation, extras
 from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
 from craftsim.errors import InputError
 
@@ -56,7 +56,7 @@ class Core:
         self.n_cars = self.layout.n_cars
         self.backend = backend or make_backend(self.task, options)
         self.rules = Rules(options.rule_set, actions=options.actions)
-        self.form = ActionForm(options.actions)
+        self.form = options.action_form(self.task)
         self.played = self.task
         """The task of the running episode: the task, or where each has a design of its own, the one with that."""
         self._episodes: Episodes | None = None
@@ -134,6 +134,9 @@ class Core:
         """(n, n_actions): what each car is offered."""
         self.rows: NDArray[np.int32] = self.episodes.entity_rows()[0]
         """(n_observed, 13): what is where, and what is to be built where that is shown."""
+        seen = extras(self.episodes, self.form, self.options.local_view)
+        self.extras: Observation = {key: array[0] for key, array in seen.items()}
+        """By key, (n, ...): what each car observes beside these."""
         self.images: Observation = self.backend.images()
         """The images of all cameras, by kind."""
 

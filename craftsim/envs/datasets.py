@@ -117,12 +117,12 @@ def write_dataset(
     # Minari takes what is relative twice over.
     target, task = Path(folder).absolute() / name, env.core.task
     described = f"{task.name} on {env.core.options.backend}, played by {algorithm or 'a policy'}"
-    steps = successes = 0
+    steps, successes, n_actions = 0, 0, env.core.form.n_actions
     with owned(target), _whole_folder(target, "data") as partial:
         storage = MinariStorage.new(
             partial,
-            observation_space=central_space(task),
-            action_space=joint_action_space(task),
+            observation_space=central_space(task, n_actions=n_actions),
+            action_space=joint_action_space(task, n_actions),
             env_spec=_env_spec(env),
         )
         storage.update_metadata(

@@ -8,19 +8,23 @@ from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kernel.state import F_X, F_YAW, F_Z
+from craftsim.discrete.kernel.state import F_LOAD, F_X, F_Y, F_YAW, F_Z
 from craftsim.discrete.kernel.tasks import IS_CAR, IS_FLAG, IS_FOOT, IS_LOADED, ROW, YAW_HIGH, YAW_LOW
 from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import Layout, entity_rows
 from craftsim.discrete.tasks.starts import Targets, targets_of
+from craftsim.envs.actions import ActionForm
 from craftsim.errors import InputError, suggestion
 from craftsim.rendering.image_kinds import PIXELS, ImageKind, check_images
 
 Observation = dict[str, NDArray[Any]]
+Spaces = dict[str, spaces.Space[Any]]
 
 ImageCamera = Literal["front", "overview", "top"]
 IMAGE_CAMERAS: Final[tuple[str, ...]] = get_args(ImageCamera)
@@ -35,6 +39,8 @@ TARGET: Final = 7
 design this and the cell's :class:`craftsim.discrete.grid.Kind`."""
 ANY_YAW: Final = -1
 """Of blocks and flags, and of cells of the design where it does not matter."""
+CHANNELS: Final = 6
+"""Of a cell of a local view: kind, yaw, car, its yaw and load, and the kind to be built."""
 
 
 def state_space(task: Task) -> spaces.Box:
@@ -52,29 +58,51 @@ def car_space(
     own: spaces.Space[Any] | None = None,
     images: Images | None = None,
     n_actions: int = N_ACTIONS,
+    extras: Spaces | None = None,
 ) -> spaces.Dict:
     """Return one car's observation space, and the actions that it is offered.
 
-    What it observes is its own row, then all rows, or an observation of one's ``own``; and images.
+    It observes its own row, then all rows, or an observation of one's ``own``; images; and ``extras``.
     """
     return spaces.Dict(
         {
             "observation": own or _entity_space(task, 1 + task.layout.n_observed),
             "action_mask": spaces.Box(0, 1, (n_actions,), np.int8),
             **({} if images is None else images.spaces()),
+            **(extras or {}),
         }
     )
 
 
-def central_space(task: Task, images: Images | None = None, n_actions: int = N_ACTIONS) -> spaces.Dict:
-    """Return the observation space of an agent that acts for all cars: the global state, all masks and all images."""
+def central_space(
+    task: Task, images: Images | None = None, n_actions: int = N_ACTIONS, extras: Spaces | None = None
+) -> spaces.Dict:
+    """Return the observation space of an agent that acts for all cars: the global state, and all that each observes."""
+    n_cars = task.layout.n_cars
     return spaces.Dict(
         {
             "observation": state_space(task),
-            "action_mask": spaces.Box(0, 1, (task.layout.n_cars, n_actions), np.int8),
-            **({} if images is None else images.spaces(task.layout.n_cars)),
+            "action_mask": spaces.Box(0, 1, (n_cars, n_actions), np.int8),
+            **({} if images is None else images.spaces(n_cars)),
+            **{key: batch_space(space, n_cars) for key, space in (extras or {}).items()},
         }
     )
+
+
+def extra_spaces(task: Task, form: ActionForm, radius: int | None) -> Spaces:
+    """Return the spaces of what a car observes for its action form, and of its local view if it has a radius."""
+    if radius is None:
+        return form.spaces()
+    width, levels = 2 * radius + 1, task.starts[0].size[2] + 1
+    view = spaces.Box(0, max(max(Kind), 3), (width, width, levels, CHANNELS), np.int8)
+    return form.spaces() | {"local_view": view}
+
+
+def extras(episodes: Episodes, form: ActionForm, radius: int | None) -> Observation:
+    """Return what :func:`extra_spaces` are the spaces of, each (B, n, ...), after the masks."""
+    if radius is None:
+        return form.observed(episodes)
+    return form.observed(episodes) | {"local_view": local_views(episodes.grids, episodes.designs, radius)}
 
 
 def joint_action_space(task: Task, n_actions: int = N_ACTIONS) -> spaces.MultiDiscrete:
@@ -139,6 +167,34 @@ def _choose(name: str, value: object, known: tuple[str, ...]) -> None:
         raise InputError(
             f"unknown {name} '{value}'{suggestion(str(value), known)}; there are {', '.join(known)}"
         )
+
+
+def local_views(grids: Grid, designs: Targets, radius: int) -> NDArray[np.int8]:
+    """Return (B, n, 2 * radius + 1, 2 * radius + 1, H + 1, 6): the cells around each car, along x, y and z from 1.
+
+    The last dimension is the cell's kind, a wall outside the map, and its yaw; whether a car is there, 1, or the car
+    itself, 2, and its yaw and load; and the kind to be built there, ``designs`` (B, T, 5), AIR where nothing is. Kinds
+    are :class:`craftsim.discrete.grid.Kind`; directions are those of the map, as moves are.
+    """
+    length, width, height = grids.size
+    world = np.zeros((len(grids), length + 2 * radius, width + 2 * radius, height + 2, CHANNELS), np.int8)
+    world[..., 0] = Kind.WALL
+    inside = world[:, radius : radius + length, radius : radius + width]
+    inside[..., 0] = Kind.AIR
+    inside[..., : height + 1, 0], inside[..., : height + 1, 1] = grids.kind, grids.yaw
+    cars = grids.cars.astype(np.int64)
+    each = np.arange(len(grids))[:, None]
+    x, y, z = cars[..., F_X], cars[..., F_Y], cars[..., F_Z]
+    inside[each, x, y, z, 2] = 1
+    inside[each, x, y, z, 3:5] = cars[..., [F_YAW, F_LOAD]]
+    kind, goal_x, goal_y, goal_z, _ = np.moveaxis(designs, -1, 0)
+    wanted = np.nonzero(kind)
+    inside[wanted[0], goal_x[wanted], goal_y[wanted], goal_z[wanted], 5] = kind[wanted]
+    span = np.arange(2 * radius + 1)
+    columns = (x[..., None] + span)[..., :, None], (y[..., None] + span)[..., None, :]
+    views = world[each[..., None, None], *columns][..., 1:, :]
+    np.put_along_axis(views[:, :, radius, radius, :, 2], z[..., None] - 1, 2, -1)
+    return views
 
 
 def entity_sets(

@@ -13,6 +13,9 @@ from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.own_actions import as_own
 from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.tasks import Task
+from craftsim.envs.actions import ActionForm
+from craftsim.envs.object_choice import ChoiceForm, ObjectChoice
 from craftsim.envs.observations import Images, Observe
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Drive, Machines
@@ -34,7 +37,7 @@ RENDER_FPS: Final = 2
 MOTION_FPS: Final = 10
 """Pictures a simulated second of the motion between two ticks (``rgb_array_list`` in physics)."""
 
-BATCH_OPTIONS: Final = ("rule_set", "helper_depth", "time_weight", "actions")
+BATCH_OPTIONS: Final = ("rule_set", "helper_depth", "time_weight", "actions", "object_choice", "local_view")
 """What a batch of grid worlds takes."""
 _GRID_OPTIONS: Final = (*BATCH_OPTIONS, "backend", "render_mode", "observe")
 """What the grid backend takes."""
@@ -91,8 +94,15 @@ class Options:
     actions: Annotated[tuple[Action, ...], BeforeValidator(as_own)] = ()
     """Registered actions (:func:`craftsim.register_action`), or their names, that are offered after the 15, in this
     order: the action space has so many more."""
+    object_choice: InstanceOf[ObjectChoice] | None = None
+    """Blocks, slopes and free cells that cars may choose to drive to, offered after all other actions; it needs the
+    action helper."""
+    local_view: Annotated[int, Range(0, 64)] | None = None
+    """Radius of the window around each car that is observed as ``local_view``, in cells along x and y."""
 
     def __post_init__(self) -> None:
+        if self.object_choice is not None and self.helper_depth is None:
+            raise ValueError("object_choice needs the action helper; give helper_depth, 20 for instance")
         if self.backend == "physics":
             for action in self.actions:
                 if not ACTIONS[action].performed:
@@ -111,6 +121,12 @@ class Options:
         for name in names:
             if getattr(self, name) is not None:
                 raise InputError(f"{form} knows no '{name}'; leave it out")
+
+    def action_form(self, task: Task) -> ActionForm:
+        """Return the action form of a task."""
+        if self.object_choice is None:
+            return ActionForm(self.actions)
+        return ChoiceForm(self.actions, self.object_choice, task)
 
     @property
     def shows_motion(self) -> bool:

@@ -13,7 +13,7 @@ from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import by_agent
 from craftsim.envs.backend import Backend
 from craftsim.envs.core import SingleWorld
-from craftsim.envs.observations import Observation, car_space, state_space
+from craftsim.envs.observations import Observation, car_space, extra_spaces, state_space
 from craftsim.envs.options import Options
 
 
@@ -40,9 +40,11 @@ class ParallelConstruction(SingleWorld, ParallelEnv[str, Observation, int]):
         self.possible_agents = [f"car_{car}" for car in range(self.core.n_cars)]
         self.agents: list[str] = []
         self.state_space = state_space(self.core.task)
-        n, own = self.core.form.n_actions, None if options.observe is None else options.observe.space
+        task, form = self.core.task, self.core.form
+        n, own = form.n_actions, None if options.observe is None else options.observe.space
+        beside = extra_spaces(task, form, options.local_view)
         self._observation_spaces = {
-            agent: car_space(self.core.task, own, options.images, n) for agent in self.possible_agents
+            agent: car_space(task, own, options.images, n, beside) for agent in self.possible_agents
         }
         self._action_spaces = {agent: spaces.Discrete(n) for agent in self.possible_agents}
 
@@ -96,6 +98,7 @@ class ParallelConstruction(SingleWorld, ParallelEnv[str, Observation, int]):
             seen = [options.observe.of(grid, car) for car in range(core.n_cars)]
         of_cars = {
             agent: {"observation": seen[car], "action_mask": mask}
+            | {key: array[car].copy() for key, array in core.extras.items()}
             for car, (agent, mask) in enumerate(zip(self.possible_agents, core.masks.copy(), strict=True))
         }
         if options.images is not None:

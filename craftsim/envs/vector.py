@@ -20,9 +20,9 @@ from craftsim.discrete.schedule import tick_durations
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
-from craftsim.envs.actions import ActionForm, checked, illegal
+from craftsim.envs.actions import checked, illegal
 from craftsim.envs.central import CentralConstruction
-from craftsim.envs.observations import Observation, central_space, joint_action_space
+from craftsim.envs.observations import Observation, central_space, extra_spaces, extras, joint_action_space
 from craftsim.envs.options import BATCH_OPTIONS, BatchOptions, Options
 from craftsim.errors import CraftsimError, InputError
 from craftsim.workers.actor import Actor, WorkerDiedError
@@ -55,9 +55,11 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         """Make the spaces; raises InputError for a task that there is not."""
         self.task = as_task(task)
         self.num_envs = num_envs
-        self.form = ActionForm(options.actions)
+        self.form = options.action_form(self.task)
+        self._radius = options.local_view
         layout, n_actions = self.task.layout, self.form.n_actions
-        self.single_observation_space = central_space(self.task, options.images, n_actions)
+        beside = extra_spaces(self.task, self.form, options.local_view)
+        self.single_observation_space = central_space(self.task, options.images, n_actions, beside)
         self.single_action_space = joint_action_space(self.task, n_actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -148,10 +150,13 @@ class GridVectorEnv(TaskVectorEnv):
     def _look(self) -> None:
         self._masks = self.form.masks(self.episodes)
         self._rows = self.episodes.entity_rows()
+        self._extras = extras(self.episodes, self.form, self._radius)
 
     @property
     def _seen(self) -> Observation:
-        return {"observation": self._rows.reshape(self.num_envs, -1), "action_mask": self._masks}
+        rows = self._rows.reshape(self.num_envs, -1)
+        seen: Observation = {"observation": rows, "action_mask": self._masks}
+        return seen | self._extras
 
     def _observe(self) -> Observation:
         # Copies, for the next step is judged by these masks, and car_vectors() reads these rows.

@@ -21,7 +21,7 @@ from .discrete.tasks.task import make_task as make_task
 from .envs import env as env
 from .envs import parallel_env as parallel_env
 from .envs import vector_env as vector_env
-from .envs.viewing import view as view
+from .envs.physics_backend import view as view
 from .mjcf.machine_files import load_machines as load_machines
 from .mjcf.parameters import BlockParameters as BlockParameters
 from .mjcf.parameters import Machines as Machines

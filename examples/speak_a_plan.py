@@ -1,9 +1,7 @@
 """Build in words: whoever reads the world answers what the cars do, as a language model would; here the planner."""
 
-from craftsim.envs.answers import answer_text
-from craftsim.envs.conversation import converse
 from craftsim.envs.planner import PlannerPolicy
-from craftsim.envs.text import TextConstruction
+from craftsim.envs.text import TextConstruction, answer_text, converse
 
 env = TextConstruction("strip", backend="physics")
 agents = [f"car_{car}" for car in range(env.core.n_cars)]

@@ -21,6 +21,7 @@ from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.task import TASK_NAMES
 from craftsim.envs import vector_env
+from craftsim.envs.object_choice import ObjectChoice
 from craftsim.mjcf.parameters import DRIVES
 from craftsim.planning import plan_building
 from craftsim.skills.mecanum import Mecanum
@@ -32,6 +33,7 @@ def main() -> None:
     for name, options in (
         ("simple_two_story", {"rule_set": "physical"}),
         ("strip", {"rule_set": "published", "helper_depth": 2}),
+        ("strip", {"helper_depth": 2, "object_choice": ObjectChoice()}),
     ):
         task = make_task(name)
         envs = vector_env(task, 1, "grid", **options)

@@ -14,7 +14,6 @@ from craftsim.rendering.trajectory import Trajectory
 from craftsim.reports.json_file import SCHEMA_VERSION
 
 NAME = "simple_two_story"
-OPTIONS = {"blueprint": "start", "goal": "goal", "plan": "plan"}
 """What names each file on the command line."""
 
 FLAT = """\
@@ -218,7 +217,7 @@ WRONG = [
 def test_a_wrong_file_gives_one_message_with_file_and_line(tmp_path, which, text, at, message):
     good = {"start": FLAT, "goal": GOAL, "plan": CARRY}
     words = _write(tmp_path, **(good | {which: text}))
-    wrong = words[words.index(f"--{OPTIONS[which]}") + 1]
+    wrong = words[words.index(f"--{which}") + 1]
     out = tmp_path / "out"
     result = _demo("--no-video", "--out", out, *words)
     assert result.returncode == 2
@@ -232,7 +231,7 @@ def test_a_wrong_file_gives_one_message_with_file_and_line(tmp_path, which, text
 @pytest.mark.parametrize("which", ["start", "goal", "plan"])
 def test_a_missing_file_gives_one_message_with_its_name(tmp_path, which):
     words = _write(tmp_path, blueprint=FLAT, goal=GOAL, plan=CARRY)
-    missing = Path(words[words.index(f"--{OPTIONS[which]}") + 1])
+    missing = Path(words[words.index(f"--{which}") + 1])
     missing.unlink()
     out = tmp_path / "out"
     result = _demo("--no-video", "--out", out, *words)

@@ -5,6 +5,10 @@ Importing this package registers ``craftsim/SimpleTwoStory-v0`` and its like wit
 
 from __future__ import annotations
 
+import sys
+import warnings
+from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 import gymnasium
@@ -53,7 +57,7 @@ def parallel_env(
     from craftsim.envs.options import Options
     from craftsim.envs.parallel import ParallelConstruction
 
-    return ParallelConstruction(as_task(task, n_cars, n_blocks), Options.named(backend=backend, **options))
+    return ParallelConstruction(as_task(task, n_cars, n_blocks), Options(backend=backend, **options))
 
 
 def env(task: Task | str, backend: BackendName = "physics", **options: Any) -> AECEnv[str, Any, Any]:
@@ -96,8 +100,8 @@ def vector_env(
         workers: physics only: how many processes share the worlds, one for each processor unless given; no number
             depends on it.
         engine: physics only: processes of this machine, or actors of an existing Ray cluster.
-        options: on the grid ``rule_set``, ``helper_depth``, ``time_weight`` and ``actions``; in physics the fields of
-            :class:`craftsim.envs.options.Options`, ``observe`` aside.
+        options: the other fields of :class:`craftsim.envs.options.Options`: in physics all but ``observe``, on the grid
+            those that its ``BATCH_OPTIONS`` name.
 
     Raises:
         InputError: there is no such task, backend, option or option value.
@@ -109,33 +113,26 @@ def vector_env(
         >>> observations["action_mask"].shape
         (8, 2, 15)
     """
-    from craftsim.envs.options import Options
+    from craftsim.envs.vector import GridVectorEnv, PhysicsVectorEnv
 
-    Options.named(backend=backend, **options)
     task = as_task(task, n_cars, n_blocks)
     if backend == "physics":
-        from craftsim.envs.physics_vector import PhysicsVectorEnv
-
         return PhysicsVectorEnv(task, num_envs, workers=workers, engine=engine, **options)
-    from craftsim.envs.vector import GridVectorEnv
-
-    given = {"workers": workers is not None, "engine": engine != "local"}
-    for name in [*(name for name, is_given in given.items() if is_given), *options]:
-        if name not in ("rule_set", "helper_depth", "time_weight", "actions"):
+    for name, is_given in (("workers", workers is not None), ("engine", engine != "local")):
+        if is_given:
             raise InputError(f"a batch of grid worlds knows no '{name}'; leave it out")
-    return GridVectorEnv(task, num_envs, **options)
+    return GridVectorEnv(task, num_envs, backend=backend, **options)
 
 
 GYMNASIUM_IDS: Final[dict[str, str]] = {}
-"""What tasks are called in ``gymnasium.make`` and ``gymnasium.make_vec``, by their names."""
+"""The ids of tasks in ``gymnasium.make`` and ``gymnasium.make_vec``, by the tasks' names."""
 
 
 def _add_id(task: Task | str) -> None:
     name = task if isinstance(task, str) else task.name
     GYMNASIUM_IDS[name] = gymnasium_id(name)
-    gymnasium.registry.pop(
-        GYMNASIUM_IDS[name], None
-    )  # a task that is registered again replaces the first one
+    # A task that is registered again replaces the first one.
+    gymnasium.registry.pop(GYMNASIUM_IDS[name], None)
     gymnasium.register(
         GYMNASIUM_IDS[name],
         entry_point="craftsim.envs.central:CentralConstruction",
@@ -147,3 +144,26 @@ def _add_id(task: Task | str) -> None:
 for _name in (*TASK_NAMES, *VARIED_NAMES):
     _add_id(_name)
 on_registration(_add_id)
+
+
+class _Moved(ModuleType):
+    """A module of 0.2, which goes on working until 0.4: its names are in another one now."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        now = f"craftsim.envs.{_NOW_IN[self.__name__.rpartition('.')[2]]}"
+        warnings.warn(f"{self.__name__}.{name} is {now}.{name} now", DeprecationWarning, stacklevel=2)
+        return getattr(import_module(now), name)
+
+
+_NOW_IN: Final = {
+    "answers": "text",
+    "collecting": "datasets",
+    "conversation": "text",
+    "entity_sets": "observations",
+    "images": "observations",
+    "observe": "observations",
+    "physics_vector": "vector",
+}
+sys.modules.update({f"{__name__}.{old}": _Moved(f"{__name__}.{old}") for old in _NOW_IN})

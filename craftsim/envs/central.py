@@ -9,46 +9,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.tasks import Task
-from craftsim.envs.core import Core
-from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
-from craftsim.envs.spaces import central_space, joint_action_space
+from craftsim.envs.core import SingleWorld
+from craftsim.envs.observations import Observation, central_space, extra_spaces, joint_action_space
+from craftsim.envs.options import Options
 from craftsim.errors import InputError
 
-Observation = dict[str, NDArray[Any]]
 
-
-class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
-    """A task for one who sees the global state and chooses an action for every car."""
-
-    metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
-        "render_modes": list(RENDER_MODES),
-        "render_fps": RENDER_FPS,
-    }
+class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
+    """A task for one agent that sees the global state and chooses an action for every car."""
 
     def __init__(self, task: Task | str, render_mode: Any = None, **options: Any) -> None:
         """Prepare a task; ``options`` are the fields of :class:`craftsim.envs.options.Options`, ``observe`` aside.
 
         Raises InputError for a task, an option or an option value that there is not.
         """
-        chosen = Options.named(render_mode=render_mode, **options)
+        chosen = Options(render_mode=render_mode, **options)
         if chosen.observe is not None:
             raise InputError(
                 "'observe' is what single cars observe, in the PettingZoo forms; "
                 "here wrap the environment in gymnasium.wrappers.TransformObservation"
             )
-        self.core = Core(task, chosen)
-        self.metadata = type(self).metadata | {"render_fps": chosen.render_fps}
-        self.render_mode = render_mode
-        n_actions = len(self.core.rules.actions)
-        self.observation_space = central_space(self.core.task, chosen.images, n_actions)
-        self.action_space = joint_action_space(self.core.task, n_actions)
+        self._prepare(task, chosen)
+        self.render_mode = chosen.render_mode
+        played, form = self.core.task, self.core.form
+        beside = extra_spaces(played, form, chosen.local_view)
+        self.observation_space = central_space(played, chosen.images, form.n_actions, beside)
+        self.action_space = joint_action_space(played, form.n_actions)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
-        super().reset(seed=seed)
         self.core.reset(seed, options)
+        super().reset(seed=seed)
         return self._observe(), {"action_mask": self.core.masks.copy()}
 
     def step(self, action: NDArray[np.int64]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -64,22 +57,12 @@ class CentralConstruction(gymnasium.Env[Any, NDArray[np.int64]]):
         return self._observe(), result.reward, result.terminated, result.truncated, info
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Return what is offered now, shape (n * actions,): the masks of the cars one after the other, as MaskablePPO
+        """Return the offered actions, shape (n * actions,): the masks of the cars one after the other, as MaskablePPO
         of sb3-contrib asks for them."""
         return self.core.masks.astype(np.bool_).ravel()
 
     def _observe(self) -> Observation:
         observation: Observation = {"observation": self.core.state(), "action_mask": self.core.masks.copy()}
+        observation |= {key: array.copy() for key, array in self.core.extras.items()}
         images = self.core.options.images
         return observation if images is None else observation | images.of_all(self.core.images)
-
-    def render(self) -> Any:
-        """Return a picture (``rgb_array``), all since the last call (``rgb_array_list``) or text (``ansi``).
-
-        ``human`` shows every tick by itself.
-        """
-        return self.core.render()
-
-    def close(self) -> None:
-        """Release what rendering holds."""
-        self.core.close()

@@ -11,16 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.blueprint import read_blueprint
-from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
-from craftsim.discrete.tasks.rewards import Reward, Transition
+from craftsim.discrete.tasks.rewards import Reward
 from craftsim.discrete.tasks.starts import Starts, Targets
-from craftsim.envs.actions import checked, illegal, numbers_of
-from craftsim.envs.backend import Backend, Tick
-from craftsim.envs.options import Options
+from craftsim.envs.actions import checked, illegal
+from craftsim.envs.backend import Backend, Tick, make_backend
+from craftsim.envs.observations import Observation, extras
+from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
 from craftsim.errors import InputError
 
 _ONE: Final = np.zeros(1, np.int64)
@@ -53,8 +54,9 @@ class Core:
         self.options = options
         self.layout = self.task.layout
         self.n_cars = self.layout.n_cars
-        self.backend = backend or options.make_backend(self.task)
+        self.backend = backend or make_backend(self.task, options)
         self.rules = Rules(options.rule_set, actions=options.actions)
+        self.form = options.action_form(self.task)
         self.played = self.task
         """The task of the running episode: the task, or where each has a design of its own, the one with that."""
         self._episodes: Episodes | None = None
@@ -72,7 +74,10 @@ class Core:
 
     @property
     def episodes(self) -> Episodes:
-        """The episode, a batch of one: the world as it is seen, with the queues of the action helper."""
+        """The episode, a batch of one: the world as it is seen, with the queues of the action helper.
+
+        Raises InputError before the first reset.
+        """
         if self._episodes is None:
             raise InputError(_RESET_FIRST)
         return self._episodes
@@ -125,12 +130,15 @@ class Core:
 
     def _look(self) -> None:
         """Bring what the cars observe up to date; callers get copies, for the next tick is judged by these."""
-        self.masks: NDArray[np.int8] = self.episodes.offered()[0].view(np.int8)
-        """(n, 15 or more): what each car is offered; STOP, which does nothing, where the rules leave it nothing."""
+        self.masks: NDArray[np.int8] = self.form.masks(self.episodes)[0]
+        """(n, n_actions): what each car is offered."""
         self.rows: NDArray[np.int32] = self.episodes.entity_rows()[0]
         """(n_observed, 13): what is where, and what is to be built where that is shown."""
-        self.images = self.backend.images()
-        """What cameras see, by kind of image, of each camera."""
+        seen = extras(self.episodes, self.form, self.options.local_view)
+        self.extras: Observation = {key: array[0] for key, array in seen.items()}
+        """By key, (n, ...): what each car observes beside these."""
+        self.images: Observation = self.backend.images()
+        """The images of all cameras, by kind."""
 
     def vectors(self) -> NDArray[np.int32]:
         """Return (n, length): each car's observation, its own row first."""
@@ -160,19 +168,18 @@ class Core:
         or more with registered actions.
         """
         self.require_episode()
-        chosen = checked(actions, (self.n_cars,), len(self.rules.actions))
-        episodes, offered = self.episodes, self.masks
-        queued = None if episodes.depth is None else episodes.queue[0, :, 0] >= 0
+        chosen = checked(actions, (self.n_cars,), self.form.n_actions)[None]
+        episodes, offered = self.episodes, self.masks[None]
+        acting, queued = self.form.begin(episodes, chosen)
         order = self._rng.permutation(self.n_cars)
-        acting = numbers_of(chosen, self.rules.own, queued)
         before = None if isinstance(self.task.reward, Reward) else self.grid
-        tick = self.backend.tick(episodes, acting, order)
-        seen = [] if before is None else [self._transition(before, acting, tick)]
+        tick = self.backend.tick(episodes, acting[0], order)
+        seen = [] if before is None else [self._transition(before, acting[0], tick)]
         steps = episodes.score(tick.applied[None], order[None], not tick.problems, seen)
         success, over = bool(steps.success[0]), bool(steps.done[0])
         self._look()
         self._show()
-        wrong = illegal(chosen, tick.applied, offered, queued)
+        wrong = illegal(chosen, tick.applied[None], offered, queued)[0]
         shared = {"success": success, "duration_s": tick.duration_s, "problems": tick.problems}
         extras = tick.of_car or ({},) * self.n_cars
         infos = [
@@ -182,33 +189,33 @@ class Core:
         terminated = success and self.task.ends_on_success
         truncated = not terminated and (over or bool(tick.problems))
         self._runs = not (terminated or truncated)
-        return CoreStep(
-            reward=float(steps.reward[0]) - self.options.time_weight * tick.duration_s,
-            terminated=terminated,
-            truncated=truncated,
-            infos=infos,
-            order=order,
-        )
+        reward = float(steps.reward[0]) - self.options.time_weight * tick.duration_s
+        return CoreStep(reward, terminated, truncated, infos, order)
 
-    def _transition(self, before: Grid, acting: NDArray[np.int64], tick: Tick) -> Transition:
+    def _transition(self, before: Grid, acting: NDArray[np.int64], tick: Tick) -> Any:
         judged = {"attempts": tick.attempts, "contacts": tick.contacts, "problems": tick.problems}
         seconds = np.array(tick.durations_s)
         return self.episodes.transition(0, before, acting, tick.applied, seconds, tick.duration_s, **judged)
 
     def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | str | None:
-        """Return what ``render_mode`` says: a picture (height, width, 3), pictures, text, or nothing if it is shown.
-
-        ``rgb_array_list`` returns the pictures since the last call, or since the reset if that was later.
-        """
+        """Return what ``render_mode`` says; see :meth:`SingleWorld.render`."""
         mode, goal = self.options.render_mode, self.layout.goal
         if mode == "rgb_array":
             return self.backend.picture(self.grid, goal)
         if mode == "rgb_array_list":
             taken, self._pictures = self._pictures, []
             return taken
-        if mode == "ansi":
-            return _ansi(self.grid, goal)
-        return None
+        return self._text() if mode == "ansi" else None
+
+    def _text(self) -> str:
+        from rich.console import Console
+
+        from craftsim.discrete.drawing import world_text
+
+        text = StringIO()
+        console = Console(file=text, force_terminal=True, color_system="standard", highlight=False, width=200)
+        console.print(world_text(self.grid, self.layout.goal), end="")
+        return text.getvalue()
 
     def _show(self) -> None:
         mode, goal = self.options.render_mode, self.layout.goal
@@ -217,18 +224,32 @@ class Core:
         elif mode == "rgb_array_list":
             self._pictures += self.backend.pictures(self.grid, goal)
 
+
+class SingleWorld:
+    """What the forms of one world share, whatever their interface."""
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
+        "render_modes": list(RENDER_MODES),
+        "render_fps": RENDER_FPS,
+    }
+
+    def _prepare(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
+        self.core = Core(task, options, backend)
+        self.metadata = type(self).metadata | {"render_fps": options.render_fps}
+
+    @property
+    def grid(self) -> Grid:
+        """A copy of the world as it is seen."""
+        return self.core.grid
+
+    def render(self) -> Any:
+        """Return a picture (height, width, 3) (``rgb_array``), several (``rgb_array_list``) or text (``ansi``).
+
+        ``rgb_array_list`` returns the pictures since the last call, or since the reset if that was later; ``human``
+        shows every tick by itself.
+        """
+        return self.core.render()
+
     def close(self) -> None:
-        """Release what rendering holds."""
-        self.backend.close()
-
-
-def _ansi(grid: Grid, goal: Cell | None) -> str:
-    from rich.console import Console
-
-    from craftsim.discrete.drawing import world_text
-
-    text = StringIO()
-    Console(file=text, force_terminal=True, color_system="standard", highlight=False, width=200).print(
-        world_text(grid, goal), end=""
-    )
-    return text.getvalue()
+        """Release what rendering holds, and write what is recorded."""
+        self.core.backend.close()

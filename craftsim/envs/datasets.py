@@ -1,4 +1,4 @@
-"""Episodes as a Minari dataset: what a planner, a plan or a policy did, for offline learning."""
+"""What play leaves for learning: episodes as a Minari dataset, and the worlds that were reached, as starts."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.grid import Grid
 from craftsim.discrete.tasks import TASK_NAMES, Task, make_task
+from craftsim.envs.observations import Observation, central_space, joint_action_space
 from craftsim.envs.options import Options
-from craftsim.envs.parallel import Observation, ParallelConstruction
-from craftsim.envs.spaces import central_space, joint_action_space
+from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
 from craftsim.extras import need
 from craftsim.storage.folders import LOCK, owned, remove
@@ -33,12 +34,36 @@ MakeAct = Callable[[int], Act]
 """Makes the policy of an episode, given the episode's seed."""
 
 DATASET_NAME: Final = re.compile(r"(?:[-\w]+/)*[-\w]+-v[0-9]+")
-"""What Minari calls a dataset: folders, a name and a version."""
+"""How Minari names a dataset: folders, a name and a version."""
+
+
+def reached_worlds(env: ParallelConstruction, act: Act, ticks: int, seed: int | None = None) -> list[Grid]:
+    """Return the distinct worlds that an environment comes by, in the order in which it first does.
+
+    Ends of episodes and worlds that cannot be read as a grid are left out.
+    :func:`craftsim.discrete.tasks.starts.save_starts` keeps the worlds in a file.
+
+    Args:
+        env: in physics, with noise and a randomization, it reaches the worlds that real skills lead to.
+        act: the policy.
+        ticks: how many ticks to play, over as many episodes as that takes.
+        seed: seed of the environment.
+    """
+    found: dict[bytes, Grid] = {}
+    observations, _ = env.reset(seed=seed)
+    for _ in range(ticks):
+        observations = env.step(act(observations))[0]
+        if env.agents:
+            grid = env.grid
+            found.setdefault(grid.kind.tobytes() + grid.yaw.tobytes() + grid.cars.tobytes(), grid)
+        else:
+            observations, _ = env.reset()
+    return list(found.values())
 
 
 @dataclass(frozen=True)
 class Exported:
-    """What a dataset holds."""
+    """A dataset that was written."""
 
     path: Path
     """Its folder."""
@@ -76,7 +101,7 @@ def write_dataset(
         name: such as ``craftsim/strip/planner-v0``.
         episodes: how many, 1 or more.
         seed: of the first episode.
-        algorithm: what Minari should call the policy.
+        algorithm: Minari's name of the policy.
         progress: called after each episode with whether it reached the goal.
 
     Raises InputError where Minari is not installed, for a name that is none, where the dataset exists already, while
@@ -91,14 +116,15 @@ def write_dataset(
     SEED.check("the seed of the last episode", seed + episodes - 1)
     # Minari takes what is relative twice over.
     target, task = Path(folder).absolute() / name, env.core.task
+    described = f"{task.name} on {env.core.options.backend}, played by {algorithm or 'a policy'}"
+    steps, successes, n_actions = 0, 0, env.core.form.n_actions
     with owned(target), _whole_folder(target, "data") as partial:
         storage = MinariStorage.new(
             partial,
-            observation_space=central_space(task),
-            action_space=joint_action_space(task),
+            observation_space=central_space(task, n_actions=n_actions),
+            action_space=joint_action_space(task, n_actions),
             env_spec=_env_spec(env),
         )
-        described = f"{task.name} on {env.core.options.backend}, played by {algorithm or 'a policy'}"
         storage.update_metadata(
             {
                 "dataset_id": name,
@@ -107,12 +133,12 @@ def write_dataset(
                 "description": f"craftsim: {described}; starts and design have the digest {task.digest}",
             }
         )
-        steps = successes = 0
-        for buffer in _episodes(env, make_act, episodes, seed):
-            storage.update_episodes([buffer])
-            assert buffer.infos is not None
-            success = bool(buffer.infos["success"][-1])
-            steps += len(buffer.rewards)
+        for number in range(seed, seed + episodes):
+            played = _episode(env, make_act(number), number)
+            storage.update_episodes([played])
+            assert played.infos is not None
+            success = bool(played.infos["success"][-1])
+            steps += len(played.rewards)
             successes += success
             progress(success)
     return Exported(target, episodes, steps, successes)
@@ -145,56 +171,46 @@ def _whole_folder(target: Path, name: str) -> Iterator[Path]:
         ) from error
 
 
-def _episodes(
-    env: ParallelConstruction, make_act: MakeAct, episodes: int, seed: int
-) -> Iterator[EpisodeBuffer]:
+def _episode(env: ParallelConstruction, act: Act, seed: int) -> EpisodeBuffer:
+    """Play an episode, and return it as Minari stores it."""
+    # Minari's own DataCollector would need JAX.
     from minari.data_collector import EpisodeBuffer
 
-    n_cars = env.core.n_cars
-    for number in range(seed, seed + episodes):
-        act = make_act(number)
-        observations, _ = env.reset(seed=number)
-        states, masks = [env.state()], [env.core.masks.copy()]
-        actions: list[NDArray[np.int64]] = []
-        rewards, ends, cuts = [], [], []
-        told = [
-            {
-                "success": False,
-                "duration_s": 0.0,
-                "illegal": [False] * n_cars,
-                "as_predicted": [True] * n_cars,
-            }
-        ]
-        while env.agents:
-            agents = env.agents
-            chosen = act(observations)
-            observations, earned, terminated, truncated, infos = env.step(chosen)
-            actions.append(np.array([chosen[agent] for agent in agents], np.int64))
-            states.append(env.state())
-            masks.append(env.core.masks.copy())
-            rewards.append(earned[agents[0]])
-            ends.append(terminated[agents[0]])
-            cuts.append(truncated[agents[0]])
-            told.append(_told([infos[agent] for agent in agents]))
-        yield EpisodeBuffer(
-            seed=number,
-            observations={"observation": np.array(states), "action_mask": np.array(masks)},
-            actions=np.array(actions),
-            rewards=rewards,
-            terminations=ends,
-            truncations=cuts,
-            infos={key: np.array([one[key] for one in told]) for key in told[0]},
-        )
+    observations, infos = env.reset(seed=seed)
+    states, masks, told = [env.state()], [env.core.masks.copy()], [_told(infos)]
+    actions: list[NDArray[np.int64]] = []
+    outcomes: list[tuple[float, bool, bool]] = []
+    while env.agents:
+        agents, chosen = env.agents, act(observations)
+        observations, earned, ended, cut, infos = env.step(chosen)
+        actions.append(np.array([chosen[agent] for agent in agents], np.int64))
+        states.append(env.state())
+        masks.append(env.core.masks.copy())
+        outcomes.append((earned[agents[0]], ended[agents[0]], cut[agents[0]]))
+        told.append(_told(infos))
+    rewards, ends, cuts = (list(column) for column in zip(*outcomes, strict=True))
+    return EpisodeBuffer(
+        seed=seed,
+        observations={"observation": np.array(states), "action_mask": np.array(masks)},
+        actions=np.array(actions),
+        rewards=rewards,
+        terminations=ends,
+        truncations=cuts,
+        infos={key: np.array([one[key] for one in told]) for key in told[0]},
+    )
 
 
-def _told(infos: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return what a dataset keeps of the cars' infos."""
+def _told(infos: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return what a dataset keeps of the infos of the cars; those of a reset lack most."""
+    by_car = list(infos.values())
+    wrong = [info.get("illegal", False) for info in by_car]
+    results = [info.get("result", "as predicted") for info in by_car]
     return {
-        "success": infos[0]["success"],
-        "duration_s": infos[0]["duration_s"],
-        "illegal": [info["illegal"] for info in infos],
+        "success": by_car[0].get("success", False),
+        "duration_s": by_car[0].get("duration_s", 0.0),
+        "illegal": wrong,
         "as_predicted": [
-            not info["illegal"] and info.get("result", "as predicted") == "as predicted" for info in infos
+            not one and result == "as predicted" for one, result in zip(wrong, results, strict=True)
         ],
     }
 
@@ -209,7 +225,7 @@ def _env_spec(env: ParallelConstruction) -> EnvSpec | None:
     plain: dict[str, Any] = {
         name: getattr(options, name) for name in ("backend", "rule_set", "helper_depth", "drive")
     }
-    if task.name not in TASK_NAMES or Options.named(**plain) != options:
+    if task.name not in TASK_NAMES or Options(**plain) != options:
         return None
     if _made_of(task) != _made_of(make_task(task.name)):
         return None

@@ -2,220 +2,149 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from importlib import import_module
+import dataclasses
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import Annotated, Any, Final, Literal, get_args
+
+from pydantic import AfterValidator, BeforeValidator, InstanceOf
 
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.own_actions import as_own
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
-from craftsim.envs.backend import MOTION_FPS, Backend
-from craftsim.envs.grid_backend import GridBackend
-from craftsim.envs.images import Images
-from craftsim.envs.observe import Observe
-from craftsim.errors import InputError, suggestion
-
-if TYPE_CHECKING:
-    from craftsim.mjcf.parameters import Drive, Machines
-    from craftsim.models.config import SimulationConfig
-    from craftsim.models.randomization import DomainRandomization
-    from craftsim.models.sensing import SensorNoise
-    from craftsim.models.world import PhysicsWorld
-    from craftsim.skills.gains import Gains
-    from craftsim.skills.library import SkillChoice
+from craftsim.envs.actions import ActionForm
+from craftsim.envs.object_choice import ChoiceForm, ObjectChoice
+from craftsim.envs.observations import Images, Observe
+from craftsim.errors import InputError
+from craftsim.mjcf.parameters import Drive, Machines
+from craftsim.models.config import SimulationConfig
+from craftsim.models.randomization import DomainRandomization
+from craftsim.models.sensing import SensorNoise
+from craftsim.models.world import PhysicsWorld
+from craftsim.skills.gains import Gains
+from craftsim.skills.library import own_skills
+from craftsim.storage.limits import HELPER_DEPTH, WORKERS, Range
+from craftsim.storage.records import record
+from craftsim.workers.pool import Engine
 
 BackendName = Literal["physics", "grid"]
 RenderMode = Literal["rgb_array", "rgb_array_list", "human", "ansi"]
 RENDER_MODES: Final[tuple[str, ...]] = get_args(RenderMode)
 RENDER_FPS: Final = 2
 """Pictures a second in films of one picture a tick, which is about what a move takes."""
+MOTION_FPS: Final = 10
+"""Pictures a simulated second of the motion between two ticks (``rgb_array_list`` in physics)."""
 
-_PHYSICS_KINDS: Final = {
-    "noise": ("craftsim.models.sensing", "SensorNoise"),
-    "assumed": ("craftsim.models.sensing", "SensorNoise"),
-    "randomization": ("craftsim.models.randomization", "DomainRandomization"),
-    "config": ("craftsim.models.config", "SimulationConfig"),
-    "gains": ("craftsim.skills.gains", "Gains"),
-    "machines": ("craftsim.mjcf.parameters", "Machines"),
-}
-_PHYSICS_ONLY: Final = (
-    *_PHYSICS_KINDS,
-    "drive",
-    "skills",
-    "render_camera",
-    "render_size",
-    "record",
-    "images",
-)
+BATCH_OPTIONS: Final = ("rule_set", "helper_depth", "time_weight", "actions", "object_choice", "local_view")
+"""What a batch of grid worlds takes."""
+_GRID_OPTIONS: Final = (*BATCH_OPTIONS, "backend", "render_mode", "observe")
+"""What the grid backend takes."""
+_Pixels = Annotated[int, Range(1)]
 
 
-@dataclass(frozen=True)
+def _path(value: object) -> object:
+    return Path(value) if isinstance(value, str) else value
+
+
+@record()
 class Options:
     """How an environment works, on top of its task; docs/envs.md explains each. Raises InputError for a bad value."""
 
     backend: BackendName = "physics"
     rule_set: RuleSet = "physical"
-    helper_depth: int | None = None
+    helper_depth: Annotated[int, HELPER_DEPTH] | None = None
     """Search depth of the action helper; None is without it."""
-    time_weight: float = 0.0
-    """What a simulated second costs."""
+    time_weight: Annotated[float, Range(0)] = 0.0
+    """Cost of a simulated second."""
     render_mode: RenderMode | None = None
     render_camera: str | None = None
     """``overview`` unless given, ``top``, or ``front:CAR``, that of a car; physics only."""
-    render_size: tuple[int, int] | None = None
+    render_size: tuple[_Pixels, _Pixels] | None = None
     """Width and height of a picture in pixels, 640 x 480 unless given; physics only."""
-    noise: SensorNoise | None = None
+    noise: InstanceOf[SensorNoise] | None = None
     """Noise of the cars' sensors and motors; physics only."""
-    assumed: SensorNoise | None = None
-    """What the cars' pose estimate takes that noise to be before it finds out, whatever it is; physics only."""
-    randomization: DomainRandomization | None = None
+    assumed: InstanceOf[SensorNoise] | None = None
+    """The noise that the cars' pose estimate assumes before it finds out, whatever it is; physics only."""
+    randomization: InstanceOf[DomainRandomization] | None = None
     """How far the physics of each episode is drawn from the nominal one; physics only."""
-    config: SimulationConfig | None = None
+    config: InstanceOf[SimulationConfig] | None = None
     """How the physics is computed; physics only."""
-    gains: Gains | None = None
+    gains: InstanceOf[Gains] | None = None
     """Of the controllers, the shipped ones unless given; physics only."""
-    machines: Machines | None = None
+    machines: InstanceOf[Machines] | None = None
     """The parameters of cars, blocks and slopes, the nominal ones unless given; physics only."""
     drive: Drive | None = None
     """How cars touch the ground, ``rollers`` or ``reduced``; that of ``machines`` if they are given, and else
     ``reduced``, which is several times as fast (docs/drives.md says how far it can be trusted). Physics only."""
-    skills: SkillChoice | None = None
+    skills: Annotated[Any, AfterValidator(own_skills)] = None
     """Skills of one's own in place of built-in ones, ``{Action.LIFT: MyLift}`` or ``{0: {Action.LIFT: MyLift}}``;
     physics only."""
     check_contacts: bool = False
     """Whether the judge logs contacts, 3 % of the time; what is unsafe then ends at once. Physics only."""
-    observers: tuple[Callable[[PhysicsWorld], None], ...] = ()
+    observers: Sequence[Callable[[PhysicsWorld], None]] = ()
     """Called with the PhysicsWorld after every control period; they may look, but not change it. Physics only."""
-    record: str | Path | None = None
+    record: Annotated[Path | None, BeforeValidator(_path)] = None
     """Folder that takes a trajectory of each episode, as :class:`craftsim.Trajectory` reads it; physics only."""
-    observe: Observe | None = None
+    observe: InstanceOf[Observe] | None = None
     """What cars observe instead of the rows of all entities; PettingZoo forms only."""
-    images: Images | None = None
-    """What cameras see, beside that; physics only."""
-    actions: tuple[Action | str, ...] = ()
+    images: InstanceOf[Images] | None = None
+    """Camera images beside that; physics only."""
+    actions: Annotated[tuple[Action, ...], BeforeValidator(as_own)] = ()
     """Registered actions (:func:`craftsim.register_action`), or their names, that are offered after the 15, in this
     order: the action space has so many more."""
+    object_choice: InstanceOf[ObjectChoice] | None = None
+    """Blocks, slopes and free cells that cars may choose to drive to, offered after all other actions; it needs the
+    action helper."""
+    local_view: Annotated[int, Range(0, 64)] | None = None
+    """Radius of the window around each car that is observed as ``local_view``, in cells along x and y."""
 
     def __post_init__(self) -> None:
-        choices = {"backend": get_args(BackendName), "render_mode": (None, *RENDER_MODES)}
-        for name, allowed in choices.items():
-            value = getattr(self, name)
-            if value not in allowed:
-                words = [str(word) for word in allowed]
-                raise InputError(
-                    f"unknown {name} '{value}'{suggestion(str(value), words)}; there are {', '.join(words)}"
+        if self.object_choice is not None and self.helper_depth is None:
+            raise ValueError("object_choice needs the action helper; give helper_depth, 20 for instance")
+        if self.backend == "physics":
+            for action in self.actions:
+                if not ACTIONS[action].performed:
+                    raise ValueError(
+                        f"the action '{action.name}' was registered without a skill; physics needs one"
+                    )
+            return
+        for one in dataclasses.fields(self):
+            if one.name not in _GRID_OPTIONS and getattr(self, one.name) != one.default:
+                raise ValueError(
+                    f"the grid backend knows no '{one.name}'; leave it out, or take backend='physics'"
                 )
-        depth, weight, size = self.helper_depth, self.time_weight, self.render_size
-        if depth is not None and not (isinstance(depth, int) and depth >= 0):
-            raise InputError(f"helper_depth is {depth!r}; allowed: None, or 0 and more")
-        if not (isinstance(weight, int | float) and 0 <= weight < math.inf):
-            raise InputError(f"time_weight is {weight!r}; allowed: 0 and more, and finite")
-        for name in _PHYSICS_ONLY:
-            if self.backend == "grid" and getattr(self, name) is not None:
-                raise InputError(
-                    f"the grid backend knows no '{name}'; leave it out, or take backend='physics'"
-                )
-        if size is not None and not (
-            isinstance(size, tuple) and len(size) == 2 and all(isinstance(n, int) and n > 0 for n in size)
-        ):
-            raise InputError(f"render_size is {size!r}; allowed: (width, height) in pixels, 1 and more")
-        if not isinstance(self.record, str | Path | None):
-            raise InputError(f"record is {self.record!r}; allowed: the path of a folder")
-        object.__setattr__(self, "actions", as_own(self.actions))
-        for action in as_own(self.actions):
-            if self.backend == "physics" and not ACTIONS[action].performed:
-                raise InputError(
-                    f"the action '{action.name}' was registered without a skill; physics needs one"
-                )
-        self._check_callables()
 
-    def _check_callables(self) -> None:
-        if not isinstance(self.observers, list | tuple) or not all(map(callable, self.observers)):
-            raise InputError(
-                f"observers is {self.observers!r}; allowed: a sequence of functions of a PhysicsWorld"
-            )
-        if self.observers and self.backend == "grid":
-            raise InputError(
-                "the grid backend has no control periods to observe; leave 'observers' out, or take backend='physics'"
-            )
-        if self.observe is not None and not isinstance(self.observe, Observe):
-            raise InputError(f"the option 'observe' must be an Observe, not {self.observe!r}")
-        if self.images is not None and not isinstance(self.images, Images):
-            raise InputError(f"the option 'images' must be an Images, not {self.images!r}")
+    def refuse(self, form: str, *names: str) -> None:
+        """Raise InputError where an option is given that a form of the environment has no place for."""
+        for name in names:
+            if getattr(self, name) is not None:
+                raise InputError(f"{form} knows no '{name}'; leave it out")
 
-    @classmethod
-    def named(cls, **options: Any) -> Options:
-        """Return options given by name; raises InputError for a name that is none of them."""
-        known = [field.name for field in fields(cls)]
-        for name in options:
-            if name not in known:
-                raise InputError(
-                    f"unknown option '{name}'{suggestion(name, known)}; there are {', '.join(known)}"
-                )
-        return cls(**options)
+    def action_form(self, task: Task) -> ActionForm:
+        """Return the action form of a task."""
+        if self.object_choice is None:
+            return ActionForm(self.actions)
+        return ChoiceForm(self.actions, self.object_choice, task)
+
+    @property
+    def shows_motion(self) -> bool:
+        """Whether pictures are taken of the motion between two ticks."""
+        return self.render_mode == "rgb_array_list" and self.backend == "physics"
 
     @property
     def render_fps(self) -> int:
         """Pictures a second at which a film of this environment plays."""
-        return MOTION_FPS if self._shows_motion else RENDER_FPS
+        return MOTION_FPS if self.shows_motion else RENDER_FPS
 
-    @property
-    def _shows_motion(self) -> bool:
-        return self.render_mode == "rgb_array_list" and self.backend == "physics"
 
-    def make_backend(self, task: Task) -> Backend:
-        """Return the backend; only here does the physics get imported."""
-        if self.backend == "grid":
-            return GridBackend()
-        if self.images is not None or self.render_mode in ("rgb_array", "rgb_array_list"):
-            from craftsim.rendering.backend import choose_backend
+@record()
+class BatchOptions:
+    """How many worlds a batch has, and what simulates them. Raises InputError for a bad value."""
 
-            choose_backend()
-        from craftsim.checking.setup import Setup, nominal_gains
-        from craftsim.envs.physics_backend import PhysicsBackend
-        from craftsim.envs.pictures import Pictures
-        from craftsim.envs.records import EpisodeRecords
-        from craftsim.mjcf.parameters import NOMINAL
-        from craftsim.models.config import SimulationConfig
-        from craftsim.models.randomization import NONE
-        from craftsim.models.sensing import ASSUMED
-        from craftsim.rendering.images import CameraImages
-        from craftsim.skills.library import check_cars, own_skills
-
-        for name, (module, kind) in _PHYSICS_KINDS.items():
-            value = getattr(self, name)
-            if value is not None and not isinstance(value, getattr(import_module(module), kind)):
-                raise InputError(f"the option '{name}' must be a {kind}, not {value!r}")
-        machines = self.machines or replace(NOMINAL, drive="reduced")
-        if self.drive is not None:
-            machines = replace(machines, drive=self.drive)
-        randomization = self.randomization or NONE
-        setup = Setup(
-            rules=self.rule_set,
-            randomization=randomization if self.noise is None else replace(randomization, sensors=self.noise),
-            assumed=self.assumed or ASSUMED,
-            simulation=self.config or SimulationConfig.of(machines.drive),
-            gains=self.gains or nominal_gains(),
-            machines=machines,
-            skills=own_skills(self.skills),
-        )
-        check_cars(setup.skills, task.layout.n_cars)
-        pictures = Pictures(self.render_camera, self.render_size, self._shows_motion)
-        seen, n_cars = self.images, task.layout.n_cars
-        images = None if seen is None else CameraImages(seen.cameras(n_cars), seen.size, seen.kinds)
-        records = None if self.record is None else EpisodeRecords(Path(self.record), task.name, task.design)
-        return PhysicsBackend(
-            setup,
-            self.helper_depth,
-            task.goal_cells,
-            self.observers,
-            self.check_contacts,
-            pictures,
-            records,
-            images,
-        )
+    num_envs: Annotated[int, Range(1)]
+    workers: Annotated[int, WORKERS] | None = None
+    """Processes that share the worlds, at most one per world; one for each processor unless given."""
+    engine: Engine = "local"
+    """Processes of this machine, or actors of an existing Ray cluster, of which each takes a processor."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +18,18 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.envs.backend import Tick
-from craftsim.envs.pictures import Pictures, has_display
-from craftsim.envs.records import EpisodeRecords
+from craftsim.envs.backend import Backend, Tick
+from craftsim.envs.core import Core
+from craftsim.envs.recording import EpisodeRecords, Pictures, has_display
+from craftsim.errors import InputError
 from craftsim.rendering.images import CameraImages
-from craftsim.rendering.viewer.extra import has_viser
+from craftsim.rendering.viewer.extra import LOOPBACK, PORT, has_viser
+from craftsim.rendering.viewer.live import LiveView
+from craftsim.rendering.viewer.page import AS_IT_GOES
 from craftsim.skills.executor import Observer
 
-if TYPE_CHECKING:
-    from craftsim.rendering.viewer.live import LiveView
 
-
-class PhysicsBackend:
+class PhysicsBackend(Backend):
     """A PhysicsWorld on which all cars' skills run to their end in every tick."""
 
     def __init__(
@@ -109,13 +109,18 @@ class PhysicsBackend:
             infos[attempt.car] = _info(attempt)
             if attempt.skill != "succeeded" or attempt.read != attempt.predicted:
                 episodes.queue[0, attempt.car] = -1  # what was planned starts from where the car is not
-        duration_s = round(self.judge.physics.time_s - began_s, 6)
         by_car = {attempt.car: attempt for attempt in attempts}
         tried = tuple(by_car.get(car) for car in range(len(actions)))
-        seconds = tuple(0.0 if attempt is None else attempt.duration_s for attempt in tried)
         log = self.judge.log
-        contacts = None if log is None else tuple(log.contacts)
-        return Tick(legal, duration_s, self.judge.problems, tuple(infos), seconds, tried, contacts)
+        return Tick(
+            applied=legal,
+            duration_s=round(self.judge.physics.time_s - began_s, 6),
+            durations_s=tuple(0.0 if attempt is None else attempt.duration_s for attempt in tried),
+            problems=self.judge.problems,
+            of_car=tuple(infos),
+            attempts=tried,
+            contacts=None if log is None else tuple(log.contacts),
+        )
 
     def _primitives(
         self, queue: NDArray[np.int8], actions: NDArray[np.int64], order: NDArray[np.int64]
@@ -150,8 +155,6 @@ class PhysicsBackend:
         if has_display() or not has_viser():
             self._pictures.show()
         elif self._view is None:
-            from craftsim.rendering.viewer.live import LiveView
-
             view = LiveView.anywhere()
             print(f"Watch at {view.address}", flush=True)
             self.follow(view)
@@ -193,3 +196,35 @@ def _info(attempt: Attempt) -> dict[str, Any]:
         "heading_error_rad": attempt.heading_error_rad,
         "bystander_displacement_m": attempt.bystander_displacement_m,
     }
+
+
+def view(env: Any, host: str = LOOPBACK, port: int = PORT, speed: str = AS_IT_GOES) -> LiveView:
+    """Show a running environment in the browser: PettingZoo's, Gymnasium's, or what wraps one, in physics.
+
+    Args:
+        env: the environment, before or after its reset.
+        host: address to listen on, of this machine alone unless another is given.
+        port: of that address; 0 takes one that is free.
+        speed: the page's choice of the speed at first: ``as it goes``, ``1 x`` and so on.
+
+    Raises InputError for what is no environment of craftsim in physics, where viser is missing, and for an address or
+    a port that cannot be had.
+
+    Example:
+        >>> import craftsim
+        >>> env = craftsim.parallel_env("strip")
+        >>> with craftsim.view(env, port=0) as page:
+        ...     observations, infos = env.reset(seed=0)
+        >>> page.address.startswith("http://127.0.0.1:")
+        True
+    """
+    inner = env
+    while inner is not None and not isinstance(getattr(inner, "core", None), Core):
+        inner = getattr(inner, "env", None)
+    if inner is None or not isinstance(inner.core.backend, PhysicsBackend):
+        raise InputError(
+            f"{env!r} cannot be viewed; allowed: an environment of craftsim with backend='physics', a single one"
+        )
+    opened = LiveView(host, port, speed)
+    inner.core.backend.follow(opened)
+    return opened

@@ -2,27 +2,235 @@
 
 from __future__ import annotations
 
+import re
 import string
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any, Final
 
 import gymnasium
+import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
-from craftsim.discrete.drawing import ARROWS
-from craftsim.discrete.grid import Grid
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.actions import ACTIONS, action_names
+from craftsim.discrete.drawing import ARROWS, LEGEND, world_text
+from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.kinds import NAMES, Action
+from craftsim.discrete.readback import HEADINGS
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task
-from craftsim.envs.answers import MAX_ANSWER, read_answer, words_of
-from craftsim.envs.core import Core, CoreStep
-from craftsim.envs.descriptions import instructions, legal_words, ticks_of, world_words
-from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
-from craftsim.errors import InputError
+from craftsim.envs.core import CoreStep, SingleWorld
+from craftsim.envs.options import Options
+from craftsim.errors import InputError, suggestion
 
+MARK: Final = "ANSWER:"
+"""What stands before the last one of these is thought aloud, and not read."""
+FORM: Final = "car_0: lift; car_1: move forward"
+"""An answer, for messages and instructions."""
+MAX_ANSWER: Final = 100_000
+"""Characters of an answer."""
+
+_SHOWN: Final = 60
+_PART: Final = re.compile(r"(?:car[ _]?)?([0-9]{1,4})\s*:\s*(.+)", re.IGNORECASE)
 FORBIDDEN: Final = "forbidden"
 _DONE: Final = "as predicted"
 _CHARACTERS: Final = frozenset(string.printable + ARROWS)
 _MAX_TEXT: Final = 1_000_000
+_SECOND: Final = tuple(SECOND_PART.values())
+
+INSTRUCTIONS: Final = f"""\
+You steer {{n_cars}} cars that build together in an area of {{length}} x {{width}} cells, {{height}} levels high.
+A cell is (x, y, z): in the drawings x goes to the right and y up; z = 1 is the floor. Signs of the drawings:
+{LEGEND}
+
+Goal: {{goal}}
+
+In each tick every car does one action; there are {{ticks}} ticks. The cars act one after the other, in an order that is
+drawn anew for each tick. What the rules forbid when a car's turn comes is not done. The actions:
+  lift: take up the block, flag or folded slope in the car's own cell, which the car is under
+  drop: put the load down into the car's own cell
+  unfold, fold: turn the slope in the car's own cell into a ramp, or back; its foot comes to lie in the next cell
+  rotate left, rotate right: turn by 90 degrees on the spot, counterclockwise or clockwise
+  move right (+x), move forward (+y), move left (-x), move back (-y): to the next cell, whatever the car's heading
+  stop: do nothing
+A car without a load can be in one cell with a block, a flag or a slope, below it; a car with a load cannot. A car
+enters and leaves a block or a flag along its heading only. A ramp leads from its foot up over its body to the
+level above it; cars drive up and down on it, with or without a load, facing the way they move, and do nothing else
+there. Blocks bear cars, blocks and slopes.
+
+Answer with one line such as: {FORM}
+A car that you do not name stops. What stands before the last "{MARK}" is not read."""
+
+
+def words_of(action: int) -> str:
+    """Return what an action is called in answers, ``move forward`` for instance."""
+    return Action(action).name.lower().replace("_", " ")
+
+
+def offered() -> tuple[str, ...]:
+    """Return the actions that can be legal, in words."""
+    return tuple(words_of(action) for action, spec in ACTIONS.items() if spec.performed or spec.legality)
+
+
+def answer_text(actions: Mapping[str, Any]) -> str:
+    """Return the answer that says these actions, numbers by agent; :func:`read_answer` reads it.
+
+    Example:
+        >>> answer_text({"car_0": 0, "car_1": 6})
+        'car_0: lift; car_1: move forward'
+    """
+    return "; ".join(f"{agent}: {words_of(action)}" for agent, action in actions.items())
+
+
+def read_answer(text: str, n_cars: int) -> list[Action]:
+    """Return the action of each car that an answer names; a car that it does not name stops.
+
+    An answer has ``car: action`` for some cars, divided by semicolons or lines; only what follows the last ``ANSWER:``,
+    if there is one, is read. Case does not matter, nor whether words are joined by blanks or underscores.
+
+    Raises InputError for a text without an action, an unknown car or action, and a car that is named twice.
+
+    Example:
+        >>> [action.name for action in read_answer("Clear the way first. ANSWER: car_1: MOVE_LEFT", 2)]
+        ['STOP', 'MOVE_LEFT']
+    """
+    if not isinstance(text, str):
+        raise InputError(f"an answer is a text such as '{FORM}', not a {type(text).__name__}")
+    if len(text) > MAX_ANSWER:
+        raise InputError(f"the answer has {len(text)} characters; allowed: {MAX_ANSWER}")
+    parts = [part.strip(" \t.`*") for part in re.split(r"[;\n]", text.rpartition(MARK)[2])]
+    found: dict[int, Action] = {}
+    for part in filter(None, parts):
+        match = _PART.fullmatch(part)
+        if match is None:
+            raise InputError(f"'{part[:_SHOWN]}' is no 'car: action'; an answer is such as '{FORM}'")
+        car = int(match[1])
+        if car >= n_cars:
+            raise InputError(f"there is no car_{car}; the cars are {_cars(n_cars)}")
+        if car in found:
+            raise InputError(f"car_{car} is named twice; in a tick each car does one action")
+        found[car] = _action(match[2])
+    if not found:
+        raise InputError(f"the answer names no action; it should be such as '{FORM}'")
+    return [found.get(car, Action.STOP) for car in range(n_cars)]
+
+
+def _action(words: str) -> Action:
+    name = re.sub(r"[\s_]+", "_", words.strip()).upper()
+    if name not in action_names():
+        hint = suggestion(words[:_SHOWN].lower(), offered())
+        raise InputError(f"unknown action '{words[:_SHOWN]}'{hint}; there are {', '.join(offered())}")
+    return Action[name]
+
+
+def _cars(n_cars: int) -> str:
+    return ", ".join(f"car_{car}" for car in range(n_cars))
+
+
+def instructions(task: Task) -> str:
+    """Return what an agent must know to steer the cars, the goal included."""
+    length, width, height = task.starts[0].size
+    return INSTRUCTIONS.format(
+        n_cars=task.layout.n_cars,
+        length=length,
+        width=width,
+        height=height,
+        goal=goal_text(task),
+        ticks=_ticks_of(task),
+    )
+
+
+def _ticks_of(task: Task) -> int:
+    """Return how many ticks an episode has at most (docs/rules.md#episode-length)."""
+    return task.max_steps + 2
+
+
+def goal_text(task: Task) -> str:
+    """Return what is to be reached, in words, each part of a design with its cell."""
+    if task.design is not None:
+        parts = "\n".join(f"  {_target(target)}" for target in task.design.targets)
+        return f"these cells hold this, put down and not carried:\n{parts}"
+    if task.layout.goal is not None:
+        return f"the flag is at {task.layout.goal}."
+    if task.success == "one_platform":
+        return "all blocks are side by side on one level, and so form one platform."
+    return f"what the task '{task.name}' rewards."
+
+
+def world_words(grid: Grid, task: Task) -> str:
+    """Return a world as a drawing and as a list of things, and how much of the design stands."""
+    goal = task.layout.goal if task.design is None else None
+    drawing = "\n".join(line.rstrip() for line in world_text(grid, goal).plain.splitlines())
+    lines = [drawing, "Things:", *(f"  {line}" for line in _things(grid))]
+    if task.design is not None:
+        hits = list(task.design.hits(grid))
+        lines.append(f"Design: {sum(hit for _, hit in hits)} of {len(hits)} cells as they should be")
+        lines += [f"  missing: {_target(target)}" for target, hit in hits if not hit]
+    return "\n".join(lines)
+
+
+def _target(target: Piece) -> str:
+    slope = target.kind in (Kind.BODY, Kind.FOOT)
+    return f"{NAMES[target.kind]} at {target.cell}" + (f", downhill {HEADINGS[target.yaw]}" if slope else "")
+
+
+def _things(grid: Grid) -> Iterator[str]:
+    for car in range(grid.n_cars):
+        yield f"car_{car} {_car(grid, car)}"
+    for x, y, z in np.argwhere(grid.kind[:, :, 1:] != Kind.AIR).tolist():
+        cell = x, y, z + 1
+        kind, yaw = grid.kind_at(cell), int(grid.yaw[cell])
+        if kind in _SECOND:
+            continue
+        words = f"{NAMES[kind]} at {cell}"
+        if kind == Kind.BODY:
+            words = f"a ramp: body at {cell}, foot at {beside(cell, yaw)}, downhill {HEADINGS[yaw]}"
+        elif kind == Kind.FSLOPE:
+            words += f", its gear at {beside(cell, yaw)}; unfolded there it leads downhill {HEADINGS[yaw]}"
+        yield words
+
+
+def _car(grid: Grid, car: int) -> str:
+    row = grid.cars[car].tolist()
+    words = f"at {_cell(grid, car)}, facing {HEADINGS[row[CarField.YAW]]}"
+    load = Kind(row[CarField.LOAD])
+    if load != Kind.AIR:
+        words += f", with {NAMES[load]}"
+        words += f" (gear {HEADINGS[row[CarField.LOAD_YAW]]})" if load == Kind.FSLOPE else ""
+    return words + (", on a ramp" if row[CarField.SLOPE] else "")
+
+
+def _cell(grid: Grid, car: int) -> Cell:
+    x, y, z = grid.cars[car, : CarField.YAW].tolist()
+    return x, y, z
+
+
+def legal_words(grid: Grid, masks: NDArray[np.int8], rules: Rules) -> str:
+    """Return what each car may do now, with where that leads, a line a car; ``masks`` (n, 15) as they are offered."""
+    return "\n".join(
+        f"  car_{car}: "
+        + "; ".join(words_of(a) + _effect(grid, rules, car, a) for a in compress(rules.actions, mask))
+        for car, mask in enumerate(masks)
+    )
+
+
+def _effect(grid: Grid, rules: Rules, car: int, action: Action) -> str:
+    """Return what an action leads to, in brackets; nothing where that goes without saying."""
+    after = rules.apply(grid, car, action)
+    old, new = grid.cars[car].tolist(), after.cars[car].tolist()
+    if action in (Action.LIFT, Action.DROP):
+        load = Kind(max(old[CarField.LOAD], new[CarField.LOAD]))
+        return f" ({NAMES[load]})"
+    if _cell(grid, car) != _cell(after, car):
+        return f" (to {_cell(after, car)})"
+    if old[CarField.YAW] != new[CarField.YAW]:
+        return f" (to face {HEADINGS[new[CarField.YAW]]})"
+    if action == Action.UNFOLD:
+        cell = _cell(grid, car)
+        return f" (the foot to {beside(cell, int(grid.yaw[cell]))})"
+    return ""
 
 
 @dataclass(frozen=True)
@@ -48,7 +256,7 @@ class Feedback:
         return f"car_{self.car}: {words_of(self.action)}: {result}"
 
 
-class TextConstruction(gymnasium.Env[str, str]):
+class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
     """A task whose observations and actions are texts, on either backend.
 
     ``instructions`` says what one must know beforehand. Nothing is asked of any service: send the texts to whatever
@@ -63,45 +271,32 @@ class TextConstruction(gymnasium.Env[str, str]):
         car_0: lift: forbidden: there is nothing to lift in (1, 1, 1)
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
-        "render_modes": list(RENDER_MODES),
-        "render_fps": RENDER_FPS,
-    }
-
     def __init__(self, task: Task | str, render_mode: Any = None, **options: Any) -> None:
         """Prepare a task; ``options`` are the fields of :class:`craftsim.envs.options.Options`.
 
         ``observe``, ``images`` and ``helper_depth`` are none of them: texts are observed, and an answer is what is done
         now. Raises InputError for a task, an option or an option value that there is not.
         """
-        for name in ("observe", "images", "helper_depth"):
-            if options.get(name) is not None:
-                raise InputError(f"the text form knows no '{name}'; leave it out")
-        chosen = Options.named(render_mode=render_mode, **options)
-        self.core = Core(task, chosen)
-        self.metadata = type(self).metadata | {"render_fps": chosen.render_fps}
-        self.render_mode = render_mode
+        chosen = Options(render_mode=render_mode, **options)
+        chosen.refuse("the text form", "observe", "images", "helper_depth", "local_view")
+        self._prepare(task, chosen)
+        self.render_mode = chosen.render_mode
         self.observation_space = spaces.Text(_MAX_TEXT, charset=_CHARACTERS)
         self.action_space = spaces.Text(MAX_ANSWER, charset=_CHARACTERS)
         self.instructions = instructions(self.core.task)
         """What one who steers the cars must know: the area, the goal, the actions, and how to answer."""
 
-    @property
-    def grid(self) -> Grid:
-        """A copy of the world as it is seen."""
-        return self.core.grid
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[str, dict[str, Any]]:
         """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
-        super().reset(seed=seed)
         self.core.reset(seed, options)
+        super().reset(seed=seed)
         self._tick = 0
         return self._seen(), {}
 
     def step(self, action: str) -> tuple[str, float, bool, bool, dict[str, Any]]:
-        """Let the cars do what an answer says (:func:`craftsim.envs.answers.read_answer`).
+        """Let the cars do what an answer says (:func:`read_answer`).
 
         ``info`` has ``feedback``, a :class:`Feedback` by car, and ``success``, ``duration_s`` and ``problems`` as the
         other forms have them. Raises InputError where no episode runs, and for an answer that cannot be read; then
@@ -132,7 +327,7 @@ class TextConstruction(gymnasium.Env[str, str]):
 
     def _seen(self, may_act: bool = True) -> str:
         task, grid = self.core.task, self.core.grid
-        lines = [f"After tick {self._tick} of {ticks_of(task)}", world_words(grid, task)]
+        lines = [f"After tick {self._tick} of {_ticks_of(task)}", world_words(grid, task)]
         if may_act:
             lines += ["Legal actions:", legal_words(grid, self.core.masks, self.core.rules)]
         return "\n".join(lines)
@@ -152,10 +347,72 @@ class TextConstruction(gymnasium.Env[str, str]):
             told[car] = Feedback(car, action, FORBIDDEN, why)
         return tuple(told[car] for car in range(len(chosen)))
 
-    def render(self) -> Any:
-        """Return a picture (``rgb_array``), all since the last call (``rgb_array_list``) or text (``ansi``)."""
-        return self.core.render()
 
-    def close(self) -> None:
-        """Release what rendering holds."""
-        self.core.close()
+Answer = Callable[[str, str], str]
+"""From the instructions and the last text to an answer."""
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """A text, what was answered, and what became of it."""
+
+    text: str
+    answer: str
+    unreadable: str
+    """Why the answer could not be read, so that all cars stopped; empty where it could."""
+    feedback: tuple[Feedback, ...]
+
+
+@dataclass(frozen=True)
+class Conversation:
+    """An episode in words."""
+
+    turns: tuple[Exchange, ...]
+    """One a tick."""
+    success: bool
+    total_reward: float
+    duration_s: float
+    """Simulated time."""
+
+    @property
+    def unreadable(self) -> int:
+        """Answers that could not be read."""
+        return sum(bool(turn.unreadable) for turn in self.turns)
+
+    @property
+    def forbidden(self) -> int:
+        """Actions that the rules forbade."""
+        return sum(one.result == FORBIDDEN for turn in self.turns for one in turn.feedback)
+
+    @property
+    def failed(self) -> int:
+        """Actions that the rules allow and that did not go as predicted; on the grid there are none."""
+        return sum(not one.done and one.result != FORBIDDEN for turn in self.turns for one in turn.feedback)
+
+
+def converse(env: TextConstruction, answer: Answer, seed: int | None = None) -> Conversation:
+    """Play an episode with whoever answers.
+
+    Every text is answered once. An answer that cannot be read costs the tick: all cars stop, and the next text begins
+    with what was wrong.
+
+    Args:
+        env: runs the episode.
+        answer: gets the instructions, always the same, and the last text.
+        seed: of the episode; the environment's generators go on unless given.
+    """
+    text, _ = env.reset(seed=seed)
+    nothing = answer_text({f"car_{car}": Action.STOP for car in range(env.core.n_cars)})
+    turns, total, duration_s, over, success = [], 0.0, 0.0, False, False
+    while not over:
+        said, wrong = answer(env.instructions, text), ""
+        try:
+            after, reward, terminated, truncated, info = env.step(said)
+        except InputError as error:
+            wrong = str(error)
+            after, reward, terminated, truncated, info = env.step(nothing)
+            after = f"Your answer could not be read, and all cars stopped: {wrong}\n{after}"
+        turns.append(Exchange(text, said, wrong, info["feedback"]))
+        total, duration_s = total + reward, duration_s + info["duration_s"]
+        text, over, success = after, terminated or truncated, info["success"]
+    return Conversation(tuple(turns), success, total, duration_s)

@@ -247,6 +247,8 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
         most = "max_length" if type_.endswith("long") else "min_length"
         text = f"at {'most' if most == 'max_length' else 'least'} {error['ctx'][most]}"
         return f"{name(loc)}: has {len(value)} {what}, allowed: {text}"
+    if type_ == "is_instance_of":
+        return f"{name(loc)}: must be an instance of {error['ctx']['class']}, not {described(value)}"
     if wanted in _NOUNS:
         within = f" {allowed.words}" if allowed else ""
         finite = "a finite number" if type_ == "finite_number" else _NOUNS[wanted]

@@ -16,7 +16,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
-from craftsim.envs.physics_vector import PhysicsVectorEnv
+from craftsim.envs.vector import PhysicsVectorEnv
 from craftsim.training.features import Encoder, RelativeEncoder
 
 _HASH_SEED: Final = 2

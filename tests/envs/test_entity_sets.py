@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import craftsim
 from craftsim.designs.tasks import with_reflections
 from craftsim.discrete.tasks import as_task
-from craftsim.envs.entity_sets import FILLED, OWN, WHAT, X, Y, Z, entity_sets, observe_entities
+from craftsim.envs.observations import FILLED, OWN, WHAT, X, Y, Z, entity_sets, observe_entities
 from craftsim.errors import InputError
 
 

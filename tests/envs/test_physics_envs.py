@@ -265,7 +265,7 @@ def test_a_folder_that_is_none_is_refused(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="cannot make the output directory"):
         parallel_env("strip", "physics", record=tmp_path / "file")
-    with pytest.raises(InputError, match="record is 3"):
+    with pytest.raises(InputError, match=r"Options.record: must be an instance of Path, not '3'"):
         parallel_env("strip", "physics", record=3)
     with pytest.raises(InputError, match="knows no 'record'"):
         parallel_env("strip", "grid", record=tmp_path)

@@ -47,7 +47,7 @@ def test_worlds_in_actors_are_those_of_local_processes_and_a_dead_actor_is_one_c
 
 
 def test_an_engine_that_there_is_not_and_a_cluster_that_nobody_runs_are_refused(monkeypatch):
-    with pytest.raises(InputError, match="allowed: local, ray"):
+    with pytest.raises(InputError, match=r"did you mean 'ray'.*allowed: local, ray"):
         vector_env(TASK, 1, "physics", engine="rye")
     with pytest.raises(InputError, match="knows no 'engine'"):
         vector_env(TASK, 1, "grid", engine="ray")

@@ -10,7 +10,7 @@ from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import load_starts, save_starts
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
-from craftsim.envs.collecting import reached_worlds
+from craftsim.envs.datasets import reached_worlds
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import InputError
 from craftsim.testing import random_policy

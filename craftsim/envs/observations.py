@@ -1,0 +1,271 @@
+"""What is observed: the spaces of all forms, and observations in place of the rows of all entities or beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kernel.state import F_LOAD, F_X, F_Y, F_YAW, F_Z
+from craftsim.discrete.kernel.tasks import IS_CAR, IS_FLAG, IS_FOOT, IS_LOADED, ROW, YAW_HIGH, YAW_LOW
+from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.observation import Layout, entity_rows
+from craftsim.discrete.tasks.starts import Targets, targets_of
+from craftsim.envs.actions import ActionForm
+from craftsim.errors import InputError, suggestion
+from craftsim.rendering.image_kinds import PIXELS, ImageKind, check_images
+
+Observation = dict[str, NDArray[Any]]
+Spaces = dict[str, spaces.Space[Any]]
+
+ImageCamera = Literal["front", "overview", "top"]
+IMAGE_CAMERAS: Final[tuple[str, ...]] = get_args(ImageCamera)
+
+Frame = Literal["car", "map"]
+FRAMES: Final[tuple[str, ...]] = get_args(Frame)
+FEATURES: Final = 8
+"""Of a row: what, x, y, z, yaw, loaded, own, filled."""
+WHAT, X, Y, Z, YAW, LOADED, OWN, FILLED = range(FEATURES)
+TARGET: Final = 7
+"""``what`` is 0 in a row to be masked, 1 to 6 for car, folded slope, body, foot, block and flag, and in a cell of the
+design this and the cell's :class:`craftsim.discrete.grid.Kind`."""
+ANY_YAW: Final = -1
+"""Of blocks and flags, and of cells of the design where it does not matter."""
+CHANNELS: Final = 6
+"""Of a cell of a local view: kind, yaw, car, its yaw and load, and the kind to be built."""
+
+
+def state_space(task: Task) -> spaces.Box:
+    """Return the space of the global state: the rows of all entities, 13 numbers each, flattened."""
+    return _entity_space(task, task.layout.n_observed)
+
+
+def _entity_space(task: Task, n_rows: int) -> spaces.Box:
+    # -2 stands in the coordinates that mean "there is none".
+    return spaces.Box(-2, max(task.starts[0].size), (ROW * n_rows,), np.int32)
+
+
+def car_space(
+    task: Task,
+    own: spaces.Space[Any] | None = None,
+    images: Images | None = None,
+    n_actions: int = N_ACTIONS,
+    extras: Spaces | None = None,
+) -> spaces.Dict:
+    """Return one car's observation space, and the actions that it is offered.
+
+    It observes its own row, then all rows, or an observation of one's ``own``; images; and ``extras``.
+    """
+    return spaces.Dict(
+        {
+            "observation": own or _entity_space(task, 1 + task.layout.n_observed),
+            "action_mask": spaces.Box(0, 1, (n_actions,), np.int8),
+            **({} if images is None else images.spaces()),
+            **(extras or {}),
+        }
+    )
+
+
+def central_space(
+    task: Task, images: Images | None = None, n_actions: int = N_ACTIONS, extras: Spaces | None = None
+) -> spaces.Dict:
+    """Return the observation space of an agent that acts for all cars: the global state, and all that each observes."""
+    n_cars = task.layout.n_cars
+    return spaces.Dict(
+        {
+            "observation": state_space(task),
+            "action_mask": spaces.Box(0, 1, (n_cars, n_actions), np.int8),
+            **({} if images is None else images.spaces(n_cars)),
+            **{key: batch_space(space, n_cars) for key, space in (extras or {}).items()},
+        }
+    )
+
+
+def extra_spaces(task: Task, form: ActionForm, radius: int | None) -> Spaces:
+    """Return the spaces of what a car observes for its action form, and of its local view if it has a radius."""
+    if radius is None:
+        return form.spaces()
+    width, levels = 2 * radius + 1, task.starts[0].size[2] + 1
+    view = spaces.Box(0, max(max(Kind), 3), (width, width, levels, CHANNELS), np.int8)
+    return form.spaces() | {"local_view": view}
+
+
+def extras(episodes: Episodes, form: ActionForm, radius: int | None) -> Observation:
+    """Return what :func:`extra_spaces` are the spaces of, each (B, n, ...), after the masks."""
+    if radius is None:
+        return form.observed(episodes)
+    return form.observed(episodes) | {"local_view": local_views(episodes.grids, episodes.designs, radius)}
+
+
+def joint_action_space(task: Task, n_actions: int = N_ACTIONS) -> spaces.MultiDiscrete:
+    """Return the space of one action per car."""
+    return spaces.MultiDiscrete([n_actions] * task.layout.n_cars)
+
+
+@dataclass(frozen=True)
+class Observe:
+    """What each car observes: the ``observation`` of the PettingZoo forms; the action mask stays beside it."""
+
+    space: spaces.Space[Any]
+    """Of one car's observation."""
+    of: Callable[[Grid, int], Any]
+    """Returns the observation of a car, given by number, in the world as it is seen."""
+
+
+@dataclass(frozen=True)
+class Images:
+    """Camera images beside the observation; docs/envs.md explains them. Raises InputError for a bad value."""
+
+    camera: ImageCamera = "front"
+    """``front``, each car's own in its nose, or one of the world's, of which all cars get the same images."""
+    size: tuple[int, int] = (64, 48)
+    """Width and height in pixels."""
+    kinds: tuple[ImageKind, ...] = ("rgb",)
+    """Some of rgb, depth and segmentation, as :func:`craftsim.take_images` takes them."""
+
+    def __post_init__(self) -> None:
+        check_images(self.size, self.kinds)
+        _choose("camera", self.camera, IMAGE_CAMERAS)
+
+    def cameras(self, n_cars: int) -> list[str]:
+        """Return the names of the cameras of a world with so many cars."""
+        return [f"front:{car}" for car in range(n_cars)] if self.camera == "front" else [self.camera]
+
+    def of_car(self, taken: Observation, car: int) -> Observation:
+        """Return a car's images, by kind, out of those of all cameras."""
+        return {kind: images[car if self.camera == "front" else 0] for kind, images in taken.items()}
+
+    def of_all(self, taken: Observation) -> Observation:
+        """Return the images for an agent of all cars: with a leading dimension of the cars, if each has its own."""
+        return taken if self.camera == "front" else self.of_car(taken, 0)
+
+    def spaces(self, n_cars: int | None = None) -> dict[str, spaces.Space[Any]]:
+        """Return the spaces, by kind, of the images of a car, or of an agent that acts for so many."""
+        width, height = self.size
+        each = () if n_cars is None or self.camera != "front" else (n_cars,)
+        return {
+            kind: spaces.Box(
+                PIXELS[kind].low,
+                PIXELS[kind].high,
+                (*each, height, width, *PIXELS[kind].shape),
+                PIXELS[kind].dtype,
+            )
+            for kind in self.kinds
+        }
+
+
+def _choose(name: str, value: object, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise InputError(
+            f"unknown {name} '{value}'{suggestion(str(value), known)}; there are {', '.join(known)}"
+        )
+
+
+def local_views(grids: Grid, designs: Targets, radius: int) -> NDArray[np.int8]:
+    """Return (B, n, 2 * radius + 1, 2 * radius + 1, H + 1, 6): the cells around each car, along x, y and z from 1.
+
+    The last dimension is the cell's kind, a wall outside the map, and its yaw; whether a car is there, 1, or the car
+    itself, 2, and its yaw and load; and the kind to be built there, ``designs`` (B, T, 5), AIR where nothing is. Kinds
+    are :class:`craftsim.discrete.grid.Kind`; directions are those of the map, as moves are.
+    """
+    length, width, height = grids.size
+    world = np.zeros((len(grids), length + 2 * radius, width + 2 * radius, height + 2, CHANNELS), np.int8)
+    world[..., 0] = Kind.WALL
+    inside = world[:, radius : radius + length, radius : radius + width]
+    inside[..., 0] = Kind.AIR
+    inside[..., : height + 1, 0], inside[..., : height + 1, 1] = grids.kind, grids.yaw
+    cars = grids.cars.astype(np.int64)
+    each = np.arange(len(grids))[:, None]
+    x, y, z = cars[..., F_X], cars[..., F_Y], cars[..., F_Z]
+    inside[each, x, y, z, 2] = 1
+    inside[each, x, y, z, 3:5] = cars[..., [F_YAW, F_LOAD]]
+    kind, goal_x, goal_y, goal_z, _ = np.moveaxis(designs, -1, 0)
+    wanted = np.nonzero(kind)
+    inside[wanted[0], goal_x[wanted], goal_y[wanted], goal_z[wanted], 5] = kind[wanted]
+    span = np.arange(2 * radius + 1)
+    columns = (x[..., None] + span)[..., :, None], (y[..., None] + span)[..., None, :]
+    views = world[each[..., None, None], *columns][..., 1:, :]
+    np.put_along_axis(views[:, :, radius, radius, :, 2], z[..., None] - 1, 2, -1)
+    return views
+
+
+def entity_sets(
+    grids: Grid, layout: Layout, designs: Targets, frame: Frame = "car", radius: int | None = None
+) -> NDArray[np.int16]:
+    """Return (B, n, n_rows - 1 + T, 8): for each of n cars a row for each thing, then for each cell of the design.
+
+    Args:
+        grids: a batch of B worlds.
+        layout: how many things of each kind there may be.
+        designs: (B, T, 5), what is to be built in each world.
+        frame: ``car`` counts cells from the car, x ahead, and yaw from its heading; ``map`` as the grid does.
+        radius: things and cells further away than so many cells, along x or y, are masked; none unless given.
+    """
+    _choose("frame", frame, FRAMES)
+    if radius is not None and not (isinstance(radius, int) and radius >= 0):
+        raise InputError(f"radius is {radius!r}; allowed: None, or 0 and more cells")
+    # The last row of these repeats the goal, which is nothing that stands there.
+    rows = entity_rows(grids, layout, designs)[:, : layout.n_rows - 1]
+    things = np.zeros((*rows.shape[:2], FEATURES), np.int16)
+    flags = rows[..., IS_CAR : IS_FLAG + 1]
+    things[..., WHAT] = flags @ np.arange(1, TARGET)
+    things[..., X : Z + 1] = rows[..., :3]
+    turned = flags[..., : IS_FOOT + 1 - IS_CAR].any(-1)  # blocks and flags have no yaw
+    things[..., YAW] = np.where(turned, 2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW], ANY_YAW)
+    things[..., LOADED] = rows[..., IS_LOADED]
+    both = np.concatenate([things, _target_rows(grids, designs)], axis=1)
+    cars = grids.cars
+    out = np.repeat(both[:, None], grids.n_cars, axis=1)
+    each = np.arange(grids.n_cars)
+    out[:, each, each, OWN] = 1
+    apart = out[..., X : Z + 1] - cars[:, :, None, F_X : F_Z + 1]
+    if frame == "car":
+        heading = cars[:, :, None, F_YAW]
+        dx, dy = apart[..., 0], apart[..., 1]
+        out[..., X] = np.choose(heading, [dx, dy, -dx, -dy])
+        out[..., Y] = np.choose(heading, [dy, -dx, -dy, dx])
+        out[..., Z] = apart[..., 2]
+        out[..., YAW] = np.where(out[..., YAW] == ANY_YAW, ANY_YAW, (out[..., YAW] - heading) % 4)
+    hidden = out[..., WHAT] == 0
+    if radius is not None:
+        hidden |= np.abs(apart[..., :2]).max(-1) > radius
+    out[hidden] = 0
+    return out
+
+
+def _target_rows(grids: Grid, designs: Targets) -> NDArray[np.int16]:
+    kind, x, y, z, yaw = np.moveaxis(designs, -1, 0)
+    each = np.arange(len(designs))[:, None]
+    filled = (grids.kind[each, x, y, z] == kind) & ((yaw < 0) | (grids.yaw[each, x, y, z] == yaw))
+    zero = np.zeros_like(kind)
+    what = np.where(kind == 0, 0, TARGET + kind)
+    return np.stack([what, x, y, z, yaw, zero, zero, filled], axis=-1).astype(np.int16)
+
+
+def observe_entities(task: Task, frame: Frame = "car", radius: int | None = None) -> Observe:
+    """Return the option ``observe`` with which cars see :func:`entity_sets` of a task whose design is fixed.
+
+    Raises InputError for a task in which each episode has a design of its own, and for a bad frame or radius.
+    """
+    if task.draws_designs:
+        raise InputError(
+            f"in task '{task.name}' each episode has a design of its own, which 'observe' does not see; take "
+            "entity_sets with the designs of a batch"
+        )
+    layout, design = task.layout, targets_of(task.design)[None]
+    most = max(*task.starts[0].size, TARGET + int(design[..., 0].max(initial=0)))
+
+    def of(grid: Grid, car: int) -> NDArray[np.int16]:
+        return entity_sets(grid[None], layout, design, frame, radius)[0, car]
+
+    of(task.draw(np.random.default_rng(0)), 0)
+    rows = layout.n_rows - 1 + design.shape[1]
+    return Observe(spaces.Box(-most, most, (rows, FEATURES), np.int16), of)

@@ -1,0 +1,224 @@
+"""Object choices and local views: what is listed, where choices lead, on the grid, in batches and in physics."""
+
+from collections import deque
+from contextlib import closing
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.tasks import make_task
+from craftsim.envs import parallel_env, vector_env
+from craftsim.envs.central import CentralConstruction
+from craftsim.envs.object_choice import ObjectChoice
+from craftsim.envs.observations import local_views
+from craftsim.errors import InputError
+from craftsim.testing import check_api, check_deterministic, random_policy
+
+STOP, LIFT, DROP = int(Action.STOP), int(Action.LIFT), int(Action.DROP)
+CONTINUE = len(Action)
+EVERYWHERE = ObjectChoice(floor=True)
+DRIVING = [*range(Action.ROTATE_LEFT, Action.MOVE_RIGHT + 1)]
+
+
+def _env(task, backend="grid", choice=EVERYWHERE, **options):
+    return parallel_env(task, backend, helper_depth=20, object_choice=choice, **options)
+
+
+@pytest.mark.parametrize("task", ["strip", "simple_two_story", "breaking_barrier"])
+def test_the_forms_pass_the_tests_of_their_interfaces(task):
+    options = {"helper_depth": 20, "object_choice": ObjectChoice(), "local_view": 2}
+    check_api(lambda: parallel_env(task, "grid", **options))
+    check_deterministic(lambda: parallel_env(task, "grid", **options), episodes=2)
+    check_env(CentralConstruction(task, backend="grid", **options))
+
+
+def _reached(grid, rules, car, radius):
+    """Return, by a search in Python, the cells that a car could drive to without its load."""
+    start = grid.copy()
+    start.cars[car, CarField.LOAD] = Kind.AIR
+    start.derive_marks()
+    x, y = start.cars[car, :2].tolist()
+    seen, rest = {tuple(start.cars[car, :4].tolist())}, deque([start])
+    while rest:
+        here = rest.popleft()
+        for action in DRIVING:
+            if rules.legal(here, car, action):
+                after = rules.apply(here, car, action)
+                pose = tuple(after.cars[car, :4].tolist())
+                if pose not in seen and max(abs(pose[0] - x), abs(pose[1] - y)) <= radius:
+                    seen.add(pose)
+                    rest.append(after)
+    return {pose[:3] for pose in seen}
+
+
+@pytest.mark.parametrize("choice", [ObjectChoice(radius=1), ObjectChoice(free=3, floor=True)], ids=str)
+def test_listed_are_the_objects_that_a_car_could_reach_in_the_order_of_their_cells(choice):
+    env, act = _env("simple_two_story", choice=choice), random_policy(np.random.default_rng(0))
+    for seed in range(3):
+        observations, _ = env.reset(seed=seed)
+        for _ in range(8):
+            for car, seen in enumerate(observations.values()):
+                reached = sorted(_reached(env.grid, env.core.rules, car, choice.radius))
+                kinds = [env.grid.kind_at(cell) for cell in reached]
+                groups = (
+                    ((Kind.BLOCK,), 2),
+                    ((Kind.FSLOPE, Kind.BODY), 1),
+                    ((Kind.AIR,), choice.free),
+                )
+                expected = []
+                for group, most in groups:
+                    cells = [
+                        cell
+                        for cell, kind in zip(reached, kinds, strict=True)
+                        if kind in group and (kind != Kind.AIR or choice.floor or cell[2] > 1)
+                    ]
+                    expected += (cells + [(0, 0, 0)] * most)[:most]
+                np.testing.assert_array_equal(seen["choices"][:, :3], expected)
+            observations = env.step(act(observations))[0]
+
+
+@pytest.mark.parametrize("rule_set", ["physical", "published"])
+def test_a_choice_that_is_offered_leads_a_car_there_and_nothing_but_continue_is_offered_meanwhile(rule_set):
+    env, act = _env("simple_two_story", rule_set=rule_set), random_policy(np.random.default_rng(1))
+    tried = 0
+    for seed in range(4):
+        observations, _ = env.reset(seed=seed)
+        for _ in range(4):
+            observations = env.step(act(observations))[0]
+        before = env.grid
+        for choice in range(len(observations["car_0"]["choices"])):
+            seen = env.reset(seed=seed, options={"grid": before})[0]["car_0"]
+            if not seen["action_mask"][CONTINUE + 1 + choice]:
+                continue
+            goal, action, ticks = seen["choices"][choice, :3].tolist(), CONTINUE + 1 + choice, 0
+            while env.agents:
+                seen, _, _, _, infos = env.step({"car_0": action, "car_1": STOP})
+                assert not infos["car_0"]["illegal"]
+                mask, action, ticks = seen["car_0"]["action_mask"], CONTINUE, ticks + 1
+                if not mask[CONTINUE]:
+                    break
+                assert mask.sum() == 1
+            else:
+                continue
+            assert env.grid.cars[0, :3].tolist() == goal
+            tried += 1
+    assert tried > 20
+
+
+def test_a_choice_that_is_not_offered_is_flagged_and_changes_nothing():
+    env = _env("strip", choice=ObjectChoice(free=2))
+    observations, _ = env.reset(seed=0)
+    unoffered = np.flatnonzero(observations["car_0"]["action_mask"] == 0)
+    before = env.grid
+    for action in unoffered[unoffered >= CONTINUE]:
+        env.reset(seed=0)
+        infos = env.step({"car_0": int(action), "car_1": STOP})[4]
+        assert infos["car_0"]["illegal"]
+        assert env.grid.same_visible(before)
+
+
+class Strip:
+    """Builds the strip: each car in turn chooses a block, lifts it, chooses a free cell of the design, and drops it."""
+
+    def __init__(self, env):
+        self.env, self.turn = env, 0
+
+    def __call__(self, observations):
+        actions = {agent: self._act(car, seen) for car, (agent, seen) in enumerate(observations.items())}
+        if actions[f"car_{self.turn}"] == DROP:
+            actions[f"car_{self.turn}"], self.turn = DROP, 1 - self.turn
+        return actions
+
+    def _act(self, car, seen):
+        mask, grid = seen["action_mask"], self.env.grid
+        targets = [target.cell for target in self.env.core.task.design.targets]
+        here, is_loaded = tuple(grid.cars[car, :3].tolist()), grid.cars[car, CarField.LOAD] != Kind.AIR
+        if mask[CONTINUE]:
+            return CONTINUE
+        if car != self.turn:
+            return STOP
+        if is_loaded and here in targets and mask[DROP]:
+            return DROP
+        if not is_loaded and here not in targets and mask[LIFT]:
+            return LIFT
+        for number, row in enumerate(seen["choices"]):
+            cell = tuple(row[:3].tolist())
+            wanted = cell in targets if is_loaded else cell not in targets
+            is_kind = grid.kind_at(cell) == (Kind.AIR if is_loaded else Kind.BLOCK)
+            if mask[CONTINUE + 1 + number] and wanted and is_kind:
+                return CONTINUE + 1 + number
+        self.turn = 1 - car  # the other one is in the way, or has more within reach
+        return STOP
+
+
+@pytest.mark.parametrize("backend", ["grid", "physics"])
+def test_a_scripted_policy_builds_the_strip_by_object_choices(backend):
+    with closing(_env(make_task("strip", max_steps=80), backend)) as env:
+        policy = Strip(env)
+        observations, _ = env.reset(seed=0)
+        while env.agents:
+            observations, _, _, _, infos = env.step(policy(observations))
+            assert not any(info["illegal"] for info in infos.values())
+        assert infos["car_0"]["success"]
+
+
+def test_batches_offer_choices_and_views_and_show_the_last_ones_before_a_reset():
+    options = {"helper_depth": 20, "object_choice": EVERYWHERE, "local_view": 1}
+    envs = vector_env(make_task("simple_two_story", max_steps=3), 4, **options)
+    rng, ended = np.random.default_rng(0), 0
+    observations, _ = envs.reset(seed=0)
+    for _ in range(12):
+        assert envs.observation_space.contains(observations)
+        last = observations
+        chosen = (rng.random(last["action_mask"].shape) * last["action_mask"]).argmax(-1)
+        queued = last["action_mask"][..., CONTINUE] == 1
+        assert (last["action_mask"].sum(-1)[queued] == 1).all()
+        observations, *_, infos = envs.step(chosen)
+        for world in np.flatnonzero(infos.get("_final_obs", [])):
+            ended += 1
+            assert envs.single_observation_space.contains(infos["final_obs"][world])
+    assert ended == 8
+    with closing(vector_env("strip", 2, "physics", workers=1, **options)) as physics:
+        seen, _ = physics.reset(seed=0)
+        assert physics.observation_space.contains(seen)
+
+
+def test_a_local_view_shows_the_cells_around_each_car():
+    task = make_task("simple_two_story")
+    env, act = parallel_env(task, "grid", local_view=2), random_policy(np.random.default_rng(0))
+    observations, _ = env.reset(seed=0)
+    for _ in range(10):
+        grid = env.grid
+        design = {target.cell: target.kind for target in task.design.targets}
+        cars = {tuple(row[:3].tolist()): car for car, row in enumerate(grid.cars)}
+        for car, seen in enumerate(observations.values()):
+            for place in np.ndindex(seen["local_view"].shape[:3]):
+                x, y, z = cell = tuple((grid.cars[car, :3] * (1, 1, 0) + place - (2, 2, -1)).tolist())
+                found, other = seen["local_view"][place], cars.get(cell)
+                outside = not (0 <= x < grid.size[0] and 0 <= y < grid.size[1])
+                there = Kind.WALL if outside else Kind.AIR if z > grid.size[2] else grid.kind_at(cell)
+                assert found[0] == there
+                row = [0, 0, 0] if other is None else [1 + (other == car), *grid.cars[other, [3, 4]]]
+                assert found[2:5].tolist() == row
+                assert found[5] == design.get(cell, Kind.AIR)
+        observations = env.step(act(observations))[0]
+    far = Grid.empty((2, 2, 1), n_cars=0)
+    assert local_views(far[None], np.zeros((1, 0, 5), np.int64), 1).shape == (1, 0, 3, 3, 2, 6)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"object_choice": ObjectChoice()}, "needs the action helper; give helper_depth"),
+        ({"object_choice": 3, "helper_depth": 20}, "must be an instance of ObjectChoice"),
+        ({"local_view": -1}, r"local_view: -1 is out of range, allowed: 0 to 64"),
+    ],
+)
+def test_wrong_options_are_refused(options, words):
+    with pytest.raises(InputError, match=words):
+        parallel_env("strip", "grid", **options)
+    with pytest.raises(InputError, match="radius: 0 is out of range"):
+        ObjectChoice(radius=0)

@@ -32,9 +32,9 @@ class _Kind:
 
 
 _KINDS: Final = {
-    "large_tower_4": _Kind(4, 237, True),
+    "large_tower_4": _Kind(4, 236, True),
     "large_tower_8": _Kind(8, 196, True),
-    "large_free_building_4": _Kind(4, 237, False),
+    "large_free_building_4": _Kind(4, 236, False),
     "large_free_building_8": _Kind(8, 196, False),
 }
 """Step limits: about 1.5 times what 95 % of the planner's plans for the tower take (docs/tasks.md)."""

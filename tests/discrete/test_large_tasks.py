@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from craftsim.designs.tasks import with_reflections
+from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Grid, Kind, Piece
+from craftsim.discrete.move_graph import UNREACHABLE, MoveGraph
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.large_tasks import LARGE_NAMES, large_task
+from craftsim.discrete.tasks.random_tasks import back_to_back
 from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS
 from craftsim.discrete.tasks.starts import Starts, belongs, targets_of
 from craftsim.errors import InputError
@@ -97,6 +101,18 @@ def test_the_finished_tower_is_worth_the_same_turned_and_reflected():
     assert task.reached(forms.grids, forms.designs).all()
 
 
+def test_two_slopes_back_to_back_leave_a_car_no_way_under_either():
+    for yaw, (dx, dy) in enumerate(DIRECTIONS.tolist()):
+        folded = [Piece(Kind.FSLOPE, (2, 2, 1), yaw), Piece(Kind.FSLOPE, (2 - dx, 2 - dy, 1), yaw ^ 2)]
+        for slopes, stuck in ((folded, True), (folded[:1], False)):
+            grid = world(slopes)
+            graph = MoveGraph(grid, Rules("physical"))
+            reached = graph.distances_from(graph.floor_nodes(grid.kind[..., 1] == Kind.AIR)) < UNREACHABLE
+            under = [node for slope in slopes for node in graph.nodes(slope.cell, slope.yaws)]
+            assert reached[under].any() != stuck
+            assert back_to_back(grid[None]).tolist() == [stuck]
+
+
 @EACH
 def test_starts_have_all_their_things_on_the_floor_and_are_distinct(name):
     task, other = as_task(name), as_task(f"{name}@test")
@@ -108,6 +124,7 @@ def test_starts_have_all_their_things_on_the_floor_and_are_distinct(name):
         assert ((starts.grids.kind == kind).sum((1, 2, 3)) == count).all()
         assert ((starts.grids.kind[..., 1] == kind).sum((1, 2)) == count).all()
     assert starts.grids.size == (10, 10, 4)
+    assert not back_to_back(starts.grids).any()
     assert starts.grids.n_cars == int(name[-1])
 
 

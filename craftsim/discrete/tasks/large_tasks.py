@@ -51,7 +51,7 @@ def large_task(name: str, split: Split = "train") -> Task:
     Args:
         name: ``large_tower_4``, ``large_tower_8``, ``large_free_building_4`` or ``large_free_building_8``, by the
             number of cars.
-        split: ``train`` or ``test``; both are drawn as needed, no start is in both, and a few have no solution.
+        split: ``train`` or ``test``; both are drawn as needed, and no start is in both.
 
     Raises InputError.
 
@@ -81,4 +81,4 @@ def large_task(name: str, split: Split = "train") -> Task:
         split=split,
         shown_targets=len(design.targets) if design else 0,
     )
-    return replace(task, sampler=RandomPlacement(task))
+    return replace(task, sampler=RandomPlacement(task, apart=True))

@@ -17,7 +17,7 @@ from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, has_room
-from craftsim.discrete.tasks import make_task
+from craftsim.discrete.tasks import as_task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.task import TASK_NAMES
 from craftsim.envs import vector_env
@@ -42,6 +42,7 @@ def main() -> None:
     for name in TASK_NAMES:
         for reward in ("paper", "published_code"):
             Episodes(make_task(name, reward), np.random.default_rng(0))
+    Episodes(as_task("large_free_building_4"), np.random.default_rng(0))
     start = task.draw(np.random.default_rng(0))
     rules = Rules("physical")
     rules.explain(start, 0, Action.LIFT)

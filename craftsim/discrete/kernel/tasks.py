@@ -26,15 +26,20 @@ from craftsim.discrete.kernel.state import (
     KIND,
     World,
     car_field,
+    derived_landing,
     dir_x,
     dir_y,
     kind_at,
     yaw_at,
 )
+from craftsim.discrete.kinds import Kind
 
 ROW = 13
 """Numbers of a row of an observation, in this order: x, y, z, then these."""
 IS_CAR, IS_FSLOPE, IS_BODY, IS_FOOT, IS_BLOCK, IS_FLAG, IS_GOAL, YAW_HIGH, YAW_LOW, IS_LOADED = range(3, ROW)
+_FLAGS = {BLOCK: IS_BLOCK, FSLOPE: IS_FSLOPE, BODY: IS_BODY, FOOT: IS_FOOT, FLAG: IS_FLAG}
+TYPE_FLAGS = tuple(_FLAGS.get(kind, 0) for kind in range(len(Kind)))
+"""The place of the type flag of each kind, 0 for kinds without rows."""
 
 
 @compiled
@@ -151,6 +156,39 @@ def largest_platforms(
 
 
 @compiled
+def score_structures(worlds: World, weights: tuple[float, ...], out: NDArray[np.float64]) -> None:
+    """Write how elaborate the buildings of each world are into out (B,).
+
+    ``weights`` are those of a landing of a ramp, a block on a block, a folded slope on a block, an unfolded one, such a
+    one with a block behind it, and a stack of three blocks from the floor.
+    """
+    landing, on_block, folded, unfolded, leads, stack = weights
+    for i in range(out.shape[0]):
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        score = 0.0
+        for x in range(w.cells.shape[0]):
+            for y in range(w.cells.shape[1]):
+                for z in range(1, w.cells.shape[2]):
+                    if kind_at(w, x, y, z) != BLOCK:
+                        continue
+                    if derived_landing(w, x, y, z):
+                        score += landing
+                    above = kind_at(w, x, y, z + 1)
+                    if above == BLOCK:
+                        score += on_block
+                        if z == 1 and kind_at(w, x, y, 3) == BLOCK:
+                            score += stack
+                    elif above == FSLOPE:
+                        score += folded
+                    elif above == BODY:
+                        score += unfolded
+                        yaw = yaw_at(w, x, y, z + 1)
+                        if kind_at(w, x - dir_x(yaw), y - dir_y(yaw), z + 1) == BLOCK:
+                            score += leads
+        out[i] = score
+
+
+@compiled
 def flag_distances(worlds: World, goal: tuple[int, int, int], out: NDArray[np.float64]) -> None:
     """Write the Manhattan distance of the flag, carried or not, to the goal in each world into out (B,).
 
@@ -180,20 +218,6 @@ def write_row(row: NDArray[np.int32], x: int, y: int, z: int, flag: int, yaw: in
 
 
 @compiled
-def type_flag(kind: int) -> int:
-    """Return the place of the type flag of a kind, 0 for kinds without rows."""
-    if kind == BLOCK:
-        return IS_BLOCK
-    if kind == FSLOPE:
-        return IS_FSLOPE
-    if kind == BODY:
-        return IS_BODY
-    if kind == FOOT:
-        return IS_FOOT
-    return IS_FLAG if kind == FLAG else 0
-
-
-@compiled
 def write_rows(
     worlds: World,
     first_rows: NDArray[np.int64],
@@ -220,7 +244,7 @@ def write_rows(
         for car in range(w.cars.shape[0]):
             x, y, z = car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z)
             write_row(rows[car], x, y, z, IS_CAR, car_field(w, car, F_YAW))
-            flag = type_flag(car_field(w, car, F_LOAD))
+            flag = TYPE_FLAGS[car_field(w, car, F_LOAD)]
             if flag == 0:
                 continue
             rows[car, IS_LOADED] = 1
@@ -236,7 +260,7 @@ def write_rows(
                     kind = int(np.int64(w.cells[x, y, z, KIND]))
                     if kind == AIR:
                         continue
-                    flag = type_flag(kind)
+                    flag = TYPE_FLAGS[kind]
                     if flag == 0:
                         continue
                     if free[flag] > 0:

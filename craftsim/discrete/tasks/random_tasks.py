@@ -44,6 +44,8 @@ class RandomPlacement:
     task: Task
     flag_x: int = -1
     """The lowest x at which a flag is placed; -1 for none."""
+    apart: bool = False
+    """Whether a start with two slopes back to back, neither of which a car can drive under, is none, too."""
 
     def draw(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n starts; raises InputError where things find no room."""
@@ -80,6 +82,8 @@ class RandomPlacement:
         found_room &= place_cars(starts.grids, chances[:, len(kinds) :])
         starts.grids.derive_marks()
         done = self.task.reached(starts.grids, starts.designs)
+        if self.apart:
+            found_room &= ~back_to_back(starts.grids)
         mine = belongs(starts.digests(), self.task.split or "train")
         return starts, np.flatnonzero(~found_room | done | ~mine)
 
@@ -121,6 +125,15 @@ def place_cars(grids: Grid, chances: NDArray[np.float64]) -> NDArray[np.bool_]:
         grids.cars[:, car, CarField.X], grids.cars[:, car, CarField.Y] = x, y
         grids.cars[:, car, CarField.YAW] = (chances[:, 2 * car + 1] * _YAWS).astype(np.int16)
     return found_room
+
+
+def back_to_back(grids: Grid) -> NDArray[np.bool_]:
+    """Return (B,): whether two folded slopes on the floor stand with their backs to each other."""
+    yaw = np.where(grids.kind[..., 1] == Kind.FSLOPE, grids.yaw[..., 1], -1)
+    along_x = (yaw[:, :-1] == 2) & (yaw[:, 1:] == 0)
+    along_y = (yaw[:, :, :-1] == 3) & (yaw[:, :, 1:] == 1)
+    found: NDArray[np.bool_] = along_x.any(axis=(1, 2)) | along_y.any(axis=(1, 2))
+    return found
 
 
 def _choose(

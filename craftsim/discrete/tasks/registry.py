@@ -12,13 +12,15 @@ import re
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, cast
 
 from craftsim.discrete.files.blueprint import KEYS, blueprint_of, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.shipped import Shelf, find
 from craftsim.discrete.grid import Kind
+from craftsim.discrete.tasks.large_tasks import LARGE_NAMES, large_task
 from craftsim.discrete.tasks.random_tasks import RANDOM, RANDOM_NAMES, random_task
+from craftsim.discrete.tasks.starts import Split
 from craftsim.discrete.tasks.task import (
     DEFAULT_MAX_STEPS,
     TASK_NAMES,
@@ -38,7 +40,7 @@ from craftsim.storage.yaml import Document, read_document
 
 DESIGNS: Final = "designs"
 """The name of the task in which each episode has a random design."""
-VARIED_NAMES: Final = (*RANDOM_NAMES, DESIGNS)
+VARIED_NAMES: Final = (*RANDOM_NAMES, *LARGE_NAMES, DESIGNS)
 """The tasks whose episodes differ."""
 
 PLATFORM: Final = "platform"
@@ -179,6 +181,12 @@ def _found(
 ) -> Task:
     """Return the task of a name, a file or, where code may be imported, ``module:factory``."""
     name, _, split = text.partition("@")
+    if name in LARGE_NAMES:
+        if (n_cars, n_blocks, area) != (None, None, None):
+            raise InputError(
+                f"task '{text}' has its own area and numbers of cars and blocks; they cannot be given"
+            )
+        return large_task(name, cast(Split, split or "train"))
     if name in VARIED_NAMES:
         # The generator's room is above this one, as those are that factories of one's own lie in.
         varied: Any = random_task

@@ -17,6 +17,7 @@ from craftsim.discrete.kernel.tasks import (
     largest_platforms,
     score_buildings,
     score_buildings_as_published,
+    score_structures,
 )
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks.observation import Layout
@@ -81,6 +82,9 @@ ALPHA: Final = 10.0
 """Reward of a tick that ends with the flag on the goal, by the paper."""
 BETA: Final = 1.0
 """What every tick of the barrier task costs, by the paper."""
+STRUCTURE_WEIGHTS: Final = (1.0, 1.0, 5.0, 10.0, 25.0, 50.0)
+"""Of the parts of :func:`structure`: ``block_near_unfold``, ``block_on_block``, ``fold_on_block``, ``unfold_on_block``,
+``block_unfold_on_block`` and ``block_on_block_on_block`` of CraftEnv's ``free.yaml`` and ``flag.yaml``."""
 PUBLISHED_BONUS: Final = 20.0
 """From this CraftEnv's code subtracts the tick's number when the flag first reaches the goal."""
 
@@ -133,6 +137,17 @@ def complexity(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     return platform(grids, designs, layout) + storeys + np.bincount(world[leads], minlength=len(grids))
 
 
+def structure(grids: Grid, designs: Targets, layout: Layout) -> Floats:
+    """Return how elaborate a building is by what CraftEnv's configuration files weigh for large-scale training.
+
+    A block behind the body of an unfolded slope counts 1, a block on a block 1, a folded slope on a block 5, an
+    unfolded one 10, and 25 more where it leads to a block, and a stack of three blocks from the floor 50.
+    """
+    out = np.empty(len(grids))
+    score_structures(grids.world(), STRUCTURE_WEIGHTS, out)
+    return out
+
+
 POTENTIALS: Final[dict[str, Potential]] = {
     "building": building,
     "complex_building": partial(building, upper_block=3.0),
@@ -141,6 +156,7 @@ POTENTIALS: Final[dict[str, Potential]] = {
     "published_platform": published_platform,
     "flag_nearness": flag_nearness,
     "complexity": complexity,
+    "structure": structure,
 }
 
 
@@ -161,7 +177,19 @@ def flag_at_goal(grids: Grid, designs: Targets, layout: Layout) -> Bools:
     return flag_nearness(grids, designs, layout) == 0
 
 
-GOALS: Final[dict[str, Goal]] = {"built": built, "one_platform": one_platform, "flag_at_goal": flag_at_goal}
+def three_high(grids: Grid, designs: Targets, layout: Layout) -> Bools:
+    """Return whether three blocks stand on one another from the floor."""
+    stacks = np.all(grids.kind[..., 1:4] == Kind.BLOCK, axis=-1)
+    found: Bools = np.any(stacks, axis=(1, 2))
+    return found
+
+
+GOALS: Final[dict[str, Goal]] = {
+    "built": built,
+    "one_platform": one_platform,
+    "flag_at_goal": flag_at_goal,
+    "three_high": three_high,
+}
 
 
 def change(before: Floats, after: Floats, t: NDArray[np.int64], given: Bools) -> tuple[Floats, Bools]:

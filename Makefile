@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours tables constraints newest recipes packages wheel libraries clean
+.PHONY: help demo test slow bench lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours tables constraints newest recipes packages wheel libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -27,6 +27,9 @@ test newest: export PYTHONDONTWRITEBYTECODE :=
 test: libraries  ## Lint, type-check and run all tests, from a fresh checkout (ARGS are passed to pytest)
 	@$(MAKE) --no-print-directory -j2 lint compiled
 	$(BIN)/pytest -n 3 --dist worksteal $(ARGS)
+
+slow: $(VENV)/installed-dev  ## Run the few tests that "make test" leaves out for their length
+	$(BIN)/pytest -m slow $(ARGS)
 
 bench: $(VENV)/installed-dev  ## Run the benchmarks on a quiet machine (half an hour; ARGS='benchmarks/bench_physics.py --benchmark-json FILE')
 	OMP_NUM_THREADS=1 $(BIN)/pytest -c benchmarks/pytest.ini $(or $(ARGS),benchmarks)

@@ -39,12 +39,12 @@ def test_meshes_are_small():
     assert sum(sizes) < 6000
 
 
-@pytest.mark.parametrize("name", SOLIDS)
-def test_every_part_is_a_closed_solid_facing_outward(name):
-    for part in map(_solid, SOLIDS[name]):
-        assert part.is_watertight
-        assert part.is_winding_consistent
-        assert part.volume > 0
+def test_every_part_is_a_closed_solid_facing_outward():
+    for name in SOLIDS:
+        for part in map(_solid, SOLIDS[name]):
+            assert part.is_watertight
+            assert part.is_winding_consistent
+            assert part.volume > 0
 
 
 def test_a_car_of_other_lengths_has_closed_solids_of_those_lengths():
@@ -58,9 +58,9 @@ def test_a_car_of_other_lengths_has_closed_solids_of_those_lengths():
     assert trimesh.util.concatenate(solids["wheel_hub"]).extents[1] == pytest.approx(0.04, abs=1e-6)
 
 
-@pytest.mark.parametrize("name", BOUNDS)
-def test_bounding_boxes_are_the_published_ones(name):
-    assert _load(name).bounds == pytest.approx(np.array(BOUNDS[name]), abs=0.7e-3)
+def test_bounding_boxes_are_the_published_ones():
+    for name in BOUNDS:
+        assert _load(name).bounds == pytest.approx(np.array(BOUNDS[name]), abs=0.7e-3)
 
 
 def test_what_decorates_stays_within_a_millimetre_of_what_it_decorates():

@@ -74,12 +74,10 @@ def test_text_that_is_not_utf_8_is_named_with_its_line(tmp_path):
         read_text(tmp_path / "text", SMALL)
 
 
-@pytest.mark.parametrize(
-    "text", ["[" * 100_000, "1" * 5000, "NaN", '"\\ud800"', "", "{", '{"a": 1,}', "\x00"]
-)
-def test_json_that_is_none_is_our_error(text, tmp_path):
-    with pytest.raises(InputError, match="here: not JSON"):
-        parse_json(text.encode(), "here")
+def test_json_that_is_none_is_our_error(tmp_path):
+    for text in ("[" * 100_000, "1" * 5000, "NaN", '"\\ud800"', "", "{", '{"a": 1,}', "\x00"):
+        with pytest.raises(InputError, match="here: not JSON"):
+            parse_json(text.encode(), "here")
 
 
 def test_json_is_read():
@@ -148,11 +146,11 @@ HOSTILE = {
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-@pytest.mark.parametrize("name", HOSTILE)
-def test_an_archive_that_claims_too_much_is_refused(name, tmp_path):
-    _npz(tmp_path / "a.npz", HOSTILE[name])
-    with pytest.raises(InputError, match=r"a\.npz"):
-        read_arrays(tmp_path / "a.npz", SMALL)
+def test_an_archive_that_claims_too_much_is_refused(tmp_path):
+    for name in HOSTILE:
+        _npz(tmp_path / "a.npz", HOSTILE[name])
+        with pytest.raises(InputError, match=r"a\.npz"):
+            read_arrays(tmp_path / "a.npz", SMALL)
 
 
 def test_other_packing_damage_and_a_plain_array_are_refused(tmp_path):

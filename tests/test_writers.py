@@ -152,7 +152,3 @@ def test_files_have_the_rights_that_others_have(tmp_path):
     finally:
         os.umask(before)
     assert (tmp_path / "a.txt").stat().st_mode & 0o777 == 0o640
-
-
-def test_an_empty_text_is_a_file(tmp_path):
-    assert write_whole(tmp_path / "a.txt", "").read_bytes() == b""

@@ -157,7 +157,9 @@ def goal_text(task: Task) -> str:
     if task.success == "one_platform":
         return "all blocks are side by side on one level, and so form one platform."
     if task.success == "three_high":
-        return "three blocks stand on one another, the lowest on the floor; ramps on blocks are rewarded, too."
+        return (
+            "three blocks stand on one another, the lowest on the floor; ramps on blocks are rewarded, too."
+        )
     return f"what the task '{task.name}' rewards."
 
 

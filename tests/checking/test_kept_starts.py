@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from craftsim.checking.setup import Setup, compile_world, set_up
+from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import StartError
 from craftsim.models.config import SimulationConfig
-from craftsim.models.randomization import DomainRandomization, randomize
 from craftsim.models.world import _kept
 
 
@@ -56,18 +55,6 @@ def test_another_start_configuration_or_goal_is_not_taken_for_it():
         set_up(grid, setup, goals=goals)
     assert _kept.cache_info().misses == 4
     assert set_up(_grid(2), Setup()).grid.same_visible(_grid(2))
-
-
-def test_drawn_physics_before_changes_nothing():
-    fresh = set_up(_grid(), Setup()).physics
-    figures = fresh.model.body_mass.copy(), fresh.model.dof_invweight0.copy(), _numbers(fresh)
-    world = compile_world(_grid(), Setup())
-    randomize(world, DomainRandomization(), np.random.default_rng(0))
-    assert not np.array_equal(world.model.body_mass, figures[0])
-    world.reset_compiled()
-    model = world.model
-    for now, then in zip((model.body_mass, model.dof_invweight0, _numbers(world)), figures, strict=True):
-        np.testing.assert_array_equal(now, then)
 
 
 def test_a_start_that_cannot_be_is_refused_each_time():

@@ -44,9 +44,9 @@ def test_limits_are_widened_by_what_no_car_can_know_and_by_nothing_else(tmp_path
     assert widened(Thresholds(), NONE) == Thresholds()
 
 
-@pytest.mark.parametrize(("name", "force"), [("none", 1.0), ("mild", 1.1), ("strong", 1.2)])
-def test_without_bias_and_relief_limits_are_those_of_the_preset_and_forces_follow_the_masses(name, force):
-    assert setup_of(name).thresholds == replace(RANDOMIZE[name][0], force=force)
+def test_without_bias_and_relief_limits_are_those_of_the_preset_and_forces_follow_the_masses():
+    for name, force in (("none", 1.0), ("mild", 1.1), ("strong", 1.2)):
+        assert setup_of(name).thresholds == replace(RANDOMIZE[name][0], force=force)
 
 
 def test_noise_takes_the_place_of_the_presets_and_the_assumption_stays():
@@ -55,9 +55,8 @@ def test_noise_takes_the_place_of_the_presets_and_the_assumption_stays():
     assert setup.assumed == ASSUMED
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_a_mistake_in_a_file_is_named(tmp_path):
+    for text, message in (
         ("base: firm", "world.yaml:1: key 'base': unknown value 'firm'"),
         ("floor: {lippage: 0.1}", "world.yaml:1: unknown key 'lippage'.*did you mean 'lippage_m'"),
         (
@@ -67,11 +66,9 @@ def test_noise_takes_the_place_of_the_presets_and_the_assumption_stays():
         ("friction: much", "world.yaml:1: key 'friction': must be a number"),
         ("limits: {car_m: .inf}", "world.yaml:1: key 'limits.car_m': must be a"),
         ("wind: 3", "world.yaml:1: unknown key 'wind'"),
-    ],
-)
-def test_a_mistake_in_a_file_is_named(tmp_path, text, message):
-    with pytest.raises(InputError, match=message):
-        _setup(tmp_path, text)
+    ):
+        with pytest.raises(InputError, match=message):
+            _setup(tmp_path, text)
 
 
 def test_a_word_that_is_no_preset_is_named():

@@ -1,9 +1,8 @@
 """What is found of an action: agreed, not executed, wrong place, side effect, unreadable; and what differs in words."""
 
 import numpy as np
-import pytest
 
-from craftsim.checking.attempt import AGREES, Cause, compare
+from craftsim.checking.attempt import Cause, compare
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.readback import Reading, describe_car, describe_differences, own_differences
 
@@ -35,74 +34,63 @@ BEFORE = _before()
 STEP = _changed(BEFORE, cars=[(0, CarField.X, 1)])
 
 
-def test_what_is_read_as_predicted_agrees():
-    assert _compare(BEFORE, STEP, STEP.copy()) == AGREES
-    assert _compare(BEFORE, STEP, STEP.copy())[0] == "agrees"
+def _turned(grid: Grid) -> Grid:
+    after = grid.copy()
+    after.yaw[2, 2, 1] = 1
+    return after
 
 
-def test_an_action_that_is_predicted_to_change_nothing_agrees_when_nothing_changes():
-    assert _compare(BEFORE, BEFORE.copy(), BEFORE.copy())[0] == "agrees"
+def _other_marks(grid: Grid) -> Grid:
+    after = grid.copy()
+    after.occupant[:], after.landing[:] = 7, True
+    return after
 
 
-def test_marks_do_not_decide():
-    read = STEP.copy()
-    read.occupant[:] = 7
-    read.landing[:] = True
-    assert _compare(BEFORE, STEP, read)[0] == "agrees"
-
-
-def test_no_change_at_all_is_not_executed():
-    cause = _compare(BEFORE, STEP, BEFORE.copy())
-    assert cause[0] == "not executed"
-    assert cause[1] == ("car 0: predicted 1,0,1 +x, read 0,0,1 +x",)
-    assert cause[0] != "agrees"
-
-
-@pytest.mark.parametrize(
-    "change", [(CarField.Y, 1), (CarField.YAW, 1), (CarField.LOAD, Kind.BLOCK)], ids=["cell", "yaw", "load"]
+LOADED = _changed(BEFORE, cars=[(0, CarField.LOAD, Kind.FLAG)])
+DROPPED = _changed(BEFORE, cells=[((0, 0, 1), Kind.FLAG)])
+LEANS = "car 0 leans: pitch +0.30 rad, roll 0.00 rad"
+FOUND = (
+    (BEFORE, STEP, STEP, (), "agrees", None),
+    (BEFORE, BEFORE, BEFORE, (), "agrees", None),
+    (BEFORE, STEP, _other_marks(STEP), (), "agrees", None),
+    (BEFORE, STEP, BEFORE, (), "not executed", "car 0: predicted 1,0,1 +x, read 0,0,1 +x"),
+    *(
+        (BEFORE, STEP, _changed(BEFORE, cars=[(0, *change)]), (), "wrong place", None)
+        for change in ((CarField.Y, 1), (CarField.YAW, 1), (CarField.LOAD, Kind.BLOCK))
+    ),
+    (
+        *(LOADED, DROPPED, _changed(BEFORE, cells=[((0, 0, 1), Kind.BLOCK)]), (), "wrong place"),
+        "cell (0, 0, 1): predicted flag yaw 0, read block yaw 0",
+    ),
+    *(
+        (BEFORE, STEP, _changed(STEP, cars=cars, cells=cells), (), "side effect", None)
+        for cars, cells in (
+            ([(1, CarField.Y, 2)], ()),
+            ([(1, CarField.YAW, 0)], ()),
+            ((), [((1, 2, 1), Kind.AIR), ((1, 3, 1), Kind.BLOCK)]),
+            ((), [((2, 2, 1), Kind.BODY), ((3, 2, 1), Kind.FOOT)]),
+        )
+    ),
+    (BEFORE, STEP, _changed(BEFORE, cells=[((1, 2, 1), Kind.AIR)]), (), "side effect", None),
+    (
+        BEFORE,
+        STEP,
+        _turned(STEP),
+        (),
+        "side effect",
+        "cell (2, 2, 1): predicted fslope yaw 0, read fslope yaw 1",
+    ),
+    (BEFORE, STEP, STEP, (LEANS,), "unreadable", LEANS),
 )
-def test_the_acting_car_elsewhere_is_a_wrong_place(change):
-    read = _changed(BEFORE, cars=[(0, *change)])
-    assert _compare(BEFORE, STEP, read)[0] == "wrong place"
+"""Before, predicted, read, problems of the reading; what is found, and in which words if one difference is all."""
 
 
-def test_a_load_set_down_wrong_is_a_wrong_place():
-    loaded = _changed(BEFORE, cars=[(0, CarField.LOAD, Kind.FLAG)])
-    dropped = _changed(BEFORE, cells=[((0, 0, 1), Kind.FLAG)])
-    read = _changed(BEFORE, cells=[((0, 0, 1), Kind.BLOCK)])
-    cause = _compare(loaded, dropped, read)
-    assert cause[0] == "wrong place"
-    assert cause[1] == ("cell (0, 0, 1): predicted flag yaw 0, read block yaw 0",)
-
-
-@pytest.mark.parametrize(
-    "read",
-    [
-        _changed(STEP, cars=[(1, CarField.Y, 2)]),
-        _changed(STEP, cars=[(1, CarField.YAW, 0)]),
-        _changed(STEP, cells=[((1, 2, 1), Kind.AIR), ((1, 3, 1), Kind.BLOCK)]),
-        _changed(STEP, cells=[((2, 2, 1), Kind.BODY), ((3, 2, 1), Kind.FOOT)]),
-        _changed(BEFORE, cells=[((1, 2, 1), Kind.AIR)]),
-    ],
-    ids=["car pushed", "car turned", "block pushed", "slope opened", "block gone and car not moved"],
-)
-def test_a_change_of_what_the_action_leaves_alone_is_a_side_effect(read):
-    cause = _compare(BEFORE, STEP, read)
-    assert cause[0] == "side effect"
-    assert cause[1]
-
-
-def test_a_turned_thing_is_a_side_effect():
-    read = STEP.copy()
-    read.yaw[2, 2, 1] = 1
-    cause = _compare(BEFORE, STEP, read)
-    assert cause[0] == "side effect"
-    assert cause[1] == ("cell (2, 2, 1): predicted fslope yaw 0, read fslope yaw 1",)
-
-
-def test_poses_that_are_no_grid_are_unreadable_whatever_the_grid_says():
-    cause = _compare(BEFORE, STEP, STEP.copy(), "car 0 leans: pitch +0.30 rad, roll 0.00 rad")
-    assert cause == ("unreadable", ("car 0 leans: pitch +0.30 rad, roll 0.00 rad",))
+def test_what_is_found_follows_from_what_is_predicted_and_read():
+    for before, predicted, read, problems, found, words in FOUND:
+        cause = _compare(before, predicted, read, *problems)
+        assert cause[0] == found, cause
+        assert bool(cause[1]) == (found != "agrees")
+        assert words is None or cause[1] == (words,)
 
 
 def test_every_difference_gets_its_line():
@@ -114,19 +102,16 @@ def test_every_difference_gets_its_line():
     ]
 
 
-@pytest.mark.parametrize(
-    ("row", "text"),
-    [
+def test_a_car_is_described_in_brief():
+    for row, text in (
         ((2, 3, 1, 1, Kind.AIR, 0, 0), "2,3,1 +y"),
         ((2, 3, 1, 1, Kind.BLOCK, 0, 0), "2,3,1 +y block"),
         ((0, 1, 2, 2, Kind.FSLOPE, 0, 2), "0,1,2 -x fslope+x high"),
         ((0, 1, 1, 3, Kind.FLAG, 0, 1), "0,1,1 -y flag low"),
-    ],
-)
-def test_a_car_is_described_in_brief(row, text):
-    grid = Grid.empty((4, 4, 3), 1)
-    grid.cars[0] = np.array(row)
-    assert describe_car(grid, 0) == text
+    ):
+        grid = Grid.empty((4, 4, 3), 1)
+        grid.cars[0] = np.array(row)
+        assert describe_car(grid, 0) == text
 
 
 def test_an_action_has_its_effect_whatever_else_happened():
@@ -136,7 +121,7 @@ def test_an_action_has_its_effect_whatever_else_happened():
     assert own_differences(BEFORE, dropped, pushed, car=0) == []
 
 
-@pytest.mark.parametrize("read", [BEFORE, STEP, _changed(BEFORE, cells=[((1, 0, 1), Kind.BLOCK)])])
-def test_an_action_whose_car_or_cell_is_not_as_predicted_has_not_its_effect(read):
-    dropped = _changed(STEP, cells=[((1, 0, 1), Kind.BLOCK)])
-    assert own_differences(BEFORE, dropped, read, car=0)
+def test_an_action_whose_car_or_cell_is_not_as_predicted_has_not_its_effect():
+    for read in (BEFORE, STEP, _changed(BEFORE, cells=[((1, 0, 1), Kind.BLOCK)])):
+        dropped = _changed(STEP, cells=[((1, 0, 1), Kind.BLOCK)])
+        assert own_differences(BEFORE, dropped, read, car=0)

@@ -42,9 +42,8 @@ def test_the_list_names_all_and_writes_nothing(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
+def test_what_cannot_be_is_one_message_and_exit_2(tmp_path, capsys):
+    for words, message in (
         (["pyramidd"], "did you mean 'pyramid'?"),
         (["random", "--size", "3"], "random takes --difficulty, --cars, --seed and --out alone"),
         (["wall", "--area", "9", "9"], "--area has 2 numbers; allowed: three"),
@@ -55,11 +54,9 @@ def test_the_list_names_all_and_writes_nothing(tmp_path, capsys):
         (["wall", "--size", "129"], "--size is 129; allowed: 1 to 128"),
         (["wall", "--cars", "1000"], "--cars is 1000; allowed"),
         (["none.png"], "none.png: no such file"),
-    ],
-)
-def test_what_cannot_be_is_one_message_and_exit_2(words, message, tmp_path, capsys):
-    assert main(["design", *words, "--out", str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+    ):
+        assert main(["design", *words, "--out", str(tmp_path / "out")]) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+        assert not (tmp_path / "out").exists()

@@ -29,6 +29,18 @@ def car_at(x, y, z=1, yaw=0, load=Kind.AIR, load_yaw=0, slope=0):
     return {"x": x, "y": y, "z": z, "yaw": yaw, "load": load, "load_yaw": load_yaw, "slope": slope}
 
 
+def recorded_world(example) -> Grid:
+    """Return the world of an example in tests/data: things are (x, y, z, kind, yaw), marks those that drifted."""
+    grid = Grid.empty(example["size"], len(example["cars"]))
+    for x, y, z, kind, yaw in example["things"]:
+        grid.kind[x, y, z], grid.yaw[x, y, z] = kind, yaw
+    grid.cars[:] = example["cars"]
+    grid.derive_marks()
+    for x, y, z, occupant, landing in example.get("marks", ()):
+        grid.occupant[x, y, z], grid.landing[x, y, z] = occupant, landing
+    return grid
+
+
 @pytest.fixture
 def scene():
     """The maker of hand-made worlds."""

@@ -21,7 +21,6 @@ from craftsim.discrete.reasons import REASONS
 ROOT: Final = Path(__file__).parents[2]
 TESTS: Final = (
     "test_reasons.py",
-    "test_actions_in_place.py",
     "test_moves.py",
     "test_marks.py",
     "test_helper.py",
@@ -145,7 +144,8 @@ def tests_that_fail(mutant: Mutant | None) -> list[str]:
         shutil.copytree(ROOT / "craftsim", copy / "craftsim", ignore=ignored)
         shutil.copytree(ROOT / "tests" / "discrete", copy / "tests" / "discrete", ignore=ignored)
         (copy / "tests" / "data").mkdir()
-        shutil.copy(ROOT / "tests" / "data" / "reasons.jsonl", copy / "tests" / "data")
+        for name in ("reasons.jsonl", "corrections.jsonl"):
+            shutil.copy(ROOT / "tests" / "data" / name, copy / "tests" / "data")
         (copy / "docs").mkdir()
         shutil.copy(ROOT / "docs" / "rules.md", copy / "docs")
         if mutant is not None:

@@ -4,6 +4,7 @@ import copy
 import gzip
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -55,23 +56,23 @@ HOSTILE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_recording_is_one_message(name, tmp_path, capsys):
+def test_a_hostile_recording_is_one_message(tmp_path, capsys):
     path = tmp_path / "odd.jsonl.gz"
-    path.write_bytes(gzip.compress(LINE + b"\n" + HOSTILE[name][0]))
-    assert main(["conformance", str(path)]) == 2
-    said = capsys.readouterr().err.splitlines(keepends=True)
-    error = "".join(line for line in said if not line.startswith("craftsim: compiling"))
-    assert error.startswith(f"craftsim: {path}:2: ")
-    assert error.count("\n") == 1
-    with pytest.raises(InputError, match=HOSTILE[name][1]):
-        raise InputError(error)
+    for name, (data, message) in HOSTILE.items():
+        path.write_bytes(gzip.compress(LINE + b"\n" + data))
+        assert main(["conformance", str(path)]) == 2, name
+        said = capsys.readouterr().err.splitlines(keepends=True)
+        (error,) = (line for line in said if not line.startswith("craftsim: compiling"))
+        assert error.startswith(f"craftsim: {path}:2: "), name
+        assert re.search(message, error), error
 
 
-def test_a_pipe_as_recording_is_not_waited_for(tmp_path, capsys):
+def test_the_command_refuses_what_is_no_recording(tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe")
-    assert main(["conformance", str(tmp_path / "pipe")]) == 2
-    assert "not a regular file" in capsys.readouterr().err
+    (tmp_path / "odd").write_bytes(b"not gzip\n")
+    for name, message in (("pipe", "not a regular file"), ("odd", "not a gzip file")):
+        assert main(["conformance", str(tmp_path / name)]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_keys_that_we_do_not_compare_are_passed_over():
@@ -104,16 +105,16 @@ ODD = {
 }
 
 
-@pytest.mark.parametrize("name", ODD)
-def test_a_start_that_the_rules_cannot_look_up_is_refused(name, tmp_path):
-    grid = _start()
-    ODD[name][0](grid)
-    with pytest.raises(InputError, match=ODD[name][1]):
-        make_task("strip").starting_from([grid])
-    arrays = Grid.stack([_start(), grid]).to_arrays()
-    np.savez(tmp_path / "starts.npz", **arrays)
-    with pytest.raises(InputError, match=r"starts\.npz: world 1: "):
-        load_starts(tmp_path / "starts.npz")
+def test_a_start_that_the_rules_cannot_look_up_is_refused(tmp_path):
+    for change, message in ODD.values():
+        grid = _start()
+        change(grid)
+        with pytest.raises(InputError, match=message):
+            make_task("strip").starting_from([grid])
+        arrays = Grid.stack([_start(), grid]).to_arrays()
+        np.savez(tmp_path / "starts.npz", **arrays)
+        with pytest.raises(InputError, match=r"starts\.npz: world 1: "):
+            load_starts(tmp_path / "starts.npz")
 
 
 def test_arrays_of_another_shape_or_type_are_no_world():

@@ -1,7 +1,6 @@
 """The move graph says what the rules say of a car alone, and its distances are those of its steps."""
 
 import numpy as np
-import pytest
 
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.search import SUCCESSORS
@@ -30,20 +29,20 @@ def at(grid, graph, node, load):
     return Grid(grid.cells.copy(), car)
 
 
-@pytest.mark.parametrize("load", [Kind.AIR, Kind.BLOCK, Kind.FSLOPE])
-def test_its_steps_are_those_of_the_rules(load):
-    grid = ramp_world()
-    graph = MoveGraph(grid, RULES, load)
-    # From the ramp and the landing, too: the way up is found.
-    reached = np.flatnonzero(graph.distances_from([graph.node((3, 1, 1), 2)]) < UNREACHABLE)
-    assert graph.node((0, 1, 2), 2) in reached
-    for node in reached.tolist():
-        world = at(grid, graph, node, load)
-        for action, there in zip(SUCCESSORS, graph.steps[node].tolist(), strict=True):
-            assert RULES.legal(world, 0, action) == (there >= 0)
-            if there >= 0:
-                after = RULES.apply(world, 0, action).cars[0].tolist()
-                assert graph.node(tuple(after[:3]), after[CarField.YAW]) == there
+def test_its_steps_are_those_of_the_rules():
+    for load in (Kind.AIR, Kind.BLOCK, Kind.FSLOPE):
+        grid = ramp_world()
+        graph = MoveGraph(grid, RULES, load)
+        # From the ramp and the landing, too: the way up is found.
+        reached = np.flatnonzero(graph.distances_from([graph.node((3, 1, 1), 2)]) < UNREACHABLE)
+        assert graph.node((0, 1, 2), 2) in reached
+        for node in reached.tolist():
+            world = at(grid, graph, node, load)
+            for action, there in zip(SUCCESSORS, graph.steps[node].tolist(), strict=True):
+                assert RULES.legal(world, 0, action) == (there >= 0)
+                if there >= 0:
+                    after = RULES.apply(world, 0, action).cars[0].tolist()
+                    assert graph.node(tuple(after[:3]), after[CarField.YAW]) == there
 
 
 def test_distances_from_and_to_agree():

@@ -48,10 +48,10 @@ def test_a_carried_flag_is_where_its_car_is(scene, car):
     assert rows_of(grid, Layout(1, 0, 0, None, shows_flag=True))[1][:9] == [2, 3, 1, 0, 0, 0, 0, 0, 1]
 
 
-@pytest.mark.parametrize("kind", [Kind.BLOCK, Kind.FSLOPE])
-def test_more_things_than_rows_are_told(scene, kind):
-    with pytest.raises(CraftsimError, match="more than the 0 slopes and 0 blocks announced"):
-        rows_of(scene([(kind, (3, 3, 1), 0)]), Layout(0, 0, 0, None, shows_flag=False))
+def test_more_things_than_rows_are_told(scene):
+    for kind in (Kind.BLOCK, Kind.FSLOPE):
+        with pytest.raises(CraftsimError, match="more than the 0 slopes and 0 blocks announced"):
+            rows_of(scene([(kind, (3, 3, 1), 0)]), Layout(0, 0, 0, None, shows_flag=False))
 
 
 def test_a_cars_vector_is_its_own_row_and_then_all_rows(rng):

@@ -1,5 +1,6 @@
 """Tasks that users bring: registered, from files, from factories, with other numbers of cars and blocks."""
 
+import re
 import sys
 
 import numpy as np
@@ -11,7 +12,6 @@ from craftsim.discrete.files.shipped import shipped_names
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, make_task, register_task
-from craftsim.discrete.tasks.registry import read_task
 from craftsim.discrete.tasks.rewards import Reward
 from craftsim.errors import BlueprintError, InputError, PlanError
 
@@ -107,30 +107,25 @@ def test_a_task_file_names_starts_goal_reward_and_counts(folder):
     assert as_task("task.yaml").design == make_task("strip").design
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_a_wrong_task_file_is_told_with_what_is_allowed(folder):
+    for text, message in (
         ("start: strop\n", "strop: no such file; did you mean 'strip'"),
         ("start: mine.yaml\nreward: papr\n", ":2: key 'reward': unknown value 'papr'; did you mean 'paper'"),
-        ("start: mine.yaml\nblock_num: 3\n", ":2: unknown key 'block_num'"),
-        ("start: mine.yaml\nmax_steps: -1\n", ":2: key 'max_steps': -1 is out of range"),
         ("start: {}\n", "'start': must be a file"),
         ("start: []\n", ":1: key .start.: needs at least one start file"),
-    ],
-)
-def test_a_wrong_task_file_is_told_with_what_is_allowed(folder, text, message):
-    (folder / "task.yaml").write_text(text)
-    with pytest.raises(InputError, match=message):
-        as_task("task.yaml")
+        (f"start: {'x' * 300}\n", "File name too long"),
+    ):
+        (folder / "task.yaml").write_text(text)
+        with pytest.raises(InputError, match=message):
+            as_task("task.yaml")
 
 
 def test_a_factory_makes_a_task(folder):
     assert as_task("own_tasks_module:corner").name == "corner"
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_a_wrong_factory_is_told_by_name(folder):
+    for text, message in (
         (":corner", "must be module:factory"),
         ("own_tasks_module:", "must be module:factory"),
         (".own_tasks_module:corner", "must be module:factory"),
@@ -140,11 +135,9 @@ def test_a_factory_makes_a_task(folder):
         ("own_tasks_module:nothing", "neither a Task nor callable, but int"),
         ("own_tasks_module:wrong", "returned dict; it must return a Task"),
         ("own_tasks_module:broken", "the factory raised ZeroDivisionError: division by zero"),
-    ],
-)
-def test_a_wrong_factory_is_told_by_name(folder, text, message):
-    with pytest.raises(InputError, match=f"task '{text.replace('(', '[(]').replace(')', '[)]')}'.*{message}"):
-        as_task(text)
+    ):
+        with pytest.raises(InputError, match=f"task '{re.escape(text)}'.*{message}"):
+            as_task(text)
 
 
 def test_other_numbers_of_cars_and_blocks_are_drawn_at_random():
@@ -186,9 +179,3 @@ def test_worlds_and_plans_are_written_whole_and_read_back(tmp_path):
             write(tmp_path / "nowhere" / "file")
     with pytest.raises(InputError, match="no actions"):
         write_plan([], tmp_path / "empty.plan")
-
-
-def test_a_start_whose_name_is_too_long_for_a_file_is_one_message(tmp_path):
-    (tmp_path / "mine.yaml").write_text(f"start: {'x' * 300}\n")
-    with pytest.raises(InputError, match="File name too long"):
-        read_task(tmp_path / "mine.yaml")

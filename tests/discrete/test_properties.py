@@ -6,6 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from craftsim.discrete.grid import SECOND_PART, CarField, Kind, beside
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 
 from .worldgen import MIRRORED_ACTIONS, TURNED_ACTIONS, mirrored, play, random_world, turned
@@ -104,6 +105,31 @@ def test_applied_means_legal_at_its_turn_and_the_illegal_changes_nothing(seed):
                 assert after.same_visible(grid)
                 assert after.same_marks(grid)
             grid = after
+
+
+UNDOES = {
+    Action.LIFT: Action.DROP,
+    Action.UNFOLD: Action.FOLD,
+    Action.FOLD: Action.UNFOLD,
+    Action.ROTATE_LEFT: Action.ROTATE_RIGHT,
+    Action.ROTATE_RIGHT: Action.ROTATE_LEFT,
+}
+
+
+@PLENTY
+@given(SEEDS)
+def test_what_undoes_an_action_is_legal_after_it_and_brings_the_world_back(seed):
+    rng = np.random.default_rng(seed)
+    grid = random_world(rng)
+    for _, after in play(PHYSICAL, grid, rng, 15):
+        if is_quirky(grid, after):
+            return
+        grid = after
+        for car, action in np.argwhere(PHYSICAL.mask(grid)).tolist():
+            if action in UNDOES:
+                done, applied = PHYSICAL.tick(grid, [(car, action), (car, UNDOES[Action(action)])])
+                assert applied.all(), (car, Action(action).name)
+                assert done.same_visible(grid)
 
 
 @PLENTY

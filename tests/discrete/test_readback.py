@@ -1,4 +1,7 @@
-"""A Grid is read from poses alone: what stands where, who carries what, and what cannot be a grid at all."""
+"""A Grid is read from poses alone: what stands where, who carries what, and what cannot be a grid at all.
+
+That what stands in physics is read as what was drawn, at each yaw, on each level, is tests/models/test_round_trip.py's.
+"""
 
 import math
 from dataclasses import replace
@@ -7,7 +10,7 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.geometry import INCLINE_RAD, LEVEL_HEIGHT_M, cell_position, yaw_angle
-from craftsim.discrete.grid import CarField, Kind, beside
+from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.readback import Poses, nearest_yaw, read_grid
 
 SIZE = (4, 4, 3)
@@ -63,14 +66,6 @@ def _problems(cars=(), things=()):
     return _read(cars, things).problems
 
 
-@pytest.mark.parametrize("yaw", range(4))
-def test_a_car_is_read_in_its_cell_with_its_yaw(yaw):
-    reading = _read([_car((1, 2, 1), yaw), _car((3, 0, 2), (yaw + 1) % 4)])
-    assert reading.problems == ()
-    np.testing.assert_array_equal(reading.grid.cars[:, :4], [[1, 2, 1, yaw], [3, 0, 2, (yaw + 1) % 4]])
-    assert not reading.grid.cars[:, 4:].any()
-
-
 def test_errors_are_measured_from_the_cell_and_the_yaw():
     placed = _read([_car((1, 1, 1), 1, shift=(0.003, -0.004, 0), off=0.02)]).cars[0]
     assert placed.cell == (1, 1, 1)
@@ -78,87 +73,25 @@ def test_errors_are_measured_from_the_cell_and_the_yaw():
     assert placed.heading_rad == pytest.approx(0.02)
 
 
-@pytest.mark.parametrize("turns", [-2, -1, 0, 1, 2])
-@pytest.mark.parametrize("off", [-0.7, 0.0, 0.7])
-def test_the_nearest_yaw_and_the_excess_make_up_the_heading(turns, off):
-    yaw, excess = nearest_yaw(turns * math.pi / 2 + off)
-    assert yaw == turns % 4
-    assert excess == pytest.approx(off)
+def test_the_nearest_yaw_and_the_excess_make_up_the_heading():
+    for turns in (-2, -1, 0, 1, 2):
+        for off in (-0.7, 0.0, 0.7):
+            yaw, excess = nearest_yaw(turns * math.pi / 2 + off)
+            assert yaw == turns % 4
+            assert excess == pytest.approx(off)
 
 
-@pytest.mark.parametrize("facing_up", [True, False])
-@pytest.mark.parametrize("slope_yaw", range(4))
-@pytest.mark.parametrize(("part", "height"), [(1, 0.25), (2, 0.75)], ids=["low", "high"])
-def test_a_car_on_the_incline_is_low_in_the_feet_cell_or_high_above_the_body(
-    slope_yaw, facing_up, part, height
-):
-    body = (1, 2, 1) if slope_yaw in (0, 3) else (2, 1, 1)
-    x, y, z = beside(body, slope_yaw) if part == 1 else (body[0], body[1], 2)
-    yaw = (slope_yaw + 2) % 4 if facing_up else slope_yaw
-    pitch = INCLINE_RAD if facing_up else -INCLINE_RAD
-    shift = (0, 0, (height - (z - 1)) * LEVEL_HEIGHT_M)
-    reading = _read([_car((x, y, z), yaw, shift, nose_up=pitch)], [_slope(body, slope_yaw, hinge=0.0)])
-    assert reading.problems == ()
-    np.testing.assert_array_equal(reading.grid.cars[0], [x, y, z, yaw, Kind.AIR, 0, part])
-
-
-@pytest.mark.parametrize("yaw", range(4))
-@pytest.mark.parametrize(
-    ("hinge", "kinds"),
-    [(math.pi, (Kind.FSLOPE, Kind.GEAR)), (0.0, (Kind.BODY, Kind.FOOT))],
-    ids=["folded", "unfolded"],
-)
-def test_a_slope_takes_two_cells_along_its_yaw(yaw, hinge, kinds):
-    reading = _read(things=[_slope((1, 1, 1), yaw, hinge)])
-    assert reading.problems == ()
-    second = beside((1, 1, 1), yaw)
-    assert (reading.grid.kind[1, 1, 1], reading.grid.kind[second]) == kinds
-    assert (reading.grid.yaw[1, 1, 1], reading.grid.yaw[second]) == (yaw, yaw)
-    assert np.count_nonzero(reading.grid.kind[:, :, 1:]) == 2
-
-
-def test_blocks_flags_and_walls_are_read_on_their_levels():
-    walls = np.array([[3, 3, 1], [3, 2, 2]])
-    reading = _read(things=[_thing(Kind.BLOCK, (0, 0, 1)), _thing(Kind.FLAG, (0, 0, 2), yaw=1)], walls=walls)
-    assert reading.problems == ()
-    kind = reading.grid.kind
-    assert (kind[0, 0, 1], kind[0, 0, 2]) == (Kind.BLOCK, Kind.FLAG)
-    assert (kind[3, 3, 1], kind[3, 2, 2]) == (Kind.WALL, Kind.WALL)
-    assert reading.grid.yaw[0, 0, 2] == 0, "a table has no yaw"
-    assert (kind[:, :, 0] == Kind.GROUND).all()
-
-
-@pytest.mark.parametrize("yaw", range(4))
-@pytest.mark.parametrize("kind", [Kind.BLOCK, Kind.FLAG, Kind.FSLOPE])
-def test_a_lifted_thing_above_a_car_is_its_load_and_in_no_cell(kind, yaw):
-    slope = kind == Kind.FSLOPE
-    thing = _thing(kind, (1, 1, 1), (yaw + 2) % 4, (0, 0, LIFT_M), math.pi if slope else math.nan)
-    reading = _read([_car((1, 1, 1), yaw)], [thing])
-    assert reading.problems == ()
-    load_yaw = (yaw + 2) % 4 if slope else 0
-    np.testing.assert_array_equal(reading.grid.cars[0], [1, 1, 1, yaw, kind, load_yaw, 0])
-    assert reading.objects[0].carrier == 0
-    assert not reading.grid.kind[:, :, 1:].any()
-
-
-@pytest.mark.parametrize("facing_up", [True, False])
-@pytest.mark.parametrize("yaw", range(4))
-def test_a_load_on_the_incline_is_lifted_across_the_incline(yaw, facing_up):
-    pitch = INCLINE_RAD if facing_up else -INCLINE_RAD
-    position, turn = _car((1, 1, 1), yaw, (0, 0, 0.25 * LEVEL_HEIGHT_M), nose_up=pitch)
-    forward = np.array([math.cos(yaw_angle(yaw)), math.sin(yaw_angle(yaw)), 0])
-    up = -math.sin(pitch) * forward + np.array([0, 0, math.cos(pitch)])
-    reading = _read([(position, turn)], [(Kind.BLOCK, position + LIFT_M * up, turn, math.nan)])
-    assert reading.problems == ()
-    assert reading.grid.cars[0, CarField.LOAD] == Kind.BLOCK
-    assert reading.objects[0].offset_m == pytest.approx(0.0, abs=1e-12)
-
-
-def test_a_thing_that_stands_over_a_car_is_not_carried():
-    reading = _read([_car((1, 1, 1))], [_thing(Kind.BLOCK, (1, 1, 1))])
-    assert reading.objects[0].carrier is None
-    assert reading.grid.kind[1, 1, 1] == Kind.BLOCK
-    assert reading.grid.cars[0, CarField.LOAD] == Kind.AIR
+def test_a_load_on_the_incline_is_lifted_across_the_incline():
+    for yaw in range(4):
+        for facing_up in (True, False):
+            pitch = INCLINE_RAD if facing_up else -INCLINE_RAD
+            position, turn = _car((1, 1, 1), yaw, (0, 0, 0.25 * LEVEL_HEIGHT_M), nose_up=pitch)
+            forward = np.array([math.cos(yaw_angle(yaw)), math.sin(yaw_angle(yaw)), 0])
+            up = -math.sin(pitch) * forward + np.array([0, 0, math.cos(pitch)])
+            reading = _read([(position, turn)], [(Kind.BLOCK, position + LIFT_M * up, turn, math.nan)])
+            assert reading.problems == ()
+            assert reading.grid.cars[0, CarField.LOAD] == Kind.BLOCK
+            assert reading.objects[0].offset_m == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_gear_leaves_its_cell_to_what_stands_there():
@@ -172,53 +105,44 @@ def test_a_gear_leaves_its_cell_to_what_stands_there():
         assert reading.grid.yaw[1, 0, 1] == 0
 
 
-def test_a_car_may_stand_above_the_top_level():
-    reading = _read([_car((1, 1, 4))])
-    assert reading.problems == ()
-    assert reading.grid.cars[0, CarField.Z] == 4
-
-
-@pytest.mark.parametrize(
-    ("car", "problem"),
-    [
-        (_car((1, 1, 1), shift=(0.03, 0.04, 0)), "car 0 is 50 mm from the centre of (1, 1)"),
-        (_car((-1, 1, 1)), "car 0 is outside the area, at (-1, 1)"),
-        (_car((1, 4, 1)), "car 0 is outside the area, at (1, 4)"),
-        (_car((1, 1, 1), shift=(0, 0, 0.05)), "car 0 is +50 mm from the floor of level 1"),
-        (_car((1, 1, 2), shift=(0, 0, -0.02)), "car 0 is -20 mm from the floor of level 2"),
-        (_car((1, 1, 5)), "car 0 is on level 5, outside 1..4"),
-        (_car((1, 1, 0)), "car 0 is on level 0, outside 1..4"),
-        (_car((1, 1, 1), off=0.3), "car 0 heads +0.30 rad away from yaw 0"),
-        (_car((1, 1, 1), 2, off=-0.3), "car 0 heads -0.30 rad away from yaw 2"),
-        (_car((1, 1, 1), nose_up=0.1), "car 0 leans: pitch +0.10 rad, roll 0.00 rad"),
-        (_car((1, 1, 1), nose_up=-0.1), "car 0 leans: pitch -0.10 rad, roll 0.00 rad"),
-        (_car((1, 1, 1), nose_up=0.02, left_up=-0.2), "car 0 leans: pitch +0.02 rad, roll 0.20 rad"),
-        (_car((1, 1, 1), left_up=math.pi), "car 0 leans: pitch +0.00 rad, roll 0.00 rad"),
-    ],
+CAR_PROBLEMS = (
+    (_car((1, 1, 1), shift=(0.03, 0.04, 0)), "car 0 is 50 mm from the centre of (1, 1)"),
+    (_car((-1, 1, 1)), "car 0 is outside the area, at (-1, 1)"),
+    (_car((1, 4, 1)), "car 0 is outside the area, at (1, 4)"),
+    (_car((1, 1, 1), shift=(0, 0, 0.05)), "car 0 is +50 mm from the floor of level 1"),
+    (_car((1, 1, 2), shift=(0, 0, -0.02)), "car 0 is -20 mm from the floor of level 2"),
+    (_car((1, 1, 5)), "car 0 is on level 5, outside 1..4"),
+    (_car((1, 1, 0)), "car 0 is on level 0, outside 1..4"),
+    (_car((1, 1, 1), off=0.3), "car 0 heads +0.30 rad away from yaw 0"),
+    (_car((1, 1, 1), 2, off=-0.3), "car 0 heads -0.30 rad away from yaw 2"),
+    (_car((1, 1, 1), nose_up=0.1), "car 0 leans: pitch +0.10 rad, roll 0.00 rad"),
+    (_car((1, 1, 1), nose_up=-0.1), "car 0 leans: pitch -0.10 rad, roll 0.00 rad"),
+    (_car((1, 1, 1), nose_up=0.02, left_up=-0.2), "car 0 leans: pitch +0.02 rad, roll 0.20 rad"),
+    (_car((1, 1, 1), left_up=math.pi), "car 0 leans: pitch +0.00 rad, roll 0.00 rad"),
 )
-def test_a_car_that_is_no_grid_car_is_a_problem_said_in_words(car, problem):
-    assert _problems([car]) == (problem,)
-
-
-@pytest.mark.parametrize(
-    ("thing", "problem"),
-    [
-        (_thing(Kind.BLOCK, (1, 1, 1), shift=(-0.03, 0, 0)), "block 0 is 30 mm from the centre of (1, 1)"),
-        (_thing(Kind.FLAG, (4, 1, 1)), "flag 0 is outside the area, at (4, 1)"),
-        (_thing(Kind.BLOCK, (1, 1, 1), shift=(0, 0, 0.02)), "block 0 is +20 mm from the floor of level 1"),
-        (_thing(Kind.BLOCK, (1, 1, 4)), "block 0 is on level 4, outside 1..3"),
-        (_thing(Kind.BLOCK, (1, 1, 1), left_up=0.3), "block 0 leans by 0.30 rad"),
-        (_thing(Kind.BLOCK, (1, 1, 1), left_up=math.pi), "block 0 leans by 3.14 rad"),
-        (_thing(Kind.BLOCK, (1, 1, 1), off=0.2), "block 0 is turned by +0.20 rad"),
-        (_slope((1, 1, 1), off=-0.2), "slope 0 is turned by -0.20 rad"),
-        (_slope((1, 1, 1), hinge=1.0), "slope 0 is half open: its hinge stands at 1.00 rad"),
-        (_slope((1, 1, 1), hinge=2.0), "slope 0 is half open: its hinge stands at 2.00 rad"),
-        (_slope((3, 1, 1)), "slope 0 reaches outside the area, into (4, 1, 1)"),
-        (_slope((0, 1, 1), 2), "slope 0 reaches outside the area, into (-1, 1, 1)"),
-    ],
+THING_PROBLEMS = (
+    (_thing(Kind.BLOCK, (1, 1, 1), shift=(-0.03, 0, 0)), "block 0 is 30 mm from the centre of (1, 1)"),
+    (_thing(Kind.FLAG, (4, 1, 1)), "flag 0 is outside the area, at (4, 1)"),
+    (_thing(Kind.BLOCK, (1, 1, 1), shift=(0, 0, 0.02)), "block 0 is +20 mm from the floor of level 1"),
+    (_thing(Kind.BLOCK, (1, 1, 4)), "block 0 is on level 4, outside 1..3"),
+    (_thing(Kind.BLOCK, (1, 1, 1), left_up=0.3), "block 0 leans by 0.30 rad"),
+    (_thing(Kind.BLOCK, (1, 1, 1), left_up=math.pi), "block 0 leans by 3.14 rad"),
+    (_thing(Kind.BLOCK, (1, 1, 1), off=0.2), "block 0 is turned by +0.20 rad"),
+    (_slope((1, 1, 1), off=-0.2), "slope 0 is turned by -0.20 rad"),
+    (_slope((1, 1, 1), hinge=1.0), "slope 0 is half open: its hinge stands at 1.00 rad"),
+    (_slope((1, 1, 1), hinge=2.0), "slope 0 is half open: its hinge stands at 2.00 rad"),
+    (_slope((3, 1, 1)), "slope 0 reaches outside the area, into (4, 1, 1)"),
+    (_slope((0, 1, 1), 2), "slope 0 reaches outside the area, into (-1, 1, 1)"),
 )
-def test_a_thing_that_stands_in_no_cell_is_a_problem_said_in_words(thing, problem):
-    assert _problems(things=[thing]) == (problem,)
+
+
+def test_what_stands_in_no_cell_is_a_problem_said_in_words():
+    for car, problem in CAR_PROBLEMS:
+        assert _problems([car]) == (problem,)
+    for thing, problem in THING_PROBLEMS:
+        assert _problems(things=[thing]) == (problem,)
+    for (car, one), (thing, other) in zip(CAR_PROBLEMS, THING_PROBLEMS, strict=False):
+        assert _problems([car], [thing]) == (one, other), "every problem is named at once"
 
 
 def test_two_things_in_a_cell_are_a_problem():
@@ -238,11 +162,6 @@ def test_a_second_load_is_a_problem():
     assert _problems([_car((1, 1, 1))], loads) == ("block 1 is a second load on car 0",)
 
 
-def test_every_problem_is_named_at_once():
-    problems = _problems([_car((1, 1, 1), off=0.3)], [_thing(Kind.BLOCK, (2, 2, 1), left_up=0.3)])
-    assert [problem.split()[0] for problem in problems] == ["car", "block"]
-
-
 def test_just_within_the_tolerances_nothing_is_a_problem():
     car = _car((1, 1, 1), shift=(0.017, 0.017, 0.009), off=0.14, nose_up=0.04, left_up=0.04)
     slope = _slope((2, 2, 1), hinge=math.pi - 0.04, shift=(0.024, 0, -0.009), off=-0.14)
@@ -253,14 +172,6 @@ def test_reading_does_not_depend_on_the_sign_or_length_of_a_quaternion():
     poses = _poses([_car((1, 1, 1), 1)], [_slope((2, 2, 1), 3)])
     flipped = replace(poses, car_quaternions=-poses.car_quaternions, quaternions=2.0 * poses.quaternions)
     assert read_grid(flipped, SIZE, NO_WALLS).grid.same_visible(read_grid(poses, SIZE, NO_WALLS).grid)
-
-
-def test_marks_follow_from_what_was_read():
-    reading = _read([_car((0, 0, 2))], [_thing(Kind.BLOCK, (0, 0, 1))])
-    expected = reading.grid.copy()
-    expected.derive_marks()
-    assert reading.grid.same_marks(expected)
-    assert reading.grid.occupant[0, 0, 1] == 0
 
 
 def test_a_load_off_its_seat_is_a_problem():

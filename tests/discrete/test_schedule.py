@@ -3,7 +3,6 @@
 from typing import get_args
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -122,33 +121,27 @@ def test_the_plans_order_ends_as_the_rules_say_whatever_the_dependencies(seed):
         assert len(schedule.forbidden) == n_forbidden
 
 
-@pytest.mark.parametrize("order", get_args(Concurrency))
-def test_every_order_keeps_each_cars_own_actions_in_order(order):
-    for seed in range(25):
-        grid, ticks = random_plan(np.random.default_rng(seed))
-        steps = make_schedule(grid, ticks, RULES, order).steps
-        ancestors: list[set[int]] = []
-        last: dict[int, int] = {}
-        for index, step in enumerate(steps):
-            assert all(earlier < index for earlier in step.waits_for)
-            ancestors.append(set().union(step.waits_for, *(ancestors[i] for i in step.waits_for)))
-            if step.car in last:
-                assert last[step.car] in ancestors[index]
-            last[step.car] = index
+def test_every_order_keeps_each_cars_own_actions_in_order():
+    for order in get_args(Concurrency):
+        for seed in range(25):
+            grid, ticks = random_plan(np.random.default_rng(seed))
+            steps = make_schedule(grid, ticks, RULES, order).steps
+            ancestors: list[set[int]] = []
+            last: dict[int, int] = {}
+            for index, step in enumerate(steps):
+                assert all(earlier < index for earlier in step.waits_for)
+                ancestors.append(set().union(step.waits_for, *(ancestors[i] for i in step.waits_for)))
+                if step.car in last:
+                    assert last[step.car] in ancestors[index]
+                last[step.car] = index
 
 
-def test_sequential_is_a_chain():
+def test_sequential_is_a_chain_and_at_once_waits_for_all_earlier_ticks_and_for_nothing_in_its_own():
     for seed in range(10):
         grid, ticks = random_plan(np.random.default_rng(seed))
         steps = make_schedule(grid, ticks, RULES, "sequential").steps
-        assert [step.waits_for for step in steps] == [
-            frozenset({i - 1} if i else ()) for i in range(len(steps))
-        ]
-
-
-def test_at_once_waits_for_all_earlier_ticks_and_for_nothing_in_its_own():
-    for seed in range(10):
-        grid, ticks = random_plan(np.random.default_rng(seed))
+        chain = [frozenset({i - 1} if i else ()) for i in range(len(steps))]
+        assert [step.waits_for for step in steps] == chain
         steps = make_schedule(grid, ticks, RULES, "at-once").steps
         for step in steps:
             assert step.waits_for == {i for i, other in enumerate(steps) if other.tick < step.tick}
@@ -164,11 +157,6 @@ def test_four_cars_on_the_complex_two_story_plan_work_side_by_side():
     assert max(longest) <= 0.6 * len(steps)
 
 
-def test_a_car_that_follows_into_a_cell_waits_for_the_one_that_leaves_it(scene, car):
-    grid = scene([], [car(2, 2), car(1, 2), car(0, 2)])
-    assert waits(grid, (0, RIGHT), (1, RIGHT), (2, RIGHT)) == [set(), {0}, {1}]
-
-
 def test_two_bare_cars_side_by_side_do_not_wait_and_two_loaded_ones_do(scene, car):
     for load, second in ((Kind.AIR, set()), (Kind.BLOCK, {0}), (Kind.FSLOPE, {0})):
         grid = scene([], [car(2, 2, load=load), car(2, 3, load=load)])
@@ -182,42 +170,18 @@ def test_a_load_in_motion_waits_for_the_gear_of_a_carried_slope_beside_it(scene,
     assert waits(grid, (0, RIGHT), (1, RIGHT)) == [set(), {0}]
 
 
-def test_who_drives_onto_a_block_waits_for_the_one_that_sets_it_down(scene, car):
-    grid = scene([(Kind.BLOCK, (1, 1, 1))], [car(2, 1, load=Kind.BLOCK), car(1, 1, 2)])
-    assert waits(grid, (0, Action.DROP), (1, RIGHT)) == [set(), {0}]
-
-
-def test_who_lifts_a_block_waits_for_the_one_that_drives_off_it(scene, car):
-    blocks = [(Kind.BLOCK, (x, 1, 1)) for x in (1, 2)]
-    grid = scene(blocks, [car(2, 1), car(2, 1, 2)])
-    assert waits(grid, (1, LEFT), (0, Action.LIFT)) == [set(), {0}]
-
-
 def test_who_drives_under_a_block_does_not_wait_for_the_one_above(scene, car):
     blocks = [(Kind.BLOCK, (x, 1, 1)) for x in (1, 2)]
     grid = scene(blocks, [car(1, 1), car(2, 1, 2)])
     assert waits(grid, (1, LEFT), (0, RIGHT)) == [set(), set()]
 
 
-def test_who_drives_under_a_block_waits_for_the_one_that_leaves_it(scene, car):
-    grid = scene([(Kind.BLOCK, (1, 1, 1))], [car(1, 1), car(2, 1)])
-    assert waits(grid, (0, LEFT), (1, LEFT)) == [set(), {0}]
-
-
-@pytest.mark.parametrize("cell", [(3, 2), (2, 2)], ids=["the foot's cell", "the cell beyond"])
-def test_unfolding_waits_for_what_leaves_the_swing(scene, car, cell):
-    grid = scene([(Kind.FSLOPE, (4, 2, 1), 2)], [car(4, 2), car(*cell)])
-    assert waits(grid, (1, FORWARD), (0, Action.UNFOLD)) == [set(), {0}]
-    away = scene([(Kind.FSLOPE, (4, 2, 1), 2)], [car(4, 2), car(1, 2)])
-    assert waits(away, (1, FORWARD), (0, Action.UNFOLD)) == [set(), set()]
-
-
-def test_climbing_waits_for_the_ramp_and_folding_waits_for_the_climber(scene, car):
-    ramp = [(Kind.BLOCK, (5, 2, 1))]
-    folded = scene([*ramp, (Kind.FSLOPE, (4, 2, 1), 2)], [car(4, 2), car(2, 2)])
-    assert waits(folded, (0, Action.UNFOLD), (1, RIGHT)) == [set(), {0}]
-    open_ = scene([*ramp, (Kind.BODY, (4, 2, 1), 2)], [car(4, 2), car(4, 2, 2, slope=2)])
-    assert waits(open_, (1, RIGHT), (0, Action.FOLD)) == [set(), {0}]
+def test_unfolding_waits_for_what_leaves_the_swing(scene, car):
+    for cell in ((3, 2), (2, 2)):
+        grid = scene([(Kind.FSLOPE, (4, 2, 1), 2)], [car(4, 2), car(*cell)])
+        assert waits(grid, (1, FORWARD), (0, Action.UNFOLD)) == [set(), {0}]
+        away = scene([(Kind.FSLOPE, (4, 2, 1), 2)], [car(4, 2), car(1, 2)])
+        assert waits(away, (1, FORWARD), (0, Action.UNFOLD)) == [set(), set()]
 
 
 def test_what_the_rules_forbid_is_left_out_and_named(scene, car):
@@ -238,9 +202,8 @@ def test_a_step_knows_the_ground_of_its_move(scene, car):
     assert inclines == [(0.0, INCLINE_RAD), (INCLINE_RAD, INCLINE_RAD), (INCLINE_RAD, 0.0), (0.0, 0.0)]
 
 
-@pytest.mark.parametrize(
-    ("objects", "load", "tight"),
-    [
+def test_a_step_is_tight_under_things_and_where_a_load_passes_something(scene, car):
+    for objects, load, tight in (
         ([], Kind.AIR, False),
         ([(Kind.BLOCK, (2, 3, 1))], Kind.AIR, False),
         ([(Kind.BLOCK, (3, 2, 1))], Kind.AIR, True),
@@ -248,15 +211,7 @@ def test_a_step_knows_the_ground_of_its_move(scene, car):
         ([(Kind.BLOCK, (2, 4, 1))], Kind.BLOCK, False),
         ([(Kind.BLOCK, (2, 3, 1))], Kind.BLOCK, True),
         ([(Kind.WALL, (4, 1, 1))], Kind.BLOCK, True),
-    ],
-    ids=["free", "beside", "in below", "out from below", "load far off", "load beside", "load past a corner"],
-)
-def test_a_step_is_tight_under_things_and_where_a_load_passes_something(scene, car, objects, load, tight):
-    grid = scene(objects, [car(2, 2, load=load)])
-    (step,) = make_schedule(grid, [[(0, RIGHT)]], RULES).steps
-    assert step.tight == tight
-
-
-def test_a_load_that_passes_a_car_is_tight_too(scene, car):
-    grid = scene([], [car(2, 2, load=Kind.BLOCK), car(2, 4), car(3, 3)])
-    assert make_schedule(grid, [[(0, RIGHT)]], RULES).steps[0].tight
+    ):
+        grid = scene(objects, [car(2, 2, load=load)])
+        (step,) = make_schedule(grid, [[(0, RIGHT)]], RULES).steps
+        assert step.tight == tight

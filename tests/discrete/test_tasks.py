@@ -32,27 +32,19 @@ def finished(task, rng):
     return grid
 
 
-@pytest.mark.parametrize(
-    ("name", "paper", "code"),
-    [("strip", 8, 12), ("block", 8, 12), ("simple_two_story", 7, 13), ("complex_two_story", 16, 20)],
-)
-def test_a_finished_building_is_worth_what_paper_and_code_say(name, paper, code, rng):
-    for reward, most in (("paper", paper), ("published_code", code)):
-        task = make_task(name, reward=reward)
-        grid = finished(task, rng)
-        assert worth(task, grid) == most
-        assert task.succeeded(grid)
-        assert not task.succeeded(task.draw(rng))
-
-
-@pytest.mark.parametrize(("name", "upper"), [("simple_two_story", 1), ("complex_two_story", 3)])
-def test_a_block_of_the_second_storey_is_worth_more_in_the_complex_building(name, upper, rng):
-    task = make_task(name)
-    grid = finished(task, rng)
-    target = next(t for t in task.design.targets if t.cell[2] == 2)
-    before = worth(task, grid)
-    grid.kind[target.cell] = Kind.AIR
-    assert before - worth(task, grid) == 4 + upper
+def test_a_finished_building_is_worth_what_paper_and_code_say(rng):
+    for name, paper, code in (
+        ("strip", 8, 12),
+        ("block", 8, 12),
+        ("simple_two_story", 7, 13),
+        ("complex_two_story", 16, 20),
+    ):
+        for reward, most in (("paper", paper), ("published_code", code)):
+            task = make_task(name, reward=reward)
+            grid = finished(task, rng)
+            assert worth(task, grid) == most
+            assert task.succeeded(grid)
+            assert not task.succeeded(task.draw(rng))
 
 
 def test_a_slope_pays_only_when_both_its_parts_are_in_place_the_right_way_round(rng):
@@ -150,35 +142,25 @@ def test_complexity_counts_platform_storeys_and_ramps(scene):
     assert make_task("free_building", reward="complexity").reward == Reward("complexity")
 
 
-@pytest.mark.parametrize("name", [name for name in TASK_NAMES if name != "breaking_barrier"])
-def test_rewards_of_an_episode_add_up_to_the_change_of_worth(name, rng):
-    task = make_task(name)
-    episodes = Episodes(task, rng)
-    start, total = worth(task, episodes.grid(0)), 0.0
-    for _ in range(40):
-        mask = episodes.legal()
-        total += episodes.step((rng.random(mask.shape) * mask).argmax(-1)).reward[0]
-    assert total == worth(task, episodes.grid(0)) - start
-
-
-@pytest.mark.parametrize("max_steps", [0, 18])
-def test_an_episode_has_max_steps_and_two_more_ticks(max_steps, rng):
-    episodes = Episodes(make_task("strip", max_steps=max_steps), rng)
-    dones = [episodes.step([[Action.STOP, Action.STOP]]).done[0] for _ in range(max_steps + 2)]
-    assert dones == [False] * (max_steps + 1) + [True]
-    episodes.reset()
-    assert episodes.t[0] == 0
-    assert not episodes.step([[Action.STOP, Action.STOP]]).done[0] or max_steps == 0
-
-
-def test_success_ends_an_episode_by_the_paper_but_not_by_the_code(rng):
-    for reward, ends in (("paper", True), ("published_code", False)):
-        task = make_task("strip", reward=reward)
+def test_rewards_of_an_episode_add_up_to_the_change_of_worth(rng):
+    for name in [name for name in TASK_NAMES if name != "breaking_barrier"]:
+        task = make_task(name)
         episodes = Episodes(task, rng)
-        episodes.put(0, finished(task, rng))
-        steps = episodes.step([[Action.STOP, Action.STOP]])
-        assert steps.success[0]
-        assert steps.done[0] == ends
+        start, total = worth(task, episodes.grid(0)), 0.0
+        for _ in range(40):
+            mask = episodes.legal()
+            total += episodes.step((rng.random(mask.shape) * mask).argmax(-1)).reward[0]
+        assert total == worth(task, episodes.grid(0)) - start
+
+
+def test_an_episode_has_max_steps_and_two_more_ticks(rng):
+    for max_steps in (0, 18):
+        episodes = Episodes(make_task("strip", max_steps=max_steps), rng)
+        dones = [episodes.step([[Action.STOP, Action.STOP]]).done[0] for _ in range(max_steps + 2)]
+        assert dones == [False] * (max_steps + 1) + [True]
+        episodes.reset()
+        assert episodes.t[0] == 0
+        assert not episodes.step([[Action.STOP, Action.STOP]]).done[0] or max_steps == 0
 
 
 OWN = """\
@@ -277,30 +259,30 @@ def test_a_reset_empties_the_helpers_queue_and_the_slope_state(rng):
     assert episodes.t.tolist()[:2] == [0, 0]
 
 
-@pytest.mark.parametrize("rule_set", ["published", "physical"])
-@pytest.mark.parametrize("depth", [None, 10])
-def test_a_batch_does_what_single_worlds_do(rule_set, depth, rng):
-    task = make_task("complex_two_story")
-    batch = Episodes(task, np.random.default_rng(1), 5, rule_set, depth)
-    singles = [Episodes(task, np.random.default_rng(1), 1, rule_set, depth) for _ in range(5)]
-    for _ in range(30):
-        legal, reachable, vectors = batch.legal(), batch.reachable(), batch.vectors()
-        mask = legal if depth is None else reachable
-        actions = (rng.random(mask.shape) * mask).argmax(-1)
-        order = batch.draw_order()
-        steps = batch.step(actions, order)
-        for i, single in enumerate(singles):
-            assert np.array_equal(single.legal()[0], legal[i])
-            assert np.array_equal(single.reachable()[0], reachable[i])
-            assert np.array_equal(single.vectors()[0], vectors[i])
-            step = single.step(actions[i : i + 1], order[i : i + 1])
-            assert (step.reward, step.done, step.success) == (
-                steps.reward[i],
-                steps.done[i],
-                steps.success[i],
-            )
-            assert np.array_equal(step.applied[0], steps.applied[i])
-            assert single.grid(0).same_visible(batch.grid(i))
+def test_a_batch_does_what_single_worlds_do(rng):
+    for depth in (None, 10):
+        for rule_set in ("published", "physical"):
+            task = make_task("complex_two_story")
+            batch = Episodes(task, np.random.default_rng(1), 5, rule_set, depth)
+            singles = [Episodes(task, np.random.default_rng(1), 1, rule_set, depth) for _ in range(5)]
+            for _ in range(30):
+                legal, reachable, vectors = batch.legal(), batch.reachable(), batch.vectors()
+                mask = legal if depth is None else reachable
+                actions = (rng.random(mask.shape) * mask).argmax(-1)
+                order = batch.draw_order()
+                steps = batch.step(actions, order)
+                for i, single in enumerate(singles):
+                    assert np.array_equal(single.legal()[0], legal[i])
+                    assert np.array_equal(single.reachable()[0], reachable[i])
+                    assert np.array_equal(single.vectors()[0], vectors[i])
+                    step = single.step(actions[i : i + 1], order[i : i + 1])
+                    assert (step.reward, step.done, step.success) == (
+                        steps.reward[i],
+                        steps.done[i],
+                        steps.success[i],
+                    )
+                    assert np.array_equal(step.applied[0], steps.applied[i])
+                    assert single.grid(0).same_visible(batch.grid(i))
 
 
 def test_orders_are_fresh_and_uniform(rng):

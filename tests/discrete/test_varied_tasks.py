@@ -23,7 +23,6 @@ from craftsim.planning import plan_building
 
 LISTED = dict.fromkeys(random_tasks.RANDOM_NAMES, 1000) | {"designs": 800}
 """How many held-out starts each task is shipped with."""
-ALL = pytest.mark.parametrize("name", VARIED_NAMES)
 
 
 def _assert_same(one: Starts, other: Starts) -> None:
@@ -32,46 +31,50 @@ def _assert_same(one: Starts, other: Starts) -> None:
     assert np.array_equal(one.designs, other.designs)
 
 
-@pytest.mark.parametrize("name", LISTED)
-def test_distinct_starts_are_held_out_and_none_is_ever_trained_from(name):
-    held_out, ticks = read_split(name, "test")
-    digests = held_out.digests()
-    assert len(set(digests)) == len(digests) == LISTED[name]
-    drawn = as_task(name).draw_starts(np.random.default_rng(0), 2000).digests()
-    assert not set(digests) & set(drawn)
-    if name != "designs":
-        assert belongs(digests, "test").all()
-        assert belongs(drawn, "train").all()
-    assert (ticks > 0).all()
-    assert (ticks <= as_task(name).max_steps + 2).all()
+def test_distinct_starts_are_held_out_and_none_is_ever_trained_from():
+    for name in LISTED:
+        held_out, ticks = read_split(name, "test")
+        digests = held_out.digests()
+        assert len(set(digests)) == len(digests) == LISTED[name]
+        drawn = as_task(name).draw_starts(np.random.default_rng(0), 2000).digests()
+        assert not set(digests) & set(drawn)
+        if name != "designs":
+            assert belongs(digests, "test").all()
+            assert belongs(drawn, "train").all()
+        assert (ticks > 0).all()
+        assert (ticks <= as_task(name).max_steps + 2).all()
 
 
-@ALL
-@pytest.mark.parametrize("split", ["train", "test"])
-def test_every_start_is_a_sound_world_with_work_to_do(name, split):
-    task = as_task(f"{name}@{split}")
-    starts = task.draw_starts(np.random.default_rng(1), 300)
-    layout = task.layout
-    blocks, slopes = ((starts.grids.kind == kind).sum((1, 2, 3)) for kind in (Kind.BLOCK, Kind.FSLOPE))
-    assert (blocks <= layout.n_blocks).all()
-    assert (slopes <= layout.n_slopes).all()
-    assert not task.reached(starts.grids, starts.designs).any()
-    for i in range(0, len(starts), 10):
-        grid = starts.grid(i)
-        check_grid(grid)
-        derived = grid.copy()
-        derived.derive_marks()
-        assert derived.same_marks(grid)
-        at = grid.cars[:, :3].tolist()
-        assert len(set(map(tuple, at))) == grid.n_cars
-        assert all(grid.kind[tuple(cell)] == Kind.AIR for cell in at)
-
-
-@ALL
-def test_the_same_seed_draws_the_same_starts(name):
+def test_every_start_is_a_sound_world_with_work_to_do():
     for split in ("train", "test"):
-        one, other = (as_task(f"{name}@{split}").draw_starts(np.random.default_rng(3), 20) for _ in range(2))
-        _assert_same(one, other)
+        for name in VARIED_NAMES:
+            task = as_task(f"{name}@{split}")
+            starts = task.draw_starts(np.random.default_rng(1), 300)
+            layout = task.layout
+            blocks, slopes = (
+                (starts.grids.kind == kind).sum((1, 2, 3)) for kind in (Kind.BLOCK, Kind.FSLOPE)
+            )
+            assert (blocks <= layout.n_blocks).all()
+            assert (slopes <= layout.n_slopes).all()
+            assert not task.reached(starts.grids, starts.designs).any()
+            for i in range(0, len(starts), 10):
+                grid = starts.grid(i)
+                check_grid(grid)
+                derived = grid.copy()
+                derived.derive_marks()
+                assert derived.same_marks(grid)
+                at = grid.cars[:, :3].tolist()
+                assert len(set(map(tuple, at))) == grid.n_cars
+                assert all(grid.kind[tuple(cell)] == Kind.AIR for cell in at)
+
+
+def test_the_same_seed_draws_the_same_starts():
+    for name in VARIED_NAMES:
+        for split in ("train", "test"):
+            one, other = (
+                as_task(f"{name}@{split}").draw_starts(np.random.default_rng(3), 20) for _ in range(2)
+            )
+            _assert_same(one, other)
 
 
 def test_things_and_cars_start_anywhere_and_turned_anyhow():
@@ -103,34 +106,34 @@ def test_a_held_out_start_has_a_plan_that_ends_in_success_in_time(rng):
         assert one.succeeded(planned.schedule.final)
 
 
-@pytest.mark.parametrize("reward", ["paper", "published_code", "complexity"])
-def test_each_world_of_a_batch_is_judged_by_its_own_design_as_if_it_were_alone(reward, rng):
-    task = designs_task(reward=reward)
-    starts = task.draw_starts(np.random.default_rng(1), 12)
-    assert len({design.tobytes() for design in starts.designs}) > 6
-    for i in range(4):
-        _finish(starts, i)
-    batch = Episodes(task, np.random.default_rng(0), 12)
-    batch.begin(np.arange(12), starts)
-    alone = []
-    for i in range(12):
-        one = task.starting_from([starts.grid(i)], starts.design(i, "one"))
-        alone.append(Episodes(one, np.random.default_rng(0)))
-    order, rewarded, finished = np.tile([0, 1], (12, 1)), 0, 0
-    for _ in range(15):
-        mask = batch.offered()
-        actions = (rng.random(mask.shape) * mask).argmax(-1)
-        steps = batch.step(actions, order)
-        for i, one in enumerate(alone):
-            step = one.step(actions[i : i + 1], order[:1])
-            assert (step.reward, step.success, step.done) == (
-                steps.reward[i],
-                steps.success[i],
-                steps.done[i],
-            )
-        rewarded, finished = rewarded + np.count_nonzero(steps.reward), finished + steps.success.sum()
-    assert rewarded
-    assert finished
+def test_each_world_of_a_batch_is_judged_by_its_own_design_as_if_it_were_alone(rng):
+    for reward in ("paper", "published_code", "complexity"):
+        task = designs_task(reward=reward)
+        starts = task.draw_starts(np.random.default_rng(1), 12)
+        assert len({design.tobytes() for design in starts.designs}) > 6
+        for i in range(4):
+            _finish(starts, i)
+        batch = Episodes(task, np.random.default_rng(0), 12)
+        batch.begin(np.arange(12), starts)
+        alone = []
+        for i in range(12):
+            one = task.starting_from([starts.grid(i)], starts.design(i, "one"))
+            alone.append(Episodes(one, np.random.default_rng(0)))
+        order, rewarded, finished = np.tile([0, 1], (12, 1)), 0, 0
+        for _ in range(15):
+            mask = batch.offered()
+            actions = (rng.random(mask.shape) * mask).argmax(-1)
+            steps = batch.step(actions, order)
+            for i, one in enumerate(alone):
+                step = one.step(actions[i : i + 1], order[:1])
+                assert (step.reward, step.success, step.done) == (
+                    steps.reward[i],
+                    steps.success[i],
+                    steps.done[i],
+                )
+            rewarded, finished = rewarded + np.count_nonzero(steps.reward), finished + steps.success.sum()
+        assert rewarded
+        assert finished
 
 
 def _finish(starts: Starts, i: int) -> None:
@@ -193,9 +196,8 @@ def test_numbers_and_area_can_be_others():
     assert (wide.kind == Kind.BLOCK).sum() == 10
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
+def test_what_cannot_be_is_refused_with_what_is_allowed():
+    for make, message in (
         (lambda: as_task("random_strip@tset"), "unknown split 'tset'; did you mean 'test'"),
         (lambda: as_task("strip@test"), "unknown task 'strip@test'"),
         (lambda: random_task("strip", area=(3, 4)), r"area is \(3, 4, 3\); allowed: at least \(4, 4, 1\)"),
@@ -208,11 +210,9 @@ def test_numbers_and_area_can_be_others():
             lambda: as_task("designs").succeeded(make_task("strip").draw(np.random.default_rng(0))),
             "for_episode",
         ),
-    ],
-)
-def test_what_cannot_be_is_refused_with_what_is_allowed(make, message):
-    with pytest.raises(InputError, match=message):
-        make()
+    ):
+        with pytest.raises(InputError, match=message):
+            make()
 
 
 def _parts():

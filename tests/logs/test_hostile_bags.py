@@ -152,8 +152,8 @@ def test_many_topics_with_poses_are_not_all_listed(bag, tmp_path):
     assert len(str(error.value)) < 400
 
 
-@pytest.mark.parametrize("cut", [1, 40, 2000])
-def test_a_bag_that_is_cut_off_says_so(cut, bag, tmp_path):
-    (tmp_path / "cut.mcap").write_bytes(bag[:-cut])
-    with pytest.raises(InputError, match=r"cut\.mcap: .*'mcap recover' repairs it"):
-        read_log(tmp_path / "cut.mcap")
+def test_a_bag_that_is_cut_off_says_so(bag, tmp_path):
+    for cut in (1, 40, 2000):
+        (tmp_path / "cut.mcap").write_bytes(bag[:-cut])
+        with pytest.raises(InputError, match=r"cut\.mcap: .*'mcap recover' repairs it"):
+            read_log(tmp_path / "cut.mcap")

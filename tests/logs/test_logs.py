@@ -59,9 +59,8 @@ ROWS = ["0,1,1,1,1,0", "0.02,1,1,1,1,0.01", "0.04,1,1,1,1,0.02"]
 HEADER = "time_s,cmd_wheel_fl_rad_s,cmd_wheel_fr_rad_s,cmd_wheel_rl_rad_s,cmd_wheel_rr_rad_s,x_m"
 
 
-@pytest.mark.parametrize(
-    ("header", "rows", "said"),
-    [
+def test_a_table_that_is_no_log_is_refused_with_its_place(tmp_path):
+    for header, rows, said in (
         ("", [], "no column time_s"),
         (HEADER, [], "no rows"),
         (HEADER, ROWS[:1], "car 0: a log of 1 rows"),
@@ -79,12 +78,10 @@ HEADER = "time_s,cmd_wheel_fl_rad_s,cmd_wheel_fr_rad_s,cmd_wheel_rl_rad_s,cmd_wh
         (HEADER, ["0,9e9,1,1,1,0", *ROWS[1:]], "cmd_wheel_fl_rad_s is 9e\\+09 in row 1"),
         (HEADER + ",car", [f"{row},0.5" for row in ROWS], "run.csv:2: car is 0.5; allowed: an integer"),
         (HEADER, [*ROWS, '0.06,1,"1,1,1,0'], "run.csv:5: not a line of a CSV table"),
-    ],
-)
-def test_a_table_that_is_no_log_is_refused_with_its_place(tmp_path, header, rows, said):
-    (tmp_path / "run.csv").write_text("\n".join([header, *rows]) + "\n")
-    with pytest.raises(InputError, match=said):
-        read_log(tmp_path / "run.csv")
+    ):
+        (tmp_path / "run.csv").write_text("\n".join([header, *rows]) + "\n")
+        with pytest.raises(InputError, match=said):
+            read_log(tmp_path / "run.csv")
 
 
 def test_a_pose_in_millimetres_or_degrees_is_told_by_how_it_moves(tmp_path):
@@ -101,10 +98,10 @@ def test_a_pose_in_millimetres_or_degrees_is_told_by_how_it_moves(tmp_path):
         read_log(table)
 
 
-@pytest.mark.parametrize("name", ["log.txt", "no.csv", "no.mcap"])
-def test_what_is_no_file_of_a_log_is_refused(tmp_path, name):
-    with pytest.raises(InputError, match=name):
-        read_log(tmp_path / name)
+def test_what_is_no_file_of_a_log_is_refused(tmp_path):
+    for name in ("log.txt", "no.csv", "no.mcap"):
+        with pytest.raises(InputError, match=name):
+            read_log(tmp_path / name)
 
 
 def test_a_log_has_the_cars_that_it_has(tmp_path):

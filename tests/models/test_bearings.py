@@ -9,7 +9,6 @@ from drawn import draw
 from craftsim.discrete.grid import Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
-from craftsim.models.randomization import DomainRandomization, randomize
 from craftsim.models.world import PhysicsWorld
 
 BEARING_NM = NOMINAL.cars[0].roller_bearing_friction_nm
@@ -61,31 +60,6 @@ def test_going_back_to_a_saved_state_brings_its_bearings_back():
     assert (physics.model.dof_frictionloss != before).any()
     physics.restore(saved)
     np.testing.assert_array_equal(physics.model.dof_frictionloss, before)
-
-
-def test_the_figures_of_a_running_site_are_read_whole_and_it_goes_on_as_it_was():
-    physics = two_cars()
-    physics.drive(0, [8.0] * 4)
-    physics.advance()
-    before = physics.model.dof_frictionloss.copy()
-    read = physics.baseline.dof_frictionloss[list(rollers(physics.model).values())]
-    assert (read == BEARING_NM).all()
-    assert (before[list(rollers(physics.model).values())] == 0).any()
-    np.testing.assert_array_equal(physics.model.dof_frictionloss, before)
-
-
-def test_friction_is_drawn_around_the_nominal_one_whatever_touched_before():
-    physics = two_cars()
-    physics.drive(0, [8.0] * 4)
-    physics.advance()
-    dofs = list(rollers(physics.model).values())
-    for seed in (0, 1):
-        randomize(physics, DomainRandomization(), np.random.default_rng(seed))
-        drawn = physics.baseline.dof_frictionloss[dofs] / BEARING_NM
-        assert 0.5 <= drawn.min() < 0.6
-        assert 1.4 < drawn.max() <= 1.5
-    physics.reset_compiled()
-    assert (physics.baseline.dof_frictionloss[dofs] == BEARING_NM).all()
 
 
 @pytest.mark.parametrize("name", ["forward", "left", "turning left"])

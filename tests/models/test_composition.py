@@ -37,40 +37,40 @@ def _machines(drive: Drive) -> Machines:
     return replace(NOMINAL, cars=(SmartcarParameters(), SmartcarParameters(chassis_mass_kg=1.4)), drive=drive)
 
 
-@pytest.mark.parametrize("floor", [FLAT, Floor(lippage_m=0.001)], ids=["flat", "uneven"])
-@pytest.mark.parametrize("drive", ["rollers", "reduced"])
-def test_what_is_only_seen_changes_no_number(drive, floor):
+def test_what_is_only_seen_changes_no_number():
     """But how large MuJoCo takes bodies to be (``dof_length``), which decides when what hardly turns may sleep."""
-    config = replace(SimulationConfig.of(drive), sleep=False)
-    world = WorldSpec(_grid(), config, _machines(drive), GOALS, floor)
-    bare, seen = world.model(visual=False), world.model(visual=True)
-    assert (bare.ncam, bare.nlight, bare.ntex) == (0, 0, 0)
-    assert bare.ngeom < seen.ngeom
-    geoms = [seen.geom(bare.geom(i).name).id for i in range(bare.ngeom)]
-    assert geoms == np.flatnonzero(seen.geom_contype | seen.geom_conaffinity).tolist(), (
-        "none is only seen, in order"
-    )
-    for name in dir(bare):
-        kind = name.split("_")[0]
-        if (
-            kind not in ("geom", *ORDERED)
-            or "_" not in name
-            or name.endswith(NOT_PHYSICS)
-            or name in ("geom_dataid", "geom_matid", "dof_length")
-        ):
-            continue
-        one, other = (np.asarray(getattr(model, name)) for model in (bare, seen))
-        assert np.array_equal(one, other[geoms] if kind == "geom" else other), name
-    assert np.array_equal(bare.qpos0, seen.qpos0)
-    assert bare.stat.meaninertia == seen.stat.meaninertia
-    ends = []
-    for model in (bare, seen):
-        data = mujoco.MjData(model)
-        for step in range(150):
-            data.ctrl[:] = np.sin(step / 20 + np.arange(model.nu))
-            mujoco.mj_step(model, data)
-        ends.append(np.concatenate([data.qpos, data.qvel, data.qacc_warmstart]))
-    assert np.array_equal(*ends)
+    for drive in ("rollers", "reduced"):
+        for floor in (FLAT, Floor(lippage_m=0.001)):
+            config = replace(SimulationConfig.of(drive), sleep=False)
+            world = WorldSpec(_grid(), config, _machines(drive), GOALS, floor)
+            bare, seen = world.model(visual=False), world.model(visual=True)
+            assert (bare.ncam, bare.nlight, bare.ntex) == (0, 0, 0)
+            assert bare.ngeom < seen.ngeom
+            geoms = [seen.geom(bare.geom(i).name).id for i in range(bare.ngeom)]
+            assert geoms == np.flatnonzero(seen.geom_contype | seen.geom_conaffinity).tolist(), (
+                "none is only seen, in order"
+            )
+            for name in dir(bare):
+                kind = name.split("_")[0]
+                if (
+                    kind not in ("geom", *ORDERED)
+                    or "_" not in name
+                    or name.endswith(NOT_PHYSICS)
+                    or name in ("geom_dataid", "geom_matid", "dof_length")
+                ):
+                    continue
+                one, other = (np.asarray(getattr(model, name)) for model in (bare, seen))
+                assert np.array_equal(one, other[geoms] if kind == "geom" else other), name
+            assert np.array_equal(bare.qpos0, seen.qpos0)
+            assert bare.stat.meaninertia == seen.stat.meaninertia
+            ends = []
+            for model in (bare, seen):
+                data = mujoco.MjData(model)
+                for step in range(150):
+                    data.ctrl[:] = np.sin(step / 20 + np.arange(model.nu))
+                    mujoco.mj_step(model, data)
+                ends.append(np.concatenate([data.qpos, data.qvel, data.qacc_warmstart]))
+            assert np.array_equal(*ends)
 
 
 def test_equal_machines_share_their_meshes():
@@ -87,12 +87,6 @@ def test_worlds_of_one_grid_share_nothing():
     grid.cars[0, 0] = 3
     assert second.model.geom_friction.max() > 0.5
     assert first.world_spec.grid.cars[0, 0] == 0
-
-
-def test_parameters_of_which_a_joint_would_swing_up_are_refused():
-    machines = Machines(cars=(SmartcarParameters(roller_damping_nms_rad=0.02),))
-    with pytest.raises(InputError, match="is damped by"):
-        PhysicsWorld(Grid.empty((3, 1, 1), 1), machines=machines)
 
 
 def test_a_kind_without_a_machine_is_refused(monkeypatch):

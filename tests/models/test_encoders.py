@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from craftsim.discrete.grid import Grid
 from craftsim.mjcf.parameters import NOMINAL
@@ -42,34 +41,25 @@ def _driven(
 COUNTING = SensorNoise(encoder_step_rad=STEP_RAD)
 
 
-@pytest.mark.parametrize("wheels", WHEELS.values(), ids=WHEELS)
-def test_the_counts_of_a_wheel_on_an_axle_add_up_to_its_turning_within_one_count(wheels):
-    speeds, _, turned = _driven("rollers", wheels, COUNTING)
-    counted = 0.02 * speeds.cumsum(axis=0)
-    assert abs(counted - (turned[1:] - turned[0])).max() < STEP_RAD * (1 + 1e-9)
-    counts = 0.02 * speeds / STEP_RAD
-    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
-    assert np.unique(np.round(counts[25:])).size > 1
+def test_the_counts_of_a_wheel_on_an_axle_add_up_to_its_turning_within_one_count():
+    for wheels in WHEELS.values():
+        speeds, _, turned = _driven("rollers", wheels, COUNTING)
+        counted = 0.02 * speeds.cumsum(axis=0)
+        assert abs(counted - (turned[1:] - turned[0])).max() < STEP_RAD * (1 + 1e-9)
+        counts = 0.02 * speeds / STEP_RAD
+        np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+        assert np.unique(np.round(counts[25:])).size > 1
 
 
-@pytest.mark.parametrize("motion", ["forward", "left", "turning"])
-def test_the_wheels_of_the_reduced_drive_turn_as_far_as_the_car_rolls(motion):
-    wheels = WHEELS[motion]
-    speeds, poses, _ = _driven("reduced", wheels, COUNTING)
-    # Of a wheel that rolls without slip.
-    heading = 2 * np.unwrap(np.arctan2(poses[:, 6], poses[:, 3]))
-    way = np.hypot(*(poses[-1, :2] - poses[0, :2]))
-    rolled = CAR.turn_radius_m * abs(heading[-1] - heading[0]) if motion == "turning" else way
-    expected = np.sign(wheels) * rolled / CAR.wheel_radius_m
-    np.testing.assert_allclose(
-        0.02 * speeds.sum(axis=0), expected, atol=STEP_RAD + 2e-4 * abs(expected).max()
-    )
-
-
-def test_counted_speeds_lag_like_others():
-    speeds, _, _ = _driven("reduced", WHEELS["forward"], replace(COUNTING, encoder_lag_s=0.05))
-    exact, _, _ = _driven("reduced", WHEELS["forward"], COUNTING)
-    share, lagging = 1 - math.exp(-0.02 / 0.05), np.zeros(4)
-    for counted, seen in zip(exact, speeds, strict=True):
-        lagging += share * (counted - lagging)
-        np.testing.assert_allclose(seen, lagging, atol=1e-9)
+def test_the_wheels_of_the_reduced_drive_turn_as_far_as_the_car_rolls():
+    for motion in ("forward", "left", "turning"):
+        wheels = WHEELS[motion]
+        speeds, poses, _ = _driven("reduced", wheels, COUNTING)
+        # Of a wheel that rolls without slip.
+        heading = 2 * np.unwrap(np.arctan2(poses[:, 6], poses[:, 3]))
+        way = np.hypot(*(poses[-1, :2] - poses[0, :2]))
+        rolled = CAR.turn_radius_m * abs(heading[-1] - heading[0]) if motion == "turning" else way
+        expected = np.sign(wheels) * rolled / CAR.wheel_radius_m
+        np.testing.assert_allclose(
+            0.02 * speeds.sum(axis=0), expected, atol=STEP_RAD + 2e-4 * abs(expected).max()
+        )

@@ -8,7 +8,8 @@ import math
 
 import pytest
 
-MU = (0.8, 0.4)
+CASES = ((0.8, 0.0), (0.4, math.pi), (0.8, math.pi / 2))
+"""Friction, and the direction from the car's nose in which its floor falls."""
 SLIDING_M_S = 0.02
 BRAKE_NM = 50.0
 
@@ -31,8 +32,7 @@ def sliding_angle(car, threshold, downhill: float) -> float:
     return threshold(slides, 0.1, 0.9)
 
 
-@pytest.mark.parametrize("mu", MU)
-@pytest.mark.parametrize("downhill", [0.0, math.pi, math.pi / 2])
+@pytest.mark.parametrize(("mu", "downhill"), CASES)
 def test_with_wheels_and_rollers_braked_the_car_slides_at_the_friction_angle(
     lone_car, threshold, mu, downhill
 ):
@@ -43,8 +43,7 @@ def test_with_wheels_and_rollers_braked_the_car_slides_at_the_friction_angle(
     assert sliding_angle(lone_car, threshold, downhill) == pytest.approx(math.atan(mu), rel=0.02)
 
 
-@pytest.mark.parametrize("mu", MU)
-@pytest.mark.parametrize("downhill", [0.0, math.pi, math.pi / 2])
+@pytest.mark.parametrize(("mu", "downhill"), CASES)
 def test_with_free_rollers_only_the_force_along_their_axes_holds_the_car(lone_car, threshold, mu, downhill):
     """The real car's brakes hold the wheels, never the rollers. Band: 2 % of atan(mu cos 45 deg).
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pytest
 from drawn import draw
 
 from craftsim.discrete.files.blueprint import read_blueprint
@@ -41,26 +40,26 @@ def compiled(name: str) -> mujoco.MjModel:
     return PhysicsWorld(drawing.grid(np.random.default_rng(0))).model
 
 
-@pytest.mark.parametrize("name", [*PARTS, "demo", "smartcar_reduced", "all kinds, reduced"])
-def test_no_model_has_hidden_helpers(name):
+def test_no_model_has_hidden_helpers():
     """No equality constraint, mocap body, gravity compensation, tendon, or contact taken out by hand."""
-    model = compiled(name)
-    assert model.neq == 0
-    assert model.nmocap == 0
-    assert not model.body_gravcomp.any()
-    assert model.nexclude == 0
-    assert model.ntendon == 0
-    assert model.opt.gravity.tolist() == [0, 0, -9.81]
-    assert model.opt.disableflags == int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
-    assert not model.opt.wind.any()
-    # Motors move joints; those of the reduced drive's wheels push the car itself.
-    free = [
-        kind == mujoco.mjtTrn.mjTRN_SITE or model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
-        for kind, joint in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
-    ]
-    pushing = [model.actuator(a).name for a in np.flatnonzero(free)]
-    wheels = [f"{motor}_{wheel}" for motor in ("wheel", "gear") for wheel in ("fl", "fr", "rl", "rr")]
-    assert {name.rpartition("/")[2] for name in pushing} == (set(wheels) if "reduced" in name else set())
+    for name in (*PARTS, "demo", "smartcar_reduced", "all kinds, reduced"):
+        model = compiled(name)
+        assert model.neq == 0
+        assert model.nmocap == 0
+        assert not model.body_gravcomp.any()
+        assert model.nexclude == 0
+        assert model.ntendon == 0
+        assert model.opt.gravity.tolist() == [0, 0, -9.81]
+        assert model.opt.disableflags == int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+        assert not model.opt.wind.any()
+        # Motors move joints; those of the reduced drive's wheels push the car itself.
+        free = [
+            kind == mujoco.mjtTrn.mjTRN_SITE or model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+            for kind, joint in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
+        ]
+        pushing = [model.actuator(a).name for a in np.flatnonzero(free)]
+        wheels = [f"{motor}_{wheel}" for motor in ("wheel", "gear") for wheel in ("fl", "fr", "rl", "rr")]
+        assert {name.rpartition("/")[2] for name in pushing} == (set(wheels) if "reduced" in name else set())
 
 
 FAMILIES = {
@@ -166,27 +165,27 @@ def listed(reduced: bool) -> set[tuple[str, str, str]]:
     return swapped | WHEELS_IN_PLACE_OF_ROLLERS
 
 
-@pytest.mark.parametrize("name", [*PARTS, "demo", "all kinds", "smartcar_reduced", "all kinds, reduced"])
-def test_every_pair_that_a_filter_drops_is_listed_with_a_reason(name):
-    model = compiled(name)
-    part = name.replace("smart", "").replace("_reduced", "")
-    touch, dropped = (named(model, pairs, part) for pairs in filtered(model))
-    expected = listed("reduced" in name)
-    assert dropped <= expected
-    assert not touch & expected
-    if name.startswith("all kinds"):
-        assert dropped == expected, "what is listed is dropped"
+def test_every_pair_that_a_filter_drops_is_listed_with_a_reason():
+    for name in (*PARTS, "demo", "all kinds", "smartcar_reduced", "all kinds, reduced"):
+        model = compiled(name)
+        part = name.replace("smart", "").replace("_reduced", "")
+        touch, dropped = (named(model, pairs, part) for pairs in filtered(model))
+        expected = listed("reduced" in name)
+        assert dropped <= expected
+        assert not touch & expected
+        if name.startswith("all kinds"):
+            assert dropped == expected, "what is listed is dropped"
 
 
-@pytest.mark.parametrize("name", ["slope", "smartcar", "smartcar_reduced"])
-def test_mujoco_drops_exactly_these_pairs(name):
+def test_mujoco_drops_exactly_these_pairs():
     """With margins so wide that all is near, MuJoCo itself says which pairs can touch."""
-    model = compiled(name)
-    touch, _ = filtered(model)
-    model.body_margin[:] = model.geom_margin[:] = model.pair_margin[:] = 1.0
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    assert {tuple(sorted(pair)) for pair in data.contact.geom.tolist()} == touch
+    for name in ("slope", "smartcar", "smartcar_reduced"):
+        model = compiled(name)
+        touch, _ = filtered(model)
+        model.body_margin[:] = model.geom_margin[:] = model.pair_margin[:] = 1.0
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        assert {tuple(sorted(pair)) for pair in data.contact.geom.tolist()} == touch
 
 
 def test_the_mjcf_files_ask_for_no_hidden_help():

@@ -79,46 +79,46 @@ def test_the_chassis_has_the_inertia_of_its_solid_hull(open_part):
     assert_same(inertia, expected, 0.005)
 
 
-@pytest.mark.parametrize("wheel", ["fl", "fr", "rl", "rr"])
-def test_hub_and_rollers_make_a_solid_cylinder(open_part, wheel):
+def test_hub_and_rollers_make_a_solid_cylinder(open_part):
     """2.3 kg, radius 0.0496, width 0.043 (published), all solid. Band: 0.5 % and 10 micrometres."""
-    model = open_part("smartcar")
-    names = [f"wheel_{wheel}"] + [f"roller_{wheel}{i:02}" for i in range(SMARTCAR.rollers_per_wheel)]
-    mass, centre, inertia = of_bodies(model, [model.body(n).id for n in names])
-    solid = trimesh.creation.cylinder(SMARTCAR.wheel_radius_m, SMARTCAR.wheel_width_m, sections=256)
-    solid.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    _, _, expected = of_solids([(solid, SMARTCAR.wheel_mass_kg)])
-    assert mass == pytest.approx(SMARTCAR.wheel_mass_kg)
-    assert np.abs(centre - model.body(f"wheel_{wheel}").pos).max() < 1e-5
-    assert_same(inertia, expected, 0.005)
+    for wheel in ("fl", "fr", "rl", "rr"):
+        model = open_part("smartcar")
+        names = [f"wheel_{wheel}"] + [f"roller_{wheel}{i:02}" for i in range(SMARTCAR.rollers_per_wheel)]
+        mass, centre, inertia = of_bodies(model, [model.body(n).id for n in names])
+        solid = trimesh.creation.cylinder(SMARTCAR.wheel_radius_m, SMARTCAR.wheel_width_m, sections=256)
+        solid.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+        _, _, expected = of_solids([(solid, SMARTCAR.wheel_mass_kg)])
+        assert mass == pytest.approx(SMARTCAR.wheel_mass_kg)
+        assert np.abs(centre - model.body(f"wheel_{wheel}").pos).max() < 1e-5
+        assert_same(inertia, expected, 0.005)
 
 
-@pytest.mark.parametrize("part", ["block", "flag"])
-def test_a_table_has_the_inertia_of_its_deck_and_legs(open_part, part):
+def test_a_table_has_the_inertia_of_its_deck_and_legs(open_part):
     """0.5 kg of deck and frame, randomization by volume, on four legs of 0.001 kg (published). Band: 0.1 %."""
-    model = open_part(part)
-    geoms = colliding(model, part)
-    legs = [g for g in geoms if g.startswith("leg")]
-    solids = uniform(model, [g for g in geoms if not g.startswith(("leg", "foot"))], BLOCK.deck_mass_kg)
-    solids += [(solid_of(model, leg), BLOCK.leg_mass_kg) for leg in legs]
-    mass, centre, inertia = of_solids(solids)
-    found_mass, found_centre, found = of_bodies(model, [model.body(part).id])
-    assert len(legs) == 4
-    assert found_mass == pytest.approx(mass, abs=1e-5)
-    assert np.abs(found_centre - centre).max() < 1e-5
-    assert_same(found, inertia, 0.001)
+    for part in ("block", "flag"):
+        model = open_part(part)
+        geoms = colliding(model, part)
+        legs = [g for g in geoms if g.startswith("leg")]
+        solids = uniform(model, [g for g in geoms if not g.startswith(("leg", "foot"))], BLOCK.deck_mass_kg)
+        solids += [(solid_of(model, leg), BLOCK.leg_mass_kg) for leg in legs]
+        mass, centre, inertia = of_solids(solids)
+        found_mass, found_centre, found = of_bodies(model, [model.body(part).id])
+        assert len(legs) == 4
+        assert found_mass == pytest.approx(mass, abs=1e-5)
+        assert np.abs(found_centre - centre).max() < 1e-5
+        assert_same(found, inertia, 0.001)
 
 
-@pytest.mark.parametrize(("body", "mass_kg"), [("slope", SLOPE.base_mass_kg), ("flap", SLOPE.flap_mass_kg)])
-def test_the_slopes_bodies_are_uniform_solids(open_part, body, mass_kg):
+def test_the_slopes_bodies_are_uniform_solids(open_part):
     """Base 1.0 kg, flap 0.1 kg (published), randomization by volume over convex solids. Band: 0.2 %."""
-    model = open_part("slope")
-    mass, centre, inertia = of_solids(uniform(model, colliding(model, body), mass_kg))
-    found_mass, found_centre, found = of_bodies(model, [model.body(body).id])
-    origin = model.body("flap").pos if body == "flap" else np.zeros(3)
-    assert found_mass == pytest.approx(mass, abs=1e-5)
-    assert np.abs(found_centre - origin - centre).max() < 1e-4
-    assert_same(found, inertia, 0.002)
+    for body, mass_kg in (("slope", SLOPE.base_mass_kg), ("flap", SLOPE.flap_mass_kg)):
+        model = open_part("slope")
+        mass, centre, inertia = of_solids(uniform(model, colliding(model, body), mass_kg))
+        found_mass, found_centre, found = of_bodies(model, [model.body(body).id])
+        origin = model.body("flap").pos if body == "flap" else np.zeros(3)
+        assert found_mass == pytest.approx(mass, abs=1e-5)
+        assert np.abs(found_centre - origin - centre).max() < 1e-4
+        assert_same(found, inertia, 0.002)
 
 
 def test_the_whole_car_is_balanced_and_low(open_part):

@@ -142,16 +142,16 @@ def test_without_the_boss_a_load_slides_at_the_friction_angle(threshold, mu):
     assert threshold(slides, 0.1, 0.6) == pytest.approx(math.atan(mu), rel=0.02)
 
 
-@pytest.mark.parametrize("offset_mm", [(3.0, 0.0), (-3.0, 0.0), (0.0, 3.0), (2.0, -2.0), (3.0, 3.0)])
-def test_the_boss_centres_a_load(offset_mm):
+def test_the_boss_centres_a_load():
     """A block that stands up to 3 mm beside the car's middle is centred by the bevel to the boss' play."""
-    grid = Grid.empty((3, 3, 2), 1)
-    grid.cars[0] = 1, 1, 1, 0, Kind.AIR, 0, 0
-    grid.kind[1, 1, 1] = Kind.BLOCK
-    physics = PhysicsWorld(grid)
-    address = physics.blocks[0].qpos
-    physics.data.qpos[address : address + 2] += 1e-3 * np.array(offset_mm)
-    outcome = Executor(physics).run({0: Action.LIFT})[0]
-    assert outcome.succeeded
-    assert np.abs(place(physics)[:2]).max() < STOPPED_M
-    assert place(physics)[2] > 0.03
+    for offset_mm in ((3.0, 0.0), (-3.0, 0.0), (0.0, 3.0), (2.0, -2.0), (3.0, 3.0)):
+        grid = Grid.empty((3, 3, 2), 1)
+        grid.cars[0] = 1, 1, 1, 0, Kind.AIR, 0, 0
+        grid.kind[1, 1, 1] = Kind.BLOCK
+        physics = PhysicsWorld(grid)
+        address = physics.blocks[0].qpos
+        physics.data.qpos[address : address + 2] += 1e-3 * np.array(offset_mm)
+        outcome = Executor(physics).run({0: Action.LIFT})[0]
+        assert outcome.succeeded
+        assert np.abs(place(physics)[:2]).max() < STOPPED_M
+        assert place(physics)[2] > 0.03

@@ -163,27 +163,28 @@ def test_a_load_sits_off_its_car_by_as_much_as_its_pocket_is_off(largest):
         assert off == pytest.approx(2 * [sign * 0.003], abs=0.3e-3)
 
 
-@pytest.mark.parametrize("name", [field.name for field in fields(Making)])
-@pytest.mark.parametrize("drive", DRIVES)
-def test_every_tolerance_changes_the_shapes_that_touch_and_is_taken_back(name, drive):
-    grid = Grid.empty((5, 3, 2), 1)
-    grid.cars[0, :3] = 0, 1, 1
-    grid.kind[2, 1, 1], grid.kind[3, 1, 1], grid.kind[4, 1, 1] = Kind.BLOCK, Kind.FSLOPE, Kind.GEAR
-    grid.derive_marks()
-    world = PhysicsWorld(grid, machines=replace(NOMINAL, drive=drive), reset=False)
-    world.reset_compiled()
-    model = world.model
-    before = {
-        n: getattr(model, n).copy()
-        for n in ("geom_pos", "geom_size", "body_pos", "actuator_gear", "bvh_aabb", "geom_rbound")
-    }
-    _drawn(world, 0, **{name: 0.001})
-    assert any(
-        not np.array_equal(getattr(model, n), before[n]) for n in ("geom_pos", "geom_size", "body_pos")
-    )
-    world.reset_compiled()
-    for n, array in before.items():
-        np.testing.assert_array_equal(getattr(model, n), array, err_msg=n)
+def test_every_tolerance_changes_the_shapes_that_touch_and_is_taken_back():
+    for drive in DRIVES:
+        for name in [field.name for field in fields(Making)]:
+            grid = Grid.empty((5, 3, 2), 1)
+            grid.cars[0, :3] = 0, 1, 1
+            grid.kind[2, 1, 1], grid.kind[3, 1, 1], grid.kind[4, 1, 1] = Kind.BLOCK, Kind.FSLOPE, Kind.GEAR
+            grid.derive_marks()
+            world = PhysicsWorld(grid, machines=replace(NOMINAL, drive=drive), reset=False)
+            world.reset_compiled()
+            model = world.model
+            before = {
+                n: getattr(model, n).copy()
+                for n in ("geom_pos", "geom_size", "body_pos", "actuator_gear", "bvh_aabb", "geom_rbound")
+            }
+            _drawn(world, 0, **{name: 0.001})
+            assert any(
+                not np.array_equal(getattr(model, n), before[n])
+                for n in ("geom_pos", "geom_size", "body_pos")
+            )
+            world.reset_compiled()
+            for n, array in before.items():
+                np.testing.assert_array_equal(getattr(model, n), array, err_msg=n)
 
 
 def test_no_shape_that_is_drawn_shares_its_frame_with_its_body():

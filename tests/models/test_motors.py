@@ -34,13 +34,6 @@ def test_a_commanded_speed_arrives_with_the_declared_time_constant_and_a_stop_at
     assert not _driven(motors, physics, (0.0,) * 4, 1).any()
 
 
-def test_without_lag_a_command_arrives_at_once():
-    physics = PhysicsWorld(GRID)
-    np.testing.assert_array_equal(
-        _driven(Motors(physics), physics, (5.0, 4.0, 3.0, -2.0), 1), [[5.0, 4.0, 3.0, -2.0]]
-    )
-
-
 def test_a_setups_motor_lag_reaches_the_wheels():
     def way_m(lag_s):
         judge = set_up(GRID, Setup(randomization=replace(NONE, sensors=SensorNoise(motor_lag_s=lag_s))))

@@ -38,60 +38,60 @@ def assert_healthy(data: mujoco.MjData, warned) -> None:
     assert np.isfinite(data.qacc).all()
 
 
-@pytest.mark.parametrize("name", PARTS)
-def test_each_part_opens_alone_and_survives_random_control(open_part, warned, name):
-    model = open_part(name)
-    data = mujoco.MjData(model)
-    control_randomly(model, data, seed=PARTS.index(name))
-    assert_healthy(data, warned)
+def test_each_part_opens_alone_and_survives_random_control(open_part, warned):
+    for name in PARTS:
+        model = open_part(name)
+        data = mujoco.MjData(model)
+        control_randomly(model, data, seed=PARTS.index(name))
+        assert_healthy(data, warned)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_demo_scene_survives_random_control(warned, seed):
-    physics = demo_site()
-    control_randomly(physics.model, physics.data, seed)
-    assert_healthy(physics.data, warned)
-    assert np.abs(physics.data.qvel).max() < 1e3
+def test_the_demo_scene_survives_random_control(warned):
+    for seed in range(3):
+        physics = demo_site()
+        control_randomly(physics.model, physics.data, seed)
+        assert_healthy(physics.data, warned)
+        assert np.abs(physics.data.qvel).max() < 1e3
 
 
-@pytest.mark.parametrize("name", PARTS)
-def test_each_part_rests_on_the_floor_where_it_is_drawn(open_part, name):
+def test_each_part_rests_on_the_floor_where_it_is_drawn(open_part):
     """No part starts in the air or in the floor: within 1 s of rest nothing moves by more than 0.1 mm."""
-    model = open_part(name)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    start = data.xpos.copy()
-    mujoco.mj_step(model, data, 250)
-    assert np.abs(data.xpos - start).max() < 1e-4
+    for name in PARTS:
+        model = open_part(name)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        start = data.xpos.copy()
+        mujoco.mj_step(model, data, 250)
+        assert np.abs(data.xpos - start).max() < 1e-4
 
 
-@pytest.mark.parametrize("wheel", ["fl", "fr", "rl", "rr"])
-def test_ten_rollers_a_wheel_in_x_arrangement(open_part, wheel):
+def test_ten_rollers_a_wheel_in_x_arrangement(open_part):
     """Seen from above the upper rollers point at the car's centre; those on the ground lie across that line."""
-    model = open_part("smartcar")
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    rollers = [data.joint(f"roller_{wheel}{i:02}") for i in range(SMARTCAR.rollers_per_wheel)]
-    heights = [r.xanchor[2] for r in rollers]
-    assert len(rollers) == 10
-    corner = np.sign(model.body(f"wheel_{wheel}").pos[:2]) / np.sqrt(2)
-    top, bottom = rollers[int(np.argmax(heights))], rollers[int(np.argmin(heights))]
-    assert abs(top.xaxis[:2] @ corner) == pytest.approx(1, abs=1e-6)
-    assert bottom.xaxis[:2] @ corner == pytest.approx(0, abs=1e-6)
-    assert bottom.xanchor[2] == pytest.approx(SMARTCAR.roller_radius_m, abs=1e-9)
+    for wheel in ("fl", "fr", "rl", "rr"):
+        model = open_part("smartcar")
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        rollers = [data.joint(f"roller_{wheel}{i:02}") for i in range(SMARTCAR.rollers_per_wheel)]
+        heights = [r.xanchor[2] for r in rollers]
+        assert len(rollers) == 10
+        corner = np.sign(model.body(f"wheel_{wheel}").pos[:2]) / np.sqrt(2)
+        top, bottom = rollers[int(np.argmax(heights))], rollers[int(np.argmin(heights))]
+        assert abs(top.xaxis[:2] @ corner) == pytest.approx(1, abs=1e-6)
+        assert bottom.xaxis[:2] @ corner == pytest.approx(0, abs=1e-6)
+        assert bottom.xanchor[2] == pytest.approx(SMARTCAR.roller_radius_m, abs=1e-9)
 
 
-@pytest.mark.parametrize("wheel", ["fl", "fr", "rl", "rr"])
-def test_rollers_are_evenly_spaced_and_turn_freely(open_part, wheel):
-    model = open_part("smartcar")
-    names = [f"roller_{wheel}{i:02}" for i in range(SMARTCAR.rollers_per_wheel)]
-    angles = np.sort([np.arctan2(p[0], p[2]) % (2 * np.pi) for p in (model.body(n).pos for n in names)])
-    assert np.diff(angles) == pytest.approx(2 * np.pi / len(names), abs=1e-6)
-    for name in names:
-        joint = model.joint(name)
-        assert not joint.limited[0]
-        assert model.dof_frictionloss[joint.dofadr[0]] == SMARTCAR.roller_bearing_friction_nm
-        assert joint.id not in model.actuator_trnid[:, 0]
+def test_rollers_are_evenly_spaced_and_turn_freely(open_part):
+    for wheel in ("fl", "fr", "rl", "rr"):
+        model = open_part("smartcar")
+        names = [f"roller_{wheel}{i:02}" for i in range(SMARTCAR.rollers_per_wheel)]
+        angles = np.sort([np.arctan2(p[0], p[2]) % (2 * np.pi) for p in (model.body(n).pos for n in names)])
+        assert np.diff(angles) == pytest.approx(2 * np.pi / len(names), abs=1e-6)
+        for name in names:
+            joint = model.joint(name)
+            assert not joint.limited[0]
+            assert model.dof_frictionloss[joint.dofadr[0]] == SMARTCAR.roller_bearing_friction_nm
+            assert joint.id not in model.actuator_trnid[:, 0]
 
 
 def test_only_rollers_carry_the_car(open_part):

@@ -16,17 +16,6 @@ def _world() -> PhysicsWorld:
     return PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1), SimulationConfig(sleep=False))
 
 
-def test_they_are_those_of_the_bindings():
-    physics = _world()
-    physics.drive(0, [5.0] * 4)
-    data = mujoco.MjData(physics.model)
-    mujoco.mj_copyData(data, physics.model, physics.data)
-    mujoco.mj_step(physics.model, data)
-    physics.run(1)
-    np.testing.assert_array_equal(physics.data.qpos, data.qpos)
-    np.testing.assert_array_equal(physics.data.qvel, data.qvel)
-
-
 @pytest.mark.parametrize("drive", DRIVES)
 def test_many_are_those_of_the_bindings_one_after_the_other(drive):
     grid, config = Grid.empty((3, 1, 1), n_cars=1), replace(SimulationConfig.of(drive), sleep=False)

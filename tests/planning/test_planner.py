@@ -137,12 +137,12 @@ IMPOSSIBLE = {
 }
 
 
-@pytest.mark.parametrize("reason", IMPOSSIBLE)
-def test_why_there_is_no_plan_is_said(reason):
-    grid = yard((5, 5, 2), 1, blocks=[(3, 0, 1), (3, 1, 1)])
-    grid.kind[4, 4, 1] = Kind.WALL
-    with pytest.raises(NoPlanError, match=reason):
-        plan_building(grid, Design.of("it", *IMPOSSIBLE[reason]), RULES, rounds=2)
+def test_why_there_is_no_plan_is_said():
+    for reason in IMPOSSIBLE:
+        grid = yard((5, 5, 2), 1, blocks=[(3, 0, 1), (3, 1, 1)])
+        grid.kind[4, 4, 1] = Kind.WALL
+        with pytest.raises(NoPlanError, match=reason):
+            plan_building(grid, Design.of("it", *IMPOSSIBLE[reason]), RULES, rounds=2)
 
 
 def test_the_command_writes_a_plan_that_can_be_read(tmp_path, capsys):

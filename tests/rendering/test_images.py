@@ -126,17 +126,14 @@ def test_a_view_of_films_is_a_camera_too(physics):
     assert np.diff(taken["segmentation"], axis=0).any(axis=-1).mean() < 0.01
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_what_there_is_not_is_refused_with_what_there_is(physics):
+    for arguments, message in (
         (("fromt:0",), "unknown camera 'fromt:0'; did you mean 'front:0'.*there are overview, top, front:0"),
         (("front:1",), "unknown camera 'front:1'"),
         (("top", (0, 48)), r"size is \(0, 48\); allowed: \(width, height\)"),
         (("top", (10_000, 10_000)), "4194304 at most"),
         (("top", SIZE, ("rgb", "deth")), "unknown kind of image 'deth'; did you mean 'depth'"),
         (("top", SIZE, ()), "one or more of rgb, depth, segmentation"),
-    ],
-)
-def test_what_there_is_not_is_refused_with_what_there_is(physics, arguments, message):
-    with pytest.raises(InputError, match=message):
-        take_images(physics, *arguments)
+    ):
+        with pytest.raises(InputError, match=message):
+            take_images(physics, *arguments)

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded import record
 
 from craftsim.checking.contacts import impact_limit_n
-from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.cli import main
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
@@ -19,7 +18,6 @@ from craftsim.rendering.plots.figures import plots_of, write_figures
 from craftsim.rendering.plots.signals import Signals, path_points, thinned
 from craftsim.rendering.plots.timeline import SIGNS, notes_of
 from craftsim.rendering.recorded import trajectory_files
-from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import GoalCell, Trajectory
 
 
@@ -29,13 +27,10 @@ def recorded() -> Trajectory:
     grid = Grid.empty((4, 2, 1), n_cars=1)
     grid.kind[2, 1, 1], grid.kind[3, 1, 1] = Kind.FSLOPE, Kind.GEAR
     grid.derive_marks()
-    recipe = Recipe(blueprint_text(grid), (Step.single(0, 0, Action.MOVE_RIGHT),))
-    judge, recorder = start(recipe), Recorder()
-    recorder.begin(judge)
-    (attempt,) = do(judge, recipe.steps[0])
-    failed = replace(attempt, result="unsafe", reason="it fell on <b>$x_1$</b>")
-    trajectory = recorder.trajectory("a move", recipe, [failed])
-    return replace(trajectory, story=replace(trajectory.story, design=(GoalCell("block", (3, 0, 1), -1),)))
+    trajectory = record(grid, Action.MOVE_RIGHT)
+    failed = replace(trajectory.story.attempts[0], result="unsafe", reason="it fell on <b>$x_1$</b>")
+    design = (GoalCell("block", (3, 0, 1), -1),)
+    return replace(trajectory, story=replace(trajectory.story, attempts=(failed,), design=design))
 
 
 @pytest.fixture(scope="module")
@@ -150,9 +145,10 @@ def test_plot_draws_one_run_of_a_folder_and_the_same_for_the_same_run(
         assert again.read_bytes() == files[again.name]
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
+def test_plot_says_what_is_wrong(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words, message in (
         (
             ["run", "--run", "move-2"],
             "no trajectory 'move-2'; did you mean 'move-1'?; there are move-0, move-1",
@@ -160,15 +156,7 @@ def test_plot_draws_one_run_of_a_folder_and_the_same_for_the_same_run(
         (["run/trajectories/move-0.npz", "--run", "move-0"], "is no folder"),
         (["nowhere"], "no such file or folder"),
         (["."], "no trajectories in it; run it again with --record"),
-    ],
-)
-def test_plot_says_what_is_wrong(
-    run: Path,
-    words: list[str],
-    message: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(run.parent)
-    assert main(["plot", *words]) == 2
-    assert message in capsys.readouterr().err
+    ):
+        monkeypatch.chdir(run.parent)
+        assert main(["plot", *words]) == 2
+        assert message in capsys.readouterr().err

@@ -6,15 +6,12 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from recorded import record
 
 from craftsim import Trajectory
-from craftsim.checking.episode import Recipe, start
-from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.rendering.cameras import make_view
-from craftsim.rendering.painting import floor, number_plate
 from craftsim.rendering.playback import Playback
-from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.renderer import make_renderer
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import GoalCell
@@ -28,9 +25,7 @@ def standing() -> Trajectory:
     grid.cars[1, CarField.X] = 1
     grid.kind[0, 2, 1] = Kind.BLOCK
     grid.kind[2, 1, 1] = Kind.FSLOPE
-    recorder, recipe = Recorder(), Recipe(blueprint_text(grid), ())
-    recorder.begin(start(recipe))
-    trajectory = recorder.trajectory("rest", recipe, ())
+    trajectory = record(grid)
     design = (
         GoalCell("block", (0, 2, 1), -1),
         GoalCell("block", (3, 2, 1), -1),
@@ -105,20 +100,6 @@ def test_a_ghost_is_where_the_real_thing_will_be(standing):
         twin = real[f"slope0/{name}_visual"]
         assert ghost.pos == pytest.approx(twin.pos, abs=2e-4)
         assert ghost.mat == pytest.approx(twin.mat, abs=2e-3)
-
-
-def test_floors_cast_no_shadow(standing):
-    stage = Stage(standing, "paper")
-    for geom in _drawn(_scene(stage, standing, standing.qpos[-1])):
-        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
-            assert geom.category == mujoco.mjtCatBit.mjCAT_DECOR
-
-
-def test_numbers_and_coordinates_differ():
-    plates = [number_plate(number, (0.8, 0.2, 0.2)) for number in (0, 1, 10)]
-    assert not any(np.array_equal(plates[i], plates[j]) for i, j in ((0, 1), (0, 2), (1, 2)))
-    assert floor(20, 10).shape[1] > floor(20, 10).shape[0]
-    assert max(floor(200, 3).shape) <= 4096
 
 
 def test_paper_shows_shadows_on_a_light_floor_and_no_sky(rendering, standing):

@@ -1,6 +1,5 @@
 """What a run writes down is what was simulated, and a file that is not whole is refused."""
 
-import io
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -66,19 +65,6 @@ def test_a_file_gives_back_what_was_written(recorded: Trajectory, file: Path) ->
         assert np.array_equal(getattr(again, name), getattr(recorded, name), equal_nan=True), name
 
 
-def test_numpy_alone_reads_it(file: Path, recorded: Trajectory) -> None:
-    arrays = np.load(file)
-    column = json.loads(arrays["story"].tobytes())["poses"]["car 0"]
-    assert np.array_equal(arrays["qpos"][:, column : column + 3], recorded.pose("car 0")[:, :3])
-
-
-def test_a_driving_car_is_near_its_path(recorded: Trajectory) -> None:
-    driving = np.isfinite(recorded.path[:, 0, 0])
-    off = np.linalg.norm((recorded.path - recorded.measured)[driving, 0, :2], axis=1)
-    assert driving.sum() > 20
-    assert off.max() < 0.01
-
-
 def test_the_largest_contact_force_is_what_the_judge_found(recorded: Trajectory) -> None:
     assert recorded.contact.max() == pytest.approx(recorded.story.attempts[0].peak_force_n, rel=1e-6)
 
@@ -123,13 +109,11 @@ def test_a_file_that_contradicts_itself_is_refused(
         Trajectory.read(_changed(file, **change))
 
 
-@pytest.mark.parametrize(("first_s", "factor"), [(0.0, 1e7), (0.0, 1e290), (-100.0, 1.0)])
-def test_times_that_no_simulation_reaches_are_refused(
-    file: Path, recorded: Trajectory, first_s: float, factor: float
-) -> None:
-    time = first_s + recorded.time * factor
-    with pytest.raises(InputError, match=r"a number of 'time' is .*; allowed: 0 to 1000000"):
-        Trajectory.read(_changed(file, time=time))
+def test_times_that_no_simulation_reaches_are_refused(file: Path, recorded: Trajectory) -> None:
+    for first_s, factor in ((0.0, 1e7), (0.0, 1e290), (-100.0, 1.0)):
+        time = first_s + recorded.time * factor
+        with pytest.raises(InputError, match=r"a number of 'time' is .*; allowed: 0 to 1000000"):
+            Trajectory.read(_changed(file, time=time))
 
 
 def test_poses_beyond_the_columns_are_refused(file: Path) -> None:
@@ -154,17 +138,10 @@ def test_an_unknown_machine_is_named(recorded: Trajectory) -> None:
         recorded.pose("car 7")
 
 
-def test_the_archive_has_no_pickles(file: Path) -> None:
-    assert np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)["qpos"].size
-
-
-@pytest.mark.parametrize(
-    ("goal", "words"),
-    [
+def test_a_design_that_cannot_be_is_refused(file: Path) -> None:
+    for goal, words in (
         ({"kind": "castle", "cell": [0, 0, 1], "yaw": -1}, "kind"),
         ({"kind": "block", "cell": [0, 9, 1], "yaw": -1}, "outside of the area"),
-    ],
-)
-def test_a_design_that_cannot_be_is_refused(file: Path, goal: dict[str, object], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        Trajectory.read(_retold(file, design=[goal]))
+    ):
+        with pytest.raises(InputError, match=words):
+            Trajectory.read(_retold(file, design=[goal]))

@@ -65,12 +65,6 @@ def _raise_midway(path: Path) -> None:
         raise RuntimeError("the simulation went wrong")
 
 
-def test_an_error_leaves_no_file_behind(tmp_path):
-    with pytest.raises(RuntimeError, match="went wrong"):
-        _raise_midway(tmp_path / "film.mp4")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_an_error_keeps_the_previous_film(tmp_path):
     _write(tmp_path / "film.mp4", _frames(3))
     before = (tmp_path / "film.mp4").read_bytes()
@@ -85,17 +79,14 @@ def test_a_film_without_frames_is_an_error(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("frame", "message"),
-    [
+def test_frames_that_cannot_be_encoded_are_refused(tmp_path):
+    for frame, message in (
         (np.zeros((48, 63, 3), np.uint8), "even sizes"),
         (np.zeros((48, 64), np.uint8), "height, width, 3"),
         (np.zeros((48, 64, 3)), "uint8"),
-    ],
-)
-def test_frames_that_cannot_be_encoded_are_refused(tmp_path, frame, message):
-    with pytest.raises(ValueError, match=message), VideoWriter(tmp_path / "film.mp4", 25) as writer:
-        writer.write(frame)
+    ):
+        with pytest.raises(ValueError, match=message), VideoWriter(tmp_path / "film.mp4", 25) as writer:
+            writer.write(frame)
 
 
 def test_a_frame_of_another_size_is_refused(tmp_path):

@@ -8,12 +8,10 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
+from recorded import record
 
 from craftsim import Action, Grid, LiveView, Trajectory
-from craftsim.checking.episode import Recipe, Step, do, start
-from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import CarField
-from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.viewer.page import REAL_TIME
 from craftsim.rendering.viewer.recorded import RecordedView
 
@@ -36,10 +34,7 @@ pytestmark = pytest.mark.skipif(
 def _run() -> Trajectory:
     grid = Grid.empty((3, 1, 1), n_cars=2)
     grid.cars[1, CarField.X] = 2
-    recipe = Recipe(blueprint_text(grid), (Step.single(0, 0, Action.MOVE_RIGHT),))
-    judge, recorder = start(recipe), Recorder()
-    recorder.begin(judge)
-    return recorder.trajectory("a move", recipe, do(judge, recipe.steps[0]))
+    return record(grid, Action.MOVE_RIGHT)
 
 
 @pytest.fixture(scope="module")

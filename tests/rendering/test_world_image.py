@@ -1,10 +1,9 @@
 """Pictures of the grid: the colours of the films, one size for a world, and only what is there."""
 
 import numpy as np
-import pytest
 
-from craftsim.discrete.drawing import CAR_COLOURS, GOAL, KIND_COLOURS, car_colour
-from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.drawing import GOAL, KIND_COLOURS, car_colour
+from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.composition import machine_spec
 from craftsim.rendering.shapes import Outline, Wanted, level_shapes, levels_of
@@ -38,12 +37,6 @@ def test_a_tile_has_the_colour_of_what_is_there():
     assert (car == _in_bytes(car_colour(0))).all(axis=1).sum() > 200
 
 
-def test_pictures_of_one_world_have_one_size_whatever_happens_in_it():
-    before, after = _world(), _world()
-    after.cars[0, CarField.Z] = 3
-    assert world_image(before).shape == world_image(after).shape
-
-
 def test_levels_with_nothing_are_left_out():
     grid = _world((2, 2, 4))
     assert levels_of([grid]) == (1,)
@@ -53,44 +46,33 @@ def test_levels_with_nothing_are_left_out():
     assert levels_of([grid], None, [Wanted(Kind.BLOCK, (0, 0, 4), -1)]) == (1, 3, 4)
 
 
-def test_only_the_levels_asked_for_are_in_a_picture():
-    grid = _world()
-    assert world_image(grid, levels=[1]).shape[1] == 2 * CELL_PX + 2 * MARGIN_PX
+def test_a_design_is_dashed_and_a_goal_is_not():
+    for kind in (Kind.BLOCK, Kind.BODY, Kind.FOOT):
+
+        def framed(goal, design):
+            shapes = [
+                s
+                for s in level_shapes(_world(), 1, goal, design)
+                if isinstance(s, Outline) and s.line == GOAL
+            ]
+            return sum(np.linalg.norm(np.diff(shape.points, axis=0), axis=1).sum() for shape in shapes)
+
+        whole, dashed = framed((1, 1, 1), []), framed(None, [Wanted(kind, (1, 1, 1), 0)])
+        assert 0.3 * whole < dashed < 0.7 * whole
+        assert framed((1, 1, 2), [Wanted(kind, (1, 1, 2), 0)]) == 0
 
 
-@pytest.mark.parametrize("kind", [Kind.BLOCK, Kind.BODY, Kind.FOOT])
-def test_a_design_is_dashed_and_a_goal_is_not(kind):
-    def framed(goal, design):
-        shapes = [
-            s for s in level_shapes(_world(), 1, goal, design) if isinstance(s, Outline) and s.line == GOAL
-        ]
-        return sum(np.linalg.norm(np.diff(shape.points, axis=0), axis=1).sum() for shape in shapes)
-
-    whole, dashed = framed((1, 1, 1), []), framed(None, [Wanted(kind, (1, 1, 1), 0)])
-    assert 0.3 * whole < dashed < 0.7 * whole
-    assert framed((1, 1, 2), [Wanted(kind, (1, 1, 2), 0)]) == 0
-
-
-@pytest.mark.parametrize(
-    ("part", "geom", "kind"),
-    [
+def test_things_have_the_colours_that_films_show():
+    for part, geom, kind in (
         ("wall", None, Kind.WALL),
         ("block", None, Kind.BLOCK),
         ("flag", "flag_visual", Kind.FLAG),
         ("slope", None, Kind.BODY),
         ("slope", "flap_visual", Kind.FOOT),
         ("slope", "gear_left_visual", Kind.GEAR),
-    ],
-)
-def test_things_have_the_colours_that_films_show(part, geom, kind):
-    spec = machine_spec(part, NOMINAL)
-    shown = [tuple(g.rgba[:3].round(4).tolist()) for g in spec.geoms if geom is None or g.name == geom]
-    assert tuple(np.float32(KIND_COLOURS[kind]).round(4).tolist()) in [
-        tuple(np.float32(colour).round(4).tolist()) for colour in shown
-    ]
-
-
-def test_cars_have_the_colours_that_films_show():
-    for car, colour in enumerate(CAR_COLOURS):
-        shown = machine_spec("smartcar", NOMINAL, car).geom("chassis_visual").rgba[:3]
-        assert np.allclose(shown, colour, atol=1e-6)
+    ):
+        spec = machine_spec(part, NOMINAL)
+        shown = [tuple(g.rgba[:3].round(4).tolist()) for g in spec.geoms if geom is None or g.name == geom]
+        assert tuple(np.float32(KIND_COLOURS[kind]).round(4).tolist()) in [
+            tuple(np.float32(colour).round(4).tolist()) for colour in shown
+        ]

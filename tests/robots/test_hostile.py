@@ -371,9 +371,3 @@ def test_a_demo_with_robots_that_lie_ends_in_words(tmp_path, monkeypatch, capsys
         words = ["demo", "--robot", address, "--plan", str(plan), "--timeout", "0.2", "--no-video"]
         assert main([*words, "--out", str(tmp_path / "out")]) == 2
     assert re.search(why, capsys.readouterr().err)
-
-
-@pytest.mark.parametrize("address", ["\udcff\udcfe:5555", "\udcff"])
-def test_an_address_that_is_no_text_is_refused(tmp_path, capsys, address):
-    assert main(["demo", "--robot", address, "--no-video", "--out", str(tmp_path)]) == 2
-    assert "is no address of robots" in capsys.readouterr().err

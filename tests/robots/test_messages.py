@@ -1,6 +1,7 @@
 """Messages: what is sent is read, and what is none is refused in words."""
 
 import math
+import re
 
 import msgpack
 import pytest
@@ -41,9 +42,9 @@ MESSAGES = [
 ]
 
 
-@pytest.mark.parametrize("message", MESSAGES, ids=lambda message: message.kind)
-def test_what_is_sent_is_read(message):
-    assert unpack(pack(message)) == message
+def test_what_is_sent_is_read():
+    for message in MESSAGES:
+        assert unpack(pack(message)) == message
 
 
 def test_the_largest_worlds_fit_into_a_message():
@@ -58,9 +59,8 @@ def changed(number: int = 4, /, **values) -> bytes:
     return msgpack.packb({**content, **values})
 
 
-@pytest.mark.parametrize(
-    ("data", "why"),
-    [
+def test_what_is_no_message_is_refused_in_words():
+    for data, why in (
         (b"", "no MessagePack"),
         (b"\xc1", "no MessagePack"),
         (b"\x91" * 5000, "no MessagePack"),
@@ -69,32 +69,20 @@ def changed(number: int = 4, /, **values) -> bytes:
         (changed(v=VERSION + 1), "version 3 of the protocol; this craftsim speaks version 2"),
         (changed(kind="order"), "kind 'order'; there are hello"),
         (changed(kind=["x"] * 100), "kind \\['x'"),
-        (changed(number=-1), "commands: key 'number'"),
-        (changed(at_s=float("nan")), "commands: key 'at_s'"),
         (changed(extra=1), "commands: unknown key 'extra'"),
-        (changed(3, late_s=float("nan")), "measurements: key 'late_s'"),
-        (changed(3, time_s=float("inf")), "measurements: key 'time_s'"),
         (changed(3, cars=[{}]), r"measurements: key 'cars\[0\]': needs 'time_s'; required: time_s, x"),
-        (changed(8, hinges=[float("nan")]), r"poses: key 'hinges\[0\]'"),
-        (
-            changed(cars=[{"wheels": [1, 2, 3], "board": 0.0, "hinge": 0.0}]),
-            "wheels': must be a list of 4 entries",
-        ),
-        (changed(cars=[{"wheels": [1, 2, 3, float("inf")], "board": 0.0, "hinge": 0.0}]), "finite"),
+        (changed(cars=[{"wheels": [1, 2, 3], "board": 0.0, "hinge": 0.0}]), "must be a list of 4 entries"),
         (changed(cars=[{"wheels": [0] * 4}] * (PHYSICS_CARS + 1)), "commands: key 'cars'"),
-    ],
-)
-def test_what_is_no_message_is_refused_in_words(data, why):
-    with pytest.raises(MessageError, match=why):
-        unpack(data)
+    ):
+        with pytest.raises(MessageError, match=why):
+            unpack(data)
 
 
 MANY = {str(number): None for number in range(7_000)}
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
+def test_a_message_full_of_mistakes_is_not_looked_through():
+    for data in (
         changed(**MANY),
         changed(cars=[None] * 60_000),
         changed(cars=[{}] * 60_000),
@@ -105,53 +93,53 @@ MANY = {str(number): None for number in range(7_000)}
         changed(8, things=[[None] * 7] * 7_000),
         changed(8, things=[[None] * 7] * 192),
         changed(8, hinges=[None] * 60_000),
-    ],
-)
-def test_a_message_full_of_mistakes_is_not_looked_through(data):
-    assert len(data) <= MESSAGE_BYTES
-    with pytest.raises(MessageError) as refused:
-        unpack(data)
-    why = refused.value.__context__
-    assert not isinstance(why, ValidationError) or why.error_count() < 64
+    ):
+        assert len(data) <= MESSAGE_BYTES
+        with pytest.raises(MessageError) as refused:
+            unpack(data)
+        why = refused.value.__context__
+        assert not isinstance(why, ValidationError) or why.error_count() < 64
 
 
-def car(**values) -> dict:
-    """Return what changes the first car of some measurements."""
-    return {"cars": [{**CAR._asdict(), **values}]}
+def places(node, place=""):
+    """Yield where a number or a truth value stands in a message, and the key by which mistakes name it."""
+    for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+        name = f"{place}[{key}]" if isinstance(key, int) else f"{place}.{key}".lstrip(".")
+        if isinstance(value, dict | list):
+            yield from places(value, name)
+        elif isinstance(value, bool | int | float) and name != "v":
+            yield node, key, name
 
 
-def told(wheel=1.0, board=0.0, hinge=0.0) -> dict:
-    return {"cars": [{"wheels": [1.0, 1.0, 1.0, wheel], "board": board, "hinge": hinge}]}
+def test_whatever_is_of_another_type_or_beyond_all_reason_is_refused_by_its_key():
+    for message in MESSAGES:
+        content = msgpack.unpackb(pack(message))
+        for holder, key, name in places(content):
+            before = holder[key]
+            odd = (None, 1, "x") if isinstance(before, bool) else (math.nan, 1e308, -1e308, True, "0", [1.0])
+            for value in odd:
+                holder[key] = value
+                with pytest.raises(MessageError, match=re.escape(f"{message.kind}: key '{name}'")):
+                    unpack(msgpack.packb(content))
+            holder[key] = before
 
 
-@pytest.mark.parametrize(
-    ("number", "values", "where"),
-    [
-        *((4, told(wheel), "wheels.3") for wheel in ("1", True, None, [1.0], 1e308, -1001.0)),
-        *((4, told(board=value), "board'") for value in ("0", False, 1e308)),
-        *((4, told(hinge=value), "hinge'") for value in ("0", False, 101.0)),
-        *((4, {"number": value}, "number") for value in (True, "3", 3.0, 2**53 + 1)),
-        *((4, {"at_s": value}, "at_s") for value in (True, "0.5", 1e10)),
-        *((3, car(**{name: math.nan}), name) for name in CarMeasurement._fields[:7]),
-        *((3, car(**{name: 1e308}), name) for name in CarMeasurement._fields[:7]),
-        *((3, car(**{name: True}), name) for name in ("x", "heading", "board_m", "slope")),
-        *((3, car(**{name: 1e308}), name) for name in ("board_m", "board_force_n", "hinge_rad")),
-        (3, car(wheel_speeds=[0.0, 0.0, 0.0, 1e308]), "wheel_speeds.3"),
-        *((3, car(lines=[0.0, 0.0, line, 0.0]), "lines.2") for line in (math.nan, 1e308, -math.inf)),
-        (3, car(fresh=1), "fresh"),
-        (3, car(slope=-1), "slope"),
-        (1, {"referee": 1}, "referee"),
+def test_what_cannot_be_is_refused_by_its_key():
+    still = {"wheels": [0.0] * 4, "board": 0.0, "hinge": 0.0}
+    for number, values, where in (
+        (4, {"cars": [{**still, "wheels": [0.0, 0.0, 0.0, -1001.0]}]}, "wheels[3]"),
+        (4, {"cars": [{**still, "hinge": 101.0}]}, "hinge"),
+        (4, {"number": -1}, "number"),
+        (4, {"number": 2**53 + 1}, "number"),
+        (4, {"at_s": 1e10}, "at_s"),
+        (3, {"cars": [{**CAR._asdict(), "slope": -1}]}, "slope"),
+        (3, {"cars": [{**CAR._asdict(), "lines": [0.0, 0.0, -math.inf, 0.0]}]}, "lines[2]"),
         (1, {"period_s": 1e-9}, "period_s"),
         (1, {"watchdog_s": 1e9}, "watchdog_s"),
-        (8, {"cars": [(0.0, 0.0, 1e308, *POSE[3:])]}, r"cars\[0\]\[2\]'"),
-        (8, {"cars": [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)]}, r"cars\[0\]': .*length 1"),
-        (8, {"hinges": [1e308]}, "hinges.0"),
-        (8, {"v": True}, "version True"),
-    ],
-)
-def test_what_cannot_be_and_what_is_of_another_type_is_refused(number, values, where):
-    with pytest.raises(MessageError, match=where):
-        unpack(changed(number, **values))
+        (8, {"cars": [(0.0,) * 7]}, "cars[0]"),
+    ):
+        with pytest.raises(MessageError, match=re.escape(f"{where}'")):
+            unpack(changed(number, **values))
 
 
 def test_noise_is_refused_and_nothing_else_happens(make_robots):

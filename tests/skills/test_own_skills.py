@@ -158,31 +158,28 @@ def test_a_skill_of_ones_own_is_stopped_on_nonsense(make_site, monkeypatch):
     assert executor.advance()[0].reason is Reason.DIVERGED
 
 
-@pytest.mark.parametrize(
-    ("kind", "reason", "says"),
-    [(Endless, Reason.TIMEOUT, "within 0.3 s"), (Nonsense, Reason.DIVERGED, "not finite")],
-)
-def test_a_skill_that_never_ends_or_commands_nan_has_failed(make_site, kind, reason, says):
-    physics = make_site((1, 1, 1), [(0, 0, 1, 0)])
-    outcome = Executor(physics, FAST, skills={Action.LIFT: kind}).run({0: Action.LIFT})[0]
-    assert outcome.reason is reason
-    assert says in outcome.detail
-    assert np.isfinite(physics.data.ctrl).all()
+def test_a_skill_that_never_ends_or_commands_nan_has_failed(make_site):
+    for kind, reason, says in (
+        (Endless, Reason.TIMEOUT, "within 0.3 s"),
+        (Nonsense, Reason.DIVERGED, "not finite"),
+    ):
+        physics = make_site((1, 1, 1), [(0, 0, 1, 0)])
+        outcome = Executor(physics, FAST, skills={Action.LIFT: kind}).run({0: Action.LIFT})[0]
+        assert outcome.reason is reason
+        assert says in outcome.detail
+        assert np.isfinite(physics.data.ctrl).all()
 
 
-@pytest.mark.parametrize(
-    ("kind", "says"),
-    [
+def test_a_skill_that_is_no_skill_at_run_time_is_named(make_site):
+    for kind, says in (
         (Wordy, "returned 'up'"),
         (Few, "four wheel speeds"),
         (Ended, "outcome is True"),
         (Careless, "super().__init__"),
-    ],
-)
-def test_a_skill_that_is_no_skill_at_run_time_is_named(make_site, kind, says):
-    with pytest.raises(InputError, match=kind.__name__) as error:
-        Executor(make_site((1, 1, 1), [(0, 0, 1, 0)]), skills={Action.LIFT: kind}).run({0: Action.LIFT})
-    assert says in str(error.value)
+    ):
+        with pytest.raises(InputError, match=kind.__name__) as error:
+            Executor(make_site((1, 1, 1), [(0, 0, 1, 0)]), skills={Action.LIFT: kind}).run({0: Action.LIFT})
+        assert says in str(error.value)
 
 
 class _Inside:
@@ -197,9 +194,8 @@ def _local():
     return Local
 
 
-@pytest.mark.parametrize(
-    ("given", "says"),
-    [
+def test_what_is_no_choice_of_skills_is_refused_before_anything_runs(make_site):
+    for given, says in (
         ({Action.LIFT: Stepless}, "Stepless has no step()"),
         ({Action.LIFT: int}, "no subclass of craftsim.Skill"),
         ({Action.LIFT: _local()}, "at the top of a module"),
@@ -209,12 +205,10 @@ def _local():
         ("nowhere", "module:NAME"),
         ("no_such_module_at_all:X", "cannot import"),
         ("math:pi", "module:NAME"),
-    ],
-)
-def test_what_is_no_choice_of_skills_is_refused_before_anything_runs(make_site, given, says):
-    with pytest.raises(InputError) as error:
-        Executor(make_site((1, 1, 1), [(0, 0, 1, 0)]), skills=given)
-    assert says in str(error.value)
+    ):
+        with pytest.raises(InputError) as error:
+            Executor(make_site((1, 1, 1), [(0, 0, 1, 0)]), skills=given)
+        assert says in str(error.value)
 
 
 def test_skills_travel_by_name(make_site):
@@ -223,11 +217,6 @@ def test_skills_travel_by_name(make_site):
     assert own[0].skill == f"{__name__}:Nod"
     assert performers(own, 1)[0][Action.LIFT] is Nod
     assert own_skills({Action.LIFT: _Inside.Deep})[0].skill.endswith("_Inside.Deep")
-
-
-def test_the_public_names_are_there():
-    assert craftsim.Skill is Skill
-    assert craftsim.Command is Command
 
 
 def test_an_environment_and_the_judge_take_skills_of_ones_own():

@@ -50,7 +50,7 @@ def test_a_car_that_is_there_or_has_only_just_ended_its_path_does_not(after_s):
     assert not _shaken([0.0, after_s / 2, after_s]).any()
 
 
-@pytest.mark.parametrize("preset", ["robust", "fast"])
-def test_a_car_that_feels_no_uneven_floor_never_does(preset):
-    gains = load_gains(preset)
-    assert not _shaken(np.linspace(0, gains.drive.settle_allowance, 200), gains).any()
+def test_a_car_that_feels_no_uneven_floor_never_does():
+    for preset in ("robust", "fast"):
+        gains = load_gains(preset)
+        assert not _shaken(np.linspace(0, gains.drive.settle_allowance, 200), gains).any()

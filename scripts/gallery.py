@@ -36,6 +36,18 @@ PAGE: Final = ROOT / "docs" / "gallery.md"
 STORED: Final = GALLERY / "gallery.json"
 FILMS: Final = GALLERY / "films"
 MADE: Final = "<!-- Made by `make gallery`; do not edit. -->\n\n"
+HEAD: Final = """# Gallery
+
+Each picture links to its film: the paper's six tasks, built in contact physics by the shipped plans, and two buildings
+that were planned from a design and built by eight cars with the reduced drive.
+
+"""
+RULES_HEAD: Final = """## Unsound rules
+
+Every rule of CraftEnv that `craftsim audit` finds to be unsound, in the smallest world in which it fails, with the
+[correction](rules.md) that forbids it or corrects its effect.
+
+"""
 COLUMNS: Final = 2
 """Of thumbnails."""
 Entry = dict[str, Any]
@@ -77,7 +89,10 @@ def main(audits: Sequence[Path], workers: int) -> None:
         if path.stat().st_size > BUDGET_BYTES:
             raise SystemExit(f"{path} has {path.stat().st_size} bytes; allowed: {BUDGET_BYTES}")
     order = {"tasks": [*TASK_NAMES], "buildings": [*BUILDINGS], "rules": [*flags]}
-    kept = {part: {name: found[part][name] for name in names if name in found[part]} for part, names in order.items()}
+    kept = {
+        part: {name: found[part][name] for name in names if name in found[part]}
+        for part, names in order.items()
+    }
     write_whole(STORED, json.dumps(kept, indent=1) + "\n")
     write_page()
 
@@ -107,8 +122,18 @@ def _make_building(name: str) -> Entry:
     folder = ROOT / "out" / "gallery" / name
     start, goal = folder / "start.yaml", folder / "goal.yaml"
     design = ["design", *BUILDINGS[name], "--out", str(folder)]
-    options = "--plan auto --drive reduced --attempts 6 --time-limit 3600 --trials 1 --randomize none --record trajectory"
-    build = ["validate", str(start), "--goal", str(goal), *options.split(), "--out", str(folder / "build")]
+    options = "--plan auto --drive reduced --attempts 6 --timeout 3600 --trials 1 --randomize none"
+    build = [
+        "validate",
+        str(start),
+        "--goal",
+        str(goal),
+        *options.split(),
+        "--record",
+        "trajectory",
+        "--out",
+        str(folder / "build"),
+    ]
     for command in (design, build):
         if craftsim_command(command):
             raise SystemExit(f"craftsim {' '.join(command)} failed")
@@ -161,7 +186,11 @@ def _make_rule(flag: str, bundles: Sequence[Path]) -> Entry | None:
     trajectory = recorder.trajectory(flag, recipe, attempts)
     render(trajectory, GALLERY / f"{flag}.webp", RULE_LOOK)
     reason = f" ({attempts[0].reason})" if attempts[0].reason else ""
-    return {"sentence": sentence(smallest), "physics": f"{attempts[0].result}{reason}", "needs_its_draw": chance}
+    return {
+        "sentence": sentence(smallest),
+        "physics": f"{attempts[0].result}{reason}",
+        "needs_its_draw": chance,
+    }
 
 
 def _smallest(bundles: Sequence[Path]) -> tuple[Smallest, Seed, bool] | None:
@@ -188,14 +217,11 @@ def write_page() -> None:
 
 def page_text(stored: dict[str, dict[str, Entry]]) -> str:
     """Return the page of thumbnails: a film behind each picture, and each unsound rule as an animation."""
-    buildings = [_building(name, entry) for part in ("tasks", "buildings") for name, entry in stored[part].items()]
+    buildings = [
+        _building(name, entry) for part in ("tasks", "buildings") for name, entry in stored[part].items()
+    ]
     rules = [_rule(name, entry) for name, entry in stored["rules"].items()]
-    return (
-        f"{MADE}# Gallery\n\nEach picture links to its film: the paper's six tasks, built in contact physics by the shipped plans, and two "
-        f"buildings that\nwere planned from a design and built by eight cars with the reduced drive.\n\n{_cards(buildings)}\n"
-        "## Unsound rules\n\nEvery rule of CraftEnv that `craftsim audit` finds to be unsound, in the smallest world in which it fails, with "
-        f"the\n[correction](rules.md) that forbids it or corrects its effect.\n\n{_cards(rules)}"
-    )
+    return f"{MADE}{HEAD}{_cards(buildings)}\n{RULES_HEAD}{_cards(rules)}"
 
 
 def _building(name: str, entry: Entry) -> str:

@@ -3,8 +3,8 @@
     python scripts/results.py                       # from the stored reports
     python scripts/results.py --measure [NAME ...]  # run the commands again first, all of them or some
 
-Everything that a page says in numbers comes from here. ``docs/results/earlier.yaml`` has what earlier versions came to, whose reports
-were not kept.
+Everything that a page says in numbers comes from here. ``docs/results/earlier.yaml`` has what earlier versions came to,
+whose reports were not kept.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ OUT: Final = ROOT / "out" / "results"
 LATE, BIASED, LAGGING = "docs/results/late.yaml", "docs/results/biased.yaml", "docs/results/lagging.yaml"
 MEASURED: Final = {
     "demo": "demo --no-video",
-    "heavier_car": "demo --parameters examples/heavier_car.yaml --no-video",
+    "heavier_car": "demo --machines examples/heavier_car.yaml --no-video",
     "conformance": "conformance tests/data/traces.jsonl.gz",
     "late": f"validate --randomize none --noise {LATE} --trials 2",
     "biased": f"validate --randomize none --noise {BIASED} --trials 2",
@@ -71,7 +71,9 @@ def main() -> None:
     for name, text in tables().items():
         (RESULTS / f"{name}.md").write_text(text, encoding="utf-8")
     readme = README.read_text(encoding="utf-8")
-    README.write_text(SIX.sub(lambda found: f"{found[1]}\n{six_results()}\n{found[2]}", readme), encoding="utf-8")
+    README.write_text(
+        SIX.sub(lambda found: f"{found[1]}\n{six_results()}\n{found[2]}", readme), encoding="utf-8"
+    )
     plot()
 
 
@@ -79,8 +81,8 @@ def measure(name: str) -> None:
     """Run a command, and store what its report says."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     out = OUT / name
-    command = [sys.executable, "-m", "craftsim", *MEASURED[name].split(), "--out", str(out)]
-    print(" ".join(command[2:]), flush=True)
+    command = [sys.executable, "-P", "-m", "craftsim", *MEASURED[name].split(), "--out", str(out)]
+    print(" ".join(command[3:]), flush=True)
     subprocess.run(command, cwd=ROOT, check=False)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     store(name, out, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
@@ -88,7 +90,9 @@ def measure(name: str) -> None:
 
 def store(name: str, out: Path, cpu_s: float) -> None:
     """Store of a report what a table says, with the command and the revision."""
-    revision = subprocess.run(["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True)
+    revision = subprocess.run(
+        ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     kept = {
         "command": MEASURED[name],
@@ -104,7 +108,18 @@ def store(name: str, out: Path, cpu_s: float) -> None:
 def _without_lists(value: Any) -> Any:
     """Leave out what is listed by row, group or action: a table has none of it."""
     if isinstance(value, dict):
-        left_out = ("by_group", "by_verb", "durations", "survival", "drift", "coverage", "rows", "suspects", "hypotheses", "at_once")
+        left_out = (
+            "by_group",
+            "by_verb",
+            "durations",
+            "survival",
+            "drift",
+            "coverage",
+            "rows",
+            "suspects",
+            "hypotheses",
+            "at_once",
+        )
         return {key: _without_lists(one) for key, one in value.items() if key not in left_out}
     return [] if isinstance(value, list) and len(value) > 8 and isinstance(value[0], dict) else value
 
@@ -115,7 +130,10 @@ def tables() -> dict[str, str]:
         "physics": physics_table(),
         "margins": margins_table(),
         "earlier": earlier_table(),
-        **{f"speed_{what}": rates_table(_read(RESULTS / f"speed_{what}.json")) for what in ("rules", "env", "physics")},
+        **{
+            f"speed_{what}": rates_table(_read(RESULTS / f"speed_{what}.json"))
+            for what in ("rules", "env", "physics")
+        },
         "benchmarks": benchmark_tables(_read(RESULTS / "benchmarks.json")),
         "paper": algorithms_table(_read(TRAINING / "paper.json")),
         "qmix": qmix_table(),
@@ -144,7 +162,14 @@ def physics_table() -> str:
     for name in MEASURED:
         if (path := RUNS / f"{name}.json").exists():
             run = _read(path)
-            rows.append((f"`craftsim {run['command']}`", _said(run["figures"]), f"{run['cpu_s']:.0f} s", run["revision"]))
+            rows.append(
+                (
+                    f"`craftsim {run['command']}`",
+                    _said(run["figures"]),
+                    f"{run['cpu_s']:.0f} s",
+                    run["revision"],
+                )
+            )
     return table(("command", "result", "CPU time", "revision"), *rows)
 
 
@@ -163,8 +188,9 @@ def _said(figures: dict[str, Any]) -> str:
 def _demo(figures: dict[str, Any]) -> str:
     return (
         f"{figures['agree']} of {figures['total']} actions agree; cars within {figures['max_car_error_mm']:.2f} mm and "
-        f"{figures['max_car_heading_error_mrad']:.2f} mrad, objects set down within {figures['max_placed_error_mm']:.2f} mm, bystanders "
-        f"within {figures['max_bystander_displacement_mm']:.2f} mm; {figures['simulated_s']:.1f} s simulated"
+        f"{figures['max_car_heading_error_mrad']:.2f} mrad, objects set down within "
+        f"{figures['max_placed_error_mm']:.2f} mm, bystanders within "
+        f"{figures['max_bystander_displacement_mm']:.2f} mm; {figures['simulated_s']:.1f} s simulated"
     )
 
 
@@ -172,8 +198,8 @@ def _validation(figures: dict[str, Any]) -> str:
     found = figures["validation"]
     actions, runs, errors = found["all"]["actions"], found["all"]["runs"], found["precision"]["car_error_mm"]
     return (
-        f"{actions['successes']:,} of {actions['trials']:,} actions as predicted ({_interval(actions)}), {runs['successes']} of "
-        f"{runs['trials']} runs; 99 % of cars within {errors['p99']:.2f} mm"
+        f"{actions['successes']:,} of {actions['trials']:,} actions as predicted ({_interval(actions)}), "
+        f"{runs['successes']} of {runs['trials']} runs; 99 % of cars within {errors['p99']:.2f} mm"
     )
 
 
@@ -185,13 +211,15 @@ def _audit(figures: dict[str, Any]) -> str:
     verdicts, trials = figures["audit"]["verdicts"], figures["validation"]["all"]["actions"]["trials"]
     legal = verdicts["sound"] + verdicts["unsound"]
     return (
-        f"{verdicts['unsound']} of {legal} rows that the rules allow are unsound; {verdicts['conservative']} forbidden ones work, "
-        f"{verdicts['rightly forbidden']} do not; {trials} actions, mostly one trial a row: provisional"
+        f"{verdicts['unsound']} of {legal} rows that the rules allow are unsound; "
+        f"{verdicts['conservative']} forbidden ones work, {verdicts['rightly forbidden']} do not; "
+        f"{trials} actions, mostly one trial a row: provisional"
     )
 
 
 def _conformance(figures: dict[str, Any]) -> str:
-    return f"{figures['records']:,} records, {figures['total_checks']:,} checks, {figures['total_mismatches']} mismatches"
+    checks = f"{figures['total_checks']:,} checks, {figures['total_mismatches']} mismatches"
+    return f"{figures['records']:,} records, {checks}"
 
 
 def _margins(figures: dict[str, Any]) -> str:
@@ -203,7 +231,10 @@ def margins_table() -> str:
     """Return the margin of the weakest situation of each action."""
     weakest = _read(RUNS / "margins.json")["figures"]["margins"]["weakest"]
     imperfections = [*dict.fromkeys(name for found in weakest.values() for name in found)]
-    rows = [(action, *(found.get(name, {}).get("text", "") for name in imperfections)) for action, found in weakest.items()]
+    rows = [
+        (action, *(found.get(name, {}).get("text", "") for name in imperfections))
+        for action, found in weakest.items()
+    ]
     return table(("action", *imperfections), *rows)
 
 
@@ -216,19 +247,25 @@ def six_results() -> str:
     delayed, drawn, floor = (_counts(one) for one in (late, strong, workshop))
     verdicts = published["audit"]["verdicts"]
     legal = verdicts["sound"] + verdicts["unsound"]
-    shipped = [row for row in _policy_rows([TRAINING / "physics_random_strip.json"]) if row[1] == "mild"][0]
+    shipped = next(row for row in _policy_rows([TRAINING / "physics_random_strip.json"]) if row[1] == "mild")
     rates = _read(RESULTS / "speed_physics.json")["wall"]["rates"]["simple_two_story"]
     return table(
         ("what", "result"),
         ("six tasks, masses, friction, motors and sensors drawn (`strong`)", f"{drawn} actions as predicted"),
-        ("six tasks, localisations 100 ms late, which no car knows", f"{delayed} actions as predicted"),
+        ("six tasks, localisations late by 100 ms, unknown to the cars", f"{delayed} actions as predicted"),
         ("one task on a tiled workshop floor", f"{floor} actions as predicted"),
         (
             "CraftEnv's rules in a quick audit",
-            f"{verdicts['unsound']} of {legal} kinds of situations that they allow fail in physics (one trial each); "
-            f"{conformance['total_mismatches']} mismatches in {conformance['total_checks']:,} checks of the rules against CraftEnv",
+            f"{verdicts['unsound']} of {legal} kinds of situations that they allow fail in physics (one trial each)",
         ),
-        ("shipped policy `random_strip` on held-out starts", f"built {shipped[4]} of {shipped[2]} in physics, {shipped[3]} by the rules"),
+        (
+            "rules `published` against recordings of CraftEnv",
+            f"{conformance['total_mismatches']} mismatches in {conformance['total_checks']:,} checks",
+        ),
+        (
+            "shipped policy `random_strip` on held-out starts",
+            f"built {shipped[4]} of {shipped[2]} in physics, {shipped[3]} by the rules",
+        ),
         (
             "joint steps of two cars in physics a CPU second",
             f"{_three_digits(rates['reduced']['steps_a_second'])} with the reduced drive, "
@@ -245,7 +282,10 @@ def _counts(figures: dict[str, Any]) -> str:
 def earlier_table() -> str:
     """Return what earlier versions came to."""
     kept = yaml.safe_load((RESULTS / "earlier.yaml").read_text(encoding="utf-8"))
-    return table(("command", "result", "version"), *((f"`{one['command']}`", one["result"], one["version"]) for one in kept))
+    return table(
+        ("command", "result", "version"),
+        *((f"`{one['command']}`", one["result"], one["version"]) for one in kept),
+    )
 
 
 def rates_table(report: dict[str, Any]) -> str:
@@ -281,10 +321,18 @@ def _benchmark(cases: list[dict[str, Any]]) -> str:
     rows: dict[tuple[str, ...], dict[str, str]] = {}
     for case in cases:
         params = {name: str(value) for name, value in (case["params"] or {}).items()}
-        column = ", ".join(params[name] if name in ("what", "drive", "task", "quality") else f"{name} {params[name]}" for name in names[len(kept) :])
-        rows.setdefault(tuple(params[name] for name in kept), {})[column or "median"] = f"{1e3 * case['stats']['median']:.4g}"
+        column = ", ".join(
+            params[name] if name in ("what", "drive", "task", "quality") else f"{name} {params[name]}"
+            for name in names[len(kept) :]
+        )
+        rows.setdefault(tuple(params[name] for name in kept), {})[column or "median"] = (
+            f"{1e3 * case['stats']['median']:.4g}"
+        )
     columns = [*dict.fromkeys(column for row in rows.values() for column in row)]
-    return table((*kept, *columns), *((*key, *(row.get(column, "") for column in columns)) for key, row in rows.items()))
+    return table(
+        (*kept, *columns),
+        *((*key, *(row.get(column, "") for column in columns)) for key, row in rows.items()),
+    )
 
 
 def algorithms_table(report: dict[str, Any]) -> str:
@@ -303,7 +351,14 @@ def algorithms_table(report: dict[str, Any]) -> str:
 def qmix_table() -> str:
     """Return the runs of QMIX on strip with the corrected mixer."""
     reports = [_read(path) for path in sorted(TRAINING.glob("qmix_strip_*.json"))]
-    rows = [(one["config"]["seed"], f"{one['figures']['success']['rate']:.3f}", f"{one['figures']['steps'] // 1000} k") for one in reports]
+    rows = [
+        (
+            one["config"]["seed"],
+            f"{one['figures']['success']['rate']:.3f}",
+            f"{one['figures']['steps'] // 1000} k",
+        )
+        for one in reports
+    ]
     return table(("seed", "success", "steps"), *rows)
 
 
@@ -317,7 +372,9 @@ def studies_table() -> str:
         cpu = {key: seconds for key, seconds in report["wall"]["cpu_s"].items() if seconds is not None}
         for row in report["figures"]["rows"]:
             iqm, low, high = row["success"]["iqm"]
-            times = [seconds for key, seconds in cpu.items() if key.startswith(f"{row['task']}/")] or [*cpu.values()]
+            times = [seconds for key, seconds in cpu.items() if key.startswith(f"{row['task']}/")] or [
+                *cpu.values()
+            ]
             rows.append(
                 (
                     f"`{name}`",
@@ -331,7 +388,17 @@ def studies_table() -> str:
                     "" if row["published"] is None else f"{row['published']:.2f}",
                 )
             )
-    head = ("study", "task", "seeds", "IQM of success (95 %)", "by seed", "distinct starts", "steps", "CPU minutes a run", "published")
+    head = (
+        "study",
+        "task",
+        "seeds",
+        "IQM of success (95 %)",
+        "by seed",
+        "distinct starts",
+        "steps",
+        "CPU minutes a run",
+        "published",
+    )
     return table(head, *rows)
 
 
@@ -343,7 +410,15 @@ def evaluations_table() -> str:
         for row in report["figures"]["evaluations"]:
             found = row["success"]
             success = f"{found['rate']:.3f} ({found['wilson_low']:.3f}-{found['wilson_high']:.3f})"
-            rows.append((row["task"], report["config"]["cars"] or "its own", row["acting"], success, row["starts"]["distinct"]))
+            rows.append(
+                (
+                    row["task"],
+                    report["config"]["cars"] or "its own",
+                    row["acting"],
+                    success,
+                    row["starts"]["distinct"],
+                )
+            )
     return table(("task", "cars", "actions", "success (95 %)", "distinct starts"), *rows)
 
 
@@ -356,11 +431,20 @@ def _policy_rows(paths: Iterable[Path]) -> list[tuple[str, ...]]:
             actions = found["by_group"][policy["policy"]]["actions"]
             built = [str(round(policy[where] * policy["episodes"])) for where in ("grid", "physics")]
             good = f"{actions['successes']:,} of {actions['trials']:,}"
-            rows.append((policy["policy"], report["config"]["randomize"], str(policy["episodes"]), *built, good))
+            rows.append(
+                (policy["policy"], report["config"]["randomize"], str(policy["episodes"]), *built, good)
+            )
     return rows
 
 
-_POLICY_HEAD: Final = ("policy", "randomization", "episodes", "built by the rules", "built in physics", "actions as predicted")
+_POLICY_HEAD: Final = (
+    "policy",
+    "randomization",
+    "episodes",
+    "built by the rules",
+    "built in physics",
+    "actions as predicted",
+)
 
 
 def policies_table() -> str:

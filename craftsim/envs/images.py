@@ -17,7 +17,8 @@ IMAGE_CAMERAS: Final[tuple[str, ...]] = get_args(ImageCamera)
 
 @dataclass(frozen=True)
 class Images:
-    """What cameras see, beside what is observed anyway; docs/envs.md explains it. Raises InputError for a bad value."""
+    """What cameras see, beside what is observed anyway; docs/reference/environments.md explains it. Raises
+    InputError for a bad value."""
 
     camera: ImageCamera = "front"
     """``front``, each car's own in its nose, or one of the world's, of which all cars get the same images."""

@@ -56,7 +56,8 @@ _PHYSICS_ONLY: Final = (
 
 @dataclass(frozen=True)
 class Options:
-    """How an environment works, on top of its task; docs/envs.md explains each. Raises InputError for a bad value."""
+    """How an environment works, on top of its task; docs/reference/environments.md explains each. Raises
+    InputError for a bad value."""
 
     backend: BackendName = "physics"
     rule_set: RuleSet = "physical"
@@ -82,8 +83,9 @@ class Options:
     machines: Machines | None = None
     """The parameters of cars, blocks and slopes, the nominal ones unless given; physics only."""
     drive: Drive | None = None
-    """How cars touch the ground, ``rollers`` or ``reduced``; that of ``machines`` if they are given, and else
-    ``reduced``, which is several times as fast (docs/drives.md says how far it can be trusted). Physics only."""
+    """How cars touch the ground, ``rollers`` or ``reduced``; that of ``machines`` if they are given, and
+    else ``reduced``, which is several times as fast (docs/explanation/drives.md says how far it can be trusted).
+    Physics only."""
     skills: SkillChoice | None = None
     """Skills of one's own in place of built-in ones, ``{Action.LIFT: MyLift}`` or ``{0: {Action.LIFT: MyLift}}``;
     physics only."""

@@ -20,9 +20,15 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from craftsim.checking.setup import RANDOMIZE
+from craftsim.checking.setup import RANDOMIZE, nominal_gains
 from craftsim.discrete.reasons import REASONS
-from craftsim.mjcf.parameters import BlockParameters, ContactParameters, SlopeParameters, SmartcarParameters
+from craftsim.mjcf.parameters import (
+    NOMINAL,
+    BlockParameters,
+    ContactParameters,
+    SlopeParameters,
+    SmartcarParameters,
+)
 from craftsim.models.randomization import DomainRandomization
 from craftsim.models.sensing import ASSUMED
 from craftsim.skills.gains import SECTIONS, load_gains
@@ -31,6 +37,7 @@ from craftsim.storage.limits import Range, size_text
 from craftsim.training.settings import KINDS, Settings
 
 HELP_COLUMNS: Final = "110"
+GRAVITY_M_S2: Final = 9.81
 
 
 def table(*rows: Iterable[object]) -> str:
@@ -78,7 +85,14 @@ def _files() -> str:
     rows = []
     for file in limits.ALL:
         unpacked = size_text(file.content_bytes) if file.content_bytes != file.file_bytes else ""
-        rows.append((file.what, size_text(file.file_bytes), unpacked, file.line_bytes and size_text(file.line_bytes) or ""))
+        rows.append(
+            (
+                file.what,
+                size_text(file.file_bytes),
+                unpacked,
+                (file.line_bytes and size_text(file.line_bytes)) or "",
+            )
+        )
     return table(("file", "on disk", "unpacked", "a line"), *rows)
 
 
@@ -114,7 +128,12 @@ def _parameters() -> str:
                 note, fixed = field.metadata["note"], field.metadata["fixed"]
                 may_be = f"fixed: {fixed}" if fixed else ranges.get(field.name, "any")
                 rows.append(
-                    (f"`{field.name}`", _number(field.default), may_be, f"{origin}{note and ': '}{note}".replace("``", "`"))
+                    (
+                        f"`{field.name}`",
+                        _number(field.default),
+                        may_be,
+                        f"{origin}{note and ': '}{note}".replace("``", "`"),
+                    )
                 )
         parts.append(f"**{kind.__name__}**\n\n" + table(("parameter", "nominal", "allowed", "origin"), *rows))
     return "\n".join(parts)
@@ -122,15 +141,26 @@ def _parameters() -> str:
 
 def _noise() -> str:
     parts = []
-    for title, part in (("Physics", ""), ("Floor", "floor"), ("Drivetrain", "drivetrain"), ("Making", "making"), ("Sensors", "sensors")):
+    for title, part in (
+        ("Physics", ""),
+        ("Floor", "floor"),
+        ("Drivetrain", "drivetrain"),
+        ("Making", "making"),
+        ("Sensors", "sensors"),
+    ):
         drawn = {name: getattr(one, part) if part else one for name, (_, one) in RANDOMIZE.items()}
         if part == "sensors":
             drawn["assumed"] = ASSUMED
         kind = type(drawn["none"])
         words = docstrings(kind)
-        names = [field.name for field in dataclasses.fields(kind) if part or field.name in allowed(DomainRandomization)]
+        names = [
+            field.name
+            for field in dataclasses.fields(kind)
+            if part or field.name in allowed(DomainRandomization)
+        ]
         rows = [
-            (f"`{name}`", *(_number(getattr(one, name)) for one in drawn.values()), words.get(name, "")) for name in names
+            (f"`{name}`", *(_number(getattr(one, name)) for one in drawn.values()), words.get(name, ""))
+            for name in names
         ]
         parts.append(f"## {title}\n\n" + table(("parameter", *drawn, "what it is"), *rows))
     return "\n".join(parts)
@@ -141,7 +171,11 @@ def _thresholds() -> str:
     kind = type(next(iter(kinds.values())))
     words = docstrings(kind)
     rows = [
-        (f"`{field.name}`", *(_number(getattr(one, field.name)) for one in kinds.values()), words.get(field.name, ""))
+        (
+            f"`{field.name}`",
+            *(_number(getattr(one, field.name)) for one in kinds.values()),
+            words.get(field.name, ""),
+        )
         for field in dataclasses.fields(kind)
     ]
     return table(("limit", *kinds, "of what"), *rows)
@@ -164,46 +198,73 @@ def _reasons() -> str:
     for reason in REASONS.values():
         link = f"[`{reason.correction.name}`](#{reason.heading})" if reason.correction else ""
         words = re.sub(r"\{[^{}]*:if any\}", "", reason.words)
-        words = re.sub(r"\{[^{}]*:[^{}]*\}", "*object*", words).replace("{car}", "*n*").replace("{load}", "*load*")
+        words = (
+            re.sub(r"\{[^{}]*:[^{}]*\}", "*object*", words)
+            .replace("{car}", "*n*")
+            .replace("{load}", "*load*")
+        )
         rows.append((re.sub(r"\{[^{}]*\}", "*cell*", words), link))
     return table(("reason", "correction"), *rows)
 
 
 def _commands() -> str:
-    return "\n".join(f"## {' '.join(words)}\n\n```text\n{help_text(*words)}\n```\n" for words in command_names())
+    return "\n".join(
+        f"## {' '.join(words)}\n\n```text\n{help_text(*words)}\n```\n" for words in command_names()
+    )
 
 
 def command_names() -> list[tuple[str, ...]]:
-    """Return the commands that the help of ``craftsim`` lists, and the sub-commands that their own helps list."""
-    found: list[tuple[str, ...]] = []
-    for name in _listed(help_text()):
-        found.append((name,))
-        found += [(name, sub) for sub in _listed(help_text(name), commands_only=True)]
-    return found
-
-
-def _listed(text: str, commands_only: bool = False) -> list[str]:
-    """Return the words that begin the lines of a help text's lists of commands."""
-    names, in_commands = [], not commands_only
-    for line in text.splitlines():
-        bare = line.strip("│╭╮╰╯─ ")
-        if line.startswith(("╭", "usage", "Usage")):
-            in_commands = not commands_only or "ommands" in bare
-        if in_commands and re.match(r"^[│ ]{1,3} ?[a-z]+ {2,}\S", line):
-            names.append(bare.split()[0])
-    return [name for name in dict.fromkeys(names) if name not in ("usage", "help")]
+    """Return the commands that ``craftsim --help`` lists, each with those below it."""
+    text = help_text()
+    names = re.findall(r"^  ([a-z]+) +[A-Z]", text, re.MULTILINE)
+    below = re.search(r"Commands below a command: ([^.]*)\.", text)
+    pairs = [tuple(words.split()) for words in below[1].split(",")] if below else []
+    return [words for name in names for words in ((name,), *(pair for pair in pairs if pair[0] == name))]
 
 
 def help_text(*words: str) -> str:
     """Return what ``craftsim WORDS --help`` prints."""
     environment = {**os.environ, "COLUMNS": HELP_COLUMNS, "NO_COLOR": "1", "TERM": "dumb"}
     done = subprocess.run(
-        [sys.executable, "-m", "craftsim", *words, "--help"], capture_output=True, text=True, env=environment, check=False
+        [sys.executable, "-P", "-m", "craftsim", *words, "--help"],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
     )
     return "\n".join(line.rstrip() for line in done.stdout.strip().splitlines())
 
 
+def _clearances() -> str:
+    """Return how far the nominal machine passes below what it drives under, and the lippage that uses it up.
+
+    Two wheels on a tile that is higher by h raise what lies x before the middle by h / 2 + x h / wheelbase. A stiff
+    wheel that meets a step of h at speed v continues at right angles to its radius there, upwards with
+    v sqrt(2 h / R), and rises by v^2 h / (g R).
+    """
+    car, block, slope = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope
+    board_m = car.board_rest_m
+    boss_m, pads_m = board_m + car.boss_height_m, slope.underside_m + slope.stop_back_rise_m
+    speed = nominal_gains().drive.max_speed
+    flown = max(speed**2 / (GRAVITY_M_S2 * car.wheel_radius_m), 1.0)
+    rows = []
+    for what, clearance_m, reach_m in (
+        ("boss below the back bar of a slope's pads", pads_m - boss_m, car.boss_top_side_m / 2),
+        ("board below a slope's rails", slope.underside_m - board_m, car.board_length_m / 2),
+        ("boss below a block's frame", block.underside_m - boss_m, car.boss_top_side_m / 2),
+        ("board below a block's frame", block.underside_m - board_m, car.board_length_m / 2),
+    ):
+        astride_m = clearance_m / (0.5 + reach_m / (2 * car.wheel_x_m))
+        rows.append(
+            (what, *(f"{1e3 * length:.1f} mm" for length in (clearance_m, astride_m, clearance_m / flown)))
+        )
+    return table(
+        ("what", "clearance", "lippage with two wheels on it", f"lippage met at {speed:g} m/s"), *rows
+    )
+
+
 TABLES: Final[dict[str, Callable[[], str]]] = {
+    "clearances": _clearances,
     "commands": _commands,
     "files": _files,
     "gains": _gains,

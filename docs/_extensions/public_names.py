@@ -52,7 +52,9 @@ def _autodoc(name: str) -> list[str]:
 
 def _has_parameters(kind: type) -> bool:
     """Whether a class holds the parameters of a machine, which the page on parameters lists."""
-    return dataclasses.is_dataclass(kind) and any("origin" in field.metadata for field in dataclasses.fields(kind))
+    return dataclasses.is_dataclass(kind) and any(
+        "origin" in field.metadata for field in dataclasses.fields(kind)
+    )
 
 
 def _listed(env: BuildEnvironment) -> set[str]:

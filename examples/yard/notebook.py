@@ -1,6 +1,4 @@
-# %% [markdown]
-# # A world, its rules, a plan and physics
-# Open it as a notebook (VS Code, or Jupyter with jupytext), or run it: `python examples/yard/notebook.py`.
+"""A world, its rules, a plan and physics: a notebook in percent format, which runs as a script, too."""
 
 # %% A world
 from pathlib import Path

@@ -35,8 +35,8 @@ OUT: Final = ROOT / "out" / "results"
 
 LATE, BIASED, LAGGING = "docs/results/late.yaml", "docs/results/biased.yaml", "docs/results/lagging.yaml"
 MEASURED: Final = {
-    "demo": "demo --no-video",
-    "heavier_car": "demo --machines examples/heavier_car.yaml --no-video",
+    "demo": "demo --randomize none --no-video",
+    "heavier_car": "demo --randomize none --machines examples/heavier_car.yaml --no-video",
     "conformance": "conformance tests/data/traces.jsonl.gz",
     "late": f"validate --randomize none --noise {LATE} --trials 2",
     "biased": f"validate --randomize none --noise {BIASED} --trials 2",

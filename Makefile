@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow bench lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours tables constraints newest recipes packages wheel libraries clean
+.PHONY: help demo test slow bench lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours results constraints newest recipes packages wheel libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -83,17 +83,17 @@ campaigns: $(VENV)/installed  ## Measure the skills at length (hours on two core
 	$(BIN)/craftsim audit --rules physical --workers 2 --out out/audit-physical
 	$(BIN)/craftsim audit --workers 2 --out out/audit-published
 
-gallery: $(VENV)/installed libraries  ## Make the films and pages of docs/gallery again (half an hour on two cores)
+gallery: $(VENV)/installed libraries  ## Make the films of docs/gallery and docs/gallery.md again (half an hour on two cores)
 	$(BIN)/craftsim audit --quick --workers 2 --out out/gallery || [ $$? -eq 1 ]
 	# A rule that fails one time in twelve: a single trial of each row does not find it.
-	$(BIN)/craftsim audit --contexts 'MOVE-off-foot/load=none/near=block/allowed in the way' --trials 100 --workers 2 --out out/chance || [ $$? -eq 1 ]
+	$(BIN)/craftsim audit --situations 'MOVE-off-foot/load=none/near=block/allowed in the way' --trials 100 --workers 2 --out out/chance || [ $$? -eq 1 ]
 	$(BIN)/python scripts/gallery.py 2 out/gallery out/chance
 
 machines: $(VENV)/installed  ## Write the MJCF of the nominal machines in craftsim/mjcf again
 	$(BIN)/python -m craftsim.models.exporting
 
-tables: $(VENV)/installed  ## Write the tables of the documentation that follow from types and limits
-	$(BIN)/python scripts/tables.py
+results: $(VENV)/installed-dev  ## Write tables and plots of docs/results from stored reports (ARGS=--measure runs their commands first, 12 minutes)
+	$(BIN)/python scripts/results.py $(ARGS)
 
 neighbours: $(VENV)/installed  ## Work out again which neighbours matter, after a change of geometry or rules
 	$(BIN)/python -m craftsim.audit.neighbours
@@ -107,9 +107,9 @@ newest:  ## Lint and run quick tests with the newest packages that pyproject.tom
 	.venv-newest/bin/python -m pip --disable-pip-version-check list
 	.venv-newest/bin/pytest -n 2 --dist worksteal $(or $(ARGS),$(QUICK))
 
-recipes:  ## Run the recipes whose libraries want other versions, each in a virtual environment of its own
-	scripts/run-recipe RLlib ray.rllib.algorithms 'ray[rllib]' '$(TORCH)'
-	scripts/run-recipe BenchMARL benchmarl 'benchmarl>=1.5' '$(TORCH)'
+recipes:  ## Run the scripts of examples/trainers whose libraries want other versions, each in a virtual environment of its own
+	scripts/run-recipe rllib ray.rllib.algorithms 'ray[rllib]' '$(TORCH)'
+	scripts/run-recipe benchmarl_ippo benchmarl 'benchmarl>=1.5' '$(TORCH)'
 
 packages:  ## Look the versions of constraints.txt up among known vulnerabilities (pip-audit, needs the network)
 	scripts/make-venv .venv-audit

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from craftsim.commands.bench import pick
+from craftsim.cli.bench import pick
 from craftsim.discrete.tasks import as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.large_tasks import LARGE_NAMES

@@ -1,6 +1,6 @@
 """Tests for what others build on craftsim: an environment, a blueprint, a skill or a policy of one's own.
 
-Each function raises AssertionError and says what is wrong; docs/envs.md shows them at work.
+Each function raises AssertionError and says what is wrong; docs/reference/environments.md shows them at work.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ project = "craftsim"
 author = "The craftsim developers"
 version = release = craftsim.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "public_names"]
-exclude_patterns = ["_build", "speed"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "generated", "public_names"]
+exclude_patterns = ["_build", "results/*"]
 
 myst_enable_extensions = ["attrs_inline"]
 myst_heading_anchors = 4
@@ -24,7 +24,6 @@ autodoc_preserve_defaults = True
 python_use_unqualified_type_names = True
 maximum_signature_line_length = 100
 
-html_extra_path = ["gallery/films"]
 html_theme = "furo"
 html_title = f"craftsim {version}"
 html_copy_source = False

@@ -1,6 +1,6 @@
 """Play a policy in randomized physics, and keep the worlds that it reached: half of the episodes then start with one.
 
-A few episodes show how; docs/training.md has what came of a hundred. Training from them, in a shell:
+A few episodes show how; docs/how-to/train-further.md has what came of a hundred. Training from them, in a shell:
 
   craftsim train --task random_strip --network relative --imitate 2000 --starts out/reached.npz --out out/strip
 """

@@ -1,4 +1,4 @@
-"""Make docs/actions.md and its films: what each action needs and changes, and how long it takes."""
+"""Make docs/reference/actions.md and its films: what each action needs and changes, and how long it takes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from craftsim.rendering.frames import Look
 from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.render import render
 
-DOCS: Final = Path(__file__).parents[1] / "docs"
+REFERENCE: Final = Path(__file__).parents[1] / "docs" / "reference"
 LOOK: Final = Look((480, 270), 10, quality="draft", cards=False, captions=False)
 WORLDS: Final = 60
 TICKS: Final = 40
@@ -103,9 +103,9 @@ ENTRIES: Final = (
         "",
         (
             "The car is under a block, a flag or a folded slope, and carries nothing.",
-            "Nothing stands on it. It is drawn into the car's cell: a car drives under things to lift them.",
+            "Nothing stands on it. It is drawn into the car's cell: a car drives under objects to lift them.",
         ),
-        "The thing is the car's load and goes where it goes.",
+        "The object is the car's load and moves with it.",
         {(3, 1, 1): (Kind.BLOCK, 0)},
         (3, 1, 1, 0),
     ),
@@ -157,7 +157,7 @@ FILMED: Final = {
 
 def main() -> None:
     """Make the page and its films."""
-    folder = DOCS / "actions"
+    folder = REFERENCE / "actions"
     folder.mkdir(exist_ok=True)
     reasons = found_reasons()
     parts = [
@@ -166,7 +166,7 @@ def main() -> None:
         "What a car can do: 15 actions, of which the four diagonal moves are never legal. Each film below is contact\n"
         "physics; fold and unfold run four times as fast as the clock. `Rules.explain(grid, car, action)` says why an\n"
         f"action is forbidden; the reasons listed here are those that {WORLDS} random worlds gave most often.\n"
-        "[The rules](rules.md) has all.\n",
+        "[The rules](../rules.md) has all.\n",
     ]
     for entry in ENTRIES:
         film = f"{entry.title.split(',')[0].split()[-1].lower()}.webp"
@@ -175,7 +175,7 @@ def main() -> None:
         parts.append(section(entry, film, reasons.get(verb, Counter())))
     numbers = ", ".join(f"{int(action)} `{action.name}`" for action in Action)
     parts.append(f"## Numbers\n\nIn all spaces and files: {numbers}.\n")
-    (DOCS / "actions.md").write_text("\n".join(parts), encoding="utf-8")
+    (REFERENCE / "actions.md").write_text("\n".join(parts), encoding="utf-8")
 
 
 def section(entry: Entry, film: str, reasons: Counter[str]) -> str:

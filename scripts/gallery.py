@@ -1,7 +1,8 @@
-"""Make the pages and films of the gallery: ``scripts/gallery.py WORKERS AUDIT ...``.
+"""Make the films of the gallery and its page: ``scripts/gallery.py WORKERS AUDIT ...``.
 
 AUDIT is the folder of an audit of the published rules, whose replay bundles show what is unsound. Each task of the
-paper is built in physics, and each unsound rule is shown in the smallest world in which it fails.
+paper is built in physics, and each unsound rule is shown in the smallest world in which it fails. What the page says is
+in docs/gallery/gallery.json; without arguments the page is written from there.
 """
 
 from __future__ import annotations
@@ -11,12 +12,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.checking.setup import SEED_0, Seed, Setup
 from craftsim.cli import main as craftsim_command
-from craftsim.discrete.drawing import LEGEND, world_text
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.experiments.bundle import read_bundle
@@ -32,9 +32,26 @@ from craftsim.workers.pool import Pool, answered
 
 ROOT: Final = Path(__file__).parents[1]
 GALLERY: Final = ROOT / "docs" / "gallery"
+PAGE: Final = ROOT / "docs" / "gallery.md"
+STORED: Final = GALLERY / "gallery.json"
 FILMS: Final = GALLERY / "films"
-"""What the site has at its root: pages embed films by raw HTML, which Sphinx copies nothing for (docs/conf.py)."""
 MADE: Final = "<!-- Made by `make gallery`; do not edit. -->\n\n"
+HEAD: Final = """# Gallery
+
+Each picture links to its film: the paper's six tasks, built in contact physics by the shipped plans, and two buildings
+that were planned from a design and built by eight cars with the reduced drive.
+
+"""
+RULES_HEAD: Final = """## Unsound rules
+
+Every rule of CraftEnv that `craftsim audit` finds to be unsound, in the smallest world in which it fails, with the
+[correction](rules.md) that forbids it or corrects its effect.
+
+"""
+COLUMNS: Final = 2
+"""Of thumbnails."""
+Entry = dict[str, Any]
+"""What the page says of a film."""
 BUDGET_BYTES: Final = 1_000_000
 """Of a film."""
 TASK_LOOK: Final = Look((960, 540), quality="paper")
@@ -61,27 +78,35 @@ def main(audits: Sequence[Path], workers: int) -> None:
     jobs: list[tuple[str, tuple[Path, ...]]] = [(task, ()) for task in TASK_NAMES]
     jobs += [(building, ()) for building in BUILDINGS]
     jobs += [(flag, tuple(bundles)) for flag, bundles in flags.items()]
+    found: dict[str, dict[str, Entry]] = {"tasks": {}, "buildings": {}, "rules": {}}
     with Pool(workers) as pool:
         for number, (_, answer) in enumerate(pool.map_unordered(_make, jobs)):
-            answered(answer)
+            part, name, entry = answered(answer)
+            if entry is not None:
+                found[part][name] = entry
             print(f"{number + 1} of {len(jobs)}", flush=True)
     for path in (*GALLERY.iterdir(), *FILMS.iterdir()):
         if path.stat().st_size > BUDGET_BYTES:
             raise SystemExit(f"{path} has {path.stat().st_size} bytes; allowed: {BUDGET_BYTES}")
-    _write_index([flag for flag in flags if (GALLERY / f"{flag}.md").exists()])
+    order = {"tasks": [*TASK_NAMES], "buildings": [*BUILDINGS], "rules": [*flags]}
+    kept = {
+        part: {name: found[part][name] for name in names if name in found[part]}
+        for part, names in order.items()
+    }
+    write_whole(STORED, json.dumps(kept, indent=1) + "\n")
+    write_page()
 
 
-def _make(job: tuple[str, tuple[Path, ...]]) -> None:
+def _make(job: tuple[str, tuple[Path, ...]]) -> tuple[str, str, Entry | None]:
     name, bundles = job
     if bundles:
-        _make_rule(name, bundles)
-    elif name in BUILDINGS:
-        _make_building(name)
-    else:
-        _make_task(name)
+        return "rules", name, _make_rule(name, bundles)
+    if name in BUILDINGS:
+        return "buildings", name, _make_building(name)
+    return "tasks", name, _make_task(name)
 
 
-def _make_task(task: str) -> None:
+def _make_task(task: str) -> Entry:
     trajectory = record_once(task, Setup(), 0)
     title = task.replace("_", " ")
     look = replace(TASK_LOOK, title=title)
@@ -90,75 +115,43 @@ def _make_task(task: str) -> None:
     render(trajectory, FILMS / f"{task}.png", replace(look, captions=False), at=(last,))
     if task == HERO:
         render(trajectory, GALLERY / f"{task}.webp", replace(HERO_LOOK, title=title))
-    page = [
-        f"{MADE}# {title.capitalize()}\n",
-        _video(f"{task}.mp4", f"{task}.png"),
-        _figures(trajectory),
-        "## Start\n",
-        f"```{{literalinclude}} ../../craftsim/data/blueprints/{task}.yaml\n:language: yaml\n```\n",
-        "## Plan\n",
-        f"```{{literalinclude}} ../../craftsim/data/plans/{task}.plan\n:language: text\n```\n",
-    ]
-    write_whole(GALLERY / f"{task}.md", "\n".join(page))
+    return _metrics(trajectory)
 
 
-def _make_building(name: str) -> None:
+def _make_building(name: str) -> Entry:
     folder = ROOT / "out" / "gallery" / name
     start, goal = folder / "start.yaml", folder / "goal.yaml"
     design = ["design", *BUILDINGS[name], "--out", str(folder)]
+    options = "--plan auto --drive reduced --attempts 6 --timeout 3600 --trials 1 --randomize none"
     build = [
-        "build",
+        "validate",
         str(start),
         "--goal",
         str(goal),
-        "--drive",
-        "reduced",
-        "--rounds",
-        "6",
-        "--timeout",
-        "3600",
+        *options.split(),
+        "--record",
+        "trajectory",
+        "--out",
+        str(folder / "build"),
     ]
-    for command in (design, [*build, "--video", "--out", str(folder / "build")]):
+    for command in (design, build):
         if craftsim_command(command):
             raise SystemExit(f"craftsim {' '.join(command)} failed")
-    _show_building(name, folder / "build", " ".join(design[:-2]))
-
-
-def _show_building(name: str, built: Path, design: str) -> None:
-    """Film a building from the trajectory of its run, and write its page."""
-    (file,) = (built / "trajectories").glob("*.npz")
+    (file,) = (folder / "build" / "trajectories").glob("*.npz")
     trajectory = Trajectory.read(file)
     look = replace(BUILDING_LOOK, title=name)
     render(trajectory, FILMS / f"{name}.mp4", look)
     render(trajectory, FILMS / f"{name}.png", replace(look, captions=False), at=(float(trajectory.time[-1]),))
-    out = f"out/{name}"
-    commands = [
-        f"craftsim {design} --out {out}",
-        f"craftsim build {out}/start.yaml --goal {out}/goal.yaml --drive reduced --rounds 6 --video",
-    ]
-    page = [
-        f"{MADE}# {name.capitalize()}\n",
-        "Planned from a start and a design, and built by eight cars at once with the reduced drive.\n",
-        _video(f"{name}.mp4", f"{name}.png"),
-        _figures(trajectory),
-        "\n".join(["```", *commands, "```\n"]),
-    ]
-    write_whole(GALLERY / f"{name}.md", "\n".join(page))
+    return _metrics(trajectory)
 
 
-def _figures(trajectory: Trajectory) -> str:
+def _metrics(trajectory: Trajectory) -> Entry:
     attempts = trajectory.story.attempts
-    rows = {
-        "actions as predicted": f"{sum(a.agrees for a in attempts)} of {len(attempts)}",
-        "simulated time": f"{trajectory.duration_s:.1f} s",
-        "cars off their cells' centres": f"{1e3 * max(a.car_error_m for a in attempts):.2f} mm at most",
-        "headings off": f"{1e3 * max(a.heading_error_rad for a in attempts):.2f} mrad at most",
-        "bystanders moved": f"{1e3 * max(a.bystander_displacement_m for a in attempts):.2f} mm at most",
-        "largest force between two machines": f"{max(a.peak_force_n for a in attempts):.0f} N",
+    return {
+        "agree": f"{sum(a.agrees for a in attempts)} of {len(attempts)}",
+        "simulated_s": round(trajectory.duration_s, 1),
+        "car_mm": round(1e3 * max(a.car_error_m for a in attempts), 2),
     }
-    return "\n".join(
-        ["| | |", "| --- | --- |", *(f"| {name} | {value} |" for name, value in rows.items()), ""]
-    )
 
 
 def _bundles_by_flag(audits: Sequence[Path]) -> dict[str, list[Path]]:
@@ -177,10 +170,10 @@ def _bundles_by_flag(audits: Sequence[Path]) -> dict[str, list[Path]]:
     return found
 
 
-def _make_rule(flag: str, bundles: Sequence[Path]) -> None:
+def _make_rule(flag: str, bundles: Sequence[Path]) -> Entry | None:
     found = _smallest(bundles[:TRIES])
     if found is None:
-        return
+        return None
     smallest, seed, chance = found
     recipe = Recipe(
         blueprint_text(smallest.grid), (Step.single(0, 0, smallest.action),), smallest.setup, seed
@@ -192,23 +185,12 @@ def _make_rule(flag: str, bundles: Sequence[Path]) -> None:
         judge.executor.advance()
     trajectory = recorder.trajectory(flag, recipe, attempts)
     render(trajectory, GALLERY / f"{flag}.webp", RULE_LOOK)
-    world = world_text(smallest.grid).plain.rstrip()
-    page = [
-        f"{MADE}# {flag.replace('_', ' ').capitalize()}\n",
-        f"![{sentence(smallest)}]({flag}.webp)\n",
-        f"{_upper(sentence(smallest))}. In physics: {attempts[0].result}"
-        + (f" ({attempts[0].reason})" if attempts[0].reason else "")
-        + ". CraftEnv's rules allow it; `physical` has the correction "
-        f"[`{flag}`](../rules.md) against it."
-        + (
-            " It takes chance: nominal physics does not do it, but physics and noise as drawn in one trial do."
-            if chance
-            else ""
-        )
-        + "\n",
-        f"## The smallest world\n\n```text\n{world}\n\n{LEGEND}\n```\n",
-    ]
-    write_whole(GALLERY / f"{flag}.md", "\n".join(page))
+    reason = f" ({attempts[0].reason})" if attempts[0].reason else ""
+    return {
+        "sentence": sentence(smallest),
+        "physics": f"{attempts[0].result}{reason}",
+        "needs_its_draw": chance,
+    }
 
 
 def _smallest(bundles: Sequence[Path]) -> tuple[Smallest, Seed, bool] | None:
@@ -228,29 +210,40 @@ def _smallest(bundles: Sequence[Path]) -> tuple[Smallest, Seed, bool] | None:
     return None
 
 
-def _upper(text: str) -> str:
-    return text[:1].upper() + text[1:]
+def write_page() -> None:
+    """Write docs/gallery.md from what is stored."""
+    write_whole(PAGE, page_text(json.loads(STORED.read_text(encoding="utf-8"))))
 
 
-def _video(film: str, poster: str) -> str:
-    return (
-        f'<video controls loop muted playsinline width="100%" poster="../{poster}" src="../{film}"></video>\n'
-    )
+def page_text(stored: dict[str, dict[str, Entry]]) -> str:
+    """Return the page of thumbnails: a film behind each picture, and each unsound rule as an animation."""
+    buildings = [
+        _building(name, entry) for part in ("tasks", "buildings") for name, entry in stored[part].items()
+    ]
+    rules = [_rule(name, entry) for name, entry in stored["rules"].items()]
+    return f"{MADE}{HEAD}{_cards(buildings)}\n{RULES_HEAD}{_cards(rules)}"
 
 
-def _write_index(flags: list[str]) -> None:
-    tasks = "\n".join(TASK_NAMES)
-    text = (
-        f"{MADE}# Gallery\n\n"
-        "Every task of the paper, built in contact physics by the shipped plans, buildings that were planned from a "
-        "design, and every rule of CraftEnv that `craftsim audit` finds to be unsound, in the smallest world in which "
-        "it fails. All of it is made by `make gallery`.\n\n"
-        f"```{{toctree}}\n:caption: Tasks\n:maxdepth: 1\n\n{tasks}\n```\n\n"
-        f"```{{toctree}}\n:caption: From designs\n:maxdepth: 1\n\n" + "\n".join(BUILDINGS) + "\n```\n\n"
-        "```{toctree}\n:caption: Unsound rules\n:maxdepth: 1\n\n" + "\n".join(flags) + "\n```\n"
-    )
-    write_whole(GALLERY / "index.md", text)
+def _building(name: str, entry: Entry) -> str:
+    film, picture, title = f"gallery/films/{name}.mp4", f"gallery/films/{name}.png", name.replace("_", " ")
+    said = f"{entry['agree']} actions as predicted, {entry['simulated_s']:g} s, cars within {entry['car_mm']:.2f} mm"
+    return f"[![the finished building: {title}]({picture})]({film}) **{title}**: {said}"
+
+
+def _rule(name: str, entry: Entry) -> str:
+    chance = "; with physics and noise as drawn in one trial" if entry["needs_its_draw"] else ""
+    return f"![the film of {name}](gallery/{name}.webp) **`{name}`**: {entry['sentence']}{chance}"
+
+
+def _cards(cards: Sequence[str]) -> str:
+    rows = [cards[i : i + COLUMNS] for i in range(0, len(cards), COLUMNS)]
+    lines = [" | ".join([*row, *[""] * (COLUMNS - len(row))]) for row in rows]
+    empty = " | ".join([""] * COLUMNS)
+    return "\n".join([f"| {empty} |", "| --- " * COLUMNS + "|", *(f"| {line} |" for line in lines)]) + "\n"
 
 
 if __name__ == "__main__":
-    main([Path(word) for word in sys.argv[2:]], int(sys.argv[1]))
+    if len(sys.argv) > 1:
+        main([Path(word) for word in sys.argv[2:]], int(sys.argv[1]))
+    else:
+        write_page()

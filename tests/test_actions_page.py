@@ -7,7 +7,7 @@ from actions_page import ENTRIES, durations
 
 from craftsim import Action
 
-PAGE = Path(__file__).parents[1] / "docs" / "actions.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reference" / "actions.md"
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.title)

@@ -1,68 +1,278 @@
-"""Commands, targets, options and files that the documents name exist, and their examples run."""
+"""What the documents name exists, their examples run, their tables are those of what is stored, their words plain."""
 
+import os
 import re
+import runpy
+import shlex
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import pytest
+from generated import command_names, help_text
+from results import tables
 
-from craftsim.cli.commands import COMMANDS
+import craftsim
+from craftsim.discrete.files.blueprint import KEYS, parse_blueprint
+from craftsim.envs.text import TextConstruction
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = (
-    "README.md",
+PACKAGE = str(Path(craftsim.__file__).parents[1])
+DOCS = ROOT / "docs"
+PAGES = ["README.md", *sorted(str(path.relative_to(ROOT)) for path in DOCS.rglob("*.md"))]
+DOCUMENTS = [
+    *PAGES,
     "CONTRIBUTING.md",
     "SECURITY.md",
     "CHANGELOG.md",
     "craftsim/mjcf/README.md",
     "examples/README.md",
-    *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
-)
+]
+MADE = ("docs/reference/actions.md", "docs/gallery.md", "docs/results/")
+"""Pages that scripts write."""
+MOST_WORDS = 28_000
+LONGEST_LINE = 160
+
+
+def _text(document: str) -> str:
+    return (ROOT / document).read_text(encoding="utf-8")
+
+
+def _blocks(document: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", _text(document), re.DOTALL | re.MULTILINE)
+
+
+def _command_lines(document: str) -> list[list[str]]:
+    """Return the words of each call of craftsim in the shell blocks of a page."""
+    lines = [
+        line
+        for block in _blocks(document, "sh")
+        for line in block.replace("\\\n", " ").splitlines()
+        if line.startswith("craftsim ")
+    ]
+    return [shlex.split(line, comments=True)[1:] for line in lines]
 
 
 def test_the_readme_lists_every_command_in_the_order_of_the_help():
-    rows = re.findall(r"^\| `craftsim (\w+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert rows[: len(COMMANDS)] == list(COMMANDS)
+    rows = re.findall(r"^\|[^|]*\| `craftsim (\w+)` \|", _text("README.md"), re.MULTILINE)
+    assert rows == [words[0] for words in command_names() if len(words) == 1]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_commands_targets_and_files_exist(document):
-    text = (ROOT / document).read_text(encoding="utf-8")
+    text = _text(document)
     if document == "CHANGELOG.md":  # older versions had other commands and files
         text = "".join(text.split("\n## [")[:2])
     code = " ; ".join(re.findall(r"`([^`\n]+)`", text) + re.findall(r"^    (.+)$", text, re.MULTILINE))
-    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    targets = set(re.findall(r"^([a-z]+):", _text("Makefile"), re.MULTILINE))
     assert set(re.findall(r"\bmake ([a-z]+)", code)) <= targets
-    assert set(re.findall(r"\bcraftsim ([a-z]+)", code)) <= set(COMMANDS)
-    for path in re.findall(r"\b(?:tests|scripts|craftsim|examples|docs)/[\w/]+\.\w+", code):
+    commands = {*(words[0] for words in command_names()), "completion"}
+    assert set(re.findall(r"\bcraftsim ([a-z]+)", code)) <= commands
+    for path in re.findall(r"\b(?:tests|scripts|craftsim|examples|docs)/[\w/-]+(?:\.\w+)+", code):
         assert (ROOT / path).exists(), path
 
 
-def test_the_examples_of_the_readme_run_and_keep_their_promises(capsys):
-    """They run one after the other, as in one session."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    names: dict[str, object] = {}
-    for example in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
-        exec(compile(example, "README.md", "exec"), names)
-    assert names["result"].agrees
-    assert len(names["result"].to_frame()) == 24
-    assert capsys.readouterr().out.splitlines()[-1] == "the same world: True"
+@pytest.mark.parametrize("document", [page for page in PAGES if _command_lines(page)])
+def test_every_command_line_of_a_page_is_understood(document):
+    from craftsim.cli.app import bind
+
+    for words in _command_lines(document):
+        bind(words[2:] if words[0] == "--plugins" else words)
 
 
-def test_the_examples_of_the_environments_run():
-    text = (ROOT / "docs/envs.md").read_text(encoding="utf-8")
-    for example in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
-        # As a module of its own name, so that what is meant for a main program only is not run here.
-        exec(compile(example, "docs/envs.md", "exec"), {"__name__": "example"})
-
-
-def test_the_examples_of_the_validation_run_as_programs(tmp_path):
-    text = (ROOT / "docs/validation.md").read_text(encoding="utf-8")
-    for number, example in enumerate(re.findall(r"```python\n(.*?)```", text, re.DOTALL)):
-        path = tmp_path / f"example_{number}.py"
-        path.write_text(example, encoding="utf-8")
+@pytest.mark.parametrize("document", [page for page in PAGES if _blocks(page, "python")])
+def test_the_python_of_a_page_runs(document, tmp_path):
+    """Blocks that name a file at their start run each as that file, the others one after the other as one program."""
+    files: dict[str, str] = {}
+    for block in _blocks(document, "python"):
+        named = re.match(r"# (\w+\.py)\n", block)
+        name = named[1] if named else "page.py"
+        files[name] = files.get(name, "") + block + "\n"
+    for example in ("yard/yard.yaml", "yard/yard_goal.yaml"):
+        (tmp_path / Path(example).name).write_text(_text(f"examples/{example}"), encoding="utf-8")
+    for name, text in files.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
         done = subprocess.run(
-            [sys.executable, path], cwd=tmp_path, capture_output=True, text=True, check=False
+            [sys.executable, name],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([PACKAGE, *sys.path])},
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert done.returncode == 0, done.stderr
+
+
+def test_the_ten_lines_of_the_readme_print_what_they_promise(capsys):
+    (example,) = _blocks("README.md", "python")
+    assert len([line for line in example.splitlines() if line.strip()]) <= 10
+    names: dict[str, object] = {}
+    exec(compile(example, "README.md", "exec"), names)
+    assert names["result"].agrees
+    assert len(names["result"].to_frame()) == 48
+    assert "LIFT is forbidden: there is nothing to lift" in capsys.readouterr().out
+
+
+def test_the_blueprint_example_is_a_blueprint_with_every_kind_of_list():
+    text = _text("docs/reference/world-files.md")
+    assert parse_blueprint(_blocks("docs/reference/world-files.md", "yaml")[0], "world-files.md").is_fixed
+    for key in KEYS:
+        assert re.search(rf"\b{key}\b", text), key
+
+
+def test_the_observation_of_the_page_on_text_is_that_of_the_environment():
+    env = TextConstruction("strip", backend="grid")
+    env.reset(seed=0)
+    env.step("car_0: move left")
+    text = env.step("car_0: move back; car_1: fold")[0]
+    assert text.startswith(_blocks("docs/how-to/language-models.md", "text")[0])
+
+
+PATH_AND_HEADING = re.compile(r"docs/([\w/-]+\.md)(?:#([\w-]+))?")
+
+
+def _headings(page: Path) -> set[str]:
+    titles = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def test_pages_that_the_code_names_exist_and_every_oddity_is_named():
+    named = {
+        found
+        for path in (ROOT / "craftsim").rglob("*.py")
+        for found in PATH_AND_HEADING.findall(path.read_text(encoding="utf-8"))
+    }
+    assert {("rules.md", "marks"), ("rules.md", "drop-overwrites")} <= named
+    for page, heading in named:
+        assert (DOCS / page).exists(), page
+        assert not heading or heading in _headings(DOCS / page), heading
+    oddities = _text("docs/rules.md").split("# Oddities")[1]
+    explained = {
+        title.lower().replace(" ", "-") for title in re.findall(r"^## (.+)$", oddities, re.MULTILINE)
+    }
+    assert explained == {heading for page, heading in named if page == "rules.md" and heading}
+
+
+def test_tables_of_results_and_the_gallery_are_those_of_what_is_stored():
+    for name, text in tables().items():
+        assert _text(f"docs/results/{name}.md") == text, "make results writes them"
+    results = runpy.run_path(str(ROOT / "scripts/results.py"))
+    assert results["six_results"]() in _text("README.md"), "make results writes it"
+    gallery = runpy.run_path(str(ROOT / "scripts/gallery.py"))
+    assert gallery["page_text"](gallery["json"].loads(gallery["STORED"].read_text("utf-8"))) == _text(
+        "docs/gallery.md"
+    )
+
+
+WORDS_TO_AVOID = {
+    r"told|tells? (?:you )?whether|untold": "commanded, identified",
+    r"things?": "object",
+    r"crews?|errands?|sightings?|outings?": "joint plan, delivery, marker update",
+    r"knobs?": "tunable gain",
+    r"suspects?": "hypothesis",
+    r"shrinks?|shrunk|shrinking": "minimize",
+    r"pilots?|players?": "policy",
+    r"planted": "disturbance",
+    r"guidance": "demonstrations",
+    r"judged on seeds held out": "evaluated on held-out seeds",
+    r"(?:goes|go) in by the same doors?|doors": "uses the same interfaces",
+    r"physics that is only physics": "no scripted physics",
+    r"(?:stands?|stood) (?:a|an|it|all|none|that) (?:delay|bias|lag)": "tolerates",
+    r"decides all that is drawn": "random seed",
+    r"came to no end": "timed out",
+    r"prefers the rare": "weighted towards rare actions",
+    r"let cars learn": "train a policy",
+    r"those who read and do not look": "text observations",
+    r"whatever happens next": "durable",
+    r"tell most": "most informative",
+    r"learnt": "learned",
+}
+"""Words that the field does not use for what they meant here, and what it says instead."""
+
+
+def _prose(text: str) -> str:
+    """Return a page without its code, which has names of its own."""
+    text = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    return re.sub(r"`[^`\n]*`", "code", text)
+
+
+@pytest.mark.parametrize("document", [one for one in DOCUMENTS if one != "CHANGELOG.md"])
+def test_a_page_has_the_words_of_the_field(document):
+    found = {
+        match[0]: instead
+        for words, instead in WORDS_TO_AVOID.items()
+        for match in re.finditer(rf"\b(?:{words})\b", _prose(_text(document)), re.IGNORECASE)
+    }
+    assert found == {}
+
+
+def test_help_texts_have_the_words_of_the_field():
+    texts = " ".join(help_text(*words) for words in ((), *command_names()))
+    found = [words for words in WORDS_TO_AVOID if re.search(rf"\b(?:{words})\b", texts, re.IGNORECASE)]
+    assert found == []
+
+
+@pytest.mark.parametrize("document", [one for one in DOCUMENTS if not one.startswith(MADE)])
+def test_no_line_of_prose_is_longer_than_a_screen(document):
+    lines = [line for line in _prose(_text(document)).splitlines() if not line.startswith(("|", "!["))]
+    assert [line for line in lines if len(line) > LONGEST_LINE] == []
+
+
+def test_the_documentation_stays_small():
+    words = [word for page in (*PAGES, "CHANGELOG.md", "CONTRIBUTING.md") for word in _text(page).split()]
+    assert sum(bool(re.search(r"\w", word)) for word in words) <= MOST_WORDS
+
+
+def test_a_task_of_ones_own_takes_fewer_than_twenty_lines_beside_its_layout():
+    (own,) = _blocks("docs/reference/tasks.md", "python")
+    code = re.sub(r'""".+?"""', "", own.split("episodes = ")[0], flags=re.DOTALL).splitlines()
+    assert len([line for line in code if line.strip()]) < 20
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "how-to").glob("*.md")), ids=lambda page: page.stem)
+def test_a_guide_is_short(page):
+    code_aside = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    assert len([word for word in code_aside.split() if re.search(r"\w", word)]) <= 500
+
+
+TUTORIALS = {"own-world": "yard", "failure": "corner"}
+
+
+@pytest.mark.parametrize("tutorial", TUTORIALS)
+def test_a_tutorial_can_be_walked(tutorial, tmp_path):
+    """Each of its commands in turn, with one trial and without films; what the text says of them is so."""
+    for path in (ROOT / "examples" / TUTORIALS[tutorial]).iterdir():
+        if path.is_file():
+            (tmp_path / path.name).write_text(path.read_text(encoding="utf-8"), encoding="utf-8")
+    said, statuses = "", []
+    for words in _command_lines(f"docs/tutorials/{tutorial}.md"):
+        if words[0] == "render":
+            continue
+        words = [*words, "--video", "none"] if words[0] == "validate" else words
+        command = re.sub(r"--trials \d+", "--trials 1", shlex.join(words))
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "craftsim", *shlex.split(command)],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": PACKAGE, "COLUMNS": "400"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode in (0, 1), (command, done.stderr)
+        said, statuses = said + done.stdout, [*statuses, done.returncode]
+    expected = {
+        "own-world": ("a block in (3, 1, 1) cannot be entered sideways", [0, 1, 0, 0, 0, 0, 0]),
+        "failure": ("it fails when car 1 is in the next cell to the left", [1, 0, 0, 1, 1]),
+    }[tutorial]
+    assert expected[0] in " ".join(said.split())
+    assert statuses == expected[1]
+
+
+def test_the_notebook_of_the_tutorial_runs(capsys):
+    module = types.ModuleType("notebook")
+    path = ROOT / "examples/yard/notebook.py"
+    module.__dict__["__file__"] = str(path)
+    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), module.__dict__)
+    assert "cannot be entered sideways" in capsys.readouterr().out
+    assert module.__dict__["result"].agrees

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from generated import command_names
 
 import craftsim
 
@@ -13,8 +14,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = [
     *ROOT.glob("*.md"),
-    *DOCS.glob("*.md"),
-    *DOCS.glob("gallery/*.md"),
+    *DOCS.rglob("*.md"),
     ROOT / "examples/README.md",
     ROOT / "craftsim/mjcf/README.md",
 ]
@@ -76,14 +76,23 @@ def physics(tmp_path_factory):
 
 
 def test_every_page_is_built(physics):
-    assert {path.stem for path in DOCS.glob("*.md")} <= {path.stem for path in physics.glob("*.html")}
+    pages = {
+        path.relative_to(DOCS).with_suffix("") for path in DOCS.rglob("*.md") if path.parent.name != "results"
+    }
+    assert pages <= {path.relative_to(physics).with_suffix("") for path in physics.rglob("*.html")}
 
 
 def test_the_reference_documents_every_public_name(physics):
-    reference = (physics / "api.html").read_text(encoding="utf-8")
+    reference = (physics / "reference" / "api.html").read_text(encoding="utf-8")
     for name in set(craftsim.__all__) - {"__version__"}:
         assert f'id="craftsim.{name}"' in reference, name
         assert (getattr(craftsim, name).__doc__ or "").strip(), f"{name} has no docstring"
+
+
+def test_the_reference_has_the_help_of_every_command(physics):
+    reference = (physics / "reference" / "commands.html").read_text(encoding="utf-8")
+    for words in command_names():
+        assert f"<h2>{' '.join(words)}<" in reference
 
 
 def test_a_link_that_leads_nowhere_fails_the_build(tmp_path):

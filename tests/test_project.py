@@ -115,6 +115,6 @@ def test_contributing_draws_the_rooms_as_they_are():
 
 
 def test_no_page_says_to_install_an_extra_such_that_a_copy_takes_the_place_of_the_checkout():
-    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")):
+    for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")):
         for line in page.read_text(encoding="utf-8").splitlines():
             assert not re.search(r"pip install '(\.|craftsim)\[", line), f"{page.name}: {line}"

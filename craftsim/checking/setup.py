@@ -169,7 +169,7 @@ def setup_of(
 
     Args:
         randomize: what is drawn, with limits that suit it: a preset's name, or a YAML file
-            (docs/imperfections.md).
+            (docs/explanation/imperfections.md).
         rules: the rule set that predicts.
         gains: of the skills, a preset's name, or a file of them; those of the file of the machines, if it has some,
             unless given.

@@ -32,7 +32,8 @@ def identify(
     Exit status 0, 1 when the log tells nothing, 2 for wrong input.
 
     Args:
-        log: CSV table or ROS 2 bag (.mcap); docs/logs.md has its columns. 'craftsim robot excite' makes a drive to log.
+        log: CSV table or ROS 2 bag (.mcap); docs/reference/reports.md has its columns.
+            'craftsim robot excite' makes a drive to log.
         held_out: another log of the same car, to be predicted and not to be fitted to.
         car: its number in the log.
         load: the car began under a block and lifted it, as with 'robot excite --load'.

@@ -122,7 +122,7 @@ def train(
     if not learnt.has_goal:
         raise InputError(
             f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, "
-            "or name one in a task file (docs/tasks.md)"
+            "or name one in a task file (docs/reference/tasks.md)"
         )
     staged = [as_task(name, cars, blocks) for name in config.stages]
     folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}")

@@ -1,7 +1,7 @@
 """A small library of buildings, each with its sizes as arguments, in cells.
 
 Nothing floats: a block stands on the ground or on a block, so that an opening is one to the sky. What a car cannot
-reach from its neighbour cells can still be built in an order that fills it from the far end (docs/designs.md).
+reach from its neighbour cells can still be built in an order that fills it from the far end (docs/how-to/design.md).
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ BLOCKS: Final = 6
 SLOPES: Final = 1
 AREA: Final[Cell] = (6, 6, 2)
 MAX_STEPS: Final = 89
-"""1.5 times what 95 % of the planner's plans take (docs/tasks.md)."""
+"""1.5 times what 95 % of the planner's plans take (docs/reference/tasks.md)."""
 POOL: Final = 1024
 """Designs that are drawn at the first use, unless they are shipped; each is used in all its reflections."""
 _TRIES: Final = 200

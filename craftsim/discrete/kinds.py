@@ -66,7 +66,7 @@ KINDS: Final = {
     Kind.BODY: KindSpec("the body of a slope", "B", "bold cyan", (0.36, 0.56, 0.76), stands=True),
     Kind.FOOT: KindSpec("the foot of a slope", "f", "bold cyan", (0.52, 0.70, 0.86)),
 }
-"""The table of kinds, in the order of their numbers. docs/extending.md says what else a new one takes."""
+"""The table of kinds, in the order of their numbers. docs/how-to/extend.md says what else a new one takes."""
 
 NAMES: Final = {kind: spec.words for kind, spec in KINDS.items()}
 """What is in a cell, in words."""

@@ -122,7 +122,10 @@ class Observe:
 
 @dataclass(frozen=True)
 class Images:
-    """Camera images beside the observation; docs/envs.md explains them. Raises InputError for a bad value."""
+    """Camera images beside the observation; docs/reference/environments.md explains them.
+
+    Raises InputError for a bad value.
+    """
 
     camera: ImageCamera = "front"
     """``front``, each car's own in its nose, or one of the world's, of which all cars get the same images."""

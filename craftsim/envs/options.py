@@ -50,7 +50,8 @@ def _path(value: object) -> object:
 
 @record()
 class Options:
-    """How an environment works, on top of its task; docs/envs.md explains each. Raises InputError for a bad value."""
+    """How an environment works, on top of its task; docs/reference/environments.md explains each. Raises
+    InputError for a bad value."""
 
     backend: BackendName = "physics"
     rule_set: RuleSet = "physical"
@@ -77,7 +78,8 @@ class Options:
     """The parameters of cars, blocks and slopes, the nominal ones unless given; physics only."""
     drive: Drive | None = None
     """How cars touch the ground, ``rollers`` or ``reduced``; that of ``machines`` if they are given, and else
-    ``reduced``, which is several times as fast (docs/drives.md says how far it can be trusted). Physics only."""
+    ``reduced``, which is several times as fast (docs/explanation/drives.md says how far it can be trusted).
+    Physics only."""
     skills: Annotated[Any, AfterValidator(own_skills)] = None
     """Skills of one's own in place of built-in ones, ``{Action.LIFT: MyLift}`` or ``{0: {Action.LIFT: MyLift}}``;
     physics only."""

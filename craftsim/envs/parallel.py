@@ -28,7 +28,8 @@ class Observations(dict[str, Observation]):
 class ParallelConstruction(SingleWorld, ParallelEnv[str, Observation, int]):
     """A task for cars that share one reward; ``car_0``, ``car_1``, ... are the agents.
 
-    An agent observes ``{"observation", "action_mask"}``, and images if asked to; docs/envs.md describes them, and the
+    An agent observes ``{"observation", "action_mask"}``, and images if asked to; docs/reference/environments.md
+    describes them, and the
     infos.
     """
 

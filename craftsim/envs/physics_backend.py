@@ -184,7 +184,7 @@ class PhysicsBackend(Backend):
 
 
 def _info(attempt: Attempt) -> dict[str, Any]:
-    """Return what the judge found of one car's action; docs/envs.md lists the keys."""
+    """Return what the judge found of one car's action; docs/reference/environments.md lists the keys."""
     return {
         "result": attempt.result,
         "reason": attempt.reason,

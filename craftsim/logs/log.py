@@ -1,7 +1,8 @@
 """A log: what one car was told and what it measured, row by row, as a robot itself could record it.
 
 Row k holds what was measured when the command of that row was given, which then held until row k + 1. Poses are those
-that the localisation had reported by then, noisy and late. What was not measured is nan. docs/logs.md has the columns.
+that the localisation had reported by then, noisy and late. What was not measured is nan. docs/reference/reports.md
+has the columns.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Logs as CSV tables: a line for each row and car, with named columns; docs/logs.md describes them."""
+"""Logs as CSV tables: a line for each row and car, with named columns; docs/reference/reports.md describes them."""
 
 from __future__ import annotations
 

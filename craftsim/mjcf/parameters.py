@@ -427,7 +427,8 @@ class Machines:
     slope: SlopeParameters = SlopeParameters()
     contact: ContactParameters = ContactParameters()
     drive: Drive = "rollers"
-    """Of all cars; docs/drives.md says how far ``reduced``, which is several times as fast, can be trusted."""
+    """Of all cars; docs/explanation/drives.md says how far ``reduced``, which is several times as fast, can be
+    trusted."""
 
     def __post_init__(self) -> None:
         check_machines(self)

@@ -13,7 +13,7 @@ Solver = Literal["newton", "pgs"]
 STEPS_S: Final[dict[Drive, float]] = {"rollers": 0.004, "reduced": 0.004}
 """Physics step of each drive, unless another is asked for: verdicts are those of steps of 1 ms, and final poses within
 0.3 mm of theirs (``craftsim bench steps``). In longer steps rollers lose the ground, servos ring, and a load that an
-impact lifts off its board for one step comes down into it (docs/drives.md)."""
+impact lifts off its board for one step comes down into it (docs/explanation/drives.md)."""
 
 
 @record()
@@ -46,7 +46,7 @@ class SimulationConfig:
     solver_iterations: Annotated[int, Range(1, 10_000)] = 1000
     """Most iterations of the solver in one step, ten times what the slowest step of a good run needs. Cars that climb
     on stacked blocks came near MuJoCo's default of 100, and a step that ends there blows the stack apart
-    (docs/physics.md). :attr:`PhysicsWorld.capped_steps` counts the steps that reach it."""
+    (docs/explanation/physics.md). :attr:`PhysicsWorld.capped_steps` counts the steps that reach it."""
 
     friction_impedance_ratio: Annotated[float, Range(1e-3, 1e6)] = 300.0
     """How much stiffer friction is than normal contact (MuJoCo's impratio): at 300 a loaded car parked on the slope

@@ -174,7 +174,7 @@ class Grip(StepEffect):
     Where the floor is uneven, or the wheels are not equal, they hold for one physics step, and of the four loads those
     three parts count that equilibrium gives: their sum, and how it lies along the car and across. The fourth, how a
     stiff car leans on one diagonal or the other, is left out: rollers, which rattle, share it out
-    (docs/imperfections.md).
+    (docs/explanation/imperfections.md).
 
     The motors of cars that sleep, the loads of which MuJoCo leaves out, have no such limits, which so depend on the
     state alone.

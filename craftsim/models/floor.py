@@ -2,7 +2,7 @@
 
 Each tile is a height field: its sides are vertical, so a wheel meets an edge as sharp as a tile's, and its face may be
 flat or part of an undulation. The plane of a flat floor lies below them, as the bottom of their joints. Boxes would do
-for flat tiles and cost a tenth less, but not for an undulation (docs/imperfections.md).
+for flat tiles and cost a tenth less, but not for an undulation (docs/explanation/imperfections.md).
 """
 
 from __future__ import annotations

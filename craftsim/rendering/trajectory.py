@@ -1,7 +1,7 @@
 """Trajectories: what moved in a run, sample by sample, and what was asked for and found, in one file.
 
 Films, plots and the viewer are made from trajectories, while or long after the physics ran. A trajectory file is a
-NumPy archive without pickles; docs/films.md describes its arrays.
+NumPy archive without pickles; docs/reference/reports.md describes its arrays.
 """
 
 from __future__ import annotations

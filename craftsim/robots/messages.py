@@ -1,4 +1,4 @@
-"""The messages between robots and who drives them: MessagePack maps, checked when they are read (docs/robots.md)."""
+"""The messages between robots and their driver: MessagePack maps, checked when read (docs/how-to/robots.md)."""
 
 from __future__ import annotations
 

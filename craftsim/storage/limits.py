@@ -1,4 +1,4 @@
-"""How much a file of each format may hold, and how large a number may be; docs/limits.md shows them.
+"""How much a file of each format may hold, and how large a number may be; docs/reference/limits.md shows them.
 
 Nothing is read, unpacked or built before the limit that it falls under has been checked, so that a file is
 refused in seconds and within a few hundred megabytes, whoever wrote it.

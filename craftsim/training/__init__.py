@@ -1,1 +1,1 @@
-"""Training cars on the grid world with TorchRL; needs the extra ``train``."""
+"""Training cars on the grid or in physics; needs the extra ``train``."""

@@ -122,7 +122,7 @@ class PhysicsWorlds:
     """Worlds in physics, spread over worker processes; none of their numbers depends on how many there are."""
 
     def __init__(self, task: Task, n: int, **options: Any) -> None:
-        """Prepare; options are those of :class:`craftsim.envs.physics_vector.PhysicsVectorEnv`."""
+        """Prepare; options are those of :class:`craftsim.envs.vector.PhysicsVectorEnv`."""
         self.envs = PhysicsVectorEnv(task, n, **options)
         self._seen: tuple[NDArray[np.integer], NDArray[np.bool_]]
         self._next: tuple[NDArray[np.integer], NDArray[np.bool_]]

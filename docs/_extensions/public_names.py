@@ -1,8 +1,7 @@
 """The directive ``public``: documents names of ``craftsim`` from their docstrings.
 
 A page lists public names, one a line; each becomes an entry of the API reference. A name that is not public, and a
-public name that no page lists, is a warning: the reference is always the whole of ``craftsim.__all__``. The figures
-of a machine come as a table that says where each is from.
+public name that no page lists, is a warning: the reference is always the whole of ``craftsim.__all__``.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 import craftsim
-from craftsim.storage.limits import ranges_of
 
 PUBLIC = frozenset(craftsim.__all__) - {"__version__"}
 
@@ -48,25 +46,15 @@ def _autodoc(name: str) -> list[str]:
     thing = getattr(craftsim, name)
     if not inspect.isclass(thing):
         return [f".. auto{'function' if callable(thing) else 'data'}:: craftsim.{name}", ""]
-    figures = _figures(thing)
-    members = ["   :members:"] if figures else ["   :members:", "   :undoc-members:"]
-    return [f".. autoclass:: craftsim.{name}", *members, "", *figures, ""]
+    members = ["   :members:"] if _has_parameters(thing) else ["   :members:", "   :undoc-members:"]
+    return [f".. autoclass:: craftsim.{name}", *members, ""]
 
 
-def _figures(kind: type) -> list[str]:
-    """Return a table of a machine's parameters with their bounds and origins; nothing for other classes."""
-    fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
-    rows = ["parameter", "nominal", "allowed", "origin"]
-    for field in fields:
-        if origin := field.metadata.get("origin"):
-            note, fixed = field.metadata["note"], field.metadata["fixed"]
-            allowed = f"fixed: {fixed}" if fixed else str(ranges_of(kind).get(field.name, "any"))
-            rows += [f"``{field.name}``", f"{field.default:.6g}", allowed, f"{origin}{note and ': '}{note}"]
-    if len(rows) == 4:
-        return []
-    marks = ("   * - ", "     - ", "     - ", "     - ")
-    table = [f"{marks[i % 4]}{cell}" for i, cell in enumerate(rows)]
-    return [".. list-table::", "   :header-rows: 1", "", *table]
+def _has_parameters(kind: type) -> bool:
+    """Whether a class holds the parameters of a machine, which the page on parameters lists."""
+    return dataclasses.is_dataclass(kind) and any(
+        "origin" in field.metadata for field in dataclasses.fields(kind)
+    )
 
 
 def _listed(env: BuildEnvironment) -> set[str]:

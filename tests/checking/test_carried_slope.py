@@ -10,7 +10,7 @@ from craftsim.storage.records import read_json_record
 
 BUILDING = Path(__file__).parents[1] / "data" / "carried_slope.json"
 """The first 48 ticks of a building in which, with steps of 5 ms, car 0 and the slope that it carries onto a ramp in the
-last tick hit each other with 676 N, where finer steps find 16 N (docs/drives.md)."""
+last tick hit each other with 676 N, where finer steps find 16 N (docs/explanation/drives.md)."""
 
 
 def test_a_carried_slope_is_not_thrown_off_its_board_at_the_foot_of_a_ramp():

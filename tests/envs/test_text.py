@@ -2,7 +2,6 @@
 
 import doctest
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -193,15 +192,6 @@ def test_a_world_that_cannot_be_read_any_more_is_told_as_such():
     assert (reward, terminated, truncated) == (0.0, False, True)
     assert f"The world cannot be read any more: {'; '.join(info['problems'])}." in text
     assert "The episode is over; the goal is not reached." in text
-
-
-def test_the_page_shows_what_is_read():
-    env = TextConstruction("strip", backend="grid")
-    env.reset(seed=0)
-    env.step("car_0: move left")
-    text = env.step("car_0: move back; car_1: fold")[0]
-    page = (Path(__file__).parents[2] / "docs/text.md").read_text(encoding="utf-8")
-    assert text.startswith(re.findall(r"```text\n(.*?)```", page, re.DOTALL)[0])
 
 
 def test_the_examples_in_docstrings_hold():

@@ -1,6 +1,5 @@
 """The viewer in the browser, without a browser: what is shown, and what its buttons do."""
 
-import re
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -245,10 +244,3 @@ def test_a_speed_that_there_is_not_is_an_error():
 def test_an_environment_on_the_grid_is_refused():
     with pytest.raises(InputError, match="backend='physics'"):
         view(parallel_env("strip", "grid"))
-
-
-def test_the_example_of_the_page_runs(capsys):
-    text = (Path(__file__).parents[2] / "docs/view.md").read_text(encoding="utf-8")
-    for example in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
-        exec(compile(example, "docs/view.md", "exec"), {})
-    assert "Watch at http://127.0.0.1:" in capsys.readouterr().out

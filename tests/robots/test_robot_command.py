@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -127,10 +126,3 @@ def test_an_address_where_no_robots_are_is_refused_in_words(tmp_path, capsys, mo
     assert "--robot goes with a single task" in capsys.readouterr().err
     assert main(["demo", "--robot", "udp://nowhere", "--out", str(tmp_path), "--no-video"]) == 2
     assert "is no address of robots" in capsys.readouterr().err
-
-
-def test_the_example_of_the_page_runs(capsys):
-    page = (Path(__file__).parents[2] / "docs/robots.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    exec(compile(example, "docs/robots.md", "exec"), {})
-    assert capsys.readouterr().out == "succeeded\n"

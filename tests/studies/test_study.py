@@ -90,7 +90,7 @@ def _wait_for(text, said):
 
 
 def test_one_seed_has_no_interval():
-    stored = Path(__file__).parents[2] / "docs/training/designs.json"
+    stored = Path(__file__).parents[2] / "docs/results/training/designs.json"
     figures = json.loads(stored.read_text(encoding="utf-8"))["figures"]
     figures["runs"] = figures["runs"][:1]
     one = replace(read_study("designs"), seeds=1)

@@ -31,7 +31,7 @@ def test_a_drive_begins_and_ends_at_rest():
 
 @pytest.mark.parametrize("area", [Area(), Area(1.0, 0.8), Area(3.0, 1.0)], ids=str)
 def test_the_way_in_any_direction_keeps_clear_of_the_border(area):
-    """Of ideal wheels; tests of the command and docs/logs.md have those that slip."""
+    """Of ideal wheels; tests of the command and docs/reference/reports.md have those that slip."""
     commands = excitation(120.0, area, CAR, 0.02)
     x = y = heading = 0.0
     furthest = np.zeros(2)

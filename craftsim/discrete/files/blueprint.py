@@ -1,6 +1,6 @@
 """Blueprints: the start of a world as drawn in a YAML file, in CraftEnv's format with a few additions.
 
-docs/blueprints.md describes the keys.
+docs/reference/world-files.md describes the keys.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ MAX_STEPS: Final = {
     "free_building": 51,
     "breaking_barrier": 36,
 }
-"""Step limits: about 1.5 times what 95 % of the planner's plans for random starts take (docs/tasks.md)."""
+"""Step limits: about 1.5 times what 95 % of the planner's plans for random starts take (docs/reference/tasks.md)."""
 _TRIES: Final = 1000
 _YAWS: Final = 4
 

@@ -2,7 +2,7 @@
 
 What stands in a file is looked up by :func:`known_task`, which imports nothing; what is given on the command line or in
 Python by :func:`as_task`, which also takes ``module:factory``. A file is a blueprint, with a goal file beside it, or a
-task file, a small YAML file that names both and a reward; docs/tasks.md shows one.
+task file, a small YAML file that names both and a reward; docs/reference/tasks.md shows one.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from craftsim.storage.reading import read_bytes
 from craftsim.training.policy import load_policy, policy_file, shipped_policies
 
 Observations = dict[str, dict[str, NDArray[Any]]]
-"""By agent, ``car_0`` and so on: ``observation`` and ``action_mask`` (docs/envs.md)."""
+"""By agent, ``car_0`` and so on: ``observation`` and ``action_mask`` (docs/reference/environments.md)."""
 
 Policy = Callable[[Observations], dict[str, int]]
 """Gives each agent one of the 15 primitive actions; may depend on nothing but the observations."""

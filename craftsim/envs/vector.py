@@ -243,7 +243,8 @@ class PhysicsVectorEnv(TaskVectorEnv):
 
         Infos, each an array with a leading dimension B: ``success``, ``duration_s``, ``illegal`` (B, n), ``problems``;
         the other infos of the cars (docs/reference/environments.md), each (B, n); and where
-        ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset. Raises InputError before the first reset, for actions of another
+        ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset.
+        Raises InputError before the first reset, for actions of another
         shape or that are no numbers from 0 to 14, and while a world is acting; CraftsimError when a process has died.
         """
         self._require_rest("step")

@@ -1,10 +1,12 @@
 """How a policy acts: greedily, or as often as it gives an action probability."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
 from craftsim.cli import main
 from craftsim.discrete.kernel.codes import N_ACTIONS
@@ -19,13 +21,26 @@ from craftsim.training.trainer import Trainer
 DRAWS = 40_000
 
 
+class _Fixed(nn.Module):
+    """A network that rates actions alike whatever it sees."""
+
+    encoder = SimpleNamespace(places=lambda observation: observation)
+
+    def __init__(self, values):
+        super().__init__()
+        self.rates = values
+
+    def forward(self, seen):
+        return self.rates.expand(seen.offers.shape).masked_fill(~seen.offers, -torch.inf)
+
+
 def test_with_noise_actions_come_as_often_as_their_probabilities_say():
     values = torch.linspace(-2, 2, N_ACTIONS)
     offered = np.ones((1, N_ACTIONS), np.bool_)
     offered[0, [3, 14]] = False
     seen, masks = np.zeros((DRAWS, 1, 13)), np.repeat(offered[None], DRAWS, 0)
     noise = np.random.default_rng(0).gumbel(size=masks.shape)
-    chosen = choose_actions(lambda seen, offers: values.expand(offers.shape), seen, masks, noise)
+    chosen = choose_actions(_Fixed(values), seen, masks, noise)
     expected = values.masked_fill(~torch.from_numpy(offered[0]), -torch.inf).softmax(-1).numpy()
     found = np.bincount(chosen[:, 0], minlength=N_ACTIONS) / DRAWS
     assert not found[[3, 14]].any()

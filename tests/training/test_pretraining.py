@@ -15,6 +15,7 @@ from craftsim.errors import InputError
 from craftsim.training.config import TrainConfig
 from craftsim.training.networks import CarNet
 from craftsim.training.policy import SHIPPED
+from craftsim.training.rollouts import Seen
 from craftsim.training.shape import Shape
 from craftsim.training.trainer import Trainer
 
@@ -32,7 +33,8 @@ def _rated(net, cells):
         row[:3] = torch.tensor(cell)
         row[kinds] = 1
     with torch.no_grad():
-        return net(rows.flatten(-2), torch.ones(1, 1, N_ACTIONS, dtype=torch.bool))
+        places = net.encoder.places(rows.flatten(-2))
+        return net(Seen(places, torch.ones(1, 1, N_ACTIONS, dtype=torch.bool)))
 
 
 @pytest.mark.parametrize("area", [(7, 7, 2), (8, 6, 2), (6, 7, 3), (6, 6, 1)])

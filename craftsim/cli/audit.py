@@ -61,7 +61,7 @@ def audit(
         actions: only these actions.
         situations: only rows whose name matches, such as '*load=block*room=tight'.
         only: where the rules allow the action, where they forbid it, or both.
-        quick: try the rows that tell most about the rules, once each, instead of all: two minutes on two cores.
+        quick: try the rows that cover the boundaries of the rules, once each, instead of all: two minutes on two cores.
         video: films of the disagreements, a few seconds of work each.
         record: write the trajectories of the disagreements, for 'craftsim render' and 'view'.
         minimize: find the smallest world in which the first failure of each kind still happens.

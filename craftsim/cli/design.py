@@ -45,13 +45,13 @@ def design(
         size: sizes of the building in cells, in the order of --list; of a mesh the cells of its longer side.
         text: what letters say.
         difficulty: of a random design, 0 to 1: sets area, blocks, levels, ramps and cars.
-        area: length, width and height in cells; as large as the things take unless given.
+        area: length, width and height in cells; as large as the pieces need unless given.
         cars: 2 unless given, or as many as the random design draws.
         spare_blocks: blocks beyond those of the design, such as for a scaffold.
         spare_slopes: slopes beyond those of the design; one for each upper level without one of its own unless given.
         barrier: put walls from side to side across the middle of the design.
         names: print the names of the library with their sizes, and write nothing.
-        seed: decides a random design, and where things lie.
+        seed: random seed of the design and of where pieces lie.
         out: folder for goal.yaml, start.yaml, design.png and report.json.
     """
     import numpy as np

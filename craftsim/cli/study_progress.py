@@ -42,7 +42,7 @@ def watching(console: Console, study: Study, out: Path) -> Iterator[Callable[[Tr
 
     def lines() -> list[str]:
         total = len(study.runs)
-        done = f"{total - len(left)} of {total} runs done, {reached} reached {study.until:g}"
+        done = f"{total - len(left)} of {total} runs done, {reached} reached {study.goal:g}"
         begun = [(run, out / RUNS / run.key) for run in list(left.values())]
         return [done, *(_how_far(run, folder) for run, folder in begun if folder.is_dir())]
 

@@ -32,7 +32,7 @@ def study_report(study: Study, reached: int, document: Mapping[str, Any], pictur
         pictures: that were drawn of it.
     """
     figures, n = document["figures"], len(study.runs)
-    sentence = f"{reached} of {count(n, 'run')} reached a success of {study.until:g} or more."
+    sentence = f"{reached} of {count(n, 'run')} reached a success of {study.goal:g} or more."
     badge, tone = ("All reached", Tone.GOOD) if reached == n else ("Not all reached", Tone.CAUTION)
     overall = {algo: found["iqm"] for algo, found in figures["overall"].items()}
     return Report(

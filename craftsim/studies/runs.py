@@ -10,7 +10,7 @@ from typing import Any
 from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
 from craftsim.experiments.session import ALONE, run_experiment
 from craftsim.storage.folders import directory_within, owned
-from craftsim.studies.study import Study, StudyRun
+from craftsim.studies.study import LEARNED, Study, StudyRun
 
 RUNS = "runs"
 
@@ -90,4 +90,4 @@ def _train_and_evaluate(run: StudyRun, place: Path) -> Done:
             },
         }
     own = extra["evaluations"][next(iter(run.tests))]["success"]["rate"]
-    return Done(agrees=own >= run.until, extra=extra)
+    return Done(agrees=own >= min(run.until, LEARNED), extra=extra)

@@ -39,6 +39,8 @@ SETTINGS: Final = tuple(field.name for field in fields(TrainConfig) if field.nam
 """Fields of a training configuration that a study may set."""
 
 
+LEARNED: Final = 0.99
+"""The success rate that counts as learned, unless a study says otherwise."""
 _NAME_CHARACTERS: Final = 80
 """Of a run's folder."""
 
@@ -161,6 +163,11 @@ class Study:
                         "of cars"
                     )
 
+    @property
+    def goal(self) -> float:
+        """The success rate that counts as learned."""
+        return LEARNED if self.until is None else self.until
+
     @cached_property
     def runs(self) -> list[StudyRun]:
         """All runs."""
@@ -195,7 +202,10 @@ class Study:
         given: dict[str, Any] = {"hyperparameters": {}}
         preset = protocol(self.preset, task, algo).settings if self.preset else {}
         for layer in (preset, self.settings, self.of_tasks.get(task, {})):
-            given |= {**layer, "hyperparameters": given["hyperparameters"] | layer.get("hyperparameters", {})}
+            before = given["hyperparameters"]
+            given |= layer
+            if isinstance(own := given["hyperparameters"], Mapping):
+                given["hyperparameters"] = {**before, **own}
         if not isinstance(steps := given.pop("steps", 1), int):
             raise ValueError(f"key 'of_tasks.{task}.steps': must be an integer, not {str(steps)[:40]!r}")
         TRAIN_STEPS.check(f"key 'of_tasks.{task}.steps'", steps)

@@ -361,7 +361,7 @@ def test_a_configuration_repeats_a_run(tmp_path, capsys):
 
 
 def test_every_option_of_a_command_comes_back_from_its_configuration(tmp_path):
-    for words in EVERY:
+    for words in (words for words in EVERY if words != ["view"]):  # which writes nothing
         given = [
             *words,
             *_needed(words),

@@ -110,7 +110,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 def _run(words: list[str]) -> int:
     from craftsim.cli import former
-    from craftsim.cli.again import ASKED
+    from craftsim.cli.again import ASKED, FOLDER
     from craftsim.cli.app import bind, help_of, write_config
 
     if words[0] not in {**COMMANDS, **former.COMMANDS}:
@@ -122,8 +122,9 @@ def _run(words: list[str]) -> int:
         return 0
     function, bound = bind(words)
     ASKED.set(tuple(words))
+    FOLDER.set(None)
     status: int = function(*bound.args, **bound.kwargs)
-    write_config(words, bound)
+    write_config(words, function, bound, FOLDER.get())
     return status
 
 

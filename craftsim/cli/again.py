@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import shlex
 from contextvars import ContextVar
+from pathlib import Path
 from typing import Final
 
 from craftsim.cli.app import NO_MATTER
 
 ASKED: Final[ContextVar[tuple[str, ...]]] = ContextVar("ASKED", default=())
 """The words of the command line that is being answered, under their present names."""
+FOLDER: Final[ContextVar[Path | None]] = ContextVar("FOLDER", default=None)
+"""The output folder of a command that names it itself where none is given."""
 
 
 def command_again() -> str:

@@ -15,6 +15,7 @@ from cyclopts.config import Dict
 
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
 from craftsim.cli.help import command_help
+from craftsim.cli.text import complain
 from craftsim.errors import InputError
 from craftsim.options import option_name, range_of
 from craftsim.storage.limits import Range
@@ -126,6 +127,7 @@ def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
 
 def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
     """Return the options in a file, by name; raise InputError where it is not for this command."""
+    from craftsim.reports.json_file import versions
     from craftsim.storage.yaml import read_document
 
     document = read_document(file).plain
@@ -137,13 +139,26 @@ def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
         )
     if command.split() != list(words[: len(command.split())]):
         raise InputError(f"{file}: is for 'craftsim {command}', not for 'craftsim {words[0]}'")
+    was, now = document.get("versions", {}), versions()
+    for name, version in was.items() if isinstance(was, dict) else ():
+        if str(version) != now.get(name):
+            complain(f"{file} is of {name} {version}; here is {now.get(name, 'none')}: results may differ")
     return {name: value for name, value in options.items() if value is not None}
 
 
-def write_config(words: Sequence[str], bound: inspect.BoundArguments) -> None:
-    """Write what a command was asked for into its output folder, if it has one, for ``--config``."""
+def write_config(
+    words: Sequence[str], function: Callable[..., Any], bound: inspect.BoundArguments, folder: Path | None
+) -> None:
+    """Write what a command was asked for into its output folder, if it has one, for ``--config``.
+
+    Args:
+        words: of the command line.
+        function: of the command.
+        bound: the command's arguments.
+        folder: for results where none was asked for.
+    """
     bound.apply_defaults()
-    out = bound.arguments.get("out")
+    out = bound.arguments.get("out") or folder
     if out is None or not (out / "report.json").is_file():
         return
     named = len(words) > 1 and words[1] in BELOW.get(words[0], ())
@@ -152,25 +167,26 @@ def write_config(words: Sequence[str], bound: inspect.BoundArguments) -> None:
     from craftsim.reports.json_file import versions
     from craftsim.storage.writing import write_whole
 
+    options = _options(inspect.unwrap(function), bound.arguments)
     document = {
         "command": " ".join(words[: 1 + named]),
         "versions": versions(),
-        "options": {name: value for name, value in _options(bound.arguments) if name not in NO_MATTER},
+        "options": {name: value for name, value in options if name not in NO_MATTER},
     }
     write_whole(out / CONFIG, yaml.safe_dump(document, sort_keys=False))
 
 
-def _options(arguments: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield options by their names on the command line, those of groups included."""
-    for name, value in arguments.items():
+def _options(taker: Any, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the options of a function or of a class by their names on the command line, those of groups included."""
+    hints = get_type_hints(taker, include_extras=True)
+    for name, value in values.items():
         if is_dataclass(value):
-            hints = get_type_hints(type(value), include_extras=True)
-            for field in fields(value):
-                parts = get_args(hints[field.name])
-                parameter = next((part for part in parts if isinstance(part, Parameter)), Parameter())
-                yield option_name(parameter, field.name), _plain(getattr(value, field.name))
-        else:
-            yield name.replace("_", "-"), _plain(value)
+            yield from _options(
+                type(value), {field.name: getattr(value, field.name) for field in fields(value)}
+            )
+            continue
+        own = (part for part in get_args(hints[name]) if isinstance(part, Parameter) and part.name)
+        yield option_name(next(own, Parameter()), name), _plain(value)
 
 
 def _plain(value: Any) -> Any:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from cyclopts import Parameter
 
 from craftsim.choices import AlgoName, Backend, PresetName
+from craftsim.cli.again import FOLDER
 from craftsim.cli.options import RESULTS, OptionalDir, Settings, Shown, settings_of
 from craftsim.cli.text import say
 from craftsim.errors import InputError, suggestion
@@ -127,6 +128,7 @@ def train(
     staged = [as_task(name, cars, blocks) for name in config.stages]
     folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}")
     reached = None if starts is None else Path(str(starts))
+    FOLDER.set(folder)
 
     import torch
 

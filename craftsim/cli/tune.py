@@ -43,7 +43,8 @@ def tune(
 
     The search starts from --gains. Its best are tried again on fresh seeds, and the choice among them is
     evaluated on held-out seeds: gains that do no better there than the start are never written. The same physics and
-    noise are drawn for all candidates. The drive is the reduced one unless asked otherwise; look at the result on rollers, too, with
+    noise are drawn for all candidates. The drive is the reduced one unless asked otherwise; look at the result on
+    rollers, too, with
     'craftsim validate'. Exit status 0 when better gains were found, 1 when not, 2 for wrong input.
 
     Args:

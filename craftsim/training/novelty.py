@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.tasks import ROW
-from craftsim.training.rollouts import Worlds
+from craftsim.training.rollouts import WorldBatch
 from craftsim.training.shape import Shape
 
 BUCKETS: Final = 1 << 20
@@ -19,12 +19,12 @@ _HASH_SEED: Final = 1
 
 
 class NoveltyWorlds:
-    """Worlds whose rewards rise by a weight divided by the root of how often their arrangement of things was seen.
+    """WorldBatch whose rewards rise by a weight divided by the root of how often their arrangement of things was seen.
 
     Where the cars are plays no part. ``counts`` (BUCKETS,) may be shared by several.
     """
 
-    def __init__(self, worlds: Worlds, weight: float, shape: Shape, counts: NDArray[np.int32]) -> None:
+    def __init__(self, worlds: WorldBatch, weight: float, shape: Shape, counts: NDArray[np.int32]) -> None:
         self.worlds, self.weight, self.counts = worlds, weight, counts
         self._skip = ROW * (1 + shape.n_cars)
         n = shape.vector_length - self._skip

@@ -24,7 +24,7 @@ from craftsim.training.settings import QSettings
 from craftsim.training.shape import Shape
 
 
-class Replay:
+class ReplayMemory:
     """The last rollouts that were played, whose worlds are drawn one by one."""
 
     def __init__(self, shape: Shape, size: int, ticks: int, absent: int) -> None:
@@ -89,7 +89,7 @@ class QLearner(Learner):
             "qtran": self.transformed,
         }[algo]
         self.optimizer = torch.optim.Adam(self.online.parameters(), settings.learning_rate, fused=True)
-        self.replay = Replay(shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent)
+        self.replay = ReplayMemory(shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent)
 
     def act(self, seen: Seen) -> Tensor:
         """Choose each car's best action, and now and then any."""

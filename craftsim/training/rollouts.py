@@ -69,7 +69,7 @@ class Rollout:
         return self.rewards.numel()
 
 
-class Worlds(Protocol):
+class WorldBatch(Protocol):
     """B worlds of one task that are stepped side by side."""
 
     def reset(self, seed: int) -> None:
@@ -89,7 +89,7 @@ class Worlds(Protocol):
 
 
 class GridWorlds:
-    """Worlds on the grid, stepped in one array call."""
+    """WorldBatch on the grid, stepped in one array call."""
 
     def __init__(
         self, task: Task, n: int, rules: RuleSet = "physical", helper_depth: int | None = None
@@ -119,7 +119,7 @@ class GridWorlds:
 
 
 class PhysicsWorlds:
-    """Worlds in physics, spread over worker processes; none of their numbers depends on how many there are."""
+    """WorldBatch in physics, spread over worker processes; none of their numbers depends on how many there are."""
 
     def __init__(self, task: Task, n: int, **options: Any) -> None:
         """Prepare; options are those of :class:`craftsim.envs.vector.PhysicsVectorEnv`."""
@@ -161,7 +161,7 @@ class PhysicsWorlds:
 
 @torch.no_grad()
 def play(
-    worlds: Worlds, encoder: Encoder | RelativeEncoder, act: Callable[[Seen], Tensor], ticks: int
+    worlds: WorldBatch, encoder: Encoder | RelativeEncoder, act: Callable[[Seen], Tensor], ticks: int
 ) -> Rollout:
     """Return so many ticks of all worlds, from where they stand; ``act`` returns actions (B, n) of what is seen."""
     columns: list[tuple[Seen, Seen, Tensor, Tensor, Tensor, Tensor]] = []
@@ -182,7 +182,7 @@ def play(
     )
 
 
-def _look(worlds: Worlds, encoder: Encoder | RelativeEncoder) -> Seen:
+def _look(worlds: WorldBatch, encoder: Encoder | RelativeEncoder) -> Seen:
     vectors, masks = worlds.observe()
     places = encoder.places(torch.from_numpy(vectors.astype(np.int64)))
     return Seen(places.to(torch.int32), torch.from_numpy(masks.copy()))

@@ -37,7 +37,7 @@ from craftsim.training.pqn import PQNLearner
 from craftsim.training.pretraining import begin_as_pretrained
 from craftsim.training.q_learning import QLearner
 from craftsim.training.restoring import numbers
-from craftsim.training.rollouts import GridWorlds, PhysicsWorlds, Rollout, Worlds, play
+from craftsim.training.rollouts import GridWorlds, PhysicsWorlds, Rollout, WorldBatch, play
 from craftsim.training.settings import COMASettings, PPOSettings, PQNSettings, QSettings, settings_of
 from craftsim.training.shape import Shape, check_stage
 from craftsim.workers.actor import defer_sigint
@@ -92,7 +92,7 @@ class Trainer:
         self._stages = [_named(name, config) for name in config.stages] if stages is None else list(stages)
         for stage in self._stages:
             check_stage(stage, self.shape)
-        self._made: tuple[int, Worlds] | None = None
+        self._made: tuple[int, WorldBatch] | None = None
         self.curve: list[Point] = []
         self.wall_s = self.cpu_s = 0.0
         with torch.random.fork_rng():
@@ -119,7 +119,7 @@ class Trainer:
         return min(self.steps // steps, len(stages)) if stages else 0
 
     @property
-    def worlds(self) -> Worlds:
+    def worlds(self) -> WorldBatch:
         """The worlds of rollouts, made when they are first needed, and anew for each stage."""
         if self._made is None or self._made[0] != self.stage:
             self.close()
@@ -127,9 +127,9 @@ class Trainer:
             self._made = self.stage, self._make_worlds(task)
         return self._made[1]
 
-    def _make_worlds(self, task: Task) -> Worlds:
+    def _make_worlds(self, task: Task) -> WorldBatch:
         config = self.config
-        worlds: Worlds
+        worlds: WorldBatch
         if config.backend == "grid":
             worlds = GridWorlds(task, config.n_worlds, config.rules, config.helper_depth)
         else:

@@ -246,7 +246,9 @@ def test_a_folder_for_its_results_does_not_hide_a_shipped_study(tmp_path, monkey
 
 
 def test_a_study_that_is_not_there_is_named_with_those_that_are():
-    with pytest.raises(InputError, match="there are designs, paper, paper_ippo, quick, random"):
+    with pytest.raises(
+        InputError, match="there are designs, paper, paper_ippo, paper_protocol, quick, random"
+    ):
         read_study("papers")
 
 

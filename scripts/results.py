@@ -17,6 +17,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from statistics import median
 from typing import Any, Final
 
 import yaml
@@ -34,6 +35,7 @@ TRAINING: Final = RESULTS / "training"
 OUT: Final = ROOT / "out" / "results"
 
 LATE, BIASED, LAGGING = "docs/results/late.yaml", "docs/results/biased.yaml", "docs/results/lagging.yaml"
+BUILT: Final = "--plan auto --attempts 8 --drive reduced --trials 5 --seed 1"
 MEASURED: Final = {
     "demo": "demo --randomize none --no-video",
     "heavier_car": "demo --randomize none --machines examples/heavier_car.yaml --no-video",
@@ -45,6 +47,9 @@ MEASURED: Final = {
     "lab_floor": "validate simple_two_story --randomize lab_floor --trials 8",
     "workshop_floor": "validate simple_two_story --randomize workshop_floor --trials 8",
     "random": "validate random --randomize none --trials 20 --seed 3232",
+    "large_tower_4": f"validate large_tower_4 --randomize none {BUILT}",
+    "large_tower_4_mild": f"validate large_tower_4 --randomize mild {BUILT}",
+    "large_tower_8_mild": f"validate large_tower_8 --randomize mild {BUILT}",
     "audit_physical": "audit --quick --rules physical --drive reduced",
     "audit_published": "audit --quick --drive reduced",
     "margins": "audit margins --quick",
@@ -58,6 +63,8 @@ STUDIES: Final = {
     "designs": ("curves.png",),
 }
 """The stored studies, and which of their plots are shown."""
+LARGE_STEPS, PROCESSORS = 100_000_000, 200
+"""Of a run on a cluster, as the table of the large tasks works it out."""
 EVALUATIONS: Final = ("designs_greedy", "designs_cars3", "designs_cars4", "designs_zero")
 
 
@@ -135,6 +142,7 @@ def tables() -> dict[str, str]:
             for what in ("rules", "env", "physics")
         },
         "benchmarks": benchmark_tables(_read(RESULTS / "benchmarks.json")),
+        "large": large_table(_read(RESULTS / "large.json")),
         "paper": algorithms_table(_read(TRAINING / "paper.json")),
         "qmix": qmix_table(),
         "studies": studies_table(),
@@ -333,6 +341,49 @@ def _benchmark(cases: list[dict[str, Any]]) -> str:
         (*kept, *columns),
         *((*key, *(row.get(column, "") for column in columns)) for key, row in rows.items()),
     )
+
+
+def large_table(report: dict[str, Any]) -> str:
+    """Return what plans for the large tasks and MAPPO on them take, and what hundreds of processors would."""
+    cases: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for one in report["benchmarks"]:
+        what = one["params"].get("what") or one["name"].split("[")[0].removeprefix("test_")
+        noted = one["extra_info"] | {"cpu_s": one["stats"]["median"]}
+        cases.setdefault((one["params"]["name"], what), []).append(noted)
+    rows = []
+    for name, what in cases:
+        if what != "random_play":
+            continue
+        plans, found = cases.get((name, "a_plan"), []), cases[name, what][0]
+        rollout, update = (cases[name, part][0]["steps_per_s"] for part in ("rollout", "update"))
+        first, ticks = (sorted(plan[key] for plan in plans) for key in ("first_s", "ticks"))
+        rows.append(
+            (
+                f"`{name}`",
+                f"{len(plans)}: {median(first):.1f} s, {first[-1]:.1f} s" if plans else "",
+                f"{median(ticks):.0f}, {ticks[-1]}" if plans else "",
+                f"{found['mean_return']:.2f}",
+                _three_digits(found["steps_per_s"]),
+                _three_digits(rollout),
+                _three_digits(update),
+                f"{LARGE_STEPS * (1 / rollout + 1 / update) / 3600:.1f} h",
+                f"{LARGE_STEPS * (1 / (rollout * PROCESSORS) + 1 / update) / 3600:.1f} h",
+                f"{LARGE_STEPS * (1 / rollout + 1 / update) / PROCESSORS / 60:.1f} min",
+            )
+        )
+    head = (
+        "task",
+        "plans: first one after (median, longest)",
+        "ticks of the best of 8 (median, longest)",
+        "return of random play",
+        "random play",
+        "MAPPO's rollout",
+        "MAPPO's update",
+        "1 processor",
+        f"{PROCESSORS} for rollouts",
+        f"{PROCESSORS} for both",
+    )
+    return table(head, *rows)
 
 
 def algorithms_table(report: dict[str, Any]) -> str:

@@ -37,7 +37,7 @@ _KINDS: Final = {
     "large_free_building_4": _Kind(4, 236, False),
     "large_free_building_8": _Kind(8, 196, False),
 }
-"""Step limits: about 1.5 times what 95 % of the planner's plans for the tower take (docs/reference/tasks.md)."""
+"""Step limits: about 1.3 times the longest of the plans for the tower in docs/results/large.md."""
 LARGE_NAMES: Final = tuple(_KINDS)
 
 

@@ -230,7 +230,7 @@ def test_a_wrong_file_gives_one_message_with_file_and_line(tmp_path, which, text
 
 @pytest.mark.parametrize("which", ["start", "goal", "plan"])
 def test_a_missing_file_gives_one_message_with_its_name(tmp_path, which):
-    words = _write(tmp_path, blueprint=FLAT, goal=GOAL, plan=CARRY)
+    words = _write(tmp_path, start=FLAT, goal=GOAL, plan=CARRY)
     missing = Path(words[words.index(f"--{which}") + 1])
     missing.unlink()
     out = tmp_path / "out"

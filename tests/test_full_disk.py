@@ -102,7 +102,7 @@ ELSEWHERE = {
     # A file to lock stays empty.
     "discrete/kernel/code_cache.py",
     # Lines are added to what is there; arrays and plots are written into memory.
-    "validation/html/svg.py",
+    "reports/html.py",
     "experiments/bundle.py",
     "rendering/trajectory.py",
     # Examples in docstrings.

@@ -69,17 +69,18 @@ def train(
     Ctrl-C ends it after the current iteration with everything saved; --resume goes on as if it had never stopped. Exit
     status 0 when training ended by itself.
 
-    --set takes, each as NAME=VALUE: worlds (stepped side by side in a rollout; 32 in physics, on the grid 500 with ippo
-    and mappo, 100 with pqn, 25 with the others), network
-    (map, or relative, which serves any number of cars), width (of its layers; 128), rules (physical), helper_depth
-    (search depth of the action helper; none), novelty (exploration bonus for a building never seen; 0), explore (ticks
-    of random exploration before learning; 0), imitate (plans of the planner that are imitated before learning; 0),
-    shown_share (of the episodes that start on the way of such a plan; 0.5), starts (a plan or a file of reached worlds
-    with which every second episode starts), pretrained (a policy to begin with), stages (easier tasks before, divided
-    by commas) and stage_steps (on each), acting (greedy or sampled, in evaluations), cars and blocks (other than the
-    task's), in physics drive (reduced), randomize (none) and workers (one for each processor), tensorboard (true for
-    its log), settings (a YAML file of hyperparameters), and each hyperparameter of the algorithm, such as
-    learning_rate.
+    --set takes, each as NAME=VALUE: worlds (stepped side by side in a rollout; 32 in physics, on the grid 500 with
+    ippo and mappo, 100 with pqn, 25 with the others), network (map, or relative, which serves any number of cars),
+    width (of its layers; 128), rules (physical), helper_depth (search depth of the action helper; none),
+    evaluate_every (steps from one evaluation to the next; ten rollouts), evaluation_episodes (of each; 500 on the
+    grid, 64 in physics), novelty (exploration bonus for a building never seen; 0), explore (ticks of random
+    exploration before learning; 0), imitate (plans of the planner that are imitated before learning; 0),
+    shown_share (of the episodes that start on the way of such a plan; 0.5), starts (a plan or a file of reached
+    worlds with which every second episode starts), pretrained (a policy to begin with), stages (easier tasks
+    before, divided by commas) and stage_steps (on each), acting (greedy or sampled, in evaluations), cars and
+    blocks (other than the task's), in physics drive (reduced), randomize (none) and workers (one for each
+    processor), tensorboard (true for its log), settings (a YAML file of hyperparameters), and each hyperparameter
+    of the algorithm, such as learning_rate.
 
     Args:
         task: one of the paper's six, one that varies such as random_strip, or a task of one's own: a registered name, a
@@ -117,7 +118,8 @@ def train(
         physical = {"workers": workers, "drive": given.get("drive"), "randomize": given.get("randomize")}
         _only_in_physics({**physical, "record": None if record == "none" else record})
     run = _protocol(preset, task, algo)
-    steps, until = steps or run.steps, until or run.until
+    steps = run.steps if steps is None else steps
+    until = run.until if until is None else until
     config = _config(given, besides, run, task=task, algo=algo, seed=seed, backend=backend)
     learnt = as_task(task, cars, blocks)
     if not learnt.has_goal:
@@ -283,7 +285,8 @@ def _report(
     trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: float, record: Path | None
 ) -> None:
     from craftsim.reports.json_file import document
-    from craftsim.training.curve import plot_curve
+    from craftsim.training.config import LEARNED
+    from craftsim.training.curve import last_fifth, plot_curve
     from craftsim.training.trainer import training_versions
 
     config, curve = trainer.config, trainer.curve
@@ -293,6 +296,7 @@ def _report(
         "steps": trainer.steps,
         **played.as_figures(),
         "learning_curve": curve,
+        "last_fifth": last_fifth([point.success for point in curve]),
         "training_versions": training_versions(),
     }
     wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
@@ -302,8 +306,8 @@ def _report(
         f"{trainer.task.name}, {config.algo}: {played.in_words}, {played.mean_ticks:.1f} ticks, after "
         f"{trainer.steps:,} steps in {trainer.wall_s:.0f} s."
     )
-    reached = played.success >= asked["until"]
-    headline = Headline(*(("Learnt", Tone.GOOD) if reached else ("Not learnt", Tone.CAUTION)), sentence)
+    reached = played.success >= min(asked["until"], LEARNED)
+    headline = Headline(*(("Learned", Tone.GOOD) if reached else ("Not learned", Tone.CAUTION)), sentence)
     starts = f"{played.solved:,} of {count(played.starts, 'different start')} solved"
     Report(
         "Training",

@@ -13,6 +13,7 @@ from craftsim.experiments.experiment import TrialRecord
 from craftsim.storage.writing import whole
 from craftsim.studies.scores import TAUS, Runs, improvement, iqm_curve, measures, profile
 from craftsim.studies.study import Study, StudyRun
+from craftsim.training.curve import last_fifth
 
 _POINTS: Final = 60
 """Of each curve."""
@@ -74,11 +75,6 @@ def _rate(study: Study, run: dict[str, Any], played: str) -> float:
         return last_fifth([rate for _, rate in run["curve"]])
     evaluation = run["evaluations"].get(played)
     return 0.0 if evaluation is None else float(evaluation["success"]["rate"])
-
-
-def last_fifth(rates: Sequence[float]) -> float:
-    """Return the mean of the last fifth of a run's evaluations; 0 where there is none."""
-    return float(np.mean(rates[-(-len(rates) * 4 // 5) :])) if rates else 0.0
 
 
 def _distinct(runs: Sequence[dict[str, Any]], played: str) -> int:

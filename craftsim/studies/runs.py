@@ -10,7 +10,8 @@ from typing import Any
 from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
 from craftsim.experiments.session import ALONE, run_experiment
 from craftsim.storage.folders import directory_within, owned
-from craftsim.studies.study import LEARNED, Study, StudyRun
+from craftsim.studies.study import Study, StudyRun
+from craftsim.training.config import LEARNED
 
 RUNS = "runs"
 

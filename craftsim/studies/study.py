@@ -28,7 +28,7 @@ from craftsim.storage.limits import (
 from craftsim.storage.paths import exists
 from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
-from craftsim.training.config import AlgoName, Protocol, TrainConfig, protocol
+from craftsim.training.config import LEARNED, AlgoName, Protocol, TrainConfig, protocol
 from craftsim.training.guidance import check_guidance
 from craftsim.training.policy import policy_file
 from craftsim.training.shape import Shape, check_stage
@@ -39,8 +39,6 @@ SETTINGS: Final = tuple(field.name for field in fields(TrainConfig) if field.nam
 """Fields of a training configuration that a study may set."""
 
 
-LEARNED: Final = 0.99
-"""The success rate that counts as learned, unless a study says otherwise."""
 _NAME_CHARACTERS: Final = 80
 """Of a run's folder."""
 

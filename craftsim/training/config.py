@@ -163,13 +163,17 @@ PAPER_LONG_STEPS: Final = 2_000_000
 _SHORT_TASKS: Final = ("strip", "block")
 
 
+LEARNED: Final = 0.99
+"""The success rate that counts as learned, unless a run or a study says otherwise."""
+
+
 @dataclass(frozen=True)
 class Protocol:
     """What a preset settles: fields of a configuration, and how long a run is."""
 
     settings: Mapping[str, Any] = field(default_factory=dict)
     steps: int = 1_000_000
-    until: float = 0.99
+    until: float = LEARNED
 
 
 def protocol(preset: PresetName, task: str, algo: AlgoName) -> Protocol:

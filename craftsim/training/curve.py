@@ -93,6 +93,12 @@ class Point(Played):
             )
 
 
+def last_fifth(rates: Sequence[float]) -> float:
+    """Return the mean success of the last fifth of a run's evaluations, at least of one; 0 where there is none."""
+    last = rates[-max(1, len(rates) // 5) :]
+    return sum(last) / len(last) if last else 0.0
+
+
 def write_curve(path: Path, curve: Sequence[Point]) -> Path:
     """Write one line a point as CSV and return the path; raises InputError where the disk does not take it."""
     names = ("steps", *(field.name for field in fields(Played)))

@@ -33,7 +33,7 @@ def test_a_file_overrides_the_figures_that_it_gives(tmp_path):
 
 
 def test_the_example_of_the_documentation_is_such_a_file(tmp_path):
-    docs = Path(__file__).parents[2] / "docs" / "physics.md"
+    docs = Path(__file__).parents[2] / "docs" / "reference" / "parameters.md"
     (text,) = re.findall(r"```yaml\n(.*?)```", docs.read_text(encoding="utf-8"), re.DOTALL)
     machines = load_machines(_file(tmp_path, text))
     assert machines.car(1).chassis_mass_kg == 2.0

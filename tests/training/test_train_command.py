@@ -11,6 +11,8 @@ import pytest
 
 from craftsim.cli import main
 from craftsim.discrete.tasks import make_task
+from craftsim.training.config import NEVER, protocol
+from craftsim.training.curve import last_fifth
 from craftsim.training.policy import load_policy
 from craftsim.training.trainer import Trainer
 
@@ -100,8 +102,35 @@ def test_a_task_and_a_stage_that_code_makes_are_trained_on_and_gone_on_with(tmp_
 def test_the_preset_of_the_paper_is_its_rules_and_its_helper(tmp_path):
     assert _train(tmp_path, "--preset", "paper", "--steps", "1") == 0
     asked = json.loads((tmp_path / "report.json").read_text())["config"]
-    assert asked.items() >= {"rules": "published", "helper_depth": 20, "explore": 0}.items()
+    settled = {
+        "rules": "published",
+        "helper_depth": 20,
+        "explore": 0,
+        "evaluate_every": 10_000,
+        "until": NEVER,
+    }
+    assert asked.items() >= settled.items()
+    assert asked["evaluation_episodes"] == 20
     assert load_policy(tmp_path).identity.rules == "published"
+
+
+@pytest.mark.parametrize("task", ["strip", "complex_two_story"])
+@pytest.mark.parametrize("algo", ["qmix", "coma", "ippo"])
+def test_the_presets_are_the_papers_with_and_without_exploration(task, algo):
+    run, plus = protocol("paper", task, algo), protocol("paper_plus", task, algo)
+    assert run.steps == (1_000_500 if task == "strip" else 2_000_000)
+    assert run.until == NEVER > 1
+    epsilons = {name: n for name, n in run.settings["hyperparameters"].items() if name.startswith("epsilon")}
+    expected = {"epsilon_start": 0.21, "epsilon_end": 0.2, "epsilon_ticks": 50_000}
+    assert epsilons == (expected if algo == "qmix" else {})
+    assert "explore" not in run.settings
+    assert plus.settings == {**run.settings, "explore": 1_000_000 if task == "strip" else 5_000_000}
+
+
+def test_the_last_fifth_of_a_curve_is_at_least_its_last_evaluation():
+    assert last_fifth([]) == 0
+    assert last_fifth([0.0, 1.0]) == 1
+    assert last_fifth([1.0] * 8 + [0.0, 0.5]) == 0.25
 
 
 def test_a_run_is_neither_overwritten_nor_mixed_with_another(tmp_path, capsys):

@@ -1,9 +1,7 @@
 """Errors, durations, and all figures of a campaign together."""
 
 import json
-import re
 from dataclasses import asdict
-from pathlib import Path
 
 import pytest
 from synthetic import attempt, audit, episodes, record
@@ -184,13 +182,3 @@ def test_figures_have_a_place_in_a_report_and_errors_count_apart(tmp_path):
 def test_figures_of_nothing_are_no_figures():
     figures = campaign_figures([], seed=0)
     assert (figures.trials, figures.all.runs.rate, figures.precision.car_error_mm) == (0, None, None)
-
-
-def test_the_example_of_the_documents_reads_its_table(tmp_path, monkeypatch):
-    text = (Path(__file__).parents[3] / "docs" / "validation.md").read_text(encoding="utf-8")
-    (example,) = (
-        block for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL) if "read_durations" in block
-    )
-    monkeypatch.chdir(tmp_path)
-    exec(compile(example, "validation.md", "exec"), {})
-    assert (tmp_path / "out" / "durations.csv").read_text().startswith("verb,load,level,slope,n,mean_s")

@@ -69,11 +69,11 @@ def _option(one: Argument, width: int) -> Iterator[str]:
     name = (
         _value(one) if _is_positional(one) else " ".join(filter(None, [", ".join(_names(one)), _value(one)]))
     )
-    told = " ".join((one.parameter.help or "").split()).rstrip(".")
+    said = " ".join((one.parameter.help or "").split()).rstrip(".")
     notes = [
         f"[{note}]" for note in (_range(one), f"default {_default(one)}" if _default(one) else "") if note
     ]
-    text = " ".join([f"{told[:1].lower()}{told[1:]}" if told[1:2].islower() else told, *notes])
+    text = " ".join([f"{said[:1].lower()}{said[1:]}" if said[1:2].islower() else said, *notes])
     indent = " " * _INDENT
     explained = textwrap.wrap(
         text, width, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False

@@ -1,4 +1,4 @@
-"""``craftsim robot identify``: a car's parameters from what it was told and measured."""
+"""``craftsim robot identify``: a car's parameters from its commands and measurements."""
 
 from __future__ import annotations
 

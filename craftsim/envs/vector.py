@@ -338,8 +338,8 @@ class PhysicsVectorEnv(TaskVectorEnv):
 
     def _batch(self, answers: Mapping[int, tuple[Any, ...]]) -> Batch:
         """Return the answers of :meth:`_Holder.act` as those of a batch."""
-        seen, rewards, terminated, truncated, told, final = zip(*answers.values(), strict=True)
-        infos: dict[str, Any] = {key: _column(key, [one[key] for one in told]) for key in told[0]}
+        seen, rewards, terminated, truncated, reported, final = zip(*answers.values(), strict=True)
+        infos: dict[str, Any] = {key: _column(key, [one[key] for one in reported]) for key in reported[0]}
         ended = np.array([one is not None for one in final])
         if ended.any():
             last = np.full(len(final), None, object)

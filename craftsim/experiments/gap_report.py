@@ -58,10 +58,10 @@ def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
 
 
 def _headline(gap: RealityGap) -> Headline:
-    told = difference_text(gap.trials, "the simulation", "reality")
+    text = difference_text(gap.trials, "the simulation", "reality")
     if gap.agrees:
-        return Headline("No difference shows", Tone.CAUTION, told)
-    return Headline("Differs", Tone.BAD, told)
+        return Headline("No difference shows", Tone.CAUTION, text)
+    return Headline("Differs", Tone.BAD, text)
 
 
 def _outcomes(gap: RealityGap) -> Section:

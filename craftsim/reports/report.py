@@ -111,7 +111,7 @@ class Drawing:
     height_in: float
     caption: str
     label: str
-    """What a reader is told who cannot see it."""
+    """Text alternative, for screen readers."""
     width_in: float = 6.6
     wide: bool = False
     """Whether it takes the whole width of the page."""
@@ -190,7 +190,7 @@ class Report:
     key_figures: Sequence[KeyFigure] = ()
     sections: Sequence[Section] = ()
     notes: Sequence[str] = ()
-    """What whoever reads the figures must know."""
+    """Remarks on how to read the figures."""
     files: Mapping[str, str | Path] = field(default_factory=dict)
     """What else was written, by what it is."""
     document: Mapping[str, Any] | None = None

@@ -100,7 +100,7 @@ class QSettings(ValueSettings):
     batch: Annotated[int, Range(1, 50_000)] = 512
     """Ticks that a step of the optimiser learns from, in whole rollouts of one world."""
     buffer: Annotated[int, Range(1, 1_000_000)] = 5_000
-    """Ticks that are remembered; with ten times as many VDN unlearns the strip again."""
+    """Ticks that are remembered; with ten times as many a run of VDN on the strip lost what it had learned."""
     replays: Annotated[float, Range(0.01, 1000)] = 16.0
     """How often each tick is learnt from, on average."""
     target_rate: Annotated[float, Range(1e-4, 1)] = 0.01

@@ -88,7 +88,7 @@ def write_parameters(path: Path, found: Identification, assumed: Machines, sourc
     }
     left_out = _drop_misfits(told, assumed)
     lines = [f"# Identified from {source}; intervals are of 95 %."]
-    lines += [f"# Not told: {one.text}." for one in found.untold]
+    lines += [f"# Unidentifiable: {one.text}." for one in found.untold]
     lines += [f"# Left out: {text}" for text in left_out]
     for section, record in (("smartcar", assumed.car(0)), ("block", assumed.block)):
         rows = []

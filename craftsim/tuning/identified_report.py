@@ -34,15 +34,15 @@ def identified_report(
         files: what was written, by what it is.
     """
     figures = document["figures"]
-    told = sum(one.told for one in found.estimates)
-    sentence = f"{told} of {count(len(found.estimates), 'parameter')} identified from {log}."
-    badge, tone = ("Identified", Tone.GOOD) if told else ("Nothing identified", Tone.CAUTION)
+    identified = sum(one.told for one in found.estimates)
+    sentence = f"{identified} of {count(len(found.estimates), 'parameter')} identified from {log}."
+    badge, tone = ("Identified", Tone.GOOD) if identified else ("Nothing identified", Tone.CAUTION)
     return Report(
         "Identification of a car",
         log,
         Headline(badge, tone, sentence),
         [
-            KeyFigure(f"{told}", "parameters identified", f"of {len(found.estimates)}"),
+            KeyFigure(f"{identified}", "parameters identified", f"of {len(found.estimates)}"),
             KeyFigure(
                 f"{figures['values']:,}", "measured values", f"{figures['outliers']:,} outliers left out"
             ),
@@ -67,7 +67,7 @@ def identified_report(
                 "Not identified",
                 "What the log cannot say, and why.",
                 [
-                    *(f"Not told: {text}" for text in figures["untold"]),
+                    *(f"Unidentifiable: {text}" for text in figures["untold"]),
                     *(f"Not in parameters.yaml: {text}" for text in figures["left_out"]),
                 ],
                 terminal=True,
@@ -75,7 +75,7 @@ def identified_report(
         ],
         files=files,
         document=document,
-        exit_code=0 if told else 1,
+        exit_code=0 if identified else 1,
     )
 
 

@@ -40,7 +40,7 @@ def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeyp
         assert now < 0.5 * was
     assert (out / "prediction.png").stat().st_size > 1000
     said = capsys.readouterr().out
-    assert "Not told: position bias" in said
+    assert "Unidentifiable: position bias" in said
     assert "held" in said
 
 

@@ -163,7 +163,20 @@ def film() -> Any:
 
     with _work():
         run("demo", "--no-video", "--level", "0", "--task", "strip", "--out", "strip", *REDUCED)
-        run("render", "strip", "--quality", "draft", "--size", "320x240", "--fps", "4", "--out", "film.mp4")
+        run(
+            "render",
+            "strip",
+            "--level",
+            "0",
+            "--quality",
+            "draft",
+            "--size",
+            "320x240",
+            "--fps",
+            "4",
+            "--out",
+            "film.mp4",
+        )
         with av.open("film.mp4") as container:
             frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
         return {"frames": len(frames), "digests": [digest(frame.tobytes()) for frame in frames[::5]]}

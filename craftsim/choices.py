@@ -13,6 +13,12 @@ Engine = Literal["local", "ray"]
 PlanOrder = Literal["sequential", "ticks", "concurrent"]
 """How a plan is carried out: one action after the other; tick after tick, all cars of one at the same time; or each
 action as early as those that it depends on have ended."""
+Objective = Literal["makespan", "work"]
+"""What a plan is to have little of: the time until all is done, or the sum of all actions' durations."""
+DEFAULT_ROUNDS: Final = 2000
+"""Attempts at a plan, unless given."""
+DEFAULT_TIME_S: Final = 10.0
+"""After so long no attempt at a plan begins, unless given."""
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran", "pqn"]
 Backend = Literal["grid", "physics"]
 PresetName = Literal["paper", "paper_plus"]

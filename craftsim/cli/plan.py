@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
+from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
 from craftsim.cli.options import RESULTS, File, Shown
 from craftsim.cli.text import say
 from craftsim.options import number
-from craftsim.planning.objective import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
 from craftsim.storage.limits import PLAN_ROUNDS, PLAN_TIME_S, SEED
 
 if TYPE_CHECKING:

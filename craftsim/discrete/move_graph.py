@@ -6,14 +6,14 @@ counted in actions.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
 from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
@@ -61,10 +61,14 @@ class MoveGraph:
         """Return the number of a state's node."""
         return node_number(self.size, cell, yaw)
 
-    def nodes(self, cell: Cell, yaws: Iterable[int]) -> list[int]:
-        """Return the numbers of the states in a cell with some yaws."""
-        first = node_number(self.size, cell, 0)
-        return [first + yaw for yaw in yaws]
+    def nodes(self, thing: Piece) -> list[int]:
+        """Return the nodes of a car below a thing."""
+        first = node_number(self.size, thing.cell, 0)
+        return [first + yaw for yaw in thing.yaws]
+
+    def nearest(self, distances: Distances, thing: Piece) -> int:
+        """Return the distance of the states below a thing."""
+        return int(distances[self.nodes(thing)].min())
 
     def floor_nodes(self, columns: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return the nodes of a car on the floor of some columns (L, W), its load's gear being there, too."""

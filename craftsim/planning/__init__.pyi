@@ -1,5 +1,4 @@
-from .goals import NoPlanError
-from .planned import Planned
+from .planned import NoPlanError, Planned
 from .planner import plan_building
 
 __all__ = ["NoPlanError", "Planned", "plan_building"]

@@ -8,9 +8,9 @@ nothing is left has the order, backwards. Where nothing can be taken a ramp is m
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
 from functools import lru_cache
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -20,13 +20,17 @@ from craftsim.discrete.grid import Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph, MoveGraphs
 from craftsim.discrete.rules import Rules
-from craftsim.planning.things import put, take, with_car
 
 State = frozenset[Piece]
+"""What stands of a building."""
+
+_TRIES: Final = 200
+"""Steps backwards that a search for an order may take beyond six for each thing..."""
+_SEARCHES: Final = 12
+"""...before it begins anew, in another order, so many times."""
 
 
-@dataclass(frozen=True)
-class Placing:
+class Placing(NamedTuple):
     """A thing put to its place, or taken away."""
 
     thing: Piece
@@ -36,12 +40,34 @@ class Placing:
         """Return what stands after it."""
         return state - {self.thing} if self.taken else state | {self.thing}
 
+    def before(self, state: State) -> State:
+        """Return what stood before it."""
+        return state | {self.thing} if self.taken else state - {self.thing}
 
-@dataclass(frozen=True)
-class Order:
-    """The steps of a building, in an order in which all of them can be made."""
 
-    steps: tuple[Placing, ...]
+Order = tuple[Placing, ...]
+"""The steps of a building, in an order in which all of them can be made."""
+
+
+def without_things(grid: Grid) -> Grid:
+    """Return the world with nothing but ground and walls."""
+    bare = Grid.empty(grid.size)
+    bare.kind[grid.kind == Kind.WALL] = Kind.WALL
+    bare.derive_marks()
+    return bare
+
+
+def rebuilt(grid: Grid, taken: Collection[Piece] = (), put: Collection[Piece] = ()) -> Grid:
+    """Return a world without some things and with others; itself where there are none of either."""
+    if not taken and not put:
+        return grid
+    grid = grid.copy()
+    for thing in taken:
+        grid.take(thing.cell)
+    for thing in put:
+        grid.put(thing)
+    grid.derive_marks()
+    return grid
 
 
 class Assembly:
@@ -49,20 +75,14 @@ class Assembly:
 
     def __init__(self, base: Grid, rules: Rules) -> None:
         self.base, self.rules, self.graphs = base, rules, MoveGraphs(rules)
+        self.grid = lru_cache(512)(self._make_grid)
+        """The world in which some things stand."""
         self._graph = lru_cache(512)(self._make_graph)
-        self._grids = lru_cache(512)(self._make_grid)
         self.possible = lru_cache(4096)(self._is_possible)
         """Whether a step can be made in a state, by a car that comes from free floor and goes back there."""
 
-    def grid(self, state: State) -> Grid:
-        """Return the world in which some things stand."""
-        return self._grids(state)
-
     def _make_grid(self, state: State) -> Grid:
-        grid = self.base.copy()
-        put(grid, sorted(state, key=lambda thing: thing.kind == Kind.FSLOPE))
-        grid.derive_marks()
-        return grid
+        return rebuilt(self.base, put=sorted(state, key=lambda thing: thing.kind == Kind.FSLOPE))
 
     def _make_graph(self, state: State, load: Kind) -> tuple[MoveGraph, Distances]:
         grid = self.grid(state)
@@ -70,39 +90,144 @@ class Assembly:
         return graph, graph.distances_from(_outside(grid, graph))
 
     def _is_possible(self, state: State, step: Placing) -> bool:
-        if step.taken:
-            return self._can_take(state, step.thing)
-        return self._can_put(state, step.thing)
-
-    def _can_put(self, state: State, thing: Piece) -> bool:
-        grid = self.grid(state)
-        nodes = self._reached_below(state, thing, thing.load)
-        return bool(nodes) and has_room(grid, self.rules, thing) and self._gets_out(state | {thing}, nodes)
-
-    def _can_take(self, state: State, thing: Piece) -> bool:
-        grid = self.grid(state)
-        nodes = self._reached_below(state, thing, Kind.AIR)
+        thing, grid = step.thing, self.grid(state)
+        graph, distances = self._graph(state, Kind.AIR if step.taken else thing.load)
+        nodes = [node for node in graph.nodes(thing) if distances[node] < UNREACHABLE]
         if not nodes:
             return False
-        yaw = thing.yaws[0]
+        if not step.taken:
+            return self.has_room(grid, thing) and self._gets_out(state | {thing}, nodes, Kind.AIR)
         rest = state - {thing}
         if thing.kind == Kind.BODY:
-            if not self.rules.legal(with_car(grid, thing.cell, yaw), 0, Action.FOLD):
+            if not self.allows(grid, thing, Action.FOLD):
                 return False
             grid = self.grid(rest | {thing._replace(kind=Kind.FSLOPE)})
-        if not self.rules.legal(with_car(grid, thing.cell, yaw), 0, Action.LIFT):
-            return False
-        return self._gets_out(rest, nodes, thing.load)
+        return self.allows(grid, thing, Action.LIFT) and self._gets_out(rest, nodes, thing.load)
 
-    def _reached_below(self, state: State, thing: Piece, load: Kind) -> list[int]:
-        """Return the states below a thing, or its place, that a car with a load can reach from free floor."""
-        graph, distances = self._graph(state, load)
-        return [node for node in graph.nodes(thing.cell, thing.yaws) if distances[node] < UNREACHABLE]
-
-    def _gets_out(self, state: State, nodes: list[int], load: Kind = Kind.AIR) -> bool:
+    def _gets_out(self, state: State, nodes: list[int], load: Kind) -> bool:
         graph, _ = self._graph(state, load)
         distances = graph.distances_from(nodes)
         return bool((distances[_outside(self.grid(state), graph)] < UNREACHABLE).any())
+
+    def allows(self, grid: Grid, thing: Piece, action: Action, load: Kind = Kind.AIR) -> bool:
+        """Return whether a single car, with a load, can do an action in the place of a thing."""
+        yaw = thing.yaws[0]
+        car = [*thing.cell, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0, 0]
+        return self.rules.legal(Grid(grid.cells, np.array([car], np.int16)), 0, action)
+
+    def has_room(self, grid: Grid, thing: Piece) -> bool:
+        """Return whether a thing can stand in its place: free, in the area, borne, and so that a car may act there."""
+        for cell in thing.cells if thing.kind == Kind.BODY else thing.cells[:1]:
+            x, y, z = cell
+            if not grid.inside(cell) or grid.kind_at(cell) != Kind.AIR:
+                return False
+            if grid.kind_at((x, y, z - 1)) not in (Kind.GROUND, Kind.BLOCK):
+                return False
+            if grid.kind_at((x, y, z + 1)) not in (Kind.AIR, Kind.GEAR):
+                return False
+        if thing.load != Kind.FSLOPE:
+            return True
+        if not self.allows(grid, thing, Action.DROP, Kind.FSLOPE):
+            return False
+        folded = thing._replace(kind=Kind.FSLOPE)
+        return thing == folded or self.allows(rebuilt(grid, put=[folded]), thing, Action.UNFOLD)
+
+    def find_order(self, goal: State, fixed: State, n_slopes: int, rng: np.random.Generator) -> Order | None:
+        """Return an order in which the things of a goal can be put to their places, or None if none is found.
+
+        Args:
+            goal: the finished building.
+            fixed: those of its things that stand already.
+            n_slopes: how many slopes there are; those that the goal does not have may serve for building.
+            rng: decides between steps that are equally good.
+        """
+        for i in range(_SEARCHES):
+            path = self._search(goal, fixed, n_slopes, rng, from_below=i % 4 == 3)
+            if path is not None:
+                return tuple(reversed(path))
+        return None
+
+    def _search(
+        self, goal: State, fixed: State, n_slopes: int, rng: np.random.Generator, from_below: bool
+    ) -> list[Placing] | None:
+        """Return the steps from the last to the first; ``from_below``: the lowest level may go while others stand."""
+        seen: set[State] = {goal}
+        path: list[Placing] = []
+        states, branches = [goal], [self._options(goal, fixed, n_slopes, rng, from_below)]
+        for _ in range(_TRIES + 6 * len(goal)):
+            if states[-1] == fixed:
+                return path
+            step = next(branches[-1], None)
+            if step is None:
+                branches.pop()
+                states.pop()
+                if not branches:
+                    return None
+                path.pop()
+                continue
+            before = step.before(states[-1])
+            if before not in seen:
+                seen.add(before)
+                path.append(step)
+                states.append(before)
+                branches.append(self._options(before, fixed, n_slopes, rng, from_below))
+        return None
+
+    def _options(
+        self, state: State, fixed: State, n_slopes: int, rng: np.random.Generator, from_below: bool
+    ) -> Iterator[Placing]:
+        """Yield the steps that may have come last, the likeliest first."""
+        rest = sorted(state - fixed)
+        rest = [rest[i] for i in rng.permutation(len(rest))]
+        ramps = [thing for thing in rest if thing.kind == Kind.BODY]
+        things = [thing for thing in rest if thing.kind != Kind.BODY]
+        upper = [thing for thing in things if thing.cell[2] > 1]
+        highest = max((thing.cell[2] for thing in things), default=0)
+        ramps_left = n_slopes - sum(thing.load == Kind.FSLOPE for thing in state)
+        # A ramp goes as soon as it leads nowhere that is still to be built.
+        yield from self._last(state, [thing for thing in ramps if thing.cell[2] >= highest])
+        barren: dict[Placing, None] = {}
+        for level in range(highest, 1, -1):
+            here = [thing for thing in upper if thing.cell[2] == level]
+            yield from self._last(state, here)
+            if ramps_left > 0 and here:
+                for step, serves in self._ramps(state, here, rng):
+                    if serves:
+                        yield step
+                    else:
+                        barren[step] = None
+        # A ramp elsewhere may do; the floor level comes last, for what stands on it is driven on.
+        yield from self._last(state, [thing for thing in ramps if thing.cell[2] < highest])
+        yield from barren
+        if from_below or not upper:
+            yield from self._last(state, [thing for thing in things if thing.cell[2] == 1])
+
+    def _last(self, state: State, things: list[Piece]) -> Iterator[Placing]:
+        """Yield the placings of some things that may have come last."""
+        for thing in things:
+            if self.possible(state - {thing}, step := Placing(thing)):
+                yield step
+
+    def _ramps(
+        self, state: State, upper: list[Piece], rng: np.random.Generator
+    ) -> Iterator[tuple[Placing, bool]]:
+        """Yield ramps that may have been taken away last, and whether something is in reach with each."""
+        places = list(self._ramp_places(self.grid(state)))
+        for i in rng.permutation(len(places)):
+            before = state | {places[i]}
+            if self.possible(before, step := Placing(places[i], taken=True)):
+                yield step, any(self.possible(before - {thing}, Placing(thing)) for thing in upper)
+
+    def _ramp_places(self, grid: Grid) -> Iterator[Piece]:
+        """Yield where an unfolded slope has room and leads up to a block, the lowest first."""
+        for z in range(1, grid.size[2] + 1):
+            for x, y in np.argwhere(grid.kind[:, :, z] == Kind.BLOCK).tolist():
+                if grid.kind_at((x, y, z + 1)) not in (Kind.AIR, Kind.BLOCK, Kind.FLAG):
+                    continue
+                for yaw in range(4):
+                    ramp = Piece(Kind.BODY, beside((x, y, z), yaw), yaw)
+                    if self.has_room(grid, ramp):
+                        yield ramp
 
 
 def _outside(grid: Grid, graph: MoveGraph) -> NDArray[np.int64]:
@@ -111,50 +236,3 @@ def _outside(grid: Grid, graph: MoveGraph) -> NDArray[np.int64]:
     _, pieces = cv2.connectedComponents(free, connectivity=4)
     sizes = np.bincount(pieces.ravel(), minlength=2)
     return graph.floor_nodes(pieces == 1 + np.argmax(sizes[1:]))
-
-
-def has_room(grid: Grid, rules: Rules, thing: Piece) -> bool:
-    """Return whether a thing can stand in its place: free, in the area, borne, and so that a car may act there."""
-    cells = thing.cells if thing.kind == Kind.BODY else thing.cells[:1]
-    for cell in cells:
-        inside = all(0 <= c < n for c, n in zip(cell, grid.kind.shape, strict=True))
-        below = (cell[0], cell[1], cell[2] - 1)
-        if not inside or grid.kind_at(cell) != Kind.AIR:
-            return False
-        if grid.kind_at(below) not in (Kind.GROUND, Kind.BLOCK):
-            return False
-        if grid.kind_at((cell[0], cell[1], cell[2] + 1)) not in (Kind.AIR, Kind.GEAR):
-            return False
-    if thing.load != Kind.FSLOPE:
-        return True
-    yaw = thing.yaws[0]
-    if not rules.legal(with_car(grid, thing.cell, yaw, Kind.FSLOPE), 0, Action.DROP):
-        return False
-    if thing.kind == Kind.FSLOPE:
-        return True
-    folded = grid.copy()
-    put(folded, [thing._replace(kind=Kind.FSLOPE)])
-    folded.derive_marks()
-    return rules.legal(with_car(folded, thing.cell, yaw), 0, Action.UNFOLD)
-
-
-def ramp_places(grid: Grid, rules: Rules) -> Iterator[Piece]:
-    """Yield where an unfolded slope has room and leads up to a block, the lowest first."""
-    for z in range(1, grid.size[2] + 1):
-        for x, y in np.argwhere(grid.kind[:, :, z] == Kind.BLOCK).tolist():
-            if grid.kind_at((x, y, z + 1)) not in (Kind.AIR, Kind.BLOCK, Kind.FLAG):
-                continue
-            for yaw in range(4):
-                ramp = Piece(Kind.BODY, beside((x, y, z), yaw), yaw)
-                if has_room(grid, rules, ramp):
-                    yield ramp
-
-
-def taken_out(grid: Grid, things: list[Piece]) -> Grid:
-    """Return a world without some things."""
-    if not things:
-        return grid
-    rest = grid.copy()
-    take(rest, things)
-    rest.derive_marks()
-    return rest

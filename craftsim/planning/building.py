@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from craftsim.discrete.grid import Cell, Grid, Kind, beside
+from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph
-from craftsim.planning.assembly import Assembly, Order, State, has_room, taken_out
-from craftsim.planning.grounds import Grounds
+from craftsim.planning.assembly import Assembly, Order, State, rebuilt
 from craftsim.planning.joint_plan import FLAP_TICKS, Delivery, JointPlan, Saved, cells_on_path
-from craftsim.planning.reach import Reach, nearest, onward_from, sources
 
 _FAILURES: Final = 40
 """So many deliveries in vain end an attempt."""
@@ -23,6 +22,8 @@ _TRIES: Final = 6
 """So many deliveries are tried in a turn."""
 _AHEAD: Final = 3
 """So many more steps than there are cars are looked at in a turn."""
+_PLACES: Final = 24
+"""So many places where something could be put aside are looked at."""
 
 
 class Turn(NamedTuple):
@@ -78,13 +79,27 @@ class Construction:
         self._script, self._last_tick = script, last_tick
         self._done: set[int] = set()
         self._standing = fixed
-        self._grounds = Grounds(assembly, [*(step.thing for step in order.steps), *fixed])
+        things = [*(step.thing for step in order), *fixed]
+        self._cells = {cell for thing in things for cell in thing.cells}
+        """Those of the building, and of ramps that serve only for putting it up."""
+        self._keep_free = self._cells | {
+            beside(thing.cells[1], thing.yaw) for thing in things if thing.kind == Kind.BODY
+        }
+        self._around = {
+            (x + dx, y + dy, 1) for x, y, _ in self._keep_free for dx in range(-2, 3) for dy in range(-2, 3)
+        }
+        """The floor up to two cells away."""
         n_cars = min(start.n_cars, style.n_cars)
         self._cars = sorted(self.rng.permutation(start.n_cars)[:n_cars].tolist())
         for turn, _ in past:
             self._note(turn.step)
         if past:
             self.plan.restore(past[-1][1])
+
+    @property
+    def n_ticks(self) -> int:
+        """How many ticks the deliveries take that have been planned."""
+        return max(self.plan.ready)
 
     def run(self) -> bool:
         """Make the plan; return whether it came to its end."""
@@ -96,7 +111,7 @@ class Construction:
             if self.n_ticks > self._last_tick:
                 return False
         failures = 0
-        while len(self._done) < len(self.order.steps):
+        while len(self._done) < len(self.order):
             made = bool(self.style.early) and self.rng.random() < self.style.early and self._clear()
             made = made or self._place()
             if not made and not self._clear():
@@ -111,30 +126,35 @@ class Construction:
         car, delivery, k = turn
         if k is not None and not (
             k not in self._done
-            and self.assembly.possible(self._standing, self.order.steps[k])
+            and self.assembly.possible(self._standing, self.order[k])
             and self._bars_nothing(k)
         ):
             return False
-        if delivery.source is None:
+        source = delivery.source
+        if source is None:
             return self.plan.load(car) == delivery.target.load
         if self.plan.load(car) != Kind.AIR:
             return False
         grid = self.plan.end
-        if k is not None and self.order.steps[k].taken:
-            here = delivery.source in set(grid.pieces())
-        else:
-            here = delivery.source in sources(self.assembly, grid, self._standing).get(
-                delivery.source.load, []
-            )
-        return here and has_room(taken_out(grid, [delivery.source]), self.assembly.rules, delivery.target)
+        taken = k is not None and self.order[k].taken
+        here = grid.pieces() if taken else self._loose(grid).get(source.load, [])
+        return source in here and self.assembly.has_room(rebuilt(grid, [source]), delivery.target)
 
     def _take_turn(self, car: int, delivery: Delivery, k: int | None) -> bool:
-        """Let a car take over a delivery; return whether it could."""
-        if not self._take_over(car, delivery):
+        """Let a car take over a delivery; return whether it could. Cars that wait in its way are sent aside once."""
+        parking = self._parking(car)
+        if not self.plan.take_over(car, delivery, parking) and not (
+            self._send_aside(car, delivery) and self.plan.take_over(car, delivery, parking)
+        ):
             return False
         self._note(k)
         self.turns.append((Turn(car, delivery, k), self.plan.saved()))
         return True
+
+    def _note(self, k: int | None) -> None:
+        if k is not None:
+            self._done.add(k)
+            self._standing = self.order[k].after(self._standing)
 
     def _place(self) -> bool:
         """Make the step that is made first, by whom it is made first; return whether one could be made."""
@@ -152,78 +172,80 @@ class Construction:
                 return False
         return False
 
-    @property
-    def n_ticks(self) -> int:
-        """How many ticks the deliveries take that have been planned."""
-        return max(self.plan.ready)
-
-    def _note(self, k: int | None) -> None:
-        if k is not None:
-            self._done.add(k)
-            self._standing = self.order.steps[k].after(self._standing)
-
     def _left(self) -> list[int]:
         """Return the first steps that have not been made, in order."""
-        left = [k for k in range(len(self.order.steps)) if k not in self._done]
+        left = [k for k in range(len(self.order)) if k not in self._done]
         return left[: len(self._cars) + _AHEAD]
 
     def _pending(self) -> list[int]:
         """Return the steps that could be made next."""
-        return [k for k in self._left() if self.assembly.possible(self._standing, self.order.steps[k])]
+        return [k for k in self._left() if self.assembly.possible(self._standing, self.order[k])]
 
     def _bars_nothing(self, k: int) -> bool:
         """Return whether those steps that come before one in the order can still be made after it."""
-        state = self.order.steps[k].after(self._standing)
+        state = self.order[k].after(self._standing)
         for earlier in self._left():
             if earlier >= k:
                 break
-            step = self.order.steps[earlier]
+            step = self.order[earlier]
             if not self.assembly.possible(state, step):
                 return False
             state = step.after(state)
         return True
 
+    def _loose(self, grid: Grid) -> dict[Kind, list[Piece]]:
+        """Return what can be taken up and does not stand in its place already, by the load that it makes."""
+        found: dict[Kind, list[Piece]] = {}
+        for thing in grid.pieces():
+            if thing in self._standing or (
+                thing.kind == Kind.BLOCK and thing._replace(yaw=0) in self._standing
+            ):
+                continue
+            action = Action.FOLD if thing.kind == Kind.BODY else Action.LIFT
+            if self.assembly.allows(grid, thing, action):
+                found.setdefault(thing.load, []).append(thing)
+        return found
+
     def _options(self) -> list[tuple[float, int, int, Delivery]]:
         """Return what can be done next: cost, car, step and delivery, the cheapest first."""
-        grid = self.plan.end
-        walking = self.assembly.graphs.graph(grid)
+        grid, graphs = self.plan.end, self.assembly.graphs
+        walking = graphs.graph(grid)
         costs: list[tuple[float, int, int, Delivery]] = []
-        to_cells = {car: self._distances(walking, car) for car in self._cars}
-        loose = sources(self.assembly, grid, self._standing)
-        loaded: dict[Kind, MoveGraph] = {}
+        to_cells = {car: walking.distances_from([self.plan.node(car)]) for car in self._cars}
+        loose = self._loose(grid)
         for k in self._pending():
-            step = self.order.steps[k]
+            step = self.order[k]
             target = step.thing
             if step.taken:
-                aside = self._grounds.aside(grid, target, lambda moved: True)
+                aside = self._aside(grid, target, lambda moved: True)
                 if aside is None:
                     continue
                 target = aside
             load = target.load
-            if load not in loaded:
-                loaded[load] = self.assembly.graphs.graph(grid, load)
-            onward = loaded[load].distances_to(loaded[load].nodes(target.cell, target.yaws))
+            loaded = graphs.graph(grid, load)
+            onward = loaded.distances_to(loaded.nodes(target))
             for source in [step.thing] if step.taken else loose.get(load, []):
-                rest = taken_out(grid, [source])
-                far = onward_from(onward, walking, grid, source)
+                rest = rebuilt(grid, [source])
                 if load == Kind.FSLOPE:
                     # It stands in two cells, and can only be driven out of in one direction: so exactly.
-                    graph = self.assembly.graphs.graph(rest, load)
-                    far = nearest(graph.distances_to(graph.nodes(target.cell, target.yaws)), graph, source)
-                if far >= UNREACHABLE or not has_room(rest, self.assembly.rules, target):
+                    graph = graphs.graph(rest, load)
+                    far = graph.nearest(graph.distances_to(graph.nodes(target)), source)
+                else:
+                    far = _onward_from(onward, walking, grid, source)
+                if far >= UNREACHABLE or not self.assembly.has_room(rest, target):
                     continue
                 swings = (source.kind == Kind.BODY) + (target.kind == Kind.BODY)
                 for car in self._cars:
                     if self.plan.load(car) != Kind.AIR:
                         continue
-                    near = nearest(to_cells[car], walking, source)
+                    near = walking.nearest(to_cells[car], source)
                     if near < UNREACHABLE:
                         work = near + far + 2 + swings * (FLAP_TICKS + 1)
                         cost = self._cost(car, work) - swings * self.style.haste * FLAP_TICKS * 2
                         costs.append((cost, car, k, Delivery(source, target)))
             for car in self._cars:
                 if self.plan.load(car) == load and not step.taken:
-                    far = int(onward[self.plan.node(car, self.plan.ready[car])])
+                    far = int(onward[self.plan.node(car)])
                     if far < UNREACHABLE:
                         costs.append((self._cost(car, far + 1), car, k, Delivery(None, target)))
         return sorted(costs, key=lambda cost: cost[0])
@@ -232,60 +254,80 @@ class Construction:
         begun = self.plan.ready[car] if self.style.together else 0
         return (begun + work) * (1 + self.style.noise * self.rng.random())
 
-    def _distances(self, walking: MoveGraph, car: int) -> Distances:
-        return walking.distances_from([self.plan.node(car, self.plan.ready[car])])
-
-    def _take_over(self, car: int, delivery: Delivery) -> bool:
-        """Let a car take over a delivery; cars that wait in its way are sent aside once."""
-        if self.plan.take_over(car, delivery, self._grounds.parking(car)):
-            return True
+    def _send_aside(self, car: int, delivery: Delivery) -> bool:
+        """Move cars aside that wait in the way of a delivery; return whether one was."""
         way = self._way(car, delivery)
         # A load needs room beside its way, too.
         near = way | {beside(cell, yaw) for cell in way for yaw in range(4)}
-        grid = self.plan.end
-        sent = False
+        grid, sent = self.plan.end, False
         for other in range(self.plan.n_cars):
             here = tuple(grid.cars[other, :3].tolist())
             if other != car and here in near and self.plan.load(other) == Kind.AIR:
-                sent |= any(
-                    self.plan.move_aside(other, near | kept)
-                    for kept in (self._grounds.around, self._grounds.cells)
-                )
-        return sent and self.plan.take_over(car, delivery, self._grounds.parking(car))
+                sent |= any(self.plan.move_aside(other, near | kept) for kept in (self._around, self._cells))
+        return sent
 
     def _way(self, car: int, delivery: Delivery) -> set[Cell]:
         """Return the cells of the straight way to a thing and on to its place, as if there were no other cars."""
         grid, graphs = self.plan.end, self.assembly.graphs
-        node = self.plan.node(car, self.plan.ready[car])
-        cells = {delivery.target.cell}
-        if delivery.source is not None:
+        source, target = delivery.source, delivery.target
+        node, cells = self.plan.node(car), {target.cell}
+        if source is not None:
             graph = graphs.graph(grid)
-            cells |= cells_on_path(
-                graph, node, graph.distances_to(graph.nodes(delivery.source.cell, delivery.source.yaws))
-            )
-            grid = taken_out(grid, [delivery.source])
-        graph = graphs.graph(grid, delivery.target.load)
-        distances = graph.distances_to(graph.nodes(delivery.target.cell, delivery.target.yaws))
-        if delivery.source is not None:
-            node = min(
-                graph.nodes(delivery.source.cell, delivery.source.yaws), key=lambda node: int(distances[node])
-            )
+            cells |= cells_on_path(graph, node, graph.distances_to(graph.nodes(source)))
+            grid = rebuilt(grid, [source])
+        graph = graphs.graph(grid, target.load)
+        distances = graph.distances_to(graph.nodes(target))
+        if source is not None:
+            node = min(graph.nodes(source), key=lambda node: int(distances[node]))
         return cells | cells_on_path(graph, node, distances)
+
+    def _parking(self, car: int) -> Callable[[MoveGraph, Grid], list[int]]:
+        """Return what says where a car may wait: on free floor, best two cells away from what is being built."""
+
+        def places(graph: MoveGraph, grid: Grid) -> list[int]:
+            taken = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
+            free = {(x, y, 1) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()} - taken
+            for kept in (self._around, self._keep_free):
+                cells = sorted(free - kept)
+                if cells:
+                    return [graph.node(cell, yaw) for cell in cells for yaw in range(4)]
+            return []
+
+        return places
+
+    def _aside(self, grid: Grid, thing: Piece, fits: Callable[[Grid], bool]) -> Piece | None:
+        """Return where a thing could stand out of the way: the nearest such place with which a world will do."""
+        load = thing.load
+        rest = rebuilt(grid, [thing])
+        graph = self.assembly.graphs.graph(rest, load)
+        distances = graph.distances_from(graph.nodes(thing))
+        places = []
+        for x, y in np.argwhere(rest.kind[:, :, 1] == Kind.AIR).tolist():
+            for yaw in range(4) if load == Kind.FSLOPE else [0]:
+                there = Piece(load, (x, y, 1), yaw)
+                if (
+                    self._keep_free.isdisjoint(there.cells)
+                    and there.cell != thing.cell
+                    and (far := graph.nearest(distances, there)) < UNREACHABLE
+                    and self.assembly.has_room(rest, there)
+                ):
+                    places.append((far, there))
+        nearest = (there for _, there in sorted(places)[:_PLACES])
+        return next((there for there in nearest if fits(rebuilt(rest, put=[there]))), None)
 
     def _clear(self) -> bool:
         """Move something that bars the next step out of the way; return whether that was possible."""
         grid = self.plan.end
-        loose = [
-            thing for things in sources(self.assembly, grid, self._standing).values() for thing in things
-        ]
-        nodes = [self.plan.node(car, self.plan.ready[car]) for car in self._cars]
-        reach = Reach(self.assembly, self._standing, nodes)
+        loose = [thing for things in self._loose(grid).values() for thing in things]
+        nodes = [self.plan.node(car) for car in self._cars]
         for k in self._pending():
-            target, taken = self.order.steps[k].thing, self.order.steps[k].taken
-            barring = [] if taken else reach.barring(grid, loose, target)
+            target, taken = self.order[k].thing, self.order[k].taken
+            barring = [] if taken else self._barring(grid, nodes, loose, target)
             for thing in barring:
                 others = [other for other in barring if other != thing]
-                aside = self._grounds.aside(grid, thing, partial(reach.reaches, gone=others, target=target))
+                aside = self._aside(
+                    grid, thing, partial(self._reaches, nodes=nodes, gone=others, target=target)
+                )
                 if aside is None:
                     continue
                 free = [car for car in self._cars if self.plan.load(car) == Kind.AIR]
@@ -299,7 +341,53 @@ class Construction:
         """Return whether more steps need such a load than there are cars that carry one."""
         wanted = sum(
             not step.taken and step.thing.load == load
-            for k, step in enumerate(self.order.steps)
+            for k, step in enumerate(self.order)
             if k not in self._done
         )
         return wanted > sum(self.plan.load(car) == load for car in self._cars)
+
+    def _barring(self, grid: Grid, nodes: list[int], loose: list[Piece], target: Piece) -> list[Piece]:
+        """Return the loose things that must go before a place can be filled; none of the others need to."""
+        gone = list(loose)
+        if not self._reaches(grid, nodes, gone, target):
+            return []
+        for thing in sorted(loose, key=lambda thing: -_manhattan(thing.cell, target.cell)):
+            fewer = [other for other in gone if other != thing]
+            if self._reaches(grid, nodes, fewer, target):
+                gone = fewer
+        return gone
+
+    def _reaches(self, grid: Grid, nodes: list[int], gone: Collection[Piece], target: Piece) -> bool:
+        """Return whether cars that wait can drive a load to a place from somewhere else, once some things are gone."""
+        graphs, rest = self.assembly.graphs, rebuilt(grid, gone)
+        if not self.assembly.has_room(rest, target):
+            return False
+        graph = graphs.graph(rest, target.load)
+        distances = graph.distances_to(graph.nodes(target))
+        reached = graphs.graph(rest).distances_from(nodes)
+        for thing in grid.pieces():
+            if thing in self._standing or thing.load != target.load:
+                continue
+            if thing in gone:
+                if _onward_from(distances, graph, rest, thing) < UNREACHABLE:
+                    return True
+            else:
+                carrying = graphs.graph(rebuilt(rest, [thing]), target.load)
+                far = carrying.nearest(carrying.distances_to(carrying.nodes(target)), thing)
+                if far < UNREACHABLE and graph.nearest(reached, thing) < UNREACHABLE:
+                    return True
+        return False
+
+
+def _onward_from(distances: Distances, graph: MoveGraph, grid: Grid, thing: Piece) -> int:
+    """Return the distance from a thing that has been taken up: from there, or from the next cell that is free."""
+    far = graph.nearest(distances, thing)
+    for direction in range(4):
+        cell = beside(thing.cell, direction)
+        if grid.inside(cell) and grid.kind[cell] in (Kind.AIR, Kind.GEAR):
+            far = min(far, 1 + graph.nearest(distances, thing._replace(cell=cell)))
+    return far
+
+
+def _manhattan(a: Cell, b: Cell) -> int:
+    return sum(abs(i - j) for i, j in zip(a, b, strict=True))

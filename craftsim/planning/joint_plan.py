@@ -23,11 +23,9 @@ from craftsim.discrete.move_graph import (
     MoveGraph,
     MoveGraphs,
     cell_of_node,
-    node_number,
 )
-from craftsim.planning.assembly import taken_out
-from craftsim.planning.paths import WAIT, PathFinder
-from craftsim.planning.timeline import NOTHING_DONE, Timeline
+from craftsim.planning.assembly import rebuilt
+from craftsim.planning.timeline import WAIT, Timeline
 
 FLAP_TICKS: Final = 10
 """FOLD and UNFOLD take so many ticks longer than other actions."""
@@ -55,6 +53,8 @@ class Delivery:
         return (self.source.cell, self.source.yaw) == (self.target.cell, self.target.yaw)
 
 
+Parking = Callable[[MoveGraph, Grid], list[int]]
+"""Returns the states in which a car may stay when its delivery is done."""
 Saved = tuple[NDArray[np.int8], tuple[int, ...]]
 """A plan that has grown so far: its actions, and when each car's last delivery ends."""
 
@@ -68,12 +68,11 @@ class JointPlan:
         self._graphs = graphs
         self.ready = [0] * grid.n_cars
         """The tick in which each car's last delivery ends; what it does after that is given up for the next."""
-        self._finder = PathFinder(grid.size)
 
     @property
     def end(self) -> Grid:
         """The world when everything planned so far is done."""
-        return self.timeline.worlds.grid(self.timeline.end)
+        return self.timeline.grid(self.timeline.end)
 
     def saved(self) -> Saved:
         """Return what is planned, for :meth:`restore`."""
@@ -83,28 +82,22 @@ class JointPlan:
         """Plan again what was saved."""
         actions, ready = saved
         self.timeline.reserve(len(actions))
-        self.timeline.actions[:] = NOTHING_DONE
+        self.timeline.actions[:] = WAIT
         self.timeline.actions[: len(actions)] = actions
         self.timeline.shorten()
         self.timeline.replay(0)
         self.ready[:] = ready
 
-    def node(self, car: int, tick: int) -> int:
-        """Return a car's state before a tick."""
-        x, y, z, yaw = self.timeline.worlds.stack.cars[tick, car, :4].tolist()
-        return node_number(self.size, (x, y, z), yaw)
+    def node(self, car: int) -> int:
+        """Return a car's state once its last delivery has ended."""
+        return self.timeline.node(car, self.ready[car])
 
     def load(self, car: int) -> Kind:
         """Return what a car carries once its last delivery has ended."""
-        return Kind(int(self.timeline.worlds.stack.cars[self.ready[car], car, CarField.LOAD]))
+        return Kind(int(self.timeline.worlds.cars[self.ready[car], car, CarField.LOAD]))
 
-    def take_over(
-        self, car: int, delivery: Delivery, parking: Callable[[MoveGraph, Grid], list[int]]
-    ) -> bool:
-        """Plan a delivery of a car as early as it can be; return whether there was a way.
-
-        ``parking`` returns the states in which a car may stay when the delivery is done.
-        """
+    def take_over(self, car: int, delivery: Delivery, parking: Parking) -> bool:
+        """Plan a delivery of a car as early as it can be; return whether there was a way."""
         saved, ready = self.saved(), self.ready[car]
         not_before = 0
         for attempt in range(_DELAYS + 1):
@@ -127,14 +120,17 @@ class JointPlan:
         """Let a car that waits go to the nearest cell of the floor outside of some; return whether it could."""
         saved, ready = self.saved(), self.ready[car]
         self.timeline.write(car, ready, [])
-        graph, grid = self._graph(car, Kind.AIR)
+        grid = self.end
+        graph = self._graphs.graph(grid)
+        reached = graph.distances_from([self.node(car)]) < UNREACHABLE
+        others = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
         goals = [
             node
-            for node in np.flatnonzero(graph.distances_from([self.node(car, ready)]) < UNREACHABLE).tolist()
+            for node in np.flatnonzero(reached).tolist()
             if (cell := cell_of_node(self.size, node)) not in keep_free
             and cell[2] == 1
             and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK)
-            and not _car_in(grid, car, cell)
+            and cell not in others
         ]
         moved = bool(goals) and self._go(car, ready, Kind.AIR, graph.distances_to(goals), -1, 0) is not None
         if moved:
@@ -145,22 +141,10 @@ class JointPlan:
         return True
 
     def _last_of(self, car: int) -> int:
-        acting = np.flatnonzero(self.timeline.actions[:, car] != NOTHING_DONE)
+        acting = np.flatnonzero(self.timeline.actions[:, car] != WAIT)
         return int(acting[-1]) + 1 if len(acting) else 0
 
-    def _graph(self, car: int, load: Kind) -> tuple[MoveGraph, Grid]:
-        """Return the moves of a car in the world at the end, and that world."""
-        grid = self.end
-        return self._graphs.graph(grid, load), grid
-
-    def _plan(
-        self,
-        car: int,
-        delivery: Delivery,
-        tick: int,
-        not_before: int,
-        parking: Callable[[MoveGraph, Grid], list[int]],
-    ) -> int | None:
+    def _plan(self, car: int, delivery: Delivery, tick: int, not_before: int, parking: Parking) -> int | None:
         """Plan a delivery from a tick on; return None if all is well, the tick of a conflict, or -1 without a path."""
         bring = self._turn_over if delivery.stays else self._carry
         tick = bring(car, delivery, tick, not_before)
@@ -168,7 +152,8 @@ class JointPlan:
             return -1
         self.ready[car] = tick
         self.timeline.replay(0)
-        graph, grid = self._graph(car, Kind.AIR)
+        grid = self.end
+        graph = self._graphs.graph(grid)
         goals = [] if delivery.hold else parking(graph, grid)
         left = not goals or self._go(car, tick, Kind.AIR, graph.distances_to(goals), -1, 0) is not None
         if not left and delivery.target.cell[2] > 1:
@@ -179,9 +164,9 @@ class JointPlan:
 
     def _turn_over(self, car: int, delivery: Delivery, tick: int, not_before: int) -> int:
         """Fold or unfold a slope where it stands; return the tick after, or -1."""
-        graph, _ = self._graph(car, Kind.AIR)
+        graph = self._graphs.graph(self.end)
         action = Action.UNFOLD if delivery.target.kind == Kind.BODY else Action.FOLD
-        nodes = graph.nodes(delivery.target.cell, delivery.target.yaws)
+        nodes = graph.nodes(delivery.target)
         after = self._go(car, tick, Kind.AIR, graph.distances_to(nodes), action, not_before)
         if after is None:
             return -1
@@ -195,8 +180,8 @@ class JointPlan:
             if tick < 0:
                 return -1
         load = delivery.target.load
-        graph, _ = self._graph(car, load)
-        goals = graph.nodes(delivery.target.cell, delivery.target.yaws)
+        graph = self._graphs.graph(self.end, load)
+        goals = graph.nodes(delivery.target)
         not_before = 0 if delivery.source is not None else not_before
         last = -1 if delivery.hold else int(Action.DROP)
         after = self._go(car, tick, load, graph.distances_to(goals), last, not_before)
@@ -206,8 +191,8 @@ class JointPlan:
 
     def _fetch(self, car: int, source: Piece, target: Piece, tick: int, not_before: int) -> int:
         """Drive to a thing and take it up; return the tick after, or -1."""
-        graph, _ = self._graph(car, Kind.AIR)
-        nodes = self._pick_up(graph, source, target, self.node(car, tick))
+        graph = self._graphs.graph(self.end)
+        nodes = self._pick_up(graph, source, target, self.timeline.node(car, tick))
         first = Action.FOLD if source.kind == Kind.BODY else Action.LIFT
         after = self._go(car, tick, Kind.AIR, graph.distances_to(nodes), first, not_before) if nodes else None
         if after is None:
@@ -230,10 +215,10 @@ class JointPlan:
 
     def _pick_up(self, graph: MoveGraph, source: Piece, target: Piece, start: int) -> list[int]:
         """Return the states in which to take up a thing so that the way there and on to its place is short."""
-        loaded = self._graphs.graph(taken_out(self.end, [source]), source.load)
+        loaded = self._graphs.graph(rebuilt(self.end, [source]), source.load)
         there = graph.distances_from([start])
-        onward = loaded.distances_to(loaded.nodes(target.cell, target.yaws))
-        nodes = graph.nodes(source.cell, source.yaws)
+        onward = loaded.distances_to(loaded.nodes(target))
+        nodes = graph.nodes(source)
         costs = {
             n: int(there[n]) + int(onward[n])
             for n in nodes
@@ -249,12 +234,7 @@ class JointPlan:
         for _ in range(_DETOURS):
             self.timeline.write(car, tick, [])
             self.timeline.replay(max(0, tick - 1))
-            worlds = self.timeline.without(car, tick)
-            end = max(self.timeline.end, tick)
-            path = self._finder.find(
-                *(worlds, car, self.node(car, tick), tick, end, load, distances),
-                *(last, not_before, avoid),
-            )
+            path = self.timeline.find_path(car, tick, load, distances, last, not_before, avoid)
             if path is None:
                 return None
             actions = [*path, last] if last >= 0 else path
@@ -263,9 +243,8 @@ class JointPlan:
             after = tick + len(actions)
             if bad is None or bad[0] >= after:
                 return after
-            cars = self.timeline.worlds.stack.cars
             for at in (bad[0], bad[0] + 1):
-                x, y, z = cars[at, car, :3].tolist()
+                x, y, z = self.timeline.worlds.cars[at, car, :3].tolist()
                 avoid.append((at, (x, y, z)))
         return None
 
@@ -282,7 +261,3 @@ def cells_on_path(graph: MoveGraph, node: int, distances: Distances) -> set[Cell
         node = closer[0]
         cells.add(cell_of_node(graph.size, node))
     return cells
-
-
-def _car_in(grid: Grid, car: int, cell: Cell) -> bool:
-    return any(other != car and tuple(grid.cars[other, :3]) == cell for other in range(grid.n_cars))

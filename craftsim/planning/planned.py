@@ -1,21 +1,27 @@
-"""A plan as it is handed out, and what of it decides how long it takes."""
+"""What is to be reached, and a plan that reaches it as it is handed out."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final
 
-from craftsim.discrete.grid import Grid
-from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import Rules
-from craftsim.discrete.schedule import Schedule, make_schedule
-from craftsim.planning.goals import BuildingGoal
-from craftsim.planning.objective import Objective
+import numpy as np
+
+from craftsim.choices import Objective
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.kinds import KINDS, NAMES, Action
+from craftsim.discrete.schedule import Schedule, nominal_durations
+from craftsim.discrete.tasks.task import Task
+from craftsim.errors import InputError
+from craftsim.planning.assembly import State
 
 Ticks = tuple[tuple[tuple[int, Action], ...], ...]
 
-EQUAL: Final = 1e-9
-"""Seconds by which equal times may differ."""
+
+class NoPlanError(InputError):
+    """There is no plan, or none was found; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -51,24 +57,128 @@ class Planned:
         return both if objective == "makespan" else both[::-1]
 
 
-def judge(
-    start: Grid,
-    ticks: Ticks,
-    goal: BuildingGoal,
-    rules: Rules,
-    objective: Objective,
-    bound_s: float,
-    number: int,
-) -> Planned | None:
-    """Return a plan with its figures, or None if the rules forbid some of it or it does not reach the goal.
+@dataclass(frozen=True)
+class BuildingGoal:
+    """A goal of a plan: a building of things without names, or anything that can be said of a world."""
 
-    ``bound_s`` is a makespan that no plan is below; ``number`` says which attempt it was.
+    reached: Callable[[Grid], bool]
+    """Whether a world will do."""
+    building: State | None = None
+    """The things that must stand; None where there is no drawing."""
+    platform: int = 0
+    """How many blocks are to form one platform, wherever; 0 if none are."""
+
+
+def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingGoal:
+    """Return the goal that a design, a task or a function of a world stands for."""
+    if isinstance(goal, Task):
+        if not goal.has_goal:
+            raise NoPlanError(
+                f"task '{goal.name}' has no goal; give it a design, or a flag and where it goes"
+            )
+        if goal.design is not None:
+            return make_goal(goal.design)
+        if goal.success == "flag_at_goal":
+            flag = Piece(Kind.FLAG, goal.layout.goal_cell)
+            return BuildingGoal(goal.succeeded, frozenset({flag}))
+        if goal.success == "one_platform":
+            return BuildingGoal(goal.succeeded, platform=goal.layout.n_blocks)
+        return BuildingGoal(goal.succeeded)
+    if isinstance(goal, Design):
+        targets = (target for target in goal.targets if target.kind != Kind.FOOT)
+        return BuildingGoal(goal.satisfied, frozenset(t._replace(yaw=max(t.yaw, 0)) for t in targets))
+    return BuildingGoal(lambda grid: bool(goal(grid)))
+
+
+def check_supplies(start: Grid, building: State) -> None:
+    """Raise NoPlanError where a building cannot be: too few things, outside the area, in the air or in each other."""
+    have = Counter(thing.load for thing in start.pieces())
+    have.update(Kind(int(load)) for load in start.cars[:, CarField.LOAD] if load)
+    want = Counter(thing.load for thing in building)
+    for kind, count in sorted(want.items()):
+        if count > have[kind]:
+            what = KINDS[kind].plural
+            raise NoPlanError(f"no plan: not enough {what}; the design has {count}, the start {have[kind]}")
+    taken: dict[Cell, Piece] = {}
+    for thing in sorted(building):
+        # A folded slope may stand as it likes, and its gear may hang or lie beside the area.
+        for cell in thing.cells if thing.kind == Kind.BODY else (thing.cell,):
+            if not start.inside(cell):
+                raise NoPlanError(f"no plan: {cell} is outside the area of {start.size} cells")
+            if start.kind_at(cell) == Kind.WALL:
+                raise NoPlanError(f"no plan: {cell} is to hold {NAMES[thing.kind]}, but there is a wall")
+            if cell in taken:
+                raise NoPlanError(f"no plan: {cell} is to hold two things")
+            taken[cell] = thing
+    for x, y, z in taken:
+        below = taken.get((x, y, z - 1))
+        if z > 1 and (below is None or below.kind != Kind.BLOCK):
+            raise NoPlanError(f"no plan: what is to be at {(x, y, z)} has nothing below it that bears it")
+    there = {(thing.kind, thing.cell) for thing in start.pieces()}
+    upper = [
+        thing for thing in sorted(building) if thing.cell[2] > 1 and (thing.kind, thing.cell) not in there
+    ]
+    if upper and not have[Kind.FSLOPE] and (start.cars[:, CarField.Z] == 1).all():
+        raise NoPlanError(f"no plan: {upper[0].cell} is above the floor, and there is no slope to drive up")
+
+
+def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[State]:
+    """Yield buildings of so many blocks side by side on the floor, around those that stand; without end."""
+    length, width, _ = start.size
+    blocks = [thing.cell for thing in start.pieces(Kind.BLOCK) if thing.cell[2] == 1]
+    there = set(blocks)
+    while True:
+        seed = blocks[int(rng.integers(len(blocks)))] if blocks else (length // 2, width // 2, 1)
+        centre = np.mean(blocks or [seed], axis=0)
+        pull, keep = rng.uniform(0, 1.5), rng.uniform(0, 4)
+        chosen = {seed}
+        while len(chosen) < n_blocks:
+            around = {beside(other, yaw) for other in chosen for yaw in range(4)} - chosen
+            edge = sorted(cell for cell in around if start.inside(cell) and start.kind_at(cell) != Kind.WALL)
+            if not edge:
+                break
+            scores = [
+                keep * (cell in there)
+                - pull * float(np.abs(np.array(cell[:2]) - centre[:2]).sum()) / 2
+                + rng.random()
+                for cell in edge
+            ]
+            chosen.add(edge[int(np.argmax(scores))])
+        if len(chosen) == n_blocks:
+            yield frozenset(Piece(Kind.BLOCK, cell) for cell in chosen)
+
+
+def makespan_bound(start: Grid, building: State) -> float:
+    """Return a time in seconds that every plan for a building takes at least.
+
+    Each thing that does not stand must be taken up, carried at least the distance in the plane, and set down; the cars
+    share that work, and nobody can carry one thing faster than alone.
     """
-    schedule = make_schedule(start, ticks, rules)
-    if schedule.forbidden or not goal.reached(schedule.final):
-        return None
-    times = schedule.times()
-    work_s = float((times[:, 1] - times[:, 0]).sum())
-    makespan_s = schedule.makespan()
-    optimal = objective == "makespan" and makespan_s <= bound_s + EQUAL
-    return Planned(ticks, schedule, makespan_s, work_s, bound_s, number, optimal)
+    table = nominal_durations()
+    lift, drop, unfold = table[Action.LIFT, 0], table[Action.DROP, 1], table[Action.UNFOLD, 0]
+    move = table[Action.MOVE_FORWARD, 1]
+    there = list(start.pieces())
+    carried = set(start.cars[:, CarField.LOAD].tolist())
+    work = []
+    for thing in building:
+        if thing.load in carried:
+            # It may be above its place already.
+            work.append(0.0)
+            continue
+        if any((other.kind, other.cell) == (thing.kind, thing.cell) for other in there):
+            continue
+        steps = (
+            sum(abs(a - b) for a, b in zip(other.cell[:2], thing.cell[:2], strict=True))
+            for other in there
+            if other.load == thing.load
+        )
+        least = float(move * min(steps, default=0))
+        if thing.kind == Kind.FLAG:
+            work.append(least + lift)
+            continue
+        if thing.kind == Kind.BODY:
+            least += 0.0 if any(other.kind == Kind.BODY for other in there) else unfold
+        if least > unfold or thing.kind != Kind.BODY:
+            least += lift + drop
+        work.append(least)
+    return float(max([sum(work) / max(start.n_cars, 1), *work], default=0.0))

@@ -1,21 +1,73 @@
-"""Plans from designs: what a user calls."""
+"""The search for a plan: attempts from nothing, and from the best of them on neighbours of what there is."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
 
 import numpy as np
 
+from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.grid import CarField, Grid, Kind, Piece
+from craftsim.discrete.kinds import Correction
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.schedule import Schedule
+from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
-from craftsim.planning.goals import NoPlanError, make_goal
-from craftsim.planning.objective import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
-from craftsim.planning.planned import Planned
-from craftsim.planning.search import PlanSearch
+from craftsim.planning.assembly import Assembly, Order, State, without_things
+from craftsim.planning.building import Construction, Style, Turn
+from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
+from craftsim.planning.joint_plan import Saved
+from craftsim.planning.planned import (
+    BuildingGoal,
+    NoPlanError,
+    Planned,
+    Ticks,
+    check_supplies,
+    make_goal,
+    makespan_bound,
+    platforms,
+)
+
+_EQUAL_S: Final = 1e-9
+"""By which equal times may differ."""
+_ORDERS: Final = 100
+"""So many orders of assembly are kept to choose from."""
+_FRESH: Final = 8
+"""So many attempts are made anew before the search goes on from the best of them."""
+_ANEW: Final = 0.4
+"""Where it is open what is to be built, such attempts go on so often between neighbours: each may build another."""
+_PATIENCE: Final = 25
+"""After so many neighbours none of which is better the search goes on elsewhere..."""
+_BACK: Final = 0.5
+"""...so often from the best plan, else from attempts made anew."""
+_WORSE: Final = 0.02
+"""By about this share a neighbour may be worse for the search to go on from it."""
+_RESTYLED: Final = 0.3
+"""So often a neighbour is made in another style."""
+_LONGER: Final = 1.1
+"""An attempt is given up when it takes so many times the ticks of its neighbour..."""
+_LONGER_FRESH: Final = 1.3
+"""...or, made anew, of the best one. Ticks are not seconds, so it may be a little longer."""
+_FIRST_WORLDS: Final = 20_000
+"""Where the makespan counts, the plan of least work is one to begin with if so many worlds are enough for it."""
+
+_CUT: Final = 0.25
+"""So often all of a neighbour is decided anew from some turn on."""
+_CRITICAL: Final = 0.7
+"""So often it is a turn on which the makespan depends that changes."""
+_ONE: Final = 0.7
+"""So often one change is enough, and so often one more is..."""
+_CHANGES: Final = 8
+"""...up to so many."""
+
+Turns = list[Turn | None]
+"""What is tried turn after turn; None: whatever seems best then."""
 
 
 def plan_building(
@@ -56,15 +108,306 @@ def plan_building(
     rules = rules or Rules("physical")
     wanted = make_goal(goal)
     if wanted.reached(start):
-        schedule = Schedule((), (), start)
-        return Planned((), schedule, 0.0, 0.0, 0.0, 0, optimal=True)
+        return Planned((), Schedule((), (), start), 0.0, 0.0, 0.0, 0, optimal=True)
     if not start.n_cars:
         raise NoPlanError("no plan: there are no cars")
     if objective not in ("makespan", "work"):
         raise InputError(f"unknown objective '{objective}'; there are makespan and work")
-    search = PlanSearch(start, wanted, rules, objective, np.random.default_rng(seed), exact)
+    search = _Search(start, wanted, rules, objective, np.random.default_rng(seed), exact)
     return search.run(rounds, time_s, report or (lambda number, best: None))
 
 
 plan = plan_building
 """Its public name."""
+
+
+@dataclass(frozen=True)
+class _Made:
+    """What has come of an attempt: of an order of assembly, what of it stood, and a style."""
+
+    approach: tuple[Order, State, Style]
+    turns: tuple[tuple[Turn, Saved], ...]
+    n_ticks: int
+    planned: Planned
+
+    @cached_property
+    def critical(self) -> list[int]:
+        """Return the turns on which the makespan depends."""
+        acts = self.planned.schedule.critical()
+        found, since = [], [0] * self.planned.schedule.final.n_cars
+        for i, (turn, (_, ready)) in enumerate(self.turns):
+            if any(car == turn.car and since[car] <= tick < ready[car] for tick, car in acts):
+                found.append(i)
+            since = list(ready)
+        return found
+
+
+class _Search:
+    """The attempts at one plan."""
+
+    def __init__(
+        self,
+        start: Grid,
+        goal: BuildingGoal,
+        rules: Rules,
+        objective: Objective,
+        rng: np.random.Generator,
+        exact: bool,
+    ) -> None:
+        self.start, self.goal, self.rules, self.objective, self.rng = start, goal, rules, objective, rng
+        self.assembly = Assembly(without_things(start), rules)
+        self._things = tuple(start.pieces())
+        self._standing = frozenset(
+            thing._replace(yaw=thing.yaw if thing.load == Kind.FSLOPE else 0) for thing in self._things
+        )
+        loads = [*(thing.load for thing in self._things), *start.cars[:, CarField.LOAD].tolist()]
+        self._n_slopes = loads.count(Kind.FSLOPE)
+        self._buildings = self._goals()
+        self._orders: list[tuple[Order, State]] = []
+        self._bound = makespan_bound(start, goal.building) if goal.building else 0.0
+        self._exact = Correction.derived_marks in rules.corrections and (
+            exact and is_small(start, rules) if goal.building else not goal.platform
+        )
+        self.best: Planned | None = None
+        self._best: _Made | None = None
+        self._here: _Made | None = None
+        self._candidate: _Made | None = None
+        self._n_fresh, self._n_stale, self._lowest = _FRESH, 0, math.inf
+
+    def run(self, rounds: int, time_s: float, report: Callable[[int, Planned | None], None]) -> Planned:
+        """Make attempts until rounds or time have run out."""
+        begun = time.monotonic()
+        number = 0
+        if self._exact:
+            guided = bool(self.goal.building) and self.objective == "makespan"
+            self._search_worlds(_FIRST_WORLDS if guided else MOST_WORLDS)
+            if self.best is not None and (self.best.optimal or self.goal.building is None):
+                report(0, self.best)
+                return self.best
+        try:
+            for number in range(1, rounds + 1):
+                self._attempt(number)
+                report(number, self.best)
+                late = time.monotonic() - begun
+                if late > time_s and (self.best is not None or late > 6 * time_s):
+                    break
+                if self.best is not None and self.best.makespan_s <= self._bound + _EQUAL_S:
+                    break
+        except KeyboardInterrupt:
+            if self.best is None:
+                raise
+        if self.best is None and self._exact and self.objective == "makespan":
+            self._search_worlds(MOST_WORLDS)
+        if self.best is None:
+            raise NoPlanError(self._why(number))
+        return self.best
+
+    def _search_worlds(self, most: int) -> None:
+        """Look for the plan of least work among so many worlds; raise NoPlanError where that proves there is none."""
+        if self.goal.building is not None:
+            check_supplies(self.start, self.goal.building)
+        exact = least_work(self.start, self.goal, self.rules, most)
+        if exact.steps is not None:
+            planned = self._judge(tuple((step,) for step in exact.steps), 0)
+            if planned is not None:
+                self.best = replace(planned, optimal=planned.optimal or self.objective == "work")
+        elif exact.complete:
+            raise NoPlanError(f"no plan: none of the {exact.n_worlds} worlds that can be reached will do")
+        elif self.goal.building is None:
+            raise NoPlanError(
+                f"no plan found: the goal has no drawing, and none of the first {exact.n_worlds} worlds that cost "
+                "least will do; try a smaller area, fewer cars or a design"
+            )
+
+    def _goals(self) -> Iterator[State]:
+        """Yield buildings that reach the goal."""
+        if self.goal.platform:
+            yield from platforms(self.start, self.goal.platform, self.rng)
+        while self.goal.building is not None:
+            yield self.goal.building
+
+    def _draw_order(self) -> tuple[Order, State] | None:
+        """Return an order of assembly and what of it stands, a new one while there are few."""
+        n_kept = len(self._orders)
+        if n_kept and (n_kept >= _ORDERS or self.rng.random() < 0.5):
+            return self._orders[int(self.rng.integers(n_kept))]
+        building = next(self._buildings, None)
+        if building is None:
+            raise NoPlanError(
+                "no plan: a goal without a drawing is searched for only by rules whose marks follow from what is there"
+            )
+        check_supplies(self.start, building)
+        for kept in dict.fromkeys([building & self._standing, frozenset[Piece]()]):
+            order = self.assembly.find_order(building, kept, self._n_slopes, self.rng)
+            if order is not None:
+                self._orders.append((order, kept))
+                return order, kept
+        return None
+
+    def _attempt(self, number: int) -> None:
+        """Make an attempt, anew or close to what the search stands at, and look what has come of it."""
+        here = None if self._n_fresh else self._here
+        anew = here is None or (bool(self.goal.platform) and self.rng.random() < _ANEW)
+        made = self._fresh(number) if anew or here is None else self._neighbour(here, number)
+        if made is not None and self._cost(made) < self._cost(self._best):
+            self._best = made
+            if self.best is None or self._cost(made) < self.best.cost(self.objective):
+                self.best = made.planned
+        if here is None:
+            self._chosen(made)
+        else:
+            self._walked(made)
+
+    def _fresh(self, number: int) -> _Made | None:
+        drawn = self._draw_order()
+        if drawn is None:
+            return None
+        longer = _LONGER_FRESH if self._n_fresh else _LONGER
+        most = math.inf if self._best is None else longer * self._best.n_ticks
+        return self._build((*drawn, self._style(number)), number, most)
+
+    def _neighbour(self, here: _Made, number: int) -> _Made | None:
+        approach = here.approach
+        if self.rng.random() < _RESTYLED:
+            approach = (*approach[:2], self._style(number))
+        turns = [turn for turn, _ in here.turns]
+        critical = here.critical if self.objective == "makespan" else ()
+        n_kept, others = vary(turns, critical, self._things, self.start.n_cars, self.rng)
+        return self._build(approach, number, _LONGER * here.n_ticks, here.turns[:n_kept], others)
+
+    def _build(
+        self,
+        approach: tuple[Order, State, Style],
+        number: int,
+        most: float,
+        past: Sequence[tuple[Turn, Saved]] = (),
+        script: Sequence[Turn | None] = (),
+    ) -> _Made | None:
+        last_tick = most if self.objective == "makespan" else math.inf
+        building = Construction(self.start, self.assembly, *approach, self.rng, last_tick, past, script)
+        if not building.run():
+            return None
+        n_ticks, timeline = building.n_ticks, building.plan.timeline
+        timeline.trim(self.goal.reached)
+        planned = self._judge(timeline.ticks(), number)
+        return None if planned is None else _Made(approach, tuple(building.turns), n_ticks, planned)
+
+    def _judge(self, ticks: Ticks, number: int) -> Planned | None:
+        """Return a plan with its times, or None if the rules forbid some of it or it does not reach the goal."""
+        schedule = make_schedule(self.start, ticks, self.rules)
+        if schedule.forbidden or not self.goal.reached(schedule.final):
+            return None
+        times, makespan_s = schedule.times(), schedule.makespan()
+        work_s = float((times[:, 1] - times[:, 0]).sum())
+        optimal = self.objective == "makespan" and makespan_s <= self._bound + _EQUAL_S
+        return Planned(ticks, schedule, makespan_s, work_s, self._bound, number, optimal)
+
+    def _cost(self, made: _Made | None) -> tuple[float, float]:
+        return (math.inf, math.inf) if made is None else made.planned.cost(self.objective)
+
+    def _go_on_from(self, made: _Made | None) -> None:
+        self._here = made
+        self._n_stale, self._lowest = 0, self._cost(made)[0]
+
+    def _chosen(self, made: _Made | None) -> None:
+        """Go on from the best of some fresh attempts."""
+        if self._cost(made) < self._cost(self._candidate):
+            self._candidate = made
+        self._n_fresh = max(0, self._n_fresh - 1)
+        if not self._n_fresh:
+            self._go_on_from(self._candidate or self._best)
+            self._candidate = None
+
+    def _walked(self, made: _Made | None) -> None:
+        """Go on from a neighbour that is about as good; after many in vain from the best plan, or from elsewhere."""
+        cost = self._cost(made)[0]
+        if cost <= self._lowest * (1 + _WORSE * self.rng.exponential()):
+            self._here = made
+        self._n_stale += 1
+        if cost < self._lowest - _EQUAL_S:
+            self._n_stale, self._lowest = 0, cost
+        if self._n_stale >= _PATIENCE:
+            if self.goal.platform or self.rng.random() < _BACK:
+                self._go_on_from(self._best)
+            else:
+                self._n_fresh = _FRESH
+
+    def _style(self, number: int) -> Style:
+        """Return how an attempt is made; the first is straightforward."""
+        rng, first = self.rng, number == 1
+        return Style(
+            noise=0.0 if first else float(rng.choice([0.0, 0.1, 0.3, 0.6])),
+            n_cars=int(rng.integers(1, self.start.n_cars + 1)) if self.objective == "work" else 1_000,
+            together=self.objective == "makespan",
+            early=0.0 if first else float(rng.choice([0.0, 0.2, 0.6])),
+            haste=0.0 if first else float(rng.choice([0.0, 1.0])),
+            hold=not first and bool(rng.random() < 0.6),
+        )
+
+    def _why(self, rounds: int) -> str:
+        if not self._orders:
+            return (
+                "no plan found: no order in which everything can be put to its place; perhaps some place cannot be "
+                "reached by a car with its load, whatever is built first; try more slopes, or more free floor around"
+            )
+        return (
+            f"no plan found in {rounds} attempts, though there is an order to build in: things cannot be reached, or "
+            "cars have no room to get by; try fewer cars, a larger area or another seed"
+        )
+
+
+def vary(
+    turns: Sequence[Turn],
+    critical: Sequence[int],
+    things: Sequence[Piece],
+    n_cars: int,
+    rng: np.random.Generator,
+) -> tuple[int, Turns]:
+    """Return a neighbour of a plan: how many turns stay as they are, and those that are tried after them.
+
+    Args:
+        turns: of a plan, at least one.
+        critical: which of them the makespan depends on.
+        things: those of the start; one may be used in place of another.
+        n_cars: how many cars there are.
+        rng: decides what changes.
+    """
+    chosen = critical if critical and rng.random() < _CRITICAL else range(len(turns))
+    i = chosen[int(rng.integers(len(chosen)))]
+    if rng.random() < _CUT:
+        return i, []
+    new: Turns = list(turns)
+    for _ in range(_CHANGES):
+        _change(new, i, things, n_cars, rng)
+        if not new or (new != list(turns) and rng.random() < _ONE):
+            break
+        i = int(rng.integers(len(new)))
+    same = [mine == its for mine, its in zip(turns, new, strict=False)]
+    n_kept = same.index(False) if False in same else len(same)
+    return n_kept, new[n_kept:]
+
+
+def _change(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.random.Generator) -> None:
+    """Change the turn with a number, in place, in one of six ways."""
+    way, turn = int(rng.integers(6)), turns[i]
+    if way == 0 and turn:  # by another car
+        turns[i] = turn._replace(car=int(rng.integers(n_cars)))
+    elif way == 1:  # two cars in each other's place
+        j = int(rng.integers(len(turns)))
+        if turn and (other := turns[j]):
+            turns[i], turns[j] = turn._replace(car=other.car), other._replace(car=turn.car)
+    elif way == 2:  # earlier or later
+        turns.insert(int(rng.integers(len(turns))), turns.pop(i))
+    elif way == 3:  # not at all
+        turns.pop(i)
+    elif way == 4:  # whatever seems best
+        turns[i] = None
+    elif way == 5 and turn and (mine := turn.delivery.source):  # with another thing of the same kind
+        others = [thing for thing in things if thing.load == mine.load and thing != mine]
+        if not others:
+            return
+        source = others[int(rng.integers(len(others)))]
+        for j, one in enumerate(turns):
+            if one and one.delivery.source == source:
+                turns[j] = one._replace(delivery=replace(one.delivery, source=mine))
+        turns[i] = turn._replace(delivery=replace(turn.delivery, source=source))

@@ -108,7 +108,7 @@ def test_two_slopes_back_to_back_leave_a_car_no_way_under_either():
             grid = world(slopes)
             graph = MoveGraph(grid, Rules("physical"))
             reached = graph.distances_from(graph.floor_nodes(grid.kind[..., 1] == Kind.AIR)) < UNREACHABLE
-            under = [node for slope in slopes for node in graph.nodes(slope.cell, slope.yaws)]
+            under = [node for slope in slopes for node in graph.nodes(slope)]
             assert reached[under].any() != stuck
             assert back_to_back(grid[None]).tolist() == [stuck]
 

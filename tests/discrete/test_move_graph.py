@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.kernel.search import SUCCESSORS
 from craftsim.discrete.move_graph import UNREACHABLE, MoveGraph, MoveGraphs, cell_of_node
 from craftsim.discrete.rules import Rules
@@ -49,7 +49,7 @@ def test_distances_from_and_to_agree():
     graph = MoveGraph(ramp_world(), RULES, Kind.BLOCK)
     floor = graph.floor_nodes(graph.numbers[:, :, 1, 0] >= 0)
     for node in floor[::5].tolist():
-        goals = graph.nodes((0, 1, 2), range(4))
+        goals = graph.nodes(Piece(Kind.BLOCK, (0, 1, 2)))
         assert graph.distances_to(goals)[node] == graph.distances_from([node])[goals].min()
     assert graph.distances_from([])[0] == UNREACHABLE
     assert graph.distances_from([floor[0]])[graph.node((0, 2, 1), 0)] == UNREACHABLE

@@ -11,7 +11,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.exact import is_small, least_work
-from craftsim.planning.goals import make_goal
+from craftsim.planning.planned import make_goal
 
 PHYSICAL = Rules("physical")
 
@@ -111,7 +111,7 @@ def test_the_search_for_least_work_can_be_left_out(monkeypatch):
     task = make_task("simple_two_story")
     start = task.draw(np.random.default_rng(0))
     assert is_small(start, PHYSICAL)
-    monkeypatch.setattr("craftsim.planning.search.least_work", None)
+    monkeypatch.setattr("craftsim.planning.planner.least_work", None)
     assert task.succeeded(plan_building(start, task, rounds=1, exact=False).schedule.final)
     with pytest.raises(TypeError, match="not callable"):
         plan_building(start, task, rounds=1)

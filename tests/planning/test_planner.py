@@ -14,19 +14,17 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.planning import NoPlanError, plan_building
-from craftsim.planning.assembly import Assembly
-from craftsim.planning.ordering import find_order
-from craftsim.planning.things import put, without_things
+from craftsim.planning.assembly import Assembly, without_things
 
 RULES = Rules("physical")
 ROUNDS = 6
 
 
-def yard(size, n_cars, blocks=(), slopes=()):
+def yard(size, n_cars, blocks=()):
     """A world with things on its floor, and cars along its lower edge."""
     grid = Grid.empty(size, n_cars)
-    put(grid, [Piece(Kind.BLOCK, cell) for cell in blocks])
-    put(grid, [Piece(Kind.FSLOPE, cell, yaw) for cell, yaw in slopes])
+    for cell in blocks:
+        grid.put(Piece(Kind.BLOCK, cell))
     grid.cars[:, CarField.X] = range(n_cars)
     grid.derive_marks()
     return grid
@@ -120,9 +118,9 @@ def test_a_pyramid_has_an_order_whose_steps_can_be_made():
     blocks += [(4 + x, 4 + y, 2) for x in range(3) for y in range(3)]
     goal = frozenset(Piece(Kind.BLOCK, cell) for cell in [*blocks, (5, 5, 3)])
     assembly = Assembly(without_things(yard((12, 12, 4), 0)), RULES)
-    order = find_order(assembly, goal, frozenset(), 2, np.random.default_rng(0))
+    order = assembly.find_order(goal, frozenset(), 2, np.random.default_rng(0))
     state = frozenset()
-    for step in order.steps:
+    for step in order:
         assert assembly.possible(state, step)
         state = step.after(state)
     assert state == goal

@@ -6,8 +6,7 @@ from craftsim.discrete.grid import Kind, Piece
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
-from craftsim.planning.assembly import Assembly, Placing
-from craftsim.planning.things import without_things
+from craftsim.planning.assembly import Assembly, Placing, without_things
 from craftsim.planning.timeline import Timeline
 
 RULES = Rules("physical")
@@ -31,7 +30,7 @@ def test_the_worlds_are_those_of_the_rules():
                 timeline.write(car, tick, [action])
         grid, _ = RULES.tick(grid, joint)
     assert timeline.replay(0) is None
-    assert timeline.worlds.grid(90).same_visible(grid)
+    assert timeline.grid(90).same_visible(grid)
     assert [len(joint) for joint in timeline.ticks()] == [2] * 90
 
 
@@ -47,7 +46,7 @@ def test_without_a_car_the_others_do_as_before():
     timeline.write(1, 0, [Action.MOVE_RIGHT, Action.LIFT])
     timeline.replay(0)
     others = timeline.without(0, 0)
-    assert (others.cars[2, 1] == timeline.worlds.grid(2).cars[1]).all()
+    assert (others.cars[2, 1] == timeline.grid(2).cars[1]).all()
     assert (others.cars[2, 0, :3] < 0).all()
 
 

@@ -10,7 +10,7 @@ from craftsim.planning import plan_building
 from craftsim.planning.building import Turn
 from craftsim.planning.joint_plan import Delivery
 from craftsim.planning.planned import Planned
-from craftsim.planning.variation import vary
+from craftsim.planning.planner import vary
 
 RULES = Rules("physical")
 BLOCKS = tuple(Piece(Kind.BLOCK, (x, 0, 1)) for x in range(5))

@@ -1,31 +1,47 @@
-"""Random buildings that cars can build, with starts for them, by a difficulty."""
+"""Random buildings that cars can build, with starts for them, by a difficulty.
+
+They grow block by block and ramp by ramp, each step one that a car could make just then. A building is a map of
+heights, since nothing floats, and ramps. Loads come from the floor, and the floor that stays free is in one piece all
+the time. An unloaded car also drives under blocks, so that who has set down a block, or unfolded a slope, gets away
+below what stands there.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from craftsim.designs.growth import MAX_LEVELS, PHYSICAL, Growth, Ramp
-from craftsim.designs.starts import DesignStart, Stock, spread
+from craftsim.designs.starts import Column, DesignStart, Mask, Stock, pieces_of, spread
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import Cell, Grid, Kind, beside
+from craftsim.discrete.geometry import DIRECTIONS
+from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.move_graph import UNREACHABLE, MoveGraph
+from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
 from craftsim.storage.limits import SHARE
 
+_PHYSICAL: Final = Rules("physical")
+_MAX_LEVELS: Final = 3
+_SIDE: Final = 8
+"""Of the largest area."""
 _TRIES: Final = 12
 """At one size."""
 _GROWTHS: Final = 10
 """Beginnings of a building until one comes to no dead end."""
-_SIDE: Final = 8
-"""Of the largest area."""
 _COMPACT: Final = {1: 0.2, 2: 0.5, 3: 0.9}
 """How often a block goes where most blocks are, by the levels of the building: an upper ramp needs a platform."""
+_SPREAD: Final = 0.15
+"""How often a block of the floor begins a piece of its own."""
 _KEPT: Final = 0.5
 """How often a ramp belongs to the design; the others serve for building alone."""
+_SHARE: Final = 0.62
+"""Of the floor that a building, and its things before, take at most."""
+_BLOCKS_OF_THREE_LEVELS: Final = 9
+"""A landing, and what a ramp to it and a way around that take."""
 
 
 @dataclass(frozen=True)
@@ -37,16 +53,6 @@ class Size:
     levels: int
     ramps: int
     cars: int
-
-
-@dataclass(frozen=True, eq=False)
-class DrawnStart(DesignStart):
-    """A random design with its start, and one order in which it can be built."""
-
-    steps: tuple[Cell | Ramp, ...]
-    """Blocks and ramps, those too that serve for building alone, in an order in which each can be put there."""
-    ramps: int
-    """How many of the ramps belong to the design."""
 
 
 def size_of(difficulty: float, rng: np.random.Generator) -> Size:
@@ -65,14 +71,10 @@ def size_of(difficulty: float, rng: np.random.Generator) -> Size:
     while _cells(blocks, ramps) > _SHARE * _SIDE**2 and (ramps >= levels or blocks > _BLOCKS_OF_THREE_LEVELS):
         fewer_ramps = ramps >= levels and (blocks <= _BLOCKS_OF_THREE_LEVELS or rng.random() < 0.4)
         ramps, blocks = (ramps - 1, blocks) if fewer_ramps else (ramps, blocks - 1)
-    sides = [
-        (x, y)
-        for x in range(6, _SIDE + 1)
-        for y in range(6, _SIDE + 1)
-        if _cells(blocks, ramps) <= _SHARE * x * y
-    ]
+    sides = [(x, y) for x in range(6, _SIDE + 1) for y in range(6, _SIDE + 1)]
+    sides = [(x, y) for x, y in sides if _cells(blocks, ramps) <= _SHARE * x * y]
     length, width = min(sides or [(_SIDE, _SIDE)], key=lambda side: (side[0] * side[1], rng.random()))
-    return Size((length, width, MAX_LEVELS), blocks, levels, ramps, about(2, 6, 1.0))
+    return Size((length, width, _MAX_LEVELS), blocks, levels, ramps, about(2, 6, 1.0))
 
 
 def _cells(blocks: int, ramps: int) -> float:
@@ -80,13 +82,7 @@ def _cells(blocks: int, ramps: int) -> float:
     return 1.8 * blocks + 5 * ramps
 
 
-_SHARE: Final = 0.62
-"""Of the floor that these take at most."""
-_BLOCKS_OF_THREE_LEVELS: Final = 9
-"""A landing, and what a ramp to it and a way around that take."""
-
-
-def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int | None = None) -> DrawnStart:
+def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int | None = None) -> DesignStart:
     """Draw a design that can be built, and a start to build it from.
 
     Each block and ramp is put where a car could bring it, in the order of ``steps``, and each upper level is reached by
@@ -111,50 +107,48 @@ def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int 
         size = _easier(size, cars, rng)
 
 
-def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DrawnStart | None:
+def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart | None:
     """Return a start of a size, or None where the building, or its things beside it, found no room."""
     growth = next(filter(None, (_grow(size, rng) for _ in range(_GROWTHS))), None)
     if growth is None:
         return None
-    kept = [ramp for ramp in growth.ramps if rng.random() < _KEPT]
-    blocks = [step for step in growth.steps if not isinstance(step, Ramp)]
-    design = Design.of("random", blocks, kept)
+    kept = [(ramp.cell, ramp.yaw) for ramp in growth.ramps if rng.random() < _KEPT]
+    design = Design.of("random", [step.cell for step in growth.steps if step.kind == Kind.BLOCK], kept)
     stock = Stock.of(design, n_cars, spare_slopes=len(growth.ramps) - len(kept))
-    taken = {column for ramp in growth.ramps for column in ramp.columns[:2]}
-    clear = {ramp.column(2) for ramp in growth.ramps if ramp.body[2] == 1}
+    taken = {column for ramp in growth.ramps for column in _columns(ramp, 0, 1)}
+    clear = {_column(ramp, 2) for ramp in growth.ramps if ramp.cell[2] == 1}
     clear |= {(x, y) for x, y, z in growth.lanes if z == 1} | growth.approaches(rng)
     fits = (lambda grid: _slopes_get_there(growth.steps, grid)) if growth.ramps else None
     try:
         grid = spread(design, size.area, stock, rng, taken, clear, fits=fits)
     except InputError:
         return None
-    return DrawnStart(grid, design, tuple(growth.steps), len(kept))
+    return DesignStart(grid, design, tuple(growth.steps))
 
 
-def _slopes_get_there(steps: Sequence[Cell | Ramp], grid: Grid) -> bool:
+def _slopes_get_there(steps: Sequence[Piece], grid: Grid) -> bool:
     """Return whether each slope of a start can be carried to each ramp, in the order of steps, past all else."""
     growth = Growth(np.zeros(grid.size[:2], np.int64), np.ones(grid.size[:2], np.bool_))
-    floor, yaws = grid.kind[:, :, 1], grid.yaw[:, :, 1]
-    slopes = [(x, y, int(yaws[x, y])) for x, y in np.argwhere(floor == Kind.FSLOPE).tolist()]
+    obstacles = grid.kind[:, :, 1] != Kind.AIR
+    slopes = [slope for slope in grid.pieces(Kind.FSLOPE) if slope.cell[2] == 1]
     for step in steps:
-        if isinstance(step, Ramp):
-            world = growth.world(floor != Kind.AIR)
+        if step.kind == Kind.BODY:
+            world = growth.world(obstacles)
             if not all(_gets_there(slope, step, world) for slope in slopes):
                 return False
             growth.ramps.append(step)
         else:
-            growth.heights[step[:2]] += 1
+            growth.heights[step.cell[:2]] += 1
     return True
 
 
-def _gets_there(slope: tuple[int, int, int], ramp: Ramp, world: Grid) -> bool:
+def _gets_there(slope: Piece, ramp: Piece, world: Grid) -> bool:
     """Return whether a slope of the floor, an obstacle in a world, can be carried to where a ramp is to be."""
-    x, y, yaw = slope
     rest = world.copy()
-    rest.kind[x, y, 1] = rest.kind[beside((x, y, 1), yaw)] = Kind.AIR
-    graph = MoveGraph(rest, PHYSICAL, Kind.FSLOPE)
-    distances = graph.distances_from([graph.node((x, y, 1), (yaw + 2) % 4)])
-    return bool(distances[graph.node(ramp.body, (ramp.yaw + 2) % 4)] < UNREACHABLE)
+    for cell in slope.cells:
+        rest.kind[cell] = Kind.AIR
+    graph = MoveGraph(rest, _PHYSICAL, Kind.FSLOPE)
+    return graph.nearest(graph.distances_from(graph.nodes(slope)), ramp) < UNREACHABLE
 
 
 def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:
@@ -187,10 +181,7 @@ def _grow(size: Size, rng: np.random.Generator) -> Growth | None:
                 level == size.levels and growth.cap_landing(level, rng)
             ):
                 return None
-    for _ in range(spare):
-        if not growth.add_ramp(1, rng):
-            return None
-    return growth
+    return growth if all(growth.add_ramp(1, rng) for _ in range(spare)) else None
 
 
 def _split(size: Size, rng: np.random.Generator) -> list[int]:
@@ -202,3 +193,205 @@ def _split(size: Size, rng: np.random.Generator) -> list[int]:
     if size.levels == 3:
         upper[0] += 1
     return [size.blocks - sum(upper), *upper]
+
+
+@dataclass
+class Growth:
+    """A building in the making."""
+
+    heights: NDArray[np.int64]
+    """(L, W): blocks in each column."""
+    site: Mask
+    """(L, W): where blocks are put on the floor."""
+    ramps: list[Piece] = field(default_factory=list)
+    steps: list[Piece] = field(default_factory=list)
+    """The blocks and ramps in the order in which they were put there."""
+    lanes: set[Cell] = field(default_factory=set)
+    """Cells that stay free, since gears of carried slopes pass there."""
+
+    @classmethod
+    def on(cls, length: int, width: int, rng: np.random.Generator) -> Growth:
+        """Begin with a bare floor; a border of it, and a strip on one side, stay so."""
+        site = np.zeros((length, width), np.bool_)
+        begin, end = [1, 1], [length - 1, width - 1]
+        axis, strip = int(rng.integers(2)), 1 + min(2, min(length, width) - 5)
+        if rng.random() < 0.5:
+            begin[axis] = strip
+        else:
+            end[axis] -= strip - 1
+        site[begin[0] : end[0], begin[1] : end[1]] = True
+        return cls(np.zeros((length, width), np.int64), site)
+
+    def world(self, obstacles: Mask | None = None) -> Grid:
+        """Return the building in an area of its own; ``obstacles`` (L, W) stand on the floor and bear nothing."""
+        grid = Grid.empty((*self.heights.shape, _MAX_LEVELS))
+        grid.kind[:, :, 1:][self.heights[:, :, None] >= np.arange(1, _MAX_LEVELS + 1)] = Kind.BLOCK
+        for ramp in self.ramps:
+            grid.put(ramp)
+        if obstacles is not None:
+            grid.kind[:, :, 1][obstacles] = Kind.WALL
+        return grid
+
+    def from_floor(self, load: Kind) -> NDArray[np.bool_]:
+        """Return (L, W, H + 2, 4): the cells and headings to which a load comes from the free floor."""
+        graph = MoveGraph(self.world(), _PHYSICAL, load)
+        distances = graph.distances_from(graph.floor_nodes(self._free_floor()))
+        reached: NDArray[np.bool_] = np.less(distances, UNREACHABLE).reshape(graph.numbers.shape)
+        return reached
+
+    def add_block(self, level: int, rng: np.random.Generator, compact: float) -> bool:
+        """Put a block on a level at random; return whether there was a place for it.
+
+        ``compact`` is how often it goes where most blocks are beside it; else it goes beside any, or of the floor's now
+        and then somewhere else.
+        """
+        places, near = self._places(level), np.zeros(self.heights.shape, np.int64)
+        for dx, dy in DIRECTIONS.tolist():
+            near += np.roll(self.heights >= level, (dx, dy), (0, 1))
+        near[~places] = -1
+        if rng.random() < compact:
+            places &= near == near.max()
+        elif near.max() > 0 and (level > 1 or rng.random() > _SPREAD):
+            places &= near > 0
+        for x, y in rng.permutation(np.argwhere(places)).tolist():
+            self.heights[x, y] += 1
+            if level > 1 or self._floor_is_whole():
+                self.steps.append(Piece(Kind.BLOCK, (x, y, level)))
+                return True
+            self.heights[x, y] -= 1
+        return False
+
+    def cap_landing(self, level: int, rng: np.random.Generator) -> bool:
+        """Put a block onto a landing, which ends its ramp's use for loads; return whether there was one for it."""
+        reached = self._reach(level)
+        needed = {column for ramp in self.ramps for column in _columns(ramp, 0, 1, 2)}
+        landings = {_column(ramp, -1) for ramp in self.ramps if ramp.cell[2] == level - 1}
+        free = sorted(column for column in landings - needed if reached[column])
+        if not free:
+            return False
+        x, y = free[rng.integers(len(free))]
+        self.heights[x, y] += 1
+        self.steps.append(Piece(Kind.BLOCK, (x, y, level)))
+        return True
+
+    def add_ramp(self, level: int, rng: np.random.Generator, for_slopes: bool = False) -> bool:
+        """Unfold a slope from a level to the next at random; return whether there was a place for it.
+
+        ``for_slopes`` leaves room for slopes to be carried up.
+        """
+        landings, slopes = np.argwhere(self.heights >= level), self.from_floor(Kind.FSLOPE)
+        ways = [(x, y, yaw) for x, y in landings.tolist() for yaw in range(4)]
+        for i in rng.permutation(len(ways)).tolist():
+            x, y, yaw = ways[i]
+            ramp = Piece(Kind.BODY, beside((x, y, level), yaw), yaw)
+            # The gear of a slope that is carried up is there when the car comes to the foot.
+            lane = (*_column(ramp, 3), level)
+            if self._has_room(ramp, slopes) and (not for_slopes or self._is_air(lane)):
+                self.ramps.append(ramp)
+                if self._can_leave(ramp):
+                    self.steps.append(ramp)
+                    self.lanes |= {lane} if for_slopes else set()
+                    return True
+                self.ramps.pop()
+        return False
+
+    def approaches(self, rng: np.random.Generator) -> set[Column]:
+        """Return columns of the floor to be kept free: beside each block of the floor is one to bring it from."""
+        final, built, found = self.heights > 0, np.zeros(self.heights.shape, np.bool_), set[Column]()
+        for step in self.steps:
+            if step.kind == Kind.BODY:
+                continue
+            built[step.cell[:2]] = True
+            if step.cell[2] > 1:
+                continue
+            around = [beside(step.cell, yaw)[:2] for yaw in range(4)]
+            free = [column for column in around if not built[column]]
+            # Those that are built on later are free of things anyway.
+            if not any(final[column] or column in found for column in free):
+                found.add(free[rng.integers(len(free))])
+        return found
+
+    def _solid(self, level: int) -> Mask:
+        """Return (L, W): the cells of bodies and feet on a level."""
+        found = np.zeros(self.heights.shape, np.bool_)
+        for ramp in self.ramps:
+            if ramp.cell[2] == level:
+                for column in _columns(ramp, 0, 1):
+                    found[column] = True
+        return found
+
+    def _free_floor(self) -> Mask:
+        """Return (L, W): the columns with neither a block nor a part of a ramp."""
+        free: Mask = (self.heights == 0) & ~self._solid(1)
+        return free
+
+    def _floor_is_whole(self) -> bool:
+        return pieces_of(self._free_floor())[1] == 1
+
+    def _reach(self, level: int) -> Mask:
+        """Return (L, W): where a car with a block can stand on a level."""
+        reached: Mask = np.any(self.from_floor(Kind.BLOCK)[:, :, level], axis=-1)
+        return reached
+
+    def _places(self, level: int) -> Mask:
+        """Return (L, W): the columns that can take a block, and that no ramp needs."""
+        places = self._reach(level) & (self.heights == level - 1)
+        for ramp in self.ramps:
+            # The block behind a body is landed on, so that it bears none but the last of its level.
+            for column in _columns(ramp, 0, 1, 2, -1):
+                places[column] = False
+        for x, y, z in self.lanes:
+            places[x, y] &= level < z
+        if level == 1:
+            places &= self.site
+        return places
+
+    def _has_room(self, ramp: Piece, slopes: NDArray[np.bool_]) -> bool:
+        """Return whether a car can bring a slope there, and no other ramp is in its way or mistaken for it."""
+        level = ramp.cell[2]
+        body, foot, before = _columns(ramp, 0, 1, 2)
+        for column in (body, foot, before):
+            # A gear needs no floor, but a foot, and a car before it, do.
+            if not self._is_air((*column, level)) or self.heights[column] != level - 1:
+                return False
+        if not slopes[(*ramp.cell, ramp.yaws[0])] or not self.lanes.isdisjoint(ramp.cells):
+            return False
+        for other in self.ramps:
+            its_body, its_foot = _columns(other, 0, 1)
+            # A slope is not unfolded onto a landing, and no block or ramp blocks the way to another.
+            if {body, foot} & {*_columns(other, 0, 1, 2, -1)} or before in (its_body, its_foot):
+                return False
+            # A goal file tells a slope's yaw by the foot beside its body.
+            if other.cell[2] == level and (_touch(body, its_foot) or _touch(foot, its_body)):
+                return False
+        return True
+
+    def _is_air(self, cell: Cell) -> bool:
+        """Return whether a cell is in the area, and nothing in it."""
+        x, y, z = cell
+        length, width = self.heights.shape
+        inside = 0 <= x < length and 0 <= y < width
+        return bool(inside and self.heights[x, y] < z and not self._solid(z)[x, y])
+
+    def _can_leave(self, ramp: Piece) -> bool:
+        """Return whether the floor stays in one piece, and the car under the landing gets to where loads come by."""
+        level = ramp.cell[2]
+        if level == 1 and not self._floor_is_whole():
+            return False
+        pieces, _ = pieces_of((self.heights >= level - 1) & ~self._solid(level))
+        here = pieces[_column(ramp, -1)]
+        return bool(np.any((pieces == here) & self._reach(level)))
+
+
+def _column(ramp: Piece, steps: int) -> Column:
+    """Return the column so many steps downhill of a ramp's body: 1 foot, 2 where a car comes from, -1 the landing."""
+    dx, dy = DIRECTIONS[ramp.yaw].tolist()
+    return ramp.cell[0] + steps * dx, ramp.cell[1] + steps * dy
+
+
+def _columns(ramp: Piece, *steps: int) -> list[Column]:
+    return [_column(ramp, one) for one in steps]
+
+
+def _touch(one: Column, other: Column) -> bool:
+    return abs(one[0] - other[0]) + abs(one[1] - other[1]) == 1

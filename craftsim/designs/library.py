@@ -10,7 +10,6 @@ import inspect
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from craftsim.designs.font import SIGNS, WIDTH, cells_of
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell
 from craftsim.errors import InputError, suggestion
@@ -18,6 +17,27 @@ from craftsim.storage.limits import DESIGN_CELLS, DESIGN_SIDE
 
 AWAY: Final = 2
 """Yaw of a ramp that is driven up towards +x: downhill is -x."""
+_WIDTH: Final = 3
+"""Of a letter, in cells; it is five high."""
+_FONT: Final = {
+    "ABCDEFGHIJKLMNOPQRS": """
+### ##. ### ##. ### ### ### #.# ### ..# #.# #.. #.# ##. ### ### ### ### ###
+#.# #.# #.. #.# #.. #.. #.. #.# .#. ..# #.# #.. ### #.# #.# #.# #.# #.# #..
+### ##. #.. #.# ##. ##. #.# ### .#. ..# ##. #.. ### #.# #.# ### #.# ##. ###
+#.# #.# #.. #.# #.. #.. #.# #.# .#. #.# #.# #.. #.# #.# #.# #.. ### #.# ..#
+#.# ##. ### ##. ### #.. ### #.# ### ### #.# ### #.# #.# ### #.. ..# #.# ###
+""",
+    "TUVWXYZ0123456789 ": """
+### #.# #.# #.# #.# #.# ### ### .#. ### ### #.# ### ### ### ### ### ...
+.#. #.# #.# #.# #.# #.# ..# #.# ##. ..# ..# #.# #.. #.. ..# #.# #.# ...
+.#. #.# #.# ### .#. .#. .#. #.# .#. ### .## ### ### ### ..# ### ### ...
+.#. #.# #.# ### #.# .#. #.. #.# .#. #.. ..# ..# ..# #.# .#. #.# ..# ...
+.#. ### .#. #.# #.# .#. ### ### ### ### ### ..# ### ### .#. ### ### ...
+""",
+}
+"""The rows of some letters beside each other, from the top."""
+SIGNS: Final = frozenset("".join(_FONT))
+"""What can be written."""
 
 
 def wall(length: int = 6, height: int = 2, thickness: int = 1) -> Design:
@@ -47,7 +67,8 @@ def house(length: int = 5, width: int = 5, height: int = 2) -> Design:
 def arch(span: int = 3, rise: int = 4, height: int = 1) -> Design:
     """Return an arch that lies on the floor: two legs, and what joins them at the far end."""
     _at_least("arch", 2, rise=rise)
-    return Design.of("arch", (cell for cell in _around(span + 2, rise, height) if not _court(cell, span)))
+    cells = _around(span + 2, rise, height)
+    return Design.of("arch", (cell for cell in cells if cell[1] or not 0 < cell[0] <= span))
 
 
 def pyramid(base: int = 5) -> Design:
@@ -95,14 +116,14 @@ def letters(text: str, height: int = 1) -> Design:
     if unknown or not text.strip():
         found = f"no '{unknown[0]}'" if unknown else "no text"
         raise InputError(f"letters: there is {found}; allowed: A to Z, 0 to 9 and blanks, such as --text CAR")
-    if len(text) * (WIDTH + 1) > DESIGN_SIDE.high:
+    if len(text) * (_WIDTH + 1) > DESIGN_SIDE.high:
         raise InputError(
-            f"letters: {len(text)} letters; allowed: at most {int(DESIGN_SIDE.high) // (WIDTH + 1)}"
+            f"letters: {len(text)} letters; allowed: at most {int(DESIGN_SIDE.high) // (_WIDTH + 1)}"
         )
     return Design.of(
         "letters",
         (
-            (x + (WIDTH + 1) * i, y, z)
+            (x + (_WIDTH + 1) * i, y, z)
             for i, sign in enumerate(text.upper())
             for x, y in cells_of(sign)
             for z in range(1, height + 1)
@@ -146,6 +167,14 @@ def make_design(name: str, size: Sequence[int] = (), text: str | None = None) ->
     return LIBRARY[name](**sizes) if text is None else letters(text, **sizes)
 
 
+def cells_of(sign: str) -> list[tuple[int, int]]:
+    """Return the (x, y) of a letter's cells, y up."""
+    signs, picture = next((signs, picture) for signs, picture in _FONT.items() if sign in signs)
+    first = (_WIDTH + 1) * signs.index(sign)
+    rows = reversed([row[first : first + _WIDTH] for row in picture.split("\n") if row])
+    return [(x, y) for y, row in enumerate(rows) for x in range(_WIDTH) if row[x] == "#"]
+
+
 def _box(length: int, width: int, height: int) -> Iterator[Cell]:
     if length * width * height > DESIGN_CELLS:
         raise InputError(
@@ -158,10 +187,6 @@ def _around(length: int, width: int, height: int) -> Iterator[Cell]:
     return (
         (x, y, z) for x, y, z in _box(length, width, height) if x in (0, length - 1) or y in (0, width - 1)
     )
-
-
-def _court(cell: Cell, span: int) -> bool:
-    return cell[1] == 0 and 0 < cell[0] <= span
 
 
 def _at_least(name: str, least: int, **sizes: int) -> None:

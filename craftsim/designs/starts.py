@@ -1,15 +1,17 @@
-"""Starts for designs: the blocks and slopes that a building takes, spread over the floor around its place, and cars."""
+"""Starts for designs: the blocks and slopes that a building takes, spread over the floor around its place, and cars.
+
+A car can get at each thing, and away with it: the free floor stays in one piece, and everything touches it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.designs.spreading import Column, FreeFloor
 from craftsim.discrete.files.blueprint import MAX_CELLS, MAX_SIDE
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
@@ -17,11 +19,18 @@ from craftsim.discrete.grid_checks import check_size
 from craftsim.errors import InputError
 from craftsim.storage.limits import DESIGN_CELLS
 
+Column = tuple[int, int]
+"""(x, y)."""
+Mask = NDArray[np.bool_]
+"""(L, W)."""
+
 MARGIN: Final = 3
 """Free cells around a building, unless said otherwise: a ramp takes two, and a car comes from the third."""
 _TRIES: Final = 4
 _SHARE: Final = 0.4
 """Of the free floor that things take at most where the size is to be found."""
+_AROUND: Final = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
+"""The eight neighbours in a circle; those with an edge in common are the even ones."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +60,9 @@ class DesignStart:
     grid: Grid
     design: Design
     """Where it is to stand in the world."""
+    steps: tuple[Piece, ...] = ()
+    """Of a random design: blocks and ramps, those too that serve for building alone, in an order in which each can be
+    put there."""
 
 
 def make_start(
@@ -136,7 +148,7 @@ def spread(
         for column in clear:
             floor.keep(column)
         # At random as long as there is room for it, then close together.
-        if stock.slopes and fits is None and not _keep_turning_place(floor, rng):
+        if stock.slopes and fits is None and not floor.keep_turning_place(rng):
             break
         if _put(grid, floor, stock, rng, dense=i >= _TRIES // 2, fits=fits):
             grid.derive_marks()
@@ -147,28 +159,21 @@ def spread(
     )
 
 
-def _outside(free: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the largest piece of a free floor: what a court of the design holds could not come out any more."""
+def pieces_of(mask: Mask) -> tuple[NDArray[np.int32], int]:
+    """Return (L, W): the number, from 1, of the piece that a cell is in, and how many pieces there are."""
     from scipy.ndimage import label
 
-    pieces, n = label(free)
+    found: tuple[NDArray[np.int32], int] = label(mask)
+    return found
+
+
+def _outside(free: Mask) -> Mask:
+    """Return the largest piece of a free floor: what a court of the design holds could not come out any more."""
+    pieces, n = pieces_of(free)
     if n == 0:
         return free
-    largest = 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
-    outside: NDArray[np.bool_] = pieces == largest
+    outside: Mask = pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
     return outside
-
-
-def _keep_turning_place(floor: FreeFloor, rng: np.random.Generator) -> bool:
-    """Keep the cells free where a car can turn with a slope; return whether there are such."""
-    places = floor.turning_places()
-    if not len(places):
-        return False
-    x, y = places[rng.integers(len(places))].tolist()
-    for dx in (-1, 0, 1):
-        for dy in (-1, 0, 1):
-            floor.keep((x + dx, y + dy))
-    return True
 
 
 def _put(
@@ -185,7 +190,7 @@ def _put(
         before = slopes + blocks
         order = rng.permutation(floor.free.size)
         if dense:
-            order = order[np.argsort(floor.neighbours().ravel()[order], kind="stable")]
+            order = order[np.argsort(floor.neighbours(_AROUND[::2]).ravel()[order], kind="stable")]
         for index in order.tolist():
             cell = (*divmod(index, floor.free.shape[1]), 1)
             if slopes:
@@ -245,3 +250,84 @@ def _barrier(design: Design, size: Cell) -> list[Cell]:
     columns = {target.cell[:2] for target in design.targets}
     x = (min(x for x, _ in columns) + max(x for x, _ in columns)) // 2
     return [(x, y, 1) for y in range(size[1]) if (x, y) not in columns]
+
+
+class FreeFloor:
+    """A floor on which things take cells.
+
+    Whether a cell can be taken is seen from the eight around it alone: those of its free neighbours that are joined
+    there stay joined.
+    """
+
+    def __init__(self, free: Mask) -> None:
+        """Take (L, W): where things may be put, and cars drive; beside it is nothing."""
+        # A border saves all tests for the edge.
+        self._free = np.pad(free, 1)
+        self._kept = np.zeros_like(self._free)
+        self._things = np.zeros_like(self._free)
+
+    @property
+    def free(self) -> Mask:
+        """(L, W): what is free still."""
+        return self._free[1:-1, 1:-1]
+
+    def keep(self, column: Column) -> None:
+        """Let a free cell stay so."""
+        self._kept[column[0] + 1, column[1] + 1] = True
+
+    def keep_turning_place(self, rng: np.random.Generator) -> bool:
+        """Keep nine cells free, where a car can turn with a slope; return whether there are such."""
+        places = np.argwhere(self.free & (self.neighbours(_AROUND) == len(_AROUND)))
+        if not len(places):
+            return False
+        x, y = places[rng.integers(len(places))].tolist()
+        self._kept[x : x + 3, y : y + 3] = True
+        return True
+
+    def neighbours(self, around: Sequence[Column]) -> NDArray[np.int64]:
+        """Return (L, W): how many of the cells in some places beside each are free."""
+        length, width = self.free.shape
+        found = np.zeros(self.free.shape, np.int64)
+        for dx, dy in around:
+            found += self._free[1 + dx : 1 + dx + length, 1 + dy : 1 + dy + width]
+        return found
+
+    def take(self, *columns: Column) -> bool:
+        """Take cells for one thing, the first of which a car must get at; return whether that was possible."""
+        taken: list[Column] = []
+        for column in columns:
+            if not self._can_go(column):
+                break
+            self._free[column[0] + 1, column[1] + 1] = False
+            taken.append(column)
+        if len(taken) == len(columns) and self._touched(columns[0]) and all(map(self._leaves_touched, taken)):
+            self._things[columns[0][0] + 1, columns[0][1] + 1] = True
+            return True
+        for x, y in taken:
+            self._free[x + 1, y + 1] = True
+        return False
+
+    def give_back(self, *columns: Column) -> None:
+        """Free the cells of a thing again that were taken last."""
+        for x, y in columns:
+            self._free[x + 1, y + 1] = True
+            self._things[x + 1, y + 1] = False
+
+    def _can_go(self, column: Column) -> bool:
+        """Return whether a cell is free, not kept, and no bridge between parts of the free floor."""
+        x, y = column[0] + 1, column[1] + 1
+        if not self._free[x, y] or self._kept[x, y]:
+            return False
+        circle = [bool(self._free[x + dx, y + dy]) for dx, dy in _AROUND]
+        # A free neighbour begins a new piece where the way back around the circle to the last one is not free.
+        pieces = sum(circle[i] and not (circle[i - 1] and circle[i - 2]) for i in range(0, 8, 2))
+        return pieces <= 1 and any(circle[::2])
+
+    def _leaves_touched(self, column: Column) -> bool:
+        """Return whether the things beside a cell that is taken touch the free floor still."""
+        around = [(column[0] + dx, column[1] + dy) for dx, dy in _AROUND[::2]]
+        return all(self._touched((x, y)) for x, y in around if self._things[x + 1, y + 1])
+
+    def _touched(self, column: Column) -> bool:
+        x, y = column[0] + 1, column[1] + 1
+        return any(self._free[x + dx, y + dy] for dx, dy in _AROUND[::2])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -12,7 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.designs.drawn import DrawnStart, Size, start_of
+from craftsim.designs.drawn import Size, start_of
+from craftsim.designs.starts import DesignStart
 from craftsim.discrete.files.blueprint import Blueprint
 from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Cell, Grid
 from craftsim.discrete.grid_checks import check_size
@@ -64,7 +64,7 @@ class DrawnDesigns:
 
     def fresh(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n new starts with their designs."""
-        drawn: list[DrawnStart] = []
+        drawn: list[DesignStart] = []
         designs: list[Targets] = []
         misses = 0
         while len(drawn) < n:
@@ -163,44 +163,27 @@ def with_reflections(starts: Starts) -> Starts:
     for turns in range(0, 4, 1 if square else 2):
         turned = starts
         for _ in range(turns):
-            turned = _turned(turned)
-        found += [turned, _reflected(turned)]
+            turned = _moved(turned, reflected=False)
+        found += [turned, _moved(turned, reflected=True)]
     return Starts.joined(found)
 
 
-def _turned(starts: Starts) -> Starts:
-    """Return starts turned by a quarter, from +x to +y."""
-    length = starts.grids.size[1]
+def _moved(starts: Starts, reflected: bool) -> Starts:
+    """Return starts with y reversed, or turned by a quarter, from +x to +y."""
+    cells, width = starts.grids.cells, starts.grids.size[1]
+    cells = cells[:, :, ::-1] if reflected else cells.swapaxes(1, 2)[:, ::-1]
+    grids, designs = Grid(cells.copy(), starts.grids.cars.copy()), starts.designs.copy()
 
-    def cells(array: NDArray[Any]) -> NDArray[Any]:
-        return array.swapaxes(1, 2)[:, ::-1]
+    def move(rows: NDArray[Any], columns: tuple[int, int, int], there: NDArray[np.bool_]) -> None:
+        x, y, yaw = (rows[..., column].copy() for column in columns)
+        moved = (x, width - 1 - y, -yaw % 4) if reflected else (width - 1 - y, x, (yaw + 1) % 4)
+        for column, value, change in zip(columns, moved, (there, there, there & (yaw >= 0)), strict=True):
+            rows[..., column][change] = value[change]
 
-    return _moved(starts, cells, lambda x, y: (length - 1 - y, x), lambda yaw: yaw + 1)
-
-
-def _reflected(starts: Starts) -> Starts:
-    """Return starts with y reversed."""
-    width = starts.grids.size[1]
-    return _moved(starts, lambda array: array[:, :, ::-1], lambda x, y: (x, width - 1 - y), lambda yaw: -yaw)
-
-
-def _moved(
-    starts: Starts,
-    cells: Callable[[NDArray[Any]], NDArray[Any]],
-    place: Callable[[NDArray[Any], NDArray[Any]], tuple[NDArray[Any], NDArray[Any]]],
-    heading: Callable[[NDArray[Any]], NDArray[Any]],
-) -> Starts:
-    grids = Grid(cells(starts.grids.cells).copy(), starts.grids.cars.copy())
-    with_yaw = np.isin(grids.kind, KINDS_WITH_YAW)
-    grids.yaw[with_yaw] = heading(grids.yaw[with_yaw]) % 4
-    cars, designs = grids.cars, starts.designs.copy()
-    x, y = place(starts.grids.cars[..., CarField.X], starts.grids.cars[..., CarField.Y])
-    cars[..., CarField.X], cars[..., CarField.Y] = x, y
-    cars[..., CarField.YAW] = heading(cars[..., CarField.YAW]) % 4
-    there, directed = designs[..., 0] != 0, designs[..., 4] >= 0
-    x, y = place(designs[..., 1], designs[..., 2])
-    designs[..., 1], designs[..., 2] = np.where(there, x, 0), np.where(there, y, 0)
-    designs[..., 4] = np.where(there & directed, heading(designs[..., 4]) % 4, designs[..., 4])
+    yaw = grids.yaw[np.isin(grids.kind, KINDS_WITH_YAW)]
+    grids.yaw[np.isin(grids.kind, KINDS_WITH_YAW)] = -yaw % 4 if reflected else (yaw + 1) % 4
+    move(grids.cars, (CarField.X, CarField.Y, CarField.YAW), np.ones(grids.cars.shape[:-1], np.bool_))
+    move(designs, (1, 2, 4), designs[..., 0] != 0)
     return Starts(grids, designs)
 
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 
-from craftsim.designs.growth import Ramp
-from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.grid import Cell, Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 
@@ -47,9 +46,9 @@ def do(grid: Grid, *actions: Action) -> bool:
     return True
 
 
-def bring(grid: Grid, step: Cell | Ramp, done: set[Cell]) -> Grid | None:
+def bring(grid: Grid, step: Piece, done: set[Cell]) -> Grid | None:
     """Return the world after car 0 has put a block, or a slope that it unfolds, where a step says, or None."""
-    slope = isinstance(step, Ramp)
+    slope = step.kind == Kind.BODY
     kind = Kind.FSLOPE if slope else Kind.BLOCK
     for pose in poses(grid):
         if grid.kind[pose[:3]] != kind or pose[:3] in done:
@@ -59,7 +58,7 @@ def bring(grid: Grid, step: Cell | Ramp, done: set[Cell]) -> Grid | None:
         if not do(loaded, Action.LIFT):
             continue
         for place in poses(loaded):
-            if place[:3] != (step.body if slope else step) or (slope and place[3] != (step.yaw + 2) % 4):
+            if place[:3] != step.cell or place[3] not in step.yaws:
                 continue
             after = loaded.copy()
             after.cars[0] = place
@@ -68,7 +67,7 @@ def bring(grid: Grid, step: Cell | Ramp, done: set[Cell]) -> Grid | None:
     return None
 
 
-def build(start: Grid, steps: tuple[Cell | Ramp, ...]) -> tuple[Grid, int]:
+def build(start: Grid, steps: tuple[Piece, ...]) -> tuple[Grid, int]:
     """Return the world after as many steps as one car can do, and how many these are."""
     grid = start.copy()
     grid.cars = grid.cars[:1].copy()
@@ -79,6 +78,6 @@ def build(start: Grid, steps: tuple[Cell | Ramp, ...]) -> tuple[Grid, int]:
         if after is None:
             return grid, i
         grid = after
-        done.add(step.body if isinstance(step, Ramp) else step)
+        done.add(step.cell)
     grid.derive_marks()
     return grid, len(steps)

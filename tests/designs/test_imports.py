@@ -7,9 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from craftsim.designs.finding import find_design
-from craftsim.designs.meshes import read_mesh
-from craftsim.designs.pictures import read_pictures
+from craftsim.designs.finding import find_design, read_mesh, read_pictures
 from craftsim.discrete.grid import Kind
 from craftsim.errors import InputError
 

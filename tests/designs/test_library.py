@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from designs.building import build
 
-from craftsim.designs.font import SIGNS, cells_of
-from craftsim.designs.growth import Ramp
-from craftsim.designs.library import AWAY, LIBRARY, make_design, sizes_of
+from craftsim.designs.library import AWAY, LIBRARY, SIGNS, cells_of, make_design, sizes_of
 from craftsim.designs.starts import make_start
 from craftsim.discrete.files.design import Design, design_in, read_design, write_design
-from craftsim.discrete.grid import Kind
+from craftsim.discrete.grid import Kind, Piece
 from craftsim.errors import InputError
 
 
@@ -115,32 +113,32 @@ def test_a_design_in_no_file_is_held_to_what_a_file_is():
         Design.of("mine", [], [((1, 1, 1), 1), ((3, 1, 1), 2)])
 
 
+def _block(x, y, z=1):
+    return Piece(Kind.BLOCK, (x, y, z))
+
+
+def _ramp(cell, yaw=AWAY):
+    return Piece(Kind.BODY, cell, yaw)
+
+
 BACK = [
-    (3, 0),
-    (4, 0),
+    *((x, 0) for x in (3, 4)),
     *((4, y) for y in range(1, 5)),
     (3, 4),
     (1, 0),
     *((0, y) for y in range(5)),
-    (1, 4),
-    (2, 4),
 ]
+BACK += [(1, 4), (2, 4)]
 """Of a house's walls: from both sides of the door to the middle of the back, where the ramp leads."""
+SQUARE = [(x, y) for x in (3, 2) for y in (1, 0)]
 ORDERS = {
-    "house": [*((x, y, 1) for x, y in BACK), Ramp((2, 5, 1), 1), *((x, y, 2) for x, y in BACK)],
-    "bridge": [Ramp((4 + 1, 0, 1), 0), *((x, 0, 1) for x in (4, 3, 2)), Ramp((1, 0, 1), AWAY)],
+    "house": [*(_block(x, y) for x, y in BACK), _ramp((2, 5, 1), 1), *(_block(x, y, 2) for x, y in BACK)],
+    "bridge": [_ramp((5, 0, 1), 0), *(_block(x, 0) for x in (4, 3, 2)), _ramp((1, 0, 1))],
     "stair": [
-        *((x, y, 1) for x in (5, 4, 3, 2) for y in (1, 0)),
-        Ramp((1, 0, 1), AWAY),
-        (5, 1, 2),
-        (5, 0, 2),
-        Ramp((4, 0, 2), AWAY),
+        *(_block(x, y) for x in (5, 4, 3, 2) for y in (1, 0)),
+        *(_ramp((1, 0, 1)), _block(5, 1, 2), _block(5, 0, 2), _ramp((4, 0, 2))),
     ],
-    "tower": [
-        *((x, y, 1) for x in (3, 2) for y in (1, 0)),
-        Ramp((1, 0, 1), AWAY),
-        *((x, y, 2) for x in (3, 2) for y in (1, 0)),
-    ],
+    "tower": [*(_block(x, y) for x, y in SQUARE), _ramp((1, 0, 1)), *(_block(x, y, 2) for x, y in SQUARE)],
 }
 
 
@@ -148,15 +146,8 @@ def test_one_car_builds_it_by_the_rules_from_the_far_ends():
     for name in ORDERS:
         design = make_design(name)
         start = make_start(design, 1, np.random.default_rng(0), margin=4)
-        dx, dy = (
-            a - b for a, b in zip(start.design.targets[0].cell[:2], design.targets[0].cell[:2], strict=True)
-        )
-        steps = [
-            Ramp((one.body[0] + dx, one.body[1] + dy, one.body[2]), one.yaw)
-            if isinstance(one, Ramp)
-            else (one[0] + dx, one[1] + dy, one[2])
-            for one in ORDERS[name]
-        ]
+        dx, dy, _ = np.subtract(start.design.targets[0].cell, design.targets[0].cell).tolist()
+        steps = [one._replace(cell=(one.cell[0] + dx, one.cell[1] + dy, one.cell[2])) for one in ORDERS[name]]
         grid, done = build(start.grid, tuple(steps))
         assert done == len(steps)
         assert start.design.satisfied(grid)

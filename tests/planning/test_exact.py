@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from by_force import least_work_by_force
+from tiny_worlds import tiny_world
 
-from craftsim.designs.tiny import tiny_world
 from craftsim.discrete.files.design import design_in
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.rules import Rules

@@ -9,7 +9,7 @@ import pytest
 from craftsim.cli.bench import pick
 from craftsim.discrete.tasks import as_task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.large_tasks import LARGE_NAMES
+from craftsim.discrete.tasks.random_tasks import LARGE_NAMES
 from craftsim.planning import NoPlanError, plan_building
 
 WORLDS = 64

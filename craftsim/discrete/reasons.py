@@ -40,6 +40,10 @@ def _stands_on(place: str) -> RuleReason:
     return RuleReason(f"something stands on {{{place}}}: {{{place}:occupant}}", (place, f"above {place}"))
 
 
+def _corrects(correction: str, heading: str, words: str) -> RuleReason:
+    return RuleReason(words, correction=Correction[correction], heading=heading)
+
+
 REASONS: Final[dict[int, RuleReason]] = {
     code.NEVER: RuleReason("cars do not move diagonally"),
     code.ON_SLOPE: RuleReason("on a slope a car can only move forward"),
@@ -102,44 +106,26 @@ REASONS: Final[dict[int, RuleReason]] = {
     code.NO_ROOM_ON_LANDING: RuleReason(
         "there is no room above the landing, in {above third}: {above third:what}", ("above third",)
     ),
-    code.FLAP_HITS: RuleReason(
-        "the flap would meet something on its way", correction=Correction.swinging_flap, heading="flap"
+    code.FLAP_HITS: _corrects("swinging_flap", "flap", "the flap would meet something on its way"),
+    code.TURNING_LOAD_HITS: _corrects(
+        "turning_load", "turning-load", "the load would hit a car, or a load that leans, as it turns"
     ),
-    code.TURNING_LOAD_HITS: RuleReason(
-        "the load would hit a car, or a load that leans, as it turns",
-        correction=Correction.turning_load,
-        heading="turning-load",
+    code.LEANING_LOAD_HITS: _corrects(
+        "leaning_load", "leaning-load", "a load that leans on a ramp would meet something"
     ),
-    code.LEANING_LOAD_HITS: RuleReason(
-        "a load that leans on a ramp would meet something",
-        correction=Correction.leaning_load,
-        heading="leaning-load",
+    code.OTHER_RAMP: _corrects("own_ramp", "own-ramp", "on a ramp a car goes on along that ramp only"),
+    code.RAMP_UNDER_GEAR: _corrects(
+        "ramp_below_gear", "through-a-gear", "a ramp below a gear is driven down in its own direction only"
     ),
-    code.OTHER_RAMP: RuleReason(
-        "on a ramp a car goes on along that ramp only", correction=Correction.own_ramp, heading="own-ramp"
+    code.REACHING_LOAD_HITS: _corrects(
+        "reaching_load", "reaching-load", "something would meet a load that reaches in from another level"
     ),
-    code.RAMP_UNDER_GEAR: RuleReason(
-        "a ramp below a gear is driven down in its own direction only",
-        correction=Correction.ramp_below_gear,
-        heading="through-a-gear",
+    code.WALL_OVERHEAD: _corrects("overhead_wall", "overhead-wall", "there is a wall overhead"),
+    code.GEARS_CROSS: _corrects(
+        "crossing_gear", "crossing-gear", "the gear of the slope would cross something"
     ),
-    code.REACHING_LOAD_HITS: RuleReason(
-        "something would meet a load that reaches in from another level",
-        correction=Correction.reaching_load,
-        heading="reaching-load",
-    ),
-    code.WALL_OVERHEAD: RuleReason(
-        "there is a wall overhead", correction=Correction.overhead_wall, heading="overhead-wall"
-    ),
-    code.GEARS_CROSS: RuleReason(
-        "the gear of the slope would cross something",
-        correction=Correction.crossing_gear,
-        heading="crossing-gear",
-    ),
-    code.UNDER_THING_AT_END: RuleReason(
-        "who comes down a ramp does not drive under what stands right behind its foot",
-        correction=Correction.run_out,
-        heading="run-out",
+    code.UNDER_THING_AT_END: _corrects(
+        "run_out", "run-out", "who comes down a ramp does not drive under what stands right behind its foot"
     ),
 }
 """Why an action is forbidden, by code; published rules first, then corrections."""

@@ -12,8 +12,7 @@ from craftsim.discrete.move_graph import UNREACHABLE, MoveGraph
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import as_task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.discrete.tasks.large_tasks import LARGE_NAMES, large_task
-from craftsim.discrete.tasks.random_tasks import back_to_back
+from craftsim.discrete.tasks.random_tasks import LARGE_NAMES, back_to_back, large_task
 from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS
 from craftsim.discrete.tasks.starts import Starts, belongs, targets_of
 from craftsim.errors import InputError

@@ -1,22 +1,30 @@
-"""The paper's six tasks with random starts: the same design, but things and cars anywhere, turned anyhow."""
+"""Tasks with random starts, things and cars anywhere and turned anyhow: the paper's six, and the large ones.
+
+The large tasks of the paper's section 4.4, a tower and free building, are not shipped with CraftEnv. Each has 20 blocks
+and 4 slopes in 10 x 10 x 4 cells, and 4 or 8 cars.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.blueprint import Blueprint
+from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.placement import free_floor
+from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.grid_checks import check_size
+from craftsim.discrete.tasks.rewards import Reward
 from craftsim.discrete.tasks.starts import Split, Starts, belongs, check_split, read_split, targets_of
 from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task
-from craftsim.errors import InputError
+from craftsim.errors import InputError, suggestion
 
 RANDOM: Final = "random_"
 RANDOM_NAMES: Final = tuple(f"{RANDOM}{name}" for name in TASK_NAMES)
@@ -29,6 +37,14 @@ MAX_STEPS: Final = {
     "breaking_barrier": 36,
 }
 """Step limits: about 1.5 times what 95 % of the planner's plans for random starts take (docs/reference/tasks.md)."""
+_LARGE: Final[dict[str, tuple[int, int]]] = {
+    "large_tower_4": (4, 236),
+    "large_tower_8": (8, 196),
+    "large_free_building_4": (4, 236),
+    "large_free_building_8": (8, 196),
+}
+"""Cars and step limit, about 1.3 times the longest of the plans for the tower in docs/results/large.md."""
+LARGE_NAMES: Final = tuple(_LARGE)
 _TRIES: Final = 1000
 _YAWS: Final = 4
 
@@ -132,8 +148,7 @@ def back_to_back(grids: Grid) -> NDArray[np.bool_]:
     yaw = np.where(grids.kind[..., 1] == Kind.FSLOPE, grids.yaw[..., 1], -1)
     along_x = (yaw[:, :-1] == 2) & (yaw[:, 1:] == 0)
     along_y = (yaw[:, :, :-1] == 3) & (yaw[:, :, 1:] == 1)
-    found: NDArray[np.bool_] = along_x.any(axis=(1, 2)) | along_y.any(axis=(1, 2))
-    return found
+    return np.logical_or(along_x.any(axis=(1, 2)), along_y.any(axis=(1, 2)))
 
 
 def _choose(
@@ -196,6 +211,47 @@ def random_task(
     if split == "test" and (n_cars, n_blocks, area) == (None, None, None):
         return replace(task, sampler=read_split(RANDOM + name, "test")[0])
     return replace(task, sampler=RandomPlacement(task, flag_x))
+
+
+def large_task(name: str, split: Split = "train") -> Task:
+    """Return one of the large tasks, with a random start in each episode.
+
+    The tower is three levels high, with four ramps; its reward is table 1 of the paper, as in complex two-story. Free
+    building is rewarded by :func:`craftsim.discrete.tasks.rewards.structure`, has succeeded once three blocks stand on
+    one another, and goes on until the step limit.
+
+    Args:
+        name: ``large_tower_4``, ``large_tower_8``, ``large_free_building_4`` or ``large_free_building_8``, by the
+            number of cars.
+        split: ``train`` or ``test``; both are drawn as needed, and no start is in both.
+
+    Raises InputError.
+
+    Example:
+        >>> from craftsim.discrete.tasks import as_task
+        >>> task = as_task("large_tower_8")
+        >>> task.starts[0].size, task.layout.n_cars, task.layout.n_blocks, task.layout.n_slopes
+        ((10, 10, 4), 8, 20, 4)
+    """
+    check_split(split)
+    if name not in _LARGE:
+        raise InputError(
+            f"unknown large task '{name}'{suggestion(name, LARGE_NAMES)}; there are {', '.join(LARGE_NAMES)}"
+        )
+    n_cars, max_steps = _LARGE[name]
+    design = read_design(shipped_blueprint("large_tower_goal")) if "tower" in name else None
+    task = Task(
+        name=name + (f"@{split}" if split == "test" else ""),
+        starts=(Blueprint(Path(name), (10, 10, 4), 20, 4, n_cars),),
+        reward=Reward("complex_building" if design else "structure"),
+        success="built" if design else "three_high",
+        design=design,
+        max_steps=max_steps,
+        ends_on_success=design is not None,
+        split=split,
+        shown_targets=len(design.targets) if design else 0,
+    )
+    return replace(task, sampler=RandomPlacement(task, apart=True))
 
 
 def _blueprint(

@@ -18,8 +18,13 @@ from craftsim.discrete.files.blueprint import KEYS, blueprint_of, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.shipped import Shelf, find
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.tasks.large_tasks import LARGE_NAMES, large_task
-from craftsim.discrete.tasks.random_tasks import RANDOM, RANDOM_NAMES, random_task
+from craftsim.discrete.tasks.random_tasks import (
+    LARGE_NAMES,
+    RANDOM,
+    RANDOM_NAMES,
+    large_task,
+    random_task,
+)
 from craftsim.discrete.tasks.starts import Split
 from craftsim.discrete.tasks.task import (
     DEFAULT_MAX_STEPS,
@@ -181,8 +186,9 @@ def _found(
 ) -> Task:
     """Return the task of a name, a file or, where code may be imported, ``module:factory``."""
     name, _, split = text.partition("@")
+    is_code, counts = ":" in text and not is_file(text), (n_cars, n_blocks) != (None, None)
     if name in LARGE_NAMES:
-        if (n_cars, n_blocks, area) != (None, None, None):
+        if counts or area is not None:
             raise InputError(
                 f"task '{text}' has its own area and numbers of cars and blocks; they cannot be given"
             )
@@ -195,12 +201,11 @@ def _found(
             varied, given = importlib.import_module("craftsim.designs.tasks").designs_task, given[1:]
         task: Task = varied(*given, n_cars=n_cars, n_blocks=n_blocks, area=area)
         return task
-    names = task_names()
-    is_code = ":" in text and not is_file(text)
+    names = ", ".join(task_names())
     if is_code and not may_import:
         raise InputError(
             f"task '{text}': module:factory is code, which is imported where the command line or Python names it, "
-            f"never where a file does; allowed: {', '.join(names)}, a file .yaml"
+            f"never where a file does; allowed: {names}, a file .yaml"
         )
     if area is not None:
         raise InputError(
@@ -209,15 +214,13 @@ def _found(
     if text in TASK_NAMES:
         return make_task(text, n_cars=n_cars, n_blocks=n_blocks)
     if is_code or text in _REGISTERED:
-        if n_cars is not None or n_blocks is not None:
+        if counts:
             raise InputError(f"task '{text}' has its own numbers of cars and blocks; they cannot be given")
         return _made(text) if is_code else _REGISTERED[text]
     if is_file(text) or text.endswith((".yaml", ".yml")):
         return read_task(text, n_cars, n_blocks)
-    others = "a file .yaml, or module:factory" if may_import else "a file .yaml"
-    raise InputError(
-        f"unknown task '{text}'{suggestion(text[:80], names)}; there are {', '.join(names)}, {others}"
-    )
+    hint, others = suggestion(text[:80], task_names()), ", or module:factory" if may_import else ""
+    raise InputError(f"unknown task '{text}'{hint}; there are {names}, a file .yaml{others}")
 
 
 def _made(text: str) -> Task:
@@ -273,10 +276,8 @@ def read_task(path: str | Path, n_cars: int | None = None, n_blocks: int | None 
             design = read_design(beside)
     else:
         file = document.to(_File)
-        cars, blocks = (
-            n_cars if file.cars is None else file.cars,
-            n_blocks if file.blocks is None else file.blocks,
-        )
+        cars = n_cars if file.cars is None else file.cars
+        blocks = n_blocks if file.blocks is None else file.blocks
         named = file.start if isinstance(file.start, list) else [file.start]
         if not named:
             document.fail(("start",), "key 'start': needs at least one start file")

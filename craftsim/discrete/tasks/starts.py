@@ -169,28 +169,24 @@ def load_starts(path: Path) -> list[Grid]:
 def _grids(path: Path, arrays: Arrays) -> list[Grid]:
     """Return the worlds of stacked arrays, checked; raise InputError for others."""
     shapes = {name: arrays[name].shape for name in _ARRAYS}
-    counts = {shape[:1] for shape in shapes.values()}
+    counts, odd = {shape[:1] for shape in shapes.values()}, ""
     if len(counts) > 1 or counts == {()}:
-        raise InputError(
-            f"{path}: not a file of starts: its arrays are of {shapes}, and not one world after another"
-        )
-    n = len(arrays["kind"])
-    n_bytes = sum(arrays[name].nbytes for name in _ARRAYS)
+        odd = ", and not one world after another"
+    elif len({shape for name, shape in shapes.items() if name != "cars"}) > 1:
+        odd = "; those of cells must agree"
+    if odd:
+        raise InputError(f"{path}: not a file of starts: its arrays are of {shapes}{odd}")
+    n, n_bytes = len(arrays["kind"]), sum(arrays[name].nbytes for name in _ARRAYS)
     if n > START_WORLDS or n_bytes > STARTS.content_bytes:
         raise InputError(
             f"{path}: {n} worlds of {size_text(n_bytes)}; allowed: at most {START_WORLDS} of "
             f"{size_text(STARTS.content_bytes)} together"
         )
-    if len({shapes[name] for name in ("kind", "yaw", "top", "back")}) > 1:
-        raise InputError(
-            f"{path}: not a file of starts: its arrays are of {shapes}; those of cells must agree"
-        )
     grids = []
     for i in range(n):
         try:
-            grid = Grid.from_arrays({name: arrays[name][i] for name in _ARRAYS})
-            check_grid(grid)
+            grids.append(Grid.from_arrays({name: arrays[name][i] for name in _ARRAYS}))
+            check_grid(grids[i])
         except InputError as error:
             raise InputError(f"{path}: world {i}: {error}") from None
-        grids.append(grid)
     return grids

@@ -76,18 +76,15 @@ MISTAKES = (
     ("slope_num: 1\n", "", "b.yaml: key 'slope_num' is missing; required: area_length"),
     ("slope_num: 1", "slop_num: 1", r":5: unknown key 'slop_num'; did you mean 'slope_num'\?; allowed: "),
     (BLOCK, "{id: 1, x: 5, y: 0, z: 2}", r":9: key 'block\[1\].x': 5 .*allowed: 0 to 4"),
-    (BLOCK, "{id: 1, x: 1, y: 0, z: 4}", ":9: .*4 is out of range, allowed: 1 to 3"),
     (BLOCK, "{id: 1, x: 2, y: 1, z: 1}", r":11: .*\(2, 1, 1\), where a block is "),
     (BLOCK, "{id: 1, x: 3, y: 0, z: 2}", ":9: .*a block at .* floats; allowed: on the"),
     (BLOCK, "{id: 0, x: 1, y: 0, z: 2}", ":9: .*0 is taken, see line 8"),
     ("y: 2, z: 1, yaw: 3", "y: 0, z: 1, yaw: 3", ":11: .*gear of a folded slope .*outside the area"),
     ("block_num: 2", "block_num: 1", "'block_num': 1, but 2 are listed; allowed: at least 2"),
     (OTHER, "x: 2, y: 0", r":14: .*smartcar\[1\]': needs 'id'; required: id, x, y, z, yaw"),
-    (OTHER, "id: 2, x: 2, y: 0", r":14: .*smartcar\[1\].id': 2 is out of range, allowed: 0 to 1"),
     (OTHER, "id: 1, x: 0, y: 2", r":14: .*car 1 is at .* where car 0 is \(line 13\)"),
     (CAR, "x: 0, y: 2, z: 2, yaw: 0", ":13: .*stands in the air"),
     (CAR, "x: 2, y: 2, z: 1, yaw: 0", ":13: .*yaw 0 under a slope; allowed: 1"),
-    ("area_length: 5", "area_length: 1000000", ":1: .*out of range, allowed: 1 to 128"),
 )
 
 
@@ -125,7 +122,7 @@ def test_what_is_not_listed_is_drawn_apart_and_the_same_seed_draws_the_same():
     for placement in ("sane", "published"):
         blueprint = parse_blueprint(RANDOM, "r.yaml")
         yaws = set()
-        for seed in range(60):
+        for seed in range(25):
             grid = blueprint.grid(np.random.default_rng(seed), placement)
             assert grid.same_visible(blueprint.grid(np.random.default_rng(seed), placement))
             assert (grid.kind == Kind.BLOCK).sum() == 6

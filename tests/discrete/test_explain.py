@@ -40,7 +40,7 @@ def test_every_forbidden_action_has_a_reason_and_every_legal_one_is_said_to_be_l
     for rule_set in ("published", "physical"):
         rules, rng = Rules(rule_set), np.random.default_rng(5)
         seen = {True: 0, False: 0}
-        for _ in range(60):
+        for _ in range(25):
             for grid in _worlds(rules, rng):
                 mask = rules.mask(grid)
                 for car in range(grid.n_cars):
@@ -54,7 +54,7 @@ def test_every_forbidden_action_has_a_reason_and_every_legal_one_is_said_to_be_l
                             all(len(cell) == 3 for cell in explanation.cells) and explanation.cells
                         )
                         seen[explanation.legal] += 1
-        assert min(seen.values()) > 500
+        assert min(seen.values()) > 200
 
 
 def test_without_the_flag_that_is_named_the_action_is_legal_or_has_another_reason():
@@ -69,6 +69,6 @@ def test_without_the_flag_that_is_named_the_action_is_legal_or_has_another_reaso
             named[explanation.correction] += 1
             other = Rules("physical", ~explanation.correction)
             assert other.explain(grid, int(car), Action(action)).reason != explanation.reason
-        if min(named.values()) > 2:
+        if min(named.values()) > 0:
             break
     assert min(named.values()) > 0, named

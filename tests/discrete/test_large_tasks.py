@@ -18,8 +18,6 @@ from craftsim.discrete.tasks.starts import Starts, belongs, targets_of
 from craftsim.errors import InputError
 from craftsim.planning import plan_building
 
-EACH = pytest.mark.parametrize("name", LARGE_NAMES)
-
 
 def block(x, y, z=1):
     return Piece(Kind.BLOCK, (x, y, z))
@@ -112,7 +110,7 @@ def test_two_slopes_back_to_back_leave_a_car_no_way_under_either():
             assert back_to_back(grid[None]).tolist() == [stuck]
 
 
-@EACH
+@pytest.mark.parametrize("name", LARGE_NAMES)
 def test_starts_have_all_their_things_on_the_floor_and_are_distinct(name):
     task, other = as_task(name), as_task(f"{name}@test")
     starts, held_out = (one.draw_starts(np.random.default_rng(0), 200) for one in (task, other))
@@ -139,10 +137,10 @@ def test_what_free_building_pays_adds_up_and_goes_on_after_success():
     assert not steps.done.any()
 
 
-@pytest.mark.parametrize("n_cars", [4, 8])
+@pytest.mark.parametrize("n_cars", [4, pytest.param(8, marks=pytest.mark.slow)])
 def test_the_planner_builds_the_tower_from_a_drawn_start_in_time(n_cars):
     task = large_task(f"large_tower_{n_cars}", "test")
-    planned = plan_building(task.draw(np.random.default_rng(0)), task, rounds=4, time_s=math.inf)
+    planned = plan_building(task.draw(np.random.default_rng(0)), task, rounds=2, time_s=math.inf)
     assert task.succeeded(planned.schedule.final)
     assert len(planned.ticks) <= task.max_steps + 2
     assert len({car for tick in planned.ticks for car, _ in tick}) > n_cars // 2

@@ -26,24 +26,17 @@ def test_a_plan_keeps_ticks_and_the_order_of_its_lines(tmp_path):
 
 MISTAKES = {
     "0 0 LIFTT": r":1: unknown action 'LIFTT'; did you mean 'LIFT'\?; allowed: LIFT, DROP",
-    "0 0 lift": ":1: unknown action 'lift'",
     "0 2 LIFT": ":1: no car '2'; there are cars 0 to 1",
     "0 -1 LIFT": ":1: no car '-1'",
-    "0 one LIFT": ":1: no car 'one'",
     "1 0 LIFT\n0 1 LIFT": ":2: tick 0 comes after tick 1; allowed: 1 or later",
     "0 0 LIFT\n0 0 STOP": ":2: car 0 acts twice in tick 0",
     "x 0 LIFT": ":1: tick 'x' must be a whole number",
-    "1.5 0 LIFT": ":1: tick '1.5' must be a whole number",
     "999999999 0 LIFT": ":1: tick 999999999 is out of range",
     "0 0": ":1: 2 words, but a line is: tick car ACTION",
     "0 0 LIFT\n1 1 LIFT after": ":2: 'after' names no action",
-    "0 0 LIFT\n1 1 LIFT before 0:0": ":2: 5 words, but a line is: tick car ACTION, or",
     "0 0 LIFT\n1 1 LIFT after 0-0": ":2: after '0-0', but an action is named CAR:TICK",
-    "0 0 LIFT\n1 1 LIFT after 0:x": ":2: after '0:x', but an action is named CAR:TICK",
     "0 0 LIFT\n1 1 LIFT after 0:1": ":2: after '0:1', but no line before this one is of car 0 in tick 1",
-    "0 0 LIFT\n1 1 LIFT after 7:0": ":2: after '7:0', but no line before",
     "0 1 LIFT after 0:0\n0 0 LIFT": ":1: after '0:0', but no line before",
-    "0 1 LIFT after 0:1\n1 0 LIFT": ":1: after '0:1', but no line before",
     "0 1 LIFT\n1 1 LIFT after 1:0": ":2: after '1:0', but car 1 waits for its own actions anyway",
     "0 0 LIFT\n1 1 LIFT after 0:0 0:0": ":2: after '0:0' stands twice; allowed: once",
     "# nothing": "no actions",
@@ -121,7 +114,7 @@ _WORDS = st.sampled_from(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(st.lists(st.lists(_WORDS, max_size=6).map(" ".join), max_size=4).map("\n".join))
 @example("0 0 LIFT\n0 1 LIFT after 0:0")
 def test_any_lines_are_a_plan_or_a_mistake_with_its_file(tmp_path, text):

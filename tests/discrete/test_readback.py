@@ -108,15 +108,10 @@ def test_a_gear_leaves_its_cell_to_what_stands_there():
 CAR_PROBLEMS = (
     (_car((1, 1, 1), shift=(0.03, 0.04, 0)), "car 0 is 50 mm from the centre of (1, 1)"),
     (_car((-1, 1, 1)), "car 0 is outside the area, at (-1, 1)"),
-    (_car((1, 4, 1)), "car 0 is outside the area, at (1, 4)"),
     (_car((1, 1, 1), shift=(0, 0, 0.05)), "car 0 is +50 mm from the floor of level 1"),
-    (_car((1, 1, 2), shift=(0, 0, -0.02)), "car 0 is -20 mm from the floor of level 2"),
     (_car((1, 1, 5)), "car 0 is on level 5, outside 1..4"),
-    (_car((1, 1, 0)), "car 0 is on level 0, outside 1..4"),
     (_car((1, 1, 1), off=0.3), "car 0 heads +0.30 rad away from yaw 0"),
-    (_car((1, 1, 1), 2, off=-0.3), "car 0 heads -0.30 rad away from yaw 2"),
     (_car((1, 1, 1), nose_up=0.1), "car 0 leans: pitch +0.10 rad, roll 0.00 rad"),
-    (_car((1, 1, 1), nose_up=-0.1), "car 0 leans: pitch -0.10 rad, roll 0.00 rad"),
     (_car((1, 1, 1), nose_up=0.02, left_up=-0.2), "car 0 leans: pitch +0.02 rad, roll 0.20 rad"),
     (_car((1, 1, 1), left_up=math.pi), "car 0 leans: pitch +0.00 rad, roll 0.00 rad"),
 )
@@ -128,11 +123,8 @@ THING_PROBLEMS = (
     (_thing(Kind.BLOCK, (1, 1, 1), left_up=0.3), "block 0 leans by 0.30 rad"),
     (_thing(Kind.BLOCK, (1, 1, 1), left_up=math.pi), "block 0 leans by 3.14 rad"),
     (_thing(Kind.BLOCK, (1, 1, 1), off=0.2), "block 0 is turned by +0.20 rad"),
-    (_slope((1, 1, 1), off=-0.2), "slope 0 is turned by -0.20 rad"),
     (_slope((1, 1, 1), hinge=1.0), "slope 0 is half open: its hinge stands at 1.00 rad"),
-    (_slope((1, 1, 1), hinge=2.0), "slope 0 is half open: its hinge stands at 2.00 rad"),
     (_slope((3, 1, 1)), "slope 0 reaches outside the area, into (4, 1, 1)"),
-    (_slope((0, 1, 1), 2), "slope 0 reaches outside the area, into (-1, 1, 1)"),
 )
 
 
@@ -145,19 +137,13 @@ def test_what_stands_in_no_cell_is_a_problem_said_in_words():
         assert _problems([car], [thing]) == (one, other), "every problem is named at once"
 
 
-def test_two_things_in_a_cell_are_a_problem():
+def test_two_things_in_a_cell_a_thing_in_a_wall_and_a_second_load_are_problems():
     pair = [_thing(Kind.BLOCK, (1, 1, 1)), _thing(Kind.FLAG, (1, 1, 1), shift=(0.01, 0, 0))]
     assert _problems(things=pair) == ("flag 0 shares the cell (1, 1, 1) with a block",)
     foot = [_thing(Kind.BLOCK, (1, 1, 1)), _slope((0, 1, 1), hinge=0.0)]
     assert _problems(things=foot) == ("slope 0 shares the cell (1, 1, 1) with a block",)
-
-
-def test_a_thing_in_a_wall_is_a_problem():
     reading = _read(things=[_thing(Kind.BLOCK, (2, 2, 1))], walls=np.array([[2, 2, 1]]))
     assert reading.problems == ("block 0 shares the cell (2, 2, 1) with a wall",)
-
-
-def test_a_second_load_is_a_problem():
     loads = [_thing(Kind.BLOCK, (1, 1, 1), shift=(0, 0, LIFT_M + d)) for d in (0, 0.01)]
     assert _problems([_car((1, 1, 1))], loads) == ("block 1 is a second load on car 0",)
 

@@ -1,5 +1,6 @@
 """A saved world is read back the same; a recorded episode replays the same; CraftEnv's own records are read."""
 
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -29,15 +30,15 @@ def assert_same(one, other):
 
 def test_recorded_worlds_of_all_kinds_are_saved_and_read_back_the_same():
     snapshots = 0
-    for _, record in read_records(DATA / "traces.jsonl.gz"):
+    for _, record in islice(read_records(DATA / "traces.jsonl.gz"), None, None, 5):
         grid = recorded_grid(record["size"], record["after"])
         text = blueprint_text(grid)
         assert_same(read_back(text), grid)
         snapshots += "snapshot" in text
-    assert snapshots > 100
+    assert snapshots > 20
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_a_running_world_is_saved_and_read_back_the_same(seed):
     rng = np.random.default_rng(seed)

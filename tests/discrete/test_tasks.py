@@ -12,7 +12,7 @@ from craftsim.discrete.tasks import TASK_NAMES, Task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS, Reward
 from craftsim.discrete.tasks.starts import targets_of
-from craftsim.errors import BlueprintError, InputError
+from craftsim.errors import InputError
 
 BLOCK, GEAR, FSLOPE, BODY, FOOT = Kind.BLOCK, Kind.GEAR, Kind.FSLOPE, Kind.BODY, Kind.FOOT
 
@@ -101,25 +101,19 @@ def test_free_building_succeeds_with_one_platform_of_all_blocks(rng):
     assert not task.succeeded(grid)
 
 
-def test_the_barrier_pays_steps_arrival_and_time_as_the_paper_says(rng):
+def test_the_barrier_pays_steps_arrival_and_time_as_paper_and_code_say(rng):
     task = make_task("breaking_barrier")
-    before = np.array([-6.0, -5.0, -1.0, 0.0])
-    after = np.array([-5.0, -5.0, 0.0, 0.0])
+    before, after = np.array([-6.0, -5.0, -1.0, 0.0]), np.array([-5.0, -5.0, 0.0, 0.0])
     assert task.reward == Reward("flag_nearness", "barrier")
     assert worth(task, task.draw(rng)) == -5
     paid, _ = task.reward.of_tick(before, after, np.arange(4), np.zeros(4, bool))
     assert paid.tolist() == [0, -1, 10, 9]
-
-
-def test_the_code_pays_the_barrier_bonus_once_and_nothing_in_the_first_tick(rng):
-    reward = make_task("breaking_barrier", reward="published_code").reward
-    assert reward == Reward("flag_nearness", "published_barrier")
-    before = np.array([-5.0, -1.0, -1.0, -1.0, 0.0])
-    after = np.array([-4.0, 0.0, 0.0, 0.0, 0.0])
-    paid, spent = reward.of_tick(
-        before, after, np.array([0, 7, 30, 7, 1]), np.array([False, False, False, True, False])
-    )
-    assert paid.tolist() == [0, 1 + 13, 1 - 10, 1, 19]
+    code = make_task("breaking_barrier", reward="published_code").reward
+    assert code == Reward("flag_nearness", "published_barrier")
+    before, after = np.array([-5.0, -1.0, -1.0, -1.0, 0.0]), np.array([-4.0, 0.0, 0.0, 0.0, 0.0])
+    given = np.array([False, False, False, True, False])
+    paid, spent = code.of_tick(before, after, np.array([0, 7, 30, 7, 1]), given)
+    assert paid.tolist() == [0, 1 + 13, 1 - 10, 1, 19], "one bonus, and nothing in the first tick"
     assert spent.tolist() == [False, True, True, True, True]
 
 
@@ -222,23 +216,22 @@ def test_one_of_several_start_files_is_drawn_for_each_episode():
 
 
 def test_what_cannot_be_a_task_is_told():
-    other = parse_blueprint(OWN.replace("block_num: 2", "block_num: 1"), "other.yaml")
-    with pytest.raises(BlueprintError, match=r"other\.yaml: .* must agree"):
-        Task("t", (parse_blueprint(OWN, "one.yaml"), other), Reward(lambda grid: 0.0), lambda grid: False)
-    with pytest.raises(InputError, match="at least one start file"):
-        Task("t", (), Reward(lambda grid: 0.0), lambda grid: False)
-    with pytest.raises(InputError, match="did you mean 'strip'"):
-        make_task("stripe")
-    with pytest.raises(InputError, match="unknown reward 'papr'; did you mean 'paper'"):
-        make_task("strip", reward="papr")
-    with pytest.raises(InputError, match="unknown potential 'plattform'; did you mean 'platform'"):
-        Reward("plattform")
-    with pytest.raises(InputError, match="unknown reward rule 'diff'; there are change"):
-        Reward("platform", "diff")
-    with pytest.raises(InputError, match="unknown goal 'build'; did you mean 'built'"):
-        replace(make_task("strip"), success="build")
-    with pytest.raises(InputError, match="max_steps is -1"):
-        make_task("strip", max_steps=-1)
+    def parts(starts):
+        return "t", starts, Reward(lambda grid: 0.0), lambda grid: False
+
+    one, other = (parse_blueprint(OWN.replace("m: 2", f"m: {n}"), f"{n}.yaml") for n in (2, 1))
+    for make, message in (
+        (lambda: Task(*parts((one, other))), r"1\.yaml: .* must agree"),
+        (lambda: Task(*parts(())), "at least one start file"),
+        (lambda: make_task("stripe"), "did you mean 'strip'"),
+        (lambda: make_task("strip", reward="papr"), "unknown reward 'papr'; did you mean 'paper'"),
+        (lambda: Reward("plattform"), "unknown potential 'plattform'; did you mean 'platform'"),
+        (lambda: Reward("platform", "diff"), "unknown reward rule 'diff'; there are change"),
+        (lambda: replace(make_task("strip"), success="build"), "unknown goal 'build'; did you mean 'built'"),
+        (lambda: make_task("strip", max_steps=-1), "max_steps is -1"),
+    ):
+        with pytest.raises(InputError, match=message):
+            make()
 
 
 def test_a_reset_empties_the_helpers_queue_and_the_slope_state(rng):
@@ -265,7 +258,7 @@ def test_a_batch_does_what_single_worlds_do(rng):
             task = make_task("complex_two_story")
             batch = Episodes(task, np.random.default_rng(1), 5, rule_set, depth)
             singles = [Episodes(task, np.random.default_rng(1), 1, rule_set, depth) for _ in range(5)]
-            for _ in range(30):
+            for _ in range(15):
                 legal, reachable, vectors = batch.legal(), batch.reachable(), batch.vectors()
                 mask = legal if depth is None else reachable
                 actions = (rng.random(mask.shape) * mask).argmax(-1)
@@ -276,12 +269,8 @@ def test_a_batch_does_what_single_worlds_do(rng):
                     assert np.array_equal(single.reachable()[0], reachable[i])
                     assert np.array_equal(single.vectors()[0], vectors[i])
                     step = single.step(actions[i : i + 1], order[i : i + 1])
-                    assert (step.reward, step.done, step.success) == (
-                        steps.reward[i],
-                        steps.done[i],
-                        steps.success[i],
-                    )
-                    assert np.array_equal(step.applied[0], steps.applied[i])
+                    for name in ("reward", "done", "success", "applied"):
+                        assert np.array_equal(getattr(step, name)[0], getattr(steps, name)[i])
                     assert single.grid(0).same_visible(batch.grid(i))
 
 

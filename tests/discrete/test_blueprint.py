@@ -1,7 +1,5 @@
 """Blueprints: what is read, what is drawn at random, and what every mistake says."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -163,17 +161,6 @@ def test_a_wrong_goal_file_is_told_with_its_line(tmp_path):
         path.write_text(text)
         with pytest.raises(BlueprintError, match=f"goal.yaml{message}" if message[0] == ":" else message):
             read_design(path).check_fits((4, 4, 3))
-
-
-def test_a_design_is_satisfied_when_every_target_holds_its_kind_and_yaw(scene):
-    design = read_design(shipped_blueprint("simple_two_story_goal"))
-    done = [(Kind.BLOCK, (2, 3, 1)), (Kind.BLOCK, (2, 3, 2)), (Kind.BODY, (2, 2, 1), 3)]
-    assert design.satisfied(scene(done))
-    assert not design.satisfied(scene(done[1:]))
-    wrong = scene(done)
-    wrong.yaw[2, 2, 1] = 1
-    assert not design.satisfied(wrong)
-    assert Path(design.path).name == "simple_two_story_goal.yaml"
 
 
 def test_a_carried_slope_whose_gear_would_be_outside_the_area_is_refused():

@@ -134,13 +134,6 @@ def test_a_move_without_a_plan_is_a_stop(scene, car):
     assert (queue == -1).all()
 
 
-def test_other_actions_act_at_once(scene, car):
-    grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3)])
-    after, _, applied = tick(grid, empty_queue(1, 10), [(0, Action.LIFT)])
-    assert applied.tolist() == [True]
-    assert after.cars[0, CarField.LOAD] == BLOCK
-
-
 def test_a_negative_depth_is_refused():
     with pytest.raises(ValueError, match="search depth is -1"):
         empty_queue(1, -1)

@@ -66,13 +66,6 @@ def _problems(cars=(), things=()):
     return _read(cars, things).problems
 
 
-def test_errors_are_measured_from_the_cell_and_the_yaw():
-    placed = _read([_car((1, 1, 1), 1, shift=(0.003, -0.004, 0), off=0.02)]).cars[0]
-    assert placed.cell == (1, 1, 1)
-    assert placed.offset_m == pytest.approx(0.005)
-    assert placed.heading_rad == pytest.approx(0.02)
-
-
 def test_the_nearest_yaw_and_the_excess_make_up_the_heading():
     for turns in (-2, -1, 0, 1, 2):
         for off in (-0.7, 0.0, 0.7):

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from craftsim.discrete.conformance import read_records, recorded_grid
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
-from craftsim.discrete.files.design import design_in, design_text, read_design
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import TASK_NAMES, make_task
@@ -54,16 +53,6 @@ def test_the_start_of_a_task_needs_no_snapshot_and_keeps_its_goal(rng):
         again = parse_blueprint(text, "again.yaml")
         assert again.goal == task.starts[0].goal
         assert_same(again.grid(rng), task.draw(rng))
-
-
-def test_a_building_is_saved_as_a_goal_file_that_it_satisfies(scene, tmp_path):
-    blocks = [(Kind.BLOCK, (0, 0, 1)), (Kind.BLOCK, (0, 0, 2))]
-    grid = scene([*blocks, (Kind.BODY, (2, 2, 1), 1), (Kind.FSLOPE, (4, 4, 1), 0)])
-    (tmp_path / "goal.yaml").write_text(design_text(design_in(grid)))
-    design = read_design(tmp_path / "goal.yaml")
-    assert len(design.targets) == 5
-    assert design.satisfied(grid)
-    assert not design.satisfied(scene(blocks))
 
 
 def test_a_start_that_craftenv_records_is_read(tmp_path):

@@ -66,18 +66,6 @@ def test_show_marks_the_cells_of_a_goal_file_of_one_s_own(tmp_path):
     assert green[1] > 100
 
 
-def test_show_refuses_a_goal_outside_of_the_area(tmp_path, capsys):
-    (tmp_path / "goal.yaml").write_text("block:\n  - {id: 0, x: 9, y: 0, z: 1}\n")
-    assert main(["show", "strip", "--goal", str(tmp_path / "goal.yaml")]) == 2
-    assert "goal.yaml:2: target (9, 0, 1) is outside the area" in capsys.readouterr().err
-
-
-def test_show_tells_what_is_wrong_with_a_file(tmp_path, capsys):
-    (tmp_path / "b.yaml").write_text("area_length: 3\narea_widht: 3\n")
-    assert main(["show", str(tmp_path / "b.yaml")]) == 2
-    assert "b.yaml:2: unknown key 'area_widht'; did you mean 'area_width'" in capsys.readouterr().err
-
-
 CASES = {
     "rules": {"primitive, 20 worlds", "helper, 20 worlds", "helper, 1 world"},
     "env": {

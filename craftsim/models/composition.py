@@ -16,9 +16,8 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_positi
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
 from craftsim.mjcf.block import TABLE_NAMES, add_block
-from craftsim.mjcf.building import Frame
+from craftsim.mjcf.building import Frame, new_world
 from craftsim.mjcf.car import add_car
-from craftsim.mjcf.ground import new_world
 from craftsim.mjcf.parameters import NOMINAL, Drive, Machines
 from craftsim.mjcf.slope import add_slope
 from craftsim.models.config import SimulationConfig

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.mjcf.building import TOUCHES
-from craftsim.mjcf.car import WholeCar
 from craftsim.models.imperfection import Drivetrain
 from craftsim.models.parts import WHEELS
 
@@ -188,7 +187,7 @@ class Grip(StepEffect):
         wheel_of = np.full(model.ngeom, -1, np.int32)
         wheel_of[geoms] = np.arange(len(geoms))
         radii = np.repeat([car.parameters.wheel_radius_m for car in world.cars], len(WHEELS))
-        spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in world.cars], len(WHEELS))
+        spin = np.repeat([car.parameters.wheel_inertia_kgm2 for car in world.cars], len(WHEELS))
         wheels["nm_per_n"] = baseline.geom_friction[geoms, 0] * radii / math.sqrt(2)
         wheels["inertia"] = spin[:, None] * wheels["own_gear"]
         self.each_step = world.uneven

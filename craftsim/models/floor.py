@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Cell
 from craftsim.errors import InputError
-from craftsim.mjcf.ground import FLOOR_RGBA, GROUND
+from craftsim.mjcf.building import FLOOR_RGBA, GROUND
 from craftsim.models.imperfection import Floor
 
 NAME: Final = "floor"

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.mjcf.ground import GROUND
+from craftsim.mjcf.building import GROUND
 from craftsim.models.floor import tiles_body
 
 WALL: Final = "wall"

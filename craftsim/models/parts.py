@@ -12,7 +12,6 @@ from craftsim.discrete.kinds import CARRIED, Kind
 from craftsim.mjcf.block import TABLE_NAMES
 from craftsim.mjcf.car import WHEELS
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
-from craftsim.mjcf.reduced import WholeCar
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,9 @@ class Car:
 
         MJCF has one armature for all six directions of a free joint, and the wheels' spin has none along z.
         """
-        model.dof_armature[self.base.dof : self.base.dof + 6] = WholeCar.of(self.parameters).armature
+        added, lever = self.parameters.spin_mass_kg, self.parameters.turn_radius_m
+        armature = (added, added, 0.0, 0.0, 0.0, added * lever**2)
+        model.dof_armature[self.base.dof : self.base.dof + 6] = armature
 
 
 @dataclass(frozen=True)

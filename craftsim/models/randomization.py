@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError
-from craftsim.mjcf.car import WholeCar
+from craftsim.mjcf.car import WHEELS, wheel_gears
 from craftsim.models.floor import lay, tiles_body
 from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Amount, Drivetrain, Floor, Making
 from craftsim.models.overlaps import GROUND
-from craftsim.models.parts import WHEELS, Car
+from craftsim.models.parts import Car
 from craftsim.models.sensing import EXACT, SensorNoise
 from craftsim.models.world import Baseline, PhysicsWorld
 from craftsim.storage.records import record
@@ -209,14 +209,14 @@ def _resize_wheels(
     model.geom_size[wheels, 0] += larger
     model.geom_pos[wheels, :2] += moved
     # A wheel's speed is (vx - y vy - z l omega) / R, l being its distance from the middle, forward plus sideways.
-    nominal, radius = WholeCar.of(car.parameters), car.parameters.wheel_radius_m
+    radius = car.parameters.wheel_radius_m
     middle = np.sign(model.geom_pos[wheels, :2])
     lever = car.parameters.turn_radius_m + (middle * moved).sum(axis=1)
     scale = np.ones((len(WHEELS), 6)) * (radius / (radius + larger))[:, None]
     scale[:, 5] *= lever / car.parameters.turn_radius_m
     gears = [model.actuator(f"{machine}/{wheel.replace('wheel', 'gear')}").id for wheel in WHEELS]
     for motors in (car.wheel_actuators, gears):
-        model.actuator_gear[motors] = np.array(nominal.gears) * scale
+        model.actuator_gear[motors] = np.array(wheel_gears(car.parameters)) * scale
 
 
 def _machine_and_part(name: str) -> tuple[str, str]:

@@ -9,8 +9,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
-from craftsim.mjcf.machine_files import load_machines
-from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
+from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters, load_machines
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf

@@ -15,14 +15,50 @@ from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.mjcf.car import WHEELS, wheel_gears
-from craftsim.models.floor import lay, tiles_body
-from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Amount, Drivetrain, Floor, Making
-from craftsim.models.overlaps import GROUND
-from craftsim.models.parts import Car
+from craftsim.models.config import Amount
+from craftsim.models.effects import IDEAL, Drivetrain
+from craftsim.models.floor import FLAT, Floor, lay, tiles_body
+from craftsim.models.parts import GROUND, Car
 from craftsim.models.sensing import EXACT, SensorNoise
 from craftsim.models.world import Baseline, PhysicsWorld
 from craftsim.storage.records import record
 from craftsim.storage.yaml import read_document
+
+
+@record()
+class Making:
+    """Tolerances of making: half-widths of uniform distributions, drawn for each machine; hashable.
+
+    Raises InputError for a figure outside [0, 1).
+
+    Example:
+        >>> from craftsim.models.randomization import Making
+        >>> Making(wheel_radius_m=0.0001).exact
+        False
+    """
+
+    wheel_radius_m: Amount = 0.0
+    """Of each wheel by itself."""
+    wheel_place_m: Amount = 0.0
+    """Of each axle's distance from the car's middle, forward and sideways: wheelbase and track."""
+    board_m: Amount = 0.0
+    """Of the height of a lowered board and its boss."""
+    board_place_m: Amount = 0.0
+    """Of the place of board and boss on the car, forward and sideways."""
+    foot_m: Amount = 0.0
+    """Of the height of each foot of a block or a flag."""
+    underside_m: Amount = 0.0
+    """Of the height of a block's pocket and of a slope's pads above the floor."""
+    pocket_m: Amount = 0.0
+    """Of the place of a block's pocket and of a slope's pads, forward and sideways."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether every machine is as it is drawn."""
+        return self == AS_DRAWN
+
+
+AS_DRAWN: Final = Making()
 
 
 @record()

@@ -13,7 +13,7 @@ import numpy as np
 
 from craftsim.discrete.kernel.jit import compiled, records
 from craftsim.discrete.kernel.rotation import body_axes, wrap
-from craftsim.models.imperfection import Amount
+from craftsim.models.config import Amount
 from craftsim.models.measuring import (
     READING,
     CarMeasurement,

@@ -18,15 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines
-from craftsim.models.composition import WorldSpec
+from craftsim.models.composition import WorldSpec, check_extent, placements
 from craftsim.models.config import SimulationConfig
-from craftsim.models.effects import StepEffect, effects_of
-from craftsim.models.extent import check_extent
-from craftsim.models.floor import tiles_of
-from craftsim.models.imperfection import FLAT, IDEAL, Drivetrain, Floor
-from craftsim.models.overlaps import MachineNames, Overlap, overlaps
-from craftsim.models.parts import FreeBody, Parts, trees_of_motors
-from craftsim.models.placement import placements
+from craftsim.models.effects import IDEAL, Drivetrain, StepEffect, effects_of
+from craftsim.models.floor import FLAT, Floor, tiles_of
+from craftsim.models.parts import FreeBody, MachineNames, Overlap, Parts, overlaps, trees_of_motors
 from craftsim.models.stepping import Stepping
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)

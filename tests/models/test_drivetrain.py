@@ -9,7 +9,7 @@ from craftsim.checking.setup import compile_world, set_up, setup_of
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.imperfection import IDEAL, Drivetrain
+from craftsim.models.effects import IDEAL, Drivetrain
 from craftsim.models.randomization import NONE
 from craftsim.models.world import PhysicsWorld
 

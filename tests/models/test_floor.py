@@ -9,7 +9,7 @@ import pytest
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Drive
-from craftsim.models.imperfection import FLAT, Floor
+from craftsim.models.floor import FLAT, Floor
 from craftsim.models.randomization import NONE, DomainRandomization, randomize
 from craftsim.models.world import PhysicsWorld
 

@@ -9,8 +9,7 @@ import pytest
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.mjcf.parameters import NOMINAL, Drive
 from craftsim.models import randomization
-from craftsim.models.imperfection import Making
-from craftsim.models.randomization import NONE, randomize
+from craftsim.models.randomization import NONE, Making, randomize
 from craftsim.models.world import PhysicsWorld
 
 DRIVES: tuple[Drive, ...] = ("rollers", "reduced")

@@ -11,7 +11,7 @@ from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.imperfection import Floor
+from craftsim.models.floor import Floor
 from craftsim.models.randomization import NONE
 from craftsim.models.sensing import SensorNoise
 from craftsim.skills.estimator import update_floor

@@ -66,10 +66,7 @@ _HUB_RGBA: Final = [0.30, 0.31, 0.33, 1.0]
 
 
 def _hub_inertia(car: SmartcarParameters) -> Point:
-    """Return the inertia of a wheel without its rollers: a solid cylinder about y, less its rollers at their places.
-
-    A roller is an ellipsoid at 45 degrees to the axle.
-    """
+    """Return the inertia of a solid cylinder about y less a wheel's rollers, ellipsoids at 45 degrees to the axle."""
     n, m, radius = car.rollers_per_wheel, car.roller_mass_kg, car.wheel_radius_m
     along = 0.4 * m * car.roller_radius_m**2
     across = 0.2 * m * (car.roller_radius_m**2 + car.roller_half_length_m**2)

@@ -1,12 +1,8 @@
 """Dimensions, masses and limits of the machines, each with its origin: the one place of every parameter.
 
-Every parameter is *published* (the robot description files that accompany the CraftEnv paper), *derived* (from
-published ones, with the arithmetic) or *assumed* (ours, with the reason). Where the published files contradict
-themselves the note says what was chosen and why. The builders of the machines, skills and reports read them from here.
-
-Units: metres, kilograms, seconds, radians, newtons, newton metres; the end of a name says which. Records with other
-values are built in Python or read from YAML (:func:`load_machines`); each raises InputError, naming the parameter, for
-a value that cannot work.
+Each is *published* (the robot description files that accompany the CraftEnv paper; where they contradict themselves the
+note says what was chosen and why), *derived* (from published ones, with the arithmetic) or *assumed* (ours, with the
+reason). SI units, at the end of the name. A record raises InputError, naming the parameter, for what cannot work.
 """
 
 from __future__ import annotations

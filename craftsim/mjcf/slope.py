@@ -137,11 +137,7 @@ def _add_hinge(spec: mujoco.MjSpec, prefix: str, flap: mujoco.MjsBody, machines:
 
 
 def _shapes(p: SlopeParameters) -> tuple[dict[str, tuple[list[Point], float]], dict[str, Box], float]:
-    """Return the shapes of a slope, the mass of its base shared by volume.
-
-    Returns its convex solids by name, with their corners in the frame of their body and their masses in kg; its pads;
-    and the mass of a gear.
-    """
+    """Return by name a slope's convex solids, with corners and mass, and its pads; and the mass of a gear."""
     half, rise = p.side_m / 2, _rise(p)
     inner, skin = half - p.wall_thickness_m, p.skin_m / math.cos(p.incline_rad)
     back, front = (_incline(p, x) for x in (-half, half))
@@ -213,8 +209,7 @@ def _show(
     bodies: dict[str, mujoco.MjsBody],
     solid: mujoco.MjsDefault,
 ) -> None:
-    """Add what is only seen: besides base and flap the gears' teeth, a knuckle in the gap at the hinge, and a worm and
-    its motor under each gear."""
+    """Add what is only seen: base, flap, gears' teeth, a knuckle at the hinge, and a worm and motor under each gear."""
     seen = geom_class(spec, "slope_seen", solid, type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
     base, flap = bodies["base"], bodies["flap"]
 

@@ -201,10 +201,7 @@ def add_hull(spec: mujoco.MjSpec, name: str, corners: ArrayLike) -> str:
 
 
 def _corner_normals(solid: ClosedSolid) -> NDArray[np.float64]:
-    """Return the unit normal (n, 3, 3) of each corner of each face.
-
-    It is the mean, weighted by area, over the faces around the corner's point that meet the face at less than a crease.
-    """
+    """Return each corner's unit normal (n, 3, 3): the mean by area over the faces there that meet without a crease."""
     a, b, c = solid.points[solid.faces].transpose(1, 0, 2)
     across = np.cross(b - a, c - a)
     size = np.linalg.norm(across, axis=1)

@@ -1,8 +1,7 @@
 """A floor that is not a plane: tiles in the world, and the heights that a seed draws for them, written in place.
 
 Each tile is a height field: its sides are vertical, so a wheel meets an edge as sharp as a tile's, and its face may be
-flat or part of an undulation. The plane of a flat floor lies below them, as the bottom of their joints. Boxes would do
-for flat tiles and cost a tenth less, but not for an undulation (docs/explanation/imperfections.md).
+flat or part of an undulation (docs/explanation/imperfections.md). The plane below is the bottom of their joints.
 """
 
 from __future__ import annotations

@@ -124,32 +124,23 @@ class Slope:
         return cls(FreeBody.find(model, prefix + "slope"), Drive.find(model, prefix + "hinge"))
 
 
-@dataclass(frozen=True)
-class Parts:
-    """The machines of a compiled world that move, in the order of their numbers."""
+def parts_of(
+    model: mujoco.MjModel, machines: Machines
+) -> tuple[tuple[Car, ...], tuple[Slope, ...], dict[Kind, tuple[FreeBody, ...]]]:
+    """Return a model's cars, slopes, and by kind blocks, flags, and what else has a block's shape and is carried."""
+    names = [model.body(body).name for body in range(model.nbody)]
 
-    cars: tuple[Car, ...]
-    slopes: tuple[Slope, ...]
-    tables: dict[Kind, tuple[FreeBody, ...]]
-    """Blocks, flags, and what else has a block's shape and is carried."""
+    def prefixes(kind: str) -> list[str]:
+        return [name.removesuffix(kind) for name in names if name.endswith(f"/{kind}")]
 
-    @classmethod
-    def of(cls, model: mujoco.MjModel, machines: Machines) -> Parts:
-        """Return the machines of a model."""
-        names = [model.body(body).name for body in range(model.nbody)]
-
-        def prefixes(kind: str) -> list[str]:
-            return [name.removesuffix(kind) for name in names if name.endswith(f"/{kind}")]
-
-        return cls(
-            tuple(Car.find(model, name, machines.car(i)) for i, name in enumerate(prefixes("smartcar"))),
-            tuple(Slope.find(model, name) for name in prefixes("slope")),
-            {
-                kind: tuple(FreeBody.find(model, prefix + name) for prefix in prefixes(name))
-                for name, kind in TABLE_NAMES.items()
-                if kind in CARRIED
-            },
-        )
+    cars = tuple(Car.find(model, name, machines.car(i)) for i, name in enumerate(prefixes("smartcar")))
+    slopes = tuple(Slope.find(model, name) for name in prefixes("slope"))
+    tables = {
+        kind: tuple(FreeBody.find(model, prefix + name) for prefix in prefixes(name))
+        for name, kind in TABLE_NAMES.items()
+        if kind in CARRIED
+    }
+    return cars, slopes, tables
 
 
 @dataclass(frozen=True)

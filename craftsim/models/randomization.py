@@ -199,10 +199,7 @@ def _vary_motors_and_joints(model: mujoco.MjModel, randomization: DomainRandomiz
 
 
 def _make(physics: PhysicsWorld, making: Making, draw: Draw) -> None:
-    """Draw machines as they are made, each a little off its drawing, in a PhysicsWorld's model.
-
-    What the skills know of a machine stays nominal. Masses, and what is only to be seen, stay as they are.
-    """
+    """Draw machines a little off their drawings in a world's model: shapes that touch, no masses."""
     model = physics.model
 
     def drawn(machine: str, figure: str, *shape: int) -> NDArray[np.float64]:

@@ -1,7 +1,4 @@
-"""The sensors of all cars: exact, or with the noise, delay and lag of a SensorNoise.
-
-The noise is declared, seeded, and off unless asked for.
-"""
+"""The sensors of all cars: exact, or with noise, delay and lag that are declared, seeded, and off unless asked for."""
 
 from __future__ import annotations
 
@@ -21,7 +18,6 @@ from craftsim.models.measuring import (
     Records,
     Wiring,
     measurement_of,
-    read_cars,
 )
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.records import record
@@ -214,7 +210,7 @@ class Sensors:
 
     def _read(self) -> Records:
         """Return what exact sensors read now."""
-        read_cars(self.physics, self.wiring, self._true)
+        self.wiring.read(self._true)
         return self._true
 
 
@@ -264,10 +260,7 @@ class _Disturber:
     def __init__(
         self, noise: SensorNoise, physics: PhysicsWorld, wiring: Wiring, rng: np.random.Generator
     ) -> None:
-        """Draw what each car's sensors have of their own: delays from ``rng``, all else from generators apart.
-
-        Whatever there is of that, the white noise is then the same.
-        """
+        """Draw what is each car's own: delays from ``rng``, all else from others: white noise then stays the same."""
         self._physics, self._wiring, self._rng = physics, wiring, rng
         n_cars, period_s = len(physics.cars), physics.config.control_period_s
         more, self._of_lines = rng.spawn(2)
@@ -410,14 +403,7 @@ def _disturb(
 
 
 def _encoders(physics: PhysicsWorld, wiring: Wiring, step_rad: float, rng: np.random.Generator) -> Records:
-    """Return the wheels' encoders, (n,) of _ENCODERS, where the cars stand.
-
-    They count by how far each wheel has turned, and a speed is a difference of counts. A wheel on an axle turns by its
-    joint. The wheels of the reduced drive have none and roll without slip: they turn by the car's way over the period,
-    in its own frame, times the gears of its motors.
-
-    ``rng`` draws how far each wheel is from its next count of ``step_rad``.
-    """
+    """Return the encoders, (n,) of _ENCODERS, where the cars stand; ``rng`` draws how far the next counts are."""
     model, data = physics.model, physics.data
     encoders = records(len(physics.cars), _ENCODERS)
     encoders["joints"] = -1
@@ -442,7 +428,10 @@ def _count(
     period_s: float,
     out: Records,
 ) -> None:
-    """Replace the speeds in exact readings of all cars by those of a control period's counts."""
+    """Replace the speeds in exact readings by those of a control period's counts.
+
+    A wheel of the reduced drive rolls without slip: by the car's way in its own frame times the gears of its motors.
+    """
     for i in range(len(cars)):
         own, was, at = encoders[i], encoders[i].pose, cars[i].pose
         # How a car has moved since, along the mean of its axes then and now: by that its wheels turn without joints.

@@ -31,13 +31,13 @@ class Moving:
         self.period = 0
         still = measure(physics, 0)
 
-        def moving(_, __, out):
+        def moving(_, out):
             t = self.period * PERIOD_S
             heading = math.remainder(3.0 + 0.5 * t, math.tau)
             wheels = (0.0 if t == 0 else 5.0,) * 4
             write_reading(still._replace(time_s=t, x=1.0 * t, heading=heading, wheel_speeds=wheels), out)
 
-        monkeypatch.setattr("craftsim.models.sensing.read_cars", moving)
+        monkeypatch.setattr("craftsim.models.measuring.Wiring.read", moving)
 
 
 def _readings(physics, noise, seed, n=N, car=0) -> np.ndarray:

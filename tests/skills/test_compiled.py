@@ -27,10 +27,10 @@ def test_a_measurement_survives_the_way_through_a_record(make_site, objects):
 
 
 PROGRAM = """
-from craftsim import Action, Executor, Grid, SensorNoise, Sensors, PhysicsWorld
+from craftsim import Action, Executor, Grid, Machines, SensorNoise, Sensors, PhysicsWorld
 import numpy as np
 noise = SensorNoise(0.001, 0.003, min_delay_s=0.02, max_delay_s=0.04, encoder_lag_s=0.01)
-site = PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1))
+site = PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1), machines=Machines(drive="reduced"))
 done = Executor(site, sensors=Sensors(site, noise, np.random.default_rng(0)), assumed=noise).run({0: Action.MOVE_RIGHT})
 print(done[0], *site.data.qpos[:4].tolist())
 """

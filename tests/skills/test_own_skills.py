@@ -58,26 +58,27 @@ class Unfold(Again):
     action = Action.UNFOLD
 
 
-class Endless(Skill):
+class Says(Skill):
+    said = Command()
+
+    def step(self, now):
+        return self.said
+
+
+class Endless(Says):
     time_limit_s = 0.3
 
-    def step(self, now):
-        return Command()
+
+class Nonsense(Says):
+    said = Command(board=math.nan)
 
 
-class Nonsense(Skill):
-    def step(self, now):
-        return Command(board=math.nan)
+class Wordy(Says):
+    said = "up"
 
 
-class Wordy(Skill):
-    def step(self, now):
-        return "up"
-
-
-class Few(Skill):
-    def step(self, now):
-        return Command(wheels=(1.0, 2.0))
+class Few(Says):
+    said = Command(wheels=(1.0, 2.0))
 
 
 class Ended(Skill):
@@ -240,8 +241,9 @@ def test_a_validation_in_worker_processes_names_the_skill_in_its_report_and_its_
         "strip",
         gains="fast",
         skills=CHOICE,
-        trials=2,
+        trials=1,
         workers=2,
+        drive="reduced",
         out=tmp_path,
         randomize="none",
         order="ticks",

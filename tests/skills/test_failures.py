@@ -70,12 +70,12 @@ def test_a_car_that_is_strong_enough_to_spin_its_wheels_at_an_obstacle_is_blocke
 ):
     """Wheels that spin at 1 m/s chatter, so that by chance the car reports slipping, in 2 of 24 starts as these."""
     outcomes = []
-    for shift in np.linspace(-0.5e-3, 0.5e-3, 6):
+    for shift in np.linspace(-0.5e-3, 0.5e-3, 3):
         physics = make_site((3, 2, 2), cars, objects)
         physics.data.qpos[physics.cars[0].base.qpos] += shift
         outcomes.append(_run(physics, action))
     assert {outcome.reason for outcome in outcomes} <= {Reason.BLOCKED, Reason.SLIPPED}
-    assert sum(outcome.reason is Reason.BLOCKED for outcome in outcomes) >= 4
+    assert sum(outcome.reason is Reason.BLOCKED for outcome in outcomes) >= 2
     assert max(outcome.duration_s for outcome in outcomes) < 1.0
 
 
@@ -84,12 +84,11 @@ def test_a_car_that_is_strong_enough_to_spin_its_wheels_at_an_obstacle_is_blocke
     [([], None), ([(Kind.BODY, (2, 0, 1), 2), (Kind.BLOCK, (3, 0, 1))], Terrain(0.0, INCLINE_RAD))],
     ids=["level", "climb"],
 )
-@pytest.mark.parametrize("grip", [0.02, 0.1])
-def test_rollers_without_grip_slip(make_site, objects, terrain, grip):
+def test_rollers_without_grip_slip(make_site, objects, terrain):
     physics = make_site((4, 1, 2), [(0, 0, 1, 0)], objects)
     for geom in range(physics.model.ngeom):
         if "/roller" in physics.model.geom(geom).name or physics.model.geom_contype[geom] == 2:
-            physics.model.geom_friction[geom, 0] = grip
+            physics.model.geom_friction[geom, 0] = 0.1 if terrain else 0.02
             physics.model.geom_priority[geom] = 1
     assert _run(physics, RIGHT, terrain).reason is Reason.SLIPPED
 
@@ -165,24 +164,6 @@ def test_a_car_that_is_close_enough_brakes_while_two_wheels_slip_on_the_spot():
     assert skill.outcome.succeeded
 
 
-def test_a_leaning_car_has_tipped():
-    for changes in ({"roll": 0.6}, {"roll": -0.6}, {"pitch": 0.6}, {"pitch": -0.6}):
-        for action in PERFORMED:
-            skill = _skill(action)
-            skill.start(CALM)
-            skill.step(CALM._replace(**changes))
-            assert skill.outcome is not None
-            assert skill.outcome.reason is Reason.TIPPED
-
-
-def test_the_incline_is_no_tipping():
-    for action in PERFORMED:
-        skill = _skill(action)
-        skill.start(CALM)
-        skill.step(CALM._replace(pitch=-INCLINE_RAD))
-        assert skill.outcome is None or skill.outcome.reason is not Reason.TIPPED
-
-
 NUMBERS = ["x", "y", "z", "heading", "pitch", "roll", "board_m", "board_force_n", "hinge_rad"]
 
 
@@ -200,19 +181,17 @@ def test_a_measurement_that_is_not_finite_has_diverged_at_the_start_and_on_the_w
                 assert not np.any(command.wheels)
 
 
-def _is_zero(command: Command) -> bool:
-    return not np.any(command.wheels) and command.board == 0.0 and command.hinge == 0.0
-
-
-def test_a_skill_that_has_ended_commands_zeros_and_keeps_its_outcome():
-    for action in PERFORMED:
-        skill = _skill(action)
-        skill.start(CALM)
-        assert _is_zero(skill.step(CALM._replace(roll=0.6)))
-        first = skill.outcome
-        for _ in range(3):
-            assert _is_zero(skill.step(CALM._replace(x=1.0, board_m=0.02)))
-        assert skill.outcome is first
+def test_a_leaning_car_has_tipped_commands_zeros_and_keeps_its_outcome_and_the_incline_is_no_tipping():
+    for changes in ({"roll": 0.6}, {"roll": -0.6}, {"pitch": 0.6}, {"pitch": -0.6}, {"pitch": -INCLINE_RAD}):
+        for action in PERFORMED:
+            skill = _skill(action)
+            skill.start(CALM)
+            command, first = skill.step(CALM._replace(**changes)), skill.outcome
+            tipped = first is not None and first.reason is Reason.TIPPED
+            assert tipped is (abs(sum(changes.values())) > 0.5)
+            if tipped:
+                assert command == skill.step(CALM._replace(x=1.0, board_m=0.02)) == Command()
+                assert skill.outcome is first
 
 
 def test_no_skill_performs_a_diagonal_move():

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import lru_cache
 from typing import Any, Final
 
 import mujoco
@@ -37,12 +36,12 @@ from craftsim.mjcf.building import (
 from craftsim.mjcf.parameters import ContactParameters, Machines, SmartcarParameters
 from craftsim.mjcf.solids import (
     ClosedSolid,
-    Mesh,
     Ring,
     add_hull,
     add_mesh,
     between,
     box,
+    cached_meshes,
     loft,
     rectangle,
     second_moments,
@@ -363,12 +362,6 @@ class _Building:
         screw.actrange = [0, car.board_travel_m]
 
 
-@lru_cache(maxsize=16)
-def meshes(car: SmartcarParameters) -> dict[str, Mesh]:
-    """Return the meshes that are only seen, by name."""
-    return {name: Mesh.of(solids) for name, solids in looks(car).items()}
-
-
 def looks(car: SmartcarParameters) -> dict[str, list[ClosedSolid]]:
     """Return the solids of the meshes that are only seen, by name.
 
@@ -383,6 +376,9 @@ def looks(car: SmartcarParameters) -> dict[str, list[ClosedSolid]]:
         "board_pads": _board_pads(car),
         "lift_post": _lift_post(car),
     }
+
+
+meshes = cached_meshes(looks)
 
 
 def _well_radius(car: SmartcarParameters) -> float:

@@ -7,7 +7,6 @@ in the next cell and continues the incline (16 degrees); at pi it lies upside do
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any, Final
 
 import mujoco
@@ -35,12 +34,12 @@ from craftsim.mjcf.building import (
 from craftsim.mjcf.parameters import Machines, SlopeParameters
 from craftsim.mjcf.solids import (
     ClosedSolid,
-    Mesh,
     Outline,
     Ring,
     add_hull,
     add_mesh,
     between,
+    cached_meshes,
     loft,
     plate_xz,
     turned,
@@ -252,12 +251,6 @@ def worm_offset(p: SlopeParameters) -> Point:
     return 0.0, -0.325 * p.gear_radius_m, -(0.93 + 0.25) * p.gear_radius_m
 
 
-@lru_cache(maxsize=4)
-def meshes(slope: SlopeParameters) -> dict[str, Mesh]:
-    """Return the meshes that are only seen, by name."""
-    return {name: Mesh.of(solids) for name, solids in looks(slope).items()}
-
-
 def looks(slope: SlopeParameters) -> dict[str, list[ClosedSolid]]:
     """Return the solids of the meshes that are only seen, by name.
 
@@ -270,6 +263,9 @@ def looks(slope: SlopeParameters) -> dict[str, list[ClosedSolid]]:
         "gear": _gear(slope),
         "worm": _worm(slope),
     }
+
+
+meshes = cached_meshes(looks)
 
 
 def _incline(p: SlopeParameters, x: float) -> float:

@@ -7,13 +7,15 @@ its own otherwise, and smooths over bevels and facets, which shows as gradients 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Final, NamedTuple
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Final, NamedTuple, TypeVar
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+P = TypeVar("P")
 Ring = NDArray[np.float64]
 """Points of a closed outline in space, shape (n, 3), in order."""
 Interval = tuple[float, float]
@@ -179,6 +181,13 @@ class Mesh(NamedTuple):
             first += len(distinct)
         points, normals = np.split(np.concatenate(corners), 2, axis=1)
         return cls(points, normals, np.concatenate(faces))
+
+
+def cached_meshes(
+    looks: Callable[[P], dict[str, list[ClosedSolid]]],
+) -> Callable[[P], dict[str, Mesh]]:
+    """Return what makes the meshes of solids that are only seen, by name, once for equal parameters."""
+    return lru_cache(maxsize=16)(lambda parameters: {n: Mesh.of(s) for n, s in looks(parameters).items()})
 
 
 def add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> str:

@@ -107,7 +107,7 @@ ELSEWHERE = {
     "rendering/trajectory.py",
     # Examples in docstrings.
     "models/randomization.py",
-    "mjcf/machine_files.py",
+    "mjcf/parameters.py",
     "skills/gains.py",
 }
 

@@ -30,7 +30,7 @@ from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RULE_SETS, Rules, RuleSet, has_room
 from craftsim.mjcf.parameters import NOMINAL, Machines
-from craftsim.models.placement import placements
+from craftsim.models.composition import placements
 from craftsim.storage.writing import write_whole
 
 WINDOW: Final = (13, 13, 6)

@@ -24,8 +24,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
-from craftsim.models.composition import machine_spec
-from craftsim.models.placement import Placement, placements
+from craftsim.models.composition import Placement, machine_spec, placements
 
 Pose = NDArray[np.float64]
 """(4, 4): a homogeneous transform, metres."""

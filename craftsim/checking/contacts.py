@@ -23,9 +23,10 @@ from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.kernel.state import KIND
 from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
+from craftsim.mjcf.building import GROUND
 from craftsim.mjcf.parameters import NOMINAL, ContactParameters, Machines
 from craftsim.models.measuring import Floats
-from craftsim.models.overlaps import GROUND, WALL
+from craftsim.models.parts import WALL
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.state import GRAVITY
 from craftsim.storage.writing import whole

@@ -24,7 +24,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.schedule import Concurrency, Constraints
 from craftsim.errors import InputError, suggestion
-from craftsim.models.extent import check_extent
+from craftsim.models.composition import check_extent
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.gains import Gains

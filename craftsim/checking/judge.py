@@ -34,8 +34,8 @@ from craftsim.discrete.readback import (
 )
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
+from craftsim.models.composition import lift_m
 from craftsim.models.measuring import Floats, PoseReader
-from craftsim.models.placement import lift_m
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome

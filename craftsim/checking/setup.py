@@ -19,11 +19,10 @@ from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.errors import InputError, StartError, suggestion
-from craftsim.mjcf.machine_files import load_machines
-from craftsim.mjcf.parameters import NOMINAL, Drive, Machines
+from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, load_machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.measuring import Motors
-from craftsim.models.overlaps import ALLOWED_M
+from craftsim.models.parts import ALLOWED_M
 from craftsim.models.randomization import NONE, DomainRandomization, load_noise, randomize
 from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise, Sensors
 from craftsim.models.world import PhysicsWorld

@@ -39,8 +39,7 @@ def clearance(
     """
     from craftsim.audit.neighbours import neighbours
     from craftsim.discrete.rules import Rules
-    from craftsim.mjcf.machine_files import load_machines
-    from craftsim.mjcf.parameters import NOMINAL
+    from craftsim.mjcf.parameters import NOMINAL, load_machines
     from craftsim.reports.json_file import document
 
     check_actions(actions)

@@ -110,9 +110,8 @@ def show(
         file = output_directory(out) / f"{path.stem}.png"
         say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(design))}")
     if mjcf is not None or urdf is not None:
-        from craftsim.models.composition import WorldSpec
+        from craftsim.models.composition import WorldSpec, check_extent
         from craftsim.models.config import SimulationConfig
-        from craftsim.models.extent import check_extent
 
         check_extent(grid)
         _export(
@@ -126,8 +125,7 @@ def _export(
 ) -> None:
     """Write a machine or a world with a drive as MJCF, as URDF, or both."""
     from craftsim.mjcf.parameters import NOMINAL
-    from craftsim.models.exporting import write_mjcf
-    from craftsim.models.urdf import LACKS, write_urdf
+    from craftsim.models.exporting import LACKS, write_mjcf, write_urdf
 
     machines = replace(NOMINAL, drive=drive)
     if mjcf is not None:

@@ -7,7 +7,6 @@ is an obstacle, bolted to the floor.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 import mujoco
@@ -29,7 +28,7 @@ from craftsim.mjcf.building import (
     weighed,
 )
 from craftsim.mjcf.parameters import BlockParameters, Machines
-from craftsim.mjcf.solids import ClosedSolid, Mesh, add_mesh, box, loft, square, turned
+from craftsim.mjcf.solids import ClosedSolid, add_mesh, box, cached_meshes, loft, square, turned
 
 
 @dataclass(frozen=True)
@@ -140,15 +139,12 @@ def _bars(block: BlockParameters) -> dict[str, Box]:
     return weighed(boxes, block.deck_mass_kg / sum(part.volume for part in boxes.values()))
 
 
-@lru_cache(maxsize=4)
-def meshes(block: BlockParameters) -> dict[str, Mesh]:
-    """Return the meshes that are only seen, by name."""
-    return {name: Mesh.of(solids) for name, solids in looks(block).items()}
-
-
 def looks(block: BlockParameters) -> dict[str, list[ClosedSolid]]:
     """Return the solids of the meshes that are only seen, by name; their origin is on the floor, in the middle."""
     return {"block": _block(block), "block_trim": _block_trim(block), "flag": _flag(block)}
+
+
+meshes = cached_meshes(looks)
 
 
 def _block(p: BlockParameters) -> list[ClosedSolid]:

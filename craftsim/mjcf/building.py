@@ -1,4 +1,4 @@
-"""What the builders of all machines share: poses, what touches what and how, and numbers as an MJCF file has them."""
+"""What the builders of all machines share: the floor and its light, poses, contacts, and numbers as MJCF has them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.mjcf.parameters import ContactParameters, SmartcarParameters
 
 Point = tuple[float, float, float]
@@ -27,6 +28,9 @@ on it. Wheels, and the rollers of wheels, touch things; hulls touch things, othe
 envelopes of wheels, stand in for wheels between cars. What is only seen touches nothing."""
 SOLID_GROUP, SEEN_GROUP = 3, 2
 """MuJoCo's viewer shows geoms of the second group, and not those of the first unless asked to."""
+GROUND: Final = "ground"
+"""The name of the floor's geom."""
+FLOOR_RGBA: Final = [0.80, 0.81, 0.80, 1.0]
 CORNERS: Final = {"fl": (1, 1), "fr": (1, -1), "rl": (-1, 1), "rr": (-1, -1)}
 """Of a car or a block: front or rear, left or right, and the signs of x and y."""
 SEAT: Final = SmartcarParameters()
@@ -157,3 +161,80 @@ class Box:
 def weighed(boxes: dict[str, Box], density: float) -> dict[str, Box]:
     """Return boxes by name with the masses that a density in kg/m^3 gives them."""
     return {name: Box(box.centre, box.half, density * box.volume) for name, box in boxes.items()}
+
+
+def new_world(
+    contact: ContactParameters, size: ArrayLike, middle: ArrayLike, visual: bool = True
+) -> mujoco.MjSpec:
+    """Return the spec of a world with a floor alone.
+
+    Args:
+        contact: how surfaces give way to each other.
+        size: (3,) metres: half-lengths of the floor as it is drawn, 0 for endless; and what MuJoCo's viewer takes.
+        middle: (3,) metres: where it is drawn.
+        visual: whether it has light and textures.
+    """
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    # Joint damping is one of the forces that contacts are solved for; damped after that, rollers slip and rattle.
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    ground = spec.worldbody.add_geom(
+        name=GROUND,
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=size,
+        pos=middle,
+        **touching("things"),
+        **surface(contact, contact.ground_friction),
+    )
+    if visual:
+        _light(spec)
+        _paint(spec, ground)
+    return spec
+
+
+def _light(spec: mujoco.MjSpec) -> None:
+    spec.worldbody.add_light(
+        name="sun",
+        pos=[-1.5, -2.5, 5],
+        dir=[0.28, 0.42, -0.86],
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        diffuse=[0.55, 0.54, 0.50],
+        specular=[0.15, 0.15, 0.15],
+    )
+    view, head = spec.visual.global_, spec.visual.headlight
+    view.offwidth, view.offheight, view.azimuth, view.elevation = 1920, 1080, 130, -30
+    head.ambient, head.diffuse, head.specular = [0.38] * 3, [0.35] * 3, [0.05] * 3
+    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 4096, 4
+    spec.visual.map.znear, spec.visual.map.zfar = 0.02, 60
+    spec.visual.rgba.haze = [0.86, 0.90, 0.95, 1]
+
+
+def _paint(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.93, 0.95, 0.98],
+        rgb2=[0.62, 0.72, 0.84],
+        width=256,
+        height=256,
+    )
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=FLOOR_RGBA[:3],
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        markrgb=[0.55, 0.57, 0.58],
+        width=256,
+        height=256,
+    )
+    # A tile of the texture is a grid cell: texrepeat counts tiles per two metres.
+    tiles = digits(round(2 / CELL_PITCH_M, 7))
+    floor = spec.add_material(
+        name="floor", texuniform=True, texrepeat=[tiles, tiles], specular=0.1, shininess=0.1, reflectance=0
+    )
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    ground.material = "floor"

@@ -3,14 +3,13 @@
 Frame: origin on the floor between the wheels, x forward, y left, z up. Seen from above the upper rollers point at the
 car's centre (X arrangement). On ``rollers`` the only drive is the friction of forty free rollers, turned by four wheel
 motors. On ``reduced`` four frictionless spheres carry the car, and its motors push it as ideally rolling mecanum wheels
-would, no harder than their grip allows (craftsim/models/grip.py).
+would, no harder than their grip allows (craftsim/models/effects.py).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import lru_cache
 from typing import Any, Final
 
 import mujoco
@@ -35,17 +34,17 @@ from craftsim.mjcf.building import (
     touching,
 )
 from craftsim.mjcf.parameters import ContactParameters, Machines, SmartcarParameters
-from craftsim.mjcf.reduced import WholeCar, chassis_inertia
 from craftsim.mjcf.solids import (
     ClosedSolid,
-    Mesh,
     Ring,
     add_hull,
     add_mesh,
     between,
     box,
+    cached_meshes,
     loft,
     rectangle,
+    second_moments,
     square,
     turned,
 )
@@ -53,18 +52,20 @@ from craftsim.mjcf.solids import (
 WHEELS: Final = tuple(f"wheel_{corner}" for corner in CORNERS)
 """Order of everything that is given per wheel: front left, front right, rear left, rear right."""
 _ROLLER_GAP_M: Final = 0.0002
-"""What comes so near to a roller is listed as a contact before it touches (craftsim/models/bearings.py)."""
+"""What comes so near to a roller is listed as a contact before it touches (craftsim/models/effects.py)."""
 _WELL_GAP_M: Final = 0.0034
 """Between a wheel and its well."""
+_BRISTLES: Final = (200.0, 0.5)
+"""Stiffness (Nm/rad) and damping (Nms/rad) of the dry friction of the reduced drive's gears: a loaded car on the slope
+gives way by 0.1 mm before it holds, without swinging."""
+_STRIBECK_RAD_S: Final = 0.1
+"""Without effect while friction at rest is that of motion."""
 _BLACK: Final = [0.13, 0.13, 0.14, 1.0]
 _HUB_RGBA: Final = [0.30, 0.31, 0.33, 1.0]
 
 
 def _hub_inertia(car: SmartcarParameters) -> Point:
-    """Return the inertia of a wheel without its rollers: a solid cylinder about y, less its rollers at their places.
-
-    A roller is an ellipsoid at 45 degrees to the axle.
-    """
+    """Return the inertia of a solid cylinder about y less a wheel's rollers, ellipsoids at 45 degrees to the axle."""
     n, m, radius = car.rollers_per_wheel, car.roller_mass_kg, car.wheel_radius_m
     along = 0.4 * m * car.roller_radius_m**2
     across = 0.2 * m * (car.roller_radius_m**2 + car.roller_half_length_m**2)
@@ -74,6 +75,40 @@ def _hub_inertia(car: SmartcarParameters) -> Point:
     cylinder = car.wheel_mass_kg * (3 * radius**2 + car.wheel_width_m**2) / 12
     tumble = cylinder - n * ((along + 2 * across - about_axle) + offset) / 2
     return tumble, spin, tumble
+
+
+def _chassis_inertia(car: SmartcarParameters) -> Point:
+    """Return the inertia of the chassis about its centre: that of its solid hull."""
+    half, cut = car.chassis_length_m / 2, car.chassis_chamfer_m
+    bottom, top = car.chassis_bottom_m, car.chassis_top_m
+    sides = [(-half, bottom + cut), (cut - half, bottom), (half - cut, bottom), (half, bottom + cut)]
+    xx, zz = second_moments([*sides, (half, top), (-half, top)])
+    yy, m = car.chassis_width_m**2 / 12, car.chassis_mass_kg
+    return m * (yy + zz), m * (xx + zz), m * (xx + yy)
+
+
+def _set_whole_inertia(body: mujoco.MjsBody, car: SmartcarParameters) -> None:
+    """Give a body the mass and inertia of chassis and wheels in one."""
+    mass, radius = car.chassis_mass_kg + 4 * car.wheel_mass_kg, car.wheel_radius_m
+    centre_m = radius + car.chassis_mass_kg * car.chassis_com_m / mass
+    x, y, z = _chassis_inertia(car)
+    wheel = car.wheel_mass_kg
+    tumble = wheel * (3 * radius**2 + car.wheel_width_m**2) / 12
+    up = (
+        car.chassis_mass_kg * (radius + car.chassis_com_m - centre_m) ** 2
+        + 4 * wheel * (radius - centre_m) ** 2
+    )
+    along, across = 4 * wheel * car.wheel_x_m**2, 4 * wheel * car.wheel_y_m**2
+    spin = 4 * car.wheel_spin_inertia_kgm2
+    inertia = x + up + 4 * tumble + across, y + up + spin + along, z + 4 * tumble + along + across
+    set_inertia(body, centre_m, mass, inertia)
+
+
+def wheel_gears(car: SmartcarParameters) -> list[tuple[float, ...]]:
+    """Return, by wheel, what a twist of a car at its origin, on the floor, turns a wheel by that rolls without slip."""
+    radius, lever = car.wheel_radius_m, car.turn_radius_m
+    signs = ((-1, -1), (1, 1), (1, -1), (-1, 1))
+    return [(1 / radius, y / radius, 0.0, 0.0, 0.0, z * lever / radius) for y, z in signs]
 
 
 def _levels(*rings: Point) -> list[Point]:
@@ -189,7 +224,7 @@ class _Building:
         """Add the chassis' mass, and four wheels of free rollers with their motors."""
         spec, prefix, car = self._spec, self._prefix, self._car
         # Inertia of the solid hull about its own centre, at the centre of mass.
-        set_inertia(body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, chassis_inertia(car))
+        set_inertia(body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, _chassis_inertia(car))
         roller = self._class(
             "roller",
             type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
@@ -243,8 +278,7 @@ class _Building:
     def add_spheres(self, body: mujoco.MjsBody) -> None:
         """Add the mass of chassis and wheels, four spheres, and the motors and gears of wheels."""
         spec, prefix, car = self._spec, self._prefix, self._car
-        whole = WholeCar.of(car)
-        set_inertia(body, whole.centre_m, whole.mass_kg, whole.inertia_kgm2)
+        _set_whole_inertia(body, car)
         body.add_site(name=f"{prefix}smartcar")
         # By its priority no contact of a wheel has friction; the coefficient is that of its grip.
         sphere = self._class(
@@ -274,14 +308,15 @@ class _Building:
             body.add_geom(sphere, name=f"{prefix}wheel_{corner}", pos=place)
         # A twist of the car times its gear is the speed of a wheel that rolls without slip.
         on_car = {"target": f"{prefix}smartcar", "trntype": mujoco.mjtTrn.mjTRN_SITE}
-        gears = [digits(gear) for gear in whole.gears]
+        gears = [digits(gear) for gear in wheel_gears(car)]
         for wheel, gear in zip(WHEELS, gears, strict=True):
             self._add_wheel_motor(spec.add_actuator(name=prefix + wheel, gear=gear, **on_car))
         # Self-locking gears: their dry friction, by bristles that give way a little (LuGre), holds a loaded car on the
         # slope without power. The motor behind it has no power of its own.
+        lugre = (*_BRISTLES, car.gear_friction_nm, car.gear_friction_nm, _STRIBECK_RAD_S)
         for wheel, gear in zip(WHEELS, gears, strict=True):
             lock = spec.add_actuator(name=prefix + wheel.replace("wheel", "gear"), gear=gear, **on_car)
-            lock.set_to_dcmotor(motorconst=[1e-3, 1e-3], resistance=1e3, lugre=whole.lugre)
+            lock.set_to_dcmotor(motorconst=[1e-3, 1e-3], resistance=1e3, lugre=lugre)
 
     def add_board(self, body: mujoco.MjsBody) -> None:
         """Add the board, whose frame is the upper face of its plate, and its motor."""
@@ -327,12 +362,6 @@ class _Building:
         screw.actrange = [0, car.board_travel_m]
 
 
-@lru_cache(maxsize=16)
-def meshes(car: SmartcarParameters) -> dict[str, Mesh]:
-    """Return the meshes that are only seen, by name."""
-    return {name: Mesh.of(solids) for name, solids in looks(car).items()}
-
-
 def looks(car: SmartcarParameters) -> dict[str, list[ClosedSolid]]:
     """Return the solids of the meshes that are only seen, by name.
 
@@ -347,6 +376,9 @@ def looks(car: SmartcarParameters) -> dict[str, list[ClosedSolid]]:
         "board_pads": _board_pads(car),
         "lift_post": _lift_post(car),
     }
+
+
+meshes = cached_meshes(looks)
 
 
 def _well_radius(car: SmartcarParameters) -> float:

@@ -1,12 +1,8 @@
 """Dimensions, masses and limits of the machines, each with its origin: the one place of every parameter.
 
-Every parameter is *published* (the robot description files that accompany the CraftEnv paper), *derived* (from
-published ones, with the arithmetic) or *assumed* (ours, with the reason). Where the published files contradict
-themselves the note says what was chosen and why. The builders of the machines, skills and reports read them from here.
-
-Units: metres, kilograms, seconds, radians, newtons, newton metres; the end of a name says which. Records with other
-values are built in Python or read from YAML (:mod:`craftsim.mjcf.machine_files`); each raises InputError, naming the
-parameter, for a value that cannot work.
+Each is *published* (the robot description files that accompany the CraftEnv paper; where they contradict themselves the
+note says what was chosen and why), *derived* (from published ones, with the arithmetic) or *assumed* (ours, with the
+reason). SI units, at the end of the name. A record raises InputError, naming the parameter, for what cannot work.
 """
 
 from __future__ import annotations
@@ -15,8 +11,9 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, field, fields
-from functools import cached_property
+from dataclasses import asdict, field, fields, replace
+from functools import cached_property, partial
+from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
@@ -27,6 +24,7 @@ from craftsim.errors import InputError
 from craftsim.mjcf.fit import check_car, check_machines
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record
+from craftsim.storage.yaml import read_document
 
 Origin = Literal["published", "derived", "assumed"]
 DRIVES: Final[tuple[Drive, ...]] = get_args(Drive)
@@ -41,24 +39,12 @@ Friction = Annotated[float, Range(0.0, 3.0, above=True)]
 Pitch = Annotated[float, Range(-math.pi / 2, math.pi / 2, above=True)]
 
 
-def _parameter(value: float, origin: Origin, note: str, fixed: str) -> Any:
-    """Declare a field; its metadata says where its default comes from, and why nothing else is possible."""
+def _parameter(origin: Origin, value: float, note: str = "", fixed: str = "") -> Any:
+    """Declare a field: where its default comes from, with a note, and why nothing else is possible."""
     return field(default=value, metadata={"origin": origin, "note": note, "fixed": fixed})
 
 
-def published(value: float, note: str = "", fixed: str = "") -> Any:
-    """Declare a field whose default is a published parameter; ``fixed`` is why it cannot be changed."""
-    return _parameter(value, "published", note, fixed)
-
-
-def derived(value: float, note: str, fixed: str = "") -> Any:
-    """Declare a field whose default follows from published parameters as the note says."""
-    return _parameter(value, "derived", note, fixed)
-
-
-def assumed(value: float, note: str, fixed: str = "") -> Any:
-    """Declare a field whose default is our assumption, for the reason in the note."""
-    return _parameter(value, "assumed", note, fixed)
+published, derived, assumed = (partial(_parameter, origin) for origin in get_args(Origin))
 
 
 class NearNominal:
@@ -229,6 +215,16 @@ class SmartcarParameters(_Parameters):
     def wheel_spin_inertia_kgm2(self) -> float:
         """Inertia of a wheel about its axle: a solid cylinder, m r^2 / 2; the published 6.64e-3 is another wheel's."""
         return 0.5 * self.wheel_mass_kg * self.wheel_radius_m**2
+
+    @property
+    def wheel_inertia_kgm2(self) -> float:
+        """Inertia of a wheel and its motor about the axle."""
+        return self.wheel_spin_inertia_kgm2 + self.wheel_armature_kgm2
+
+    @property
+    def spin_mass_kg(self) -> float:
+        """What the spin of the four wheels and their motors adds to the car's inertia, as a mass."""
+        return 4 * self.wheel_inertia_kgm2 / self.wheel_radius_m**2
 
     @property
     def turn_radius_m(self) -> float:
@@ -457,3 +453,45 @@ class Machines:
 
 NOMINAL: Final = Machines()
 """The published machines."""
+
+
+@record(kw_only=True)
+class _File:
+    smartcar: SmartcarParameters = SmartcarParameters()
+    block: BlockParameters = BlockParameters()
+    slope: SlopeParameters = SlopeParameters()
+    contact: ContactParameters = ContactParameters()
+    cars: Annotated[tuple[SmartcarParameters, ...], Field(min_length=1)] | None = None
+    gains: Any = None
+
+
+MACHINE_SECTIONS: Final = tuple(one.name for one in fields(_File) if one.name != "gains")
+"""The keys of a file that hold machines' parameters."""
+
+
+def load_machines(path: Path | str) -> Machines:
+    """Return the machines of a YAML file: the nominal parameters, overridden by those that the file gives.
+
+    It has the sections ``smartcar``, ``block``, ``slope`` and ``contact``, each with any of the parameters of its
+    record, and a list ``cars`` of parameters by which single cars differ from ``smartcar``, one entry for each car. A
+    section ``gains`` is left to :func:`craftsim.skills.gains.load_gains`.
+
+    Raises InputError, naming the file, line and parameter, for an unknown parameter, one that cannot be changed, one
+    out of range, and parameters that do not fit together.
+
+    Example:
+        >>> import craftsim
+        >>> _ = (folder / "heavy.yaml").write_text("smartcar: {chassis_mass_kg: 2.0}")
+        >>> craftsim.load_machines(folder / "heavy.yaml").car(0).chassis_mass_kg
+        2.0
+    """
+    document = read_document(Path(path))
+    smartcar, cars = document.plain.get("smartcar", {}), document.plain.get("cars")
+    if isinstance(smartcar, dict) and isinstance(cars, list):
+        own = [smartcar | one if isinstance(one, dict) else one for one in cars]
+        document = replace(document, plain=document.plain | {"cars": own})
+    file = document.to(_File)
+    try:
+        return Machines(file.cars or (file.smartcar,), file.block, file.slope, file.contact)
+    except InputError as error:
+        document.fail((), str(error))

@@ -7,7 +7,6 @@ in the next cell and continues the incline (16 degrees); at pi it lies upside do
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any, Final
 
 import mujoco
@@ -35,12 +34,12 @@ from craftsim.mjcf.building import (
 from craftsim.mjcf.parameters import Machines, SlopeParameters
 from craftsim.mjcf.solids import (
     ClosedSolid,
-    Mesh,
     Outline,
     Ring,
     add_hull,
     add_mesh,
     between,
+    cached_meshes,
     loft,
     plate_xz,
     turned,
@@ -137,11 +136,7 @@ def _add_hinge(spec: mujoco.MjSpec, prefix: str, flap: mujoco.MjsBody, machines:
 
 
 def _shapes(p: SlopeParameters) -> tuple[dict[str, tuple[list[Point], float]], dict[str, Box], float]:
-    """Return the shapes of a slope, the mass of its base shared by volume.
-
-    Returns its convex solids by name, with their corners in the frame of their body and their masses in kg; its pads;
-    and the mass of a gear.
-    """
+    """Return by name a slope's convex solids, with corners and mass, and its pads; and the mass of a gear."""
     half, rise = p.side_m / 2, _rise(p)
     inner, skin = half - p.wall_thickness_m, p.skin_m / math.cos(p.incline_rad)
     back, front = (_incline(p, x) for x in (-half, half))
@@ -213,8 +208,7 @@ def _show(
     bodies: dict[str, mujoco.MjsBody],
     solid: mujoco.MjsDefault,
 ) -> None:
-    """Add what is only seen: besides base and flap the gears' teeth, a knuckle in the gap at the hinge, and a worm and
-    its motor under each gear."""
+    """Add what is only seen: base, flap, gears' teeth, a knuckle at the hinge, and a worm and motor under each gear."""
     seen = geom_class(spec, "slope_seen", solid, type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
     base, flap = bodies["base"], bodies["flap"]
 
@@ -257,12 +251,6 @@ def worm_offset(p: SlopeParameters) -> Point:
     return 0.0, -0.325 * p.gear_radius_m, -(0.93 + 0.25) * p.gear_radius_m
 
 
-@lru_cache(maxsize=4)
-def meshes(slope: SlopeParameters) -> dict[str, Mesh]:
-    """Return the meshes that are only seen, by name."""
-    return {name: Mesh.of(solids) for name, solids in looks(slope).items()}
-
-
 def looks(slope: SlopeParameters) -> dict[str, list[ClosedSolid]]:
     """Return the solids of the meshes that are only seen, by name.
 
@@ -275,6 +263,9 @@ def looks(slope: SlopeParameters) -> dict[str, list[ClosedSolid]]:
         "gear": _gear(slope),
         "worm": _worm(slope),
     }
+
+
+meshes = cached_meshes(looks)
 
 
 def _incline(p: SlopeParameters, x: float) -> float:

@@ -7,13 +7,15 @@ its own otherwise, and smooths over bevels and facets, which shows as gradients 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Final, NamedTuple
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Final, NamedTuple, TypeVar
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+P = TypeVar("P")
 Ring = NDArray[np.float64]
 """Points of a closed outline in space, shape (n, 3), in order."""
 Interval = tuple[float, float]
@@ -181,6 +183,13 @@ class Mesh(NamedTuple):
         return cls(points, normals, np.concatenate(faces))
 
 
+def cached_meshes(
+    looks: Callable[[P], dict[str, list[ClosedSolid]]],
+) -> Callable[[P], dict[str, Mesh]]:
+    """Return what makes the meshes of solids that are only seen, by name, once for equal parameters."""
+    return lru_cache(maxsize=16)(lambda parameters: {n: Mesh.of(s) for n, s in looks(parameters).items()})
+
+
 def add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> str:
     """Add a mesh to a spec, unless there is one of this name; return the name."""
     if spec.mesh(name) is None:
@@ -201,10 +210,7 @@ def add_hull(spec: mujoco.MjSpec, name: str, corners: ArrayLike) -> str:
 
 
 def _corner_normals(solid: ClosedSolid) -> NDArray[np.float64]:
-    """Return the unit normal (n, 3, 3) of each corner of each face.
-
-    It is the mean, weighted by area, over the faces around the corner's point that meet the face at less than a crease.
-    """
+    """Return each corner's unit normal (n, 3, 3): the mean by area over the faces there that meet without a crease."""
     a, b, c = solid.points[solid.faces].transpose(1, 0, 2)
     across = np.cross(b - a, c - a)
     size = np.linalg.norm(across, axis=1)

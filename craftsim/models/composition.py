@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,20 +13,20 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
-from craftsim.discrete.grid import Cell, Grid
-from craftsim.errors import InputError
-from craftsim.mjcf.block import TABLE_NAMES, add_block
-from craftsim.mjcf.building import Frame
+from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position, yaw_angle
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.kinds import STANDING
+from craftsim.discrete.schedule import incline_under
+from craftsim.errors import InputError, StartError
+from craftsim.mjcf.block import TABLE_NAMES, TABLES, add_block
+from craftsim.mjcf.building import Frame, new_world
 from craftsim.mjcf.car import add_car
-from craftsim.mjcf.ground import new_world
-from craftsim.mjcf.parameters import NOMINAL, Drive, Machines
+from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, SmartcarParameters
 from craftsim.mjcf.slope import add_slope
 from craftsim.models.config import SimulationConfig
-from craftsim.models.floor import add_tiles, level, tiles_of
+from craftsim.models.floor import FLAT, Floor, add_tiles, level, tiles_of
 from craftsim.models.framing import Aim, overview, top
-from craftsim.models.imperfection import FLAT, Floor
-from craftsim.models.placement import Placement, placements
+from craftsim.storage.limits import PHYSICS_CARS, PHYSICS_CELLS, PHYSICS_GOALS, PHYSICS_PARTS
 
 MACHINES: Final = ("ground", "smartcar", *TABLE_NAMES, "slope")
 _MARGIN_CELLS: Final = 2
@@ -35,6 +36,87 @@ PICTURE_ASPECT: Final = 4 / 3
 _MOST_DAMPING: Final = 0.25
 """Of a joint's speed in one physics step: forces that are integrated explicitly are unstable from 2 on, and physics
 that is drawn may have several times the damping for a given inertia."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """One part at its start: pose of its frame and position of its own joint."""
+
+    kind: str
+    """One of :data:`MACHINES`, but the ground."""
+    position: NDArray[np.float64]
+    """(3,) metres, world."""
+    quaternion: NDArray[np.float64]
+    """(4,) unit quaternion w, x, y, z."""
+    joint: float = 0.0
+    """Height of a smartcar's board (m) or angle of a slope's hinge (rad)."""
+
+
+def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
+    """Return the start pose of every part: cars by id, then loads by car, then objects in scan order x, y, z."""
+    cars = [_car(grid, row, machines.car(i)) for i, row in enumerate(grid.cars)]
+    loads = [
+        _load(grid, row, cars[i], machines.car(i), machines)
+        for i, row in enumerate(grid.cars)
+        if row[CarField.LOAD] != Kind.AIR
+    ]
+    return cars + loads + _objects(grid, machines)
+
+
+def _quaternion(heading: float, pitch_up: float = 0.0) -> NDArray[np.float64]:
+    """Turn by ``heading`` about z, then raise the nose by ``pitch_up`` about the body's own y axis."""
+    ch, sh = math.cos(heading / 2), math.sin(heading / 2)
+    cp, sp = math.cos(pitch_up / 2), math.sin(pitch_up / 2)
+    return np.array([ch * cp, sh * sp, -ch * sp, sh * cp])
+
+
+def _car(grid: Grid, row: NDArray[np.int64], machine: SmartcarParameters) -> Placement:
+    position = cell_position(*(int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z)))
+    position[2] += LEVEL_HEIGHT_M * (0.0, 0.25, -0.25)[row[CarField.SLOPE]]
+    board = machine.board_travel_m if row[CarField.LOAD] != Kind.AIR else 0.0
+    return Placement(
+        "smartcar", position, _quaternion(yaw_angle(int(row[CarField.YAW])), incline_under(grid, row)), board
+    )
+
+
+def lift_m(load: Kind, car: SmartcarParameters, machines: Machines) -> float:
+    """Return how high above its car's origin a load of a kind is carried."""
+    underside_m = (machines.slope if load == Kind.FSLOPE else machines.block).underside_m
+    return car.board_rest_m + car.board_travel_m - underside_m
+
+
+def _load(
+    grid: Grid, row: NDArray[np.int64], car: Placement, machine: SmartcarParameters, machines: Machines
+) -> Placement:
+    lift = lift_m(Kind(row[CarField.LOAD]), machine, machines)
+    pitch, heading = incline_under(grid, row), yaw_angle(int(row[CarField.YAW]))
+    up = np.array(
+        [-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)]
+    )
+    position = car.position + lift * up
+    if row[CarField.LOAD] == Kind.FSLOPE:
+        # A carried slope faces away from the car's heading, so the same incline lowers its nose.
+        quaternion = _quaternion(yaw_angle(int(row[CarField.LOAD_YAW])), -pitch)
+        return Placement("slope", position, quaternion, machines.slope.hinge_range_rad)
+    return Placement(Kind(row[CarField.LOAD]).name.lower(), position, car.quaternion)
+
+
+def _objects(grid: Grid, machines: Machines) -> list[Placement]:
+    found = []
+    for x, y, z in np.argwhere(grid.kind[:, :, 1:]):
+        kind = Kind(grid.kind[x, y, z + 1])
+        position = cell_position(x, y, z + 1)
+        turn = _quaternion(yaw_angle(int(grid.yaw[x, y, z + 1])))
+        if kind in TABLES:
+            found.append(Placement(kind.name.lower(), position, turn))
+        elif kind in (Kind.FSLOPE, Kind.BODY):
+            hinge = machines.slope.hinge_range_rad if kind == Kind.FSLOPE else 0.0
+            found.append(Placement("slope", position, turn, hinge))
+        elif kind in STANDING:
+            raise InputError(
+                f"{kind.name} in ({x}, {y}, {z + 1}) has no machine; add it to TABLES in craftsim/mjcf/block.py"
+            )
+    return found
 
 
 @dataclass(frozen=True)
@@ -170,3 +252,30 @@ def cameras(size: Cell, levels: int) -> dict[str, Aim]:
         levels: how high it is built, cars on top included.
     """
     return {aim.__name__: aim(size, levels * LEVEL_HEIGHT_M, PICTURE_ASPECT) for aim in (overview, top)}
+
+
+def check_extent(grid: Grid, goals: Sequence[Cell] = ()) -> None:
+    """Raise InputError for a world that is too large for physics, and for goals outside of it.
+
+    Raises StartError for two cars in one cell.
+    """
+    loads = int((grid.cars[:, CarField.LOAD] != Kind.AIR).sum())
+    parts = grid.n_cars + loads + int(np.isin(grid.kind, STANDING).sum())
+    length, width, height = grid.size
+    for number, most, what in (
+        (length * width * height, PHYSICS_CELLS, "cells"),
+        (grid.n_cars, PHYSICS_CARS, "cars"),
+        (parts, PHYSICS_PARTS, "parts, which are cars, loads, blocks, slopes, flags and walls together"),
+        (len(goals), PHYSICS_GOALS, "marked goals"),
+    ):
+        if number > most:
+            raise InputError(
+                f"a world of {number} {what}: too large for physics; allowed: at most {most}. The grid alone takes it"
+            )
+    places = Counter((x, y, z) for x, y, z in grid.cars[:, [CarField.X, CarField.Y, CarField.Z]].tolist())
+    for cell, cars in places.items():
+        if cars > 1:
+            raise StartError(f"this world cannot be: {cars} cars are in one cell, {cell}")
+    for goal in goals:
+        if not all(0 <= c < n for c, n in zip(goal, (length, width, height + 2), strict=True)):
+            raise InputError(f"the goal {goal} is outside of the area of {grid.size} cells")

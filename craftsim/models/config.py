@@ -8,6 +8,10 @@ from craftsim.mjcf.parameters import Drive
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record
 
+Amount = Annotated[float, Range(0.0, 1.0, below=True)]
+"""From 0, which is ideal, to below 1, in whatever unit."""
+Length = Annotated[float, Range(0.0, 1.0, above=True, below=True)]
+"""In metres."""
 Solver = Literal["newton", "pgs"]
 
 STEPS_S: Final[dict[Drive, float]] = {"rollers": 0.004, "reduced": 0.004}

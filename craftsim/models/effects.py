@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.mjcf.building import TOUCHES
-from craftsim.mjcf.car import WholeCar
-from craftsim.models.imperfection import Drivetrain
+from craftsim.models.config import Amount
 from craftsim.models.parts import WHEELS
+from craftsim.storage.records import record
 
 if TYPE_CHECKING:
     from craftsim.models.world import PhysicsWorld
@@ -51,6 +51,35 @@ that it has gone through its backlash, forwards, and ``engaged`` says whether it
 the torque that a newton of load lets the wheel pass on, ``load`` in newtons what it carries, and ``inertia`` the torque
 that an acceleration of the car, in its own frame, takes to turn wheel and motor.
 """
+
+
+@record()
+class Drivetrain:
+    """What wheel motors and gears lack; hashable. Raises InputError for a figure outside [0, 1).
+
+    Example:
+        >>> from craftsim.models.effects import Drivetrain
+        >>> Drivetrain(gear_loss=0.1).ideal
+        False
+    """
+
+    torque_slope: Amount = 0.0
+    """Share of a driving motor's largest torque that is lost at its top speed, in proportion to the speed."""
+    gear_loss: Amount = 0.0
+    """Share of a driving motor's torque that the gear takes, on top of its dry friction; it helps a brake as much."""
+    backlash_rad: Amount = 0.0
+    """Angle by which the gear leaves the wheel free when the torque changes its sign."""
+    sag: Amount = 0.0
+    """Share of the largest torque, of that at standstill, that is lost at any speed when all motors of a car drive with
+    all they have: the battery's voltage drops."""
+
+    @property
+    def ideal(self) -> bool:
+        """Whether motors and gears lack nothing."""
+        return self == IDEAL
+
+
+IDEAL: Final = Drivetrain()
 
 
 class StepEffect:
@@ -188,7 +217,7 @@ class Grip(StepEffect):
         wheel_of = np.full(model.ngeom, -1, np.int32)
         wheel_of[geoms] = np.arange(len(geoms))
         radii = np.repeat([car.parameters.wheel_radius_m for car in world.cars], len(WHEELS))
-        spin = np.repeat([WholeCar.of(car.parameters).spin_kgm2 for car in world.cars], len(WHEELS))
+        spin = np.repeat([car.parameters.wheel_inertia_kgm2 for car in world.cars], len(WHEELS))
         wheels["nm_per_n"] = baseline.geom_friction[geoms, 0] * radii / math.sqrt(2)
         wheels["inertia"] = spin[:, None] * wheels["own_gear"]
         self.each_step = world.uneven

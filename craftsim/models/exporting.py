@@ -1,22 +1,31 @@
-"""Machines and worlds as MJCF text that opens alone in MuJoCo's viewer; ``python -m craftsim.models.exporting`` writes
-the nominal machines into ``craftsim/mjcf``, or into another folder."""
+"""Machines and worlds as MJCF text that opens alone in MuJoCo's viewer, and as URDF for RViz, Gazebo, Isaac and others.
+
+``python -m craftsim.models.exporting`` writes the nominal machines into ``craftsim/mjcf``, or into another folder. URDF
+has links, inertias, shapes, and joints with limits, damping and friction; LACKS says what it has not. Of a car on the
+reduced drive also what pushes it is left out.
+"""
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Final
+from xml.etree import ElementTree as Xml
 
 import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from craftsim.errors import InputError
 from craftsim.mjcf.block import TABLE_NAMES, TABLES
+from craftsim.mjcf.building import SOLID_GROUP
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.composition import MACHINES, machine_spec
-from craftsim.storage.folders import output_directory
-from craftsim.storage.paths import is_folder
+from craftsim.storage.folders import directory_within, output_directory
+from craftsim.storage.paths import exists, is_folder
 from craftsim.storage.writing import write_whole
 
 _TITLES: Final = {
@@ -29,6 +38,14 @@ _TITLES: Final = {
 _SOURCE: Final = """
        Written from the builders and parameters in craftsim/mjcf by python -m craftsim.models.exporting.
        contype and conaffinity: TOUCHES in craftsim/mjcf/building.py says what touches what. """
+
+LACKS: Final = (
+    "URDF says nothing of contacts (what touches what, friction of surfaces), of motors besides the limits of joints, "
+    "of the inertia of rotors, of gears that lock themselves, and of where joints are at the start: set these up in "
+    "your simulator."
+)
+_ROOT: Final = "world"
+_UNLIMITED: Final = "1e6"
 
 
 def text_of(spec: mujoco.MjSpec) -> str:
@@ -67,6 +84,176 @@ def write_machines(folder: Path) -> None:
     """Write the files of the nominal machines into a folder."""
     for name, text in machine_texts().items():
         write_whole(folder / f"{name}.xml", text)
+
+
+def write_urdf(path: Path, spec: mujoco.MjSpec) -> Path:
+    """Write a spec as URDF, and its meshes into a folder beside it; return the path.
+
+    Raises InputError where the disk does not take a file.
+    """
+    path = new_file(path)
+    writer = _Writer(spec.compile(), f"{path.stem}_meshes")
+    if exists(path.parent / writer.folder) and not is_folder(path.parent / writer.folder):
+        raise InputError(f"{path.parent / writer.folder}: is no folder; the meshes of {path.name} need one")
+    robot = writer.robot(spec.modelname)
+    for name, text in writer.meshes.items():
+        write_whole(directory_within(path.parent, writer.folder) / f"{name}.obj", text)
+    return write_whole(path, Xml.tostring(robot, encoding="unicode") + "\n")
+
+
+class _Writer:
+    """Writes a compiled model; bodies become links, their only joints the joints to their parents."""
+
+    def __init__(self, model: mujoco.MjModel, folder: str) -> None:
+        self._model, self.folder = model, folder
+        self.meshes: dict[str, str] = {}
+        """The OBJ text of each mesh by name."""
+
+    def robot(self, name: str) -> Xml.Element:
+        """Return the whole file."""
+        robot = Xml.Element("robot", name=name)
+        robot.append(Xml.Comment(f" {LACKS} "))
+        # Other readers pass over this: MuJoCo's drops what has no mass of its own otherwise, and the paths of meshes.
+        own = Xml.SubElement(robot, "mujoco")
+        options = {
+            "strippath": "false",
+            "fusestatic": "false",
+            "balanceinertia": "false",
+            "discardvisual": "true",
+        }
+        Xml.SubElement(own, "compiler", options)
+        Xml.SubElement(robot, "link", name=_ROOT)
+        for body in range(1, self._model.nbody):
+            self._add_link(robot, body)
+            self._add_joint(robot, body)
+        Xml.indent(robot)
+        return robot
+
+    def _link(self, body: int) -> str:
+        return _plain(self._model.body(body).name) if body else _ROOT
+
+    def _add_link(self, robot: Xml.Element, body: int) -> None:
+        model = self._model
+        link = Xml.SubElement(robot, "link", name=self._link(body))
+        if model.body_mass[body]:
+            inertial = Xml.SubElement(link, "inertial")
+            _add_origin(inertial, model.body_ipos[body], model.body_iquat[body])
+            Xml.SubElement(inertial, "mass", value=_number(model.body_mass[body]))
+            x, y, z = map(_number, model.body_inertia[body])
+            Xml.SubElement(inertial, "inertia", ixx=x, iyy=y, izz=z, ixy="0", ixz="0", iyz="0")
+        for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
+            if model.geom_contype[geom] or model.geom_conaffinity[geom]:
+                self._add_shape(Xml.SubElement(link, "collision"), geom)
+            if model.geom_group[geom] < SOLID_GROUP:
+                visual = Xml.SubElement(link, "visual")
+                self._add_shape(visual, geom)
+                material = Xml.SubElement(visual, "material", name=_plain(model.geom(geom).name))
+                Xml.SubElement(material, "color", rgba=_numbers(model.geom_rgba[geom]))
+
+    def _add_shape(self, parent: Xml.Element, geom: int) -> None:
+        model, size = self._model, self._model.geom_size[geom]
+        position, turn = model.geom_pos[geom], model.geom_quat[geom]
+        kind = mujoco.mjtGeom(model.geom_type[geom])
+        parent.set("name", _plain(model.geom(geom).name))
+        _add_origin(parent, position, turn)
+        shape = Xml.SubElement(parent, "geometry")
+        match kind:
+            case mujoco.mjtGeom.mjGEOM_BOX:
+                Xml.SubElement(shape, "box", size=_numbers(2 * size))
+            case mujoco.mjtGeom.mjGEOM_SPHERE:
+                Xml.SubElement(shape, "sphere", radius=_number(size[0]))
+            case mujoco.mjtGeom.mjGEOM_CYLINDER:
+                Xml.SubElement(shape, "cylinder", radius=_number(size[0]), length=_number(2 * size[1]))
+            case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+                Xml.SubElement(shape, "mesh", filename=self._ellipsoid(size))
+            case _:
+                Xml.SubElement(shape, "mesh", filename=self._mesh(int(model.geom_dataid[geom])))
+
+    def _ellipsoid(self, size: NDArray[np.float64]) -> str:
+        """Return the file of an ellipsoid, which URDF does not have, as a convex mesh."""
+        import trimesh
+
+        ball = trimesh.creation.icosphere(subdivisions=2)
+        name = "_".join(["ellipsoid", *(f"{1e6 * half:.0f}" for half in size)])
+        return self._file(name, ball.vertices * size, ball.faces)
+
+    def _mesh(self, number: int) -> str:
+        """Return the file of a mesh, whose points are in the frame of the geom that shows it."""
+        model, mesh = self._model, self._model.mesh(number)
+        points = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
+        faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
+        return self._file(_plain(mesh.name), points, faces)
+
+    def _file(self, name: str, points: ArrayLike, faces: ArrayLike) -> str:
+        lines = [f"v {_numbers(point)}" for point in np.asarray(points, float)]
+        lines += [f"f {a} {b} {c}" for a, b, c in (np.asarray(faces) + 1).tolist()]
+        self.meshes[name] = "\n".join([*lines, ""])
+        return f"{self.folder}/{name}.obj"
+
+    def _add_joint(self, robot: Xml.Element, body: int) -> None:
+        model, number = self._model, int(self._model.body_jntadr[body])
+        kind, name = "fixed", f"{self._link(body)}_fixed"
+        if number >= 0:
+            name = _plain(model.joint(number).name)
+            limited = bool(model.jnt_limited[number])
+            kind = {
+                mujoco.mjtJoint.mjJNT_FREE: "floating",
+                mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
+                mujoco.mjtJoint.mjJNT_HINGE: "revolute" if limited else "continuous",
+            }[mujoco.mjtJoint(model.jnt_type[number])]
+        joint = Xml.SubElement(robot, "joint", name=name, type=kind)
+        _add_origin(joint, model.body_pos[body], model.body_quat[body])
+        Xml.SubElement(joint, "parent", link=self._link(int(model.body_parentid[body])))
+        Xml.SubElement(joint, "child", link=self._link(body))
+        if kind in ("fixed", "floating"):
+            return
+        Xml.SubElement(joint, "axis", xyz=_numbers(model.jnt_axis[number]))
+        dof = model.jnt_dofadr[number]
+        grease, dry = _number(model.dof_damping[dof]), _number(model.dof_frictionloss[dof])
+        Xml.SubElement(joint, "dynamics", damping=grease, friction=dry)
+        self._add_limit(joint, number, limited)
+
+    def _add_limit(self, joint: Xml.Element, number: int, limited: bool) -> None:
+        """Add the range of a joint, and the force and speed of its motor."""
+        model = self._model
+        on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+        motors = np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == number))
+        effort, velocity = (
+            _number(limits[motors[0], 1]) if len(motors) else _UNLIMITED
+            for limits in (model.actuator_forcerange, model.actuator_ctrlrange)
+        )
+        limit = Xml.SubElement(joint, "limit", effort=effort, velocity=velocity)
+        if limited:
+            low, high = model.jnt_range[number]
+            limit.set("lower", _number(low))
+            limit.set("upper", _number(high))
+
+
+def _plain(name: str) -> str:
+    """Return a name as ROS takes it."""
+    return name.replace("/", "_")
+
+
+def _number(value: float) -> str:
+    return f"{value:.10g}"
+
+
+def _numbers(values: ArrayLike) -> str:
+    return " ".join(map(_number, np.asarray(values, float).tolist()))
+
+
+def _add_origin(parent: Xml.Element, position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> None:
+    """Add a place: URDF turns about the fixed x, then y, then z axis."""
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, quaternion)
+    turn = flat.reshape(3, 3)
+    level = math.hypot(turn[0, 0], turn[1, 0])
+    pitch = math.atan2(-turn[2, 0], level)
+    if level > 1e-9:
+        roll, yaw = math.atan2(turn[2, 1], turn[2, 2]), math.atan2(turn[1, 0], turn[0, 0])
+    else:  # Turns about x and z are about one axis.
+        roll, yaw = math.atan2(-turn[1, 2], turn[1, 1]), 0.0
+    Xml.SubElement(parent, "origin", xyz=_numbers(position), rpy=_numbers((roll, pitch, yaw)))
 
 
 if __name__ == "__main__":

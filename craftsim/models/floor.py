@@ -1,8 +1,7 @@
 """A floor that is not a plane: tiles in the world, and the heights that a seed draws for them, written in place.
 
 Each tile is a height field: its sides are vertical, so a wheel meets an edge as sharp as a tile's, and its face may be
-flat or part of an undulation. The plane of a flat floor lies below them, as the bottom of their joints. Boxes would do
-for flat tiles and cost a tenth less, but not for an undulation (docs/explanation/imperfections.md).
+flat or part of an undulation (docs/explanation/imperfections.md). The plane below is the bottom of their joints.
 """
 
 from __future__ import annotations
@@ -19,8 +18,9 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Cell
 from craftsim.errors import InputError
-from craftsim.mjcf.ground import FLOOR_RGBA, GROUND
-from craftsim.models.imperfection import Floor
+from craftsim.mjcf.building import FLOOR_RGBA, GROUND
+from craftsim.models.config import Amount, Length
+from craftsim.storage.records import record
 
 NAME: Final = "floor"
 """The body of the tiles."""
@@ -39,6 +39,47 @@ _THICK_M: Final = 0.02
 """Of a tile: more than anything sinks in."""
 _LEAST_SPAN_M: Final = 1e-4
 """A height field cannot have less."""
+
+
+@record()
+class Floor:
+    """How uneven a floor is; hashable. Raises InputError for a figure outside [0, 1).
+
+    Example:
+        >>> from craftsim.models.floor import Floor
+        >>> Floor(lippage_m=0.001).flat
+        False
+    """
+
+    lippage_m: Amount = 0.0
+    """Largest difference in height between two tiles; each tile's height is drawn uniformly."""
+    tile_m: Length = 0.3
+    """Side of a square tile. Where their joints run, and in which direction, is drawn."""
+    joint_m: Amount = 0.0
+    """Width of the joints between tiles..."""
+    joint_depth_m: Amount = 0.0
+    """...and by how much their bottom lies below the lowest tile."""
+    unevenness_m: Amount = 0.0
+    """Height from the lowest to the highest point of the smooth undulation of the whole floor..."""
+    wavelength_m: Length = 0.6
+    """...and its shortest wavelength."""
+
+    def __post_init__(self) -> None:
+        if self.joint_m >= self.tile_m:
+            raise ValueError(f"joint_m must be below tile_m, {self.tile_m:g}, not {self.joint_m:g}")
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is a plane."""
+        return not (self.lippage_m or self.unevenness_m or (self.joint_m and self.joint_depth_m))
+
+    @property
+    def relief_m(self) -> float:
+        """Height from the lowest to the highest place on which something can stand."""
+        return self.lippage_m + self.unevenness_m
+
+
+FLAT: Final = Floor()
 
 
 @dataclass(frozen=True)

@@ -174,9 +174,12 @@ class Wiring:
             row["hinge"], row["motor"] = slope.hinge.qpos, slope.hinge.actuator
         self._physics = physics
 
+    def read(self, out: Records) -> None:
+        """Measure all cars exactly, as they are now; ``out``, shape (n,) of READING, takes it."""
+        self._read(self._physics.data.time, out)
+
     @cached_property
-    def read(self) -> Callable[..., Any]:
-        """Measures all cars exactly, called with the time and what takes the readings."""
+    def _read(self) -> Callable[..., Any]:
         model, data = self._physics.model, self._physics.data
         speeds = data.qvel if self.on_axles else data.actuator_velocity
         measured = _Measured(
@@ -199,11 +202,6 @@ class _Measured(NamedTuple):
     ranges: Floats
     cars: Records
     undersides: Records
-
-
-def read_cars(physics: PhysicsWorld, wiring: Wiring, out: Records) -> None:
-    """Measure all cars exactly, as they are now; ``out``, shape (n,) of READING, takes it."""
-    wiring.read(physics.data.time, out)
 
 
 @compiled

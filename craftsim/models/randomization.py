@@ -14,15 +14,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError
-from craftsim.mjcf.car import WholeCar
-from craftsim.models.floor import lay, tiles_body
-from craftsim.models.imperfection import AS_DRAWN, FLAT, IDEAL, Amount, Drivetrain, Floor, Making
-from craftsim.models.overlaps import GROUND
-from craftsim.models.parts import WHEELS, Car
+from craftsim.mjcf.car import WHEELS, wheel_gears
+from craftsim.models.config import Amount
+from craftsim.models.effects import IDEAL, Drivetrain
+from craftsim.models.floor import FLAT, Floor, lay, tiles_body
+from craftsim.models.parts import GROUND, Car
 from craftsim.models.sensing import EXACT, SensorNoise
 from craftsim.models.world import Baseline, PhysicsWorld
 from craftsim.storage.records import record
 from craftsim.storage.yaml import read_document
+
+
+@record()
+class Making:
+    """Tolerances of making: half-widths of uniform distributions, drawn for each machine; hashable.
+
+    Raises InputError for a figure outside [0, 1).
+
+    Example:
+        >>> from craftsim.models.randomization import Making
+        >>> Making(wheel_radius_m=0.0001).exact
+        False
+    """
+
+    wheel_radius_m: Amount = 0.0
+    """Of each wheel by itself."""
+    wheel_place_m: Amount = 0.0
+    """Of each axle's distance from the car's middle, forward and sideways: wheelbase and track."""
+    board_m: Amount = 0.0
+    """Of the height of a lowered board and its boss."""
+    board_place_m: Amount = 0.0
+    """Of the place of board and boss on the car, forward and sideways."""
+    foot_m: Amount = 0.0
+    """Of the height of each foot of a block or a flag."""
+    underside_m: Amount = 0.0
+    """Of the height of a block's pocket and of a slope's pads above the floor."""
+    pocket_m: Amount = 0.0
+    """Of the place of a block's pocket and of a slope's pads, forward and sideways."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether every machine is as it is drawn."""
+        return self == AS_DRAWN
+
+
+AS_DRAWN: Final = Making()
 
 
 @record()
@@ -163,10 +199,7 @@ def _vary_motors_and_joints(model: mujoco.MjModel, randomization: DomainRandomiz
 
 
 def _make(physics: PhysicsWorld, making: Making, draw: Draw) -> None:
-    """Draw machines as they are made, each a little off its drawing, in a PhysicsWorld's model.
-
-    What the skills know of a machine stays nominal. Masses, and what is only to be seen, stay as they are.
-    """
+    """Draw machines a little off their drawings in a world's model: shapes that touch, no masses."""
     model = physics.model
 
     def drawn(machine: str, figure: str, *shape: int) -> NDArray[np.float64]:
@@ -209,14 +242,14 @@ def _resize_wheels(
     model.geom_size[wheels, 0] += larger
     model.geom_pos[wheels, :2] += moved
     # A wheel's speed is (vx - y vy - z l omega) / R, l being its distance from the middle, forward plus sideways.
-    nominal, radius = WholeCar.of(car.parameters), car.parameters.wheel_radius_m
+    radius = car.parameters.wheel_radius_m
     middle = np.sign(model.geom_pos[wheels, :2])
     lever = car.parameters.turn_radius_m + (middle * moved).sum(axis=1)
     scale = np.ones((len(WHEELS), 6)) * (radius / (radius + larger))[:, None]
     scale[:, 5] *= lever / car.parameters.turn_radius_m
     gears = [model.actuator(f"{machine}/{wheel.replace('wheel', 'gear')}").id for wheel in WHEELS]
     for motors in (car.wheel_actuators, gears):
-        model.actuator_gear[motors] = np.array(nominal.gears) * scale
+        model.actuator_gear[motors] = np.array(wheel_gears(car.parameters)) * scale
 
 
 def _machine_and_part(name: str) -> tuple[str, str]:

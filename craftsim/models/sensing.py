@@ -1,7 +1,4 @@
-"""The sensors of all cars: exact, or with the noise, delay and lag of a SensorNoise.
-
-The noise is declared, seeded, and off unless asked for.
-"""
+"""The sensors of all cars: exact, or with noise, delay and lag that are declared, seeded, and off unless asked for."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ import numpy as np
 
 from craftsim.discrete.kernel.jit import compiled, records
 from craftsim.discrete.kernel.rotation import body_axes, wrap
-from craftsim.models.imperfection import Amount
+from craftsim.models.config import Amount
 from craftsim.models.measuring import (
     READING,
     CarMeasurement,
@@ -21,7 +18,6 @@ from craftsim.models.measuring import (
     Records,
     Wiring,
     measurement_of,
-    read_cars,
 )
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.records import record
@@ -172,52 +168,6 @@ def measure(physics: PhysicsWorld, car: int) -> CarMeasurement:
     return Sensors(physics).measure(car)
 
 
-class Sensors:
-    """The sensors of all cars of a PhysicsWorld; :meth:`observe` takes one set of readings each control period.
-
-    Example:
-        >>> import craftsim
-        >>> import numpy as np
-        >>> site = craftsim.PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
-        >>> sensors = craftsim.Sensors(site, craftsim.SensorNoise(position_m=0.001), np.random.default_rng(0))
-        >>> abs(sensors.measure(0).x - craftsim.Sensors(site).measure(0).x) < 0.005
-        True
-    """
-
-    def __init__(
-        self, physics: PhysicsWorld, noise: SensorNoise = EXACT, rng: np.random.Generator | None = None
-    ) -> None:
-        """Measure on a PhysicsWorld with this noise; ``rng`` draws it and is needed only where there is some."""
-        self.physics, self.noise = physics, noise
-        self.wiring = Wiring(physics)
-        self._true = records(len(physics.cars), READING)
-        self._disturber: _Disturber | None = None
-        if noise.silent:
-            return
-        if rng is None:
-            raise ValueError("noisy sensors need a random generator")
-        self._disturber = _Disturber(noise, physics, self.wiring, rng)
-        self.observe()
-
-    def observe(self) -> None:
-        """Take the readings of this moment; call it once after each control period."""
-        if self._disturber is not None:
-            self._disturber.disturb(self._read())
-
-    def read(self) -> Records:
-        """Return the newest readings of all cars, shape (n,) of READING; the array is used again by the next ones."""
-        return self._read() if self._disturber is None else self._disturber.readings
-
-    def measure(self, car: int) -> CarMeasurement:
-        """Return the newest reading of a car."""
-        return measurement_of(self.read()[car])
-
-    def _read(self) -> Records:
-        """Return what exact sensors read now."""
-        read_cars(self.physics, self.wiring, self._true)
-        return self._true
-
-
 _JITTER_CUT: Final = 4.0
 """Jitter is cut off at so many deviations."""
 _N_NORMALS: Final = 9
@@ -258,29 +208,44 @@ _ENCODERS: Final = np.dtype(
 the first count, the angle, and its counts."""
 
 
-class _Disturber:
-    """The noisy, late readings of all cars: :attr:`readings`, shape (n,) of READING."""
+class Sensors:
+    """The sensors of all cars of a PhysicsWorld; :meth:`observe` takes one set of readings each control period.
+
+    Example:
+        >>> import craftsim
+        >>> import numpy as np
+        >>> site = craftsim.PhysicsWorld(craftsim.Grid.empty((3, 1, 1), n_cars=1))
+        >>> sensors = craftsim.Sensors(site, craftsim.SensorNoise(position_m=0.001), np.random.default_rng(0))
+        >>> abs(sensors.measure(0).x - craftsim.Sensors(site).measure(0).x) < 0.005
+        True
+    """
 
     def __init__(
-        self, noise: SensorNoise, physics: PhysicsWorld, wiring: Wiring, rng: np.random.Generator
+        self, physics: PhysicsWorld, noise: SensorNoise = EXACT, rng: np.random.Generator | None = None
     ) -> None:
-        """Draw what each car's sensors have of their own: delays from ``rng``, all else from generators apart.
+        """Measure on a PhysicsWorld with this noise; ``rng`` draws it and is needed only where there is some.
 
+        What each car's sensors have of their own is drawn here: delays from ``rng``, all else from generators apart.
         Whatever there is of that, the white noise is then the same.
         """
-        self._physics, self._wiring, self._rng = physics, wiring, rng
+        self.physics, self.noise, self._exact = physics, noise, noise.silent
+        self.wiring = Wiring(physics)
         n_cars, period_s = len(physics.cars), physics.config.control_period_s
-        more, self._of_lines = rng.spawn(2)
-        self._more = more
-        self.readings = records(n_cars, READING)
-        self._noise = _in_periods(noise, period_s)
+        self._true = self._readings = records(n_cars, READING)
+        if self._exact:
+            return
+        if rng is None:
+            raise ValueError("noisy sensors need a random generator")
+        self._rng, (self._more, self._of_lines) = rng, rng.spawn(2)
+        more, self._readings = self._more, records(n_cars, READING)
+        self._levels = _in_periods(noise, period_s)
         self._own = own = records(n_cars, _OWN)
         own["delay"] = rng.uniform(noise.min_delay_s, noise.max_delay_s, n_cars) / period_s
         towards = more.uniform(0, math.tau, n_cars)
         own["off_x"] = noise.position_bias_m * np.cos(towards)
         own["off_y"] = noise.position_bias_m * np.sin(towards)
         own["off_heading"] = noise.heading_bias_rad * more.choice((-1.0, 1.0), n_cars)
-        own["phase"] = more.uniform(0, 1, n_cars) * self._noise["localisation_period_s"]
+        own["phase"] = more.uniform(0, 1, n_cars) * self._levels["localisation_period_s"]
         for reading, figure in _BIASES.items():
             own[reading] = getattr(noise, figure) * more.choice((-1.0, 1.0), n_cars)
         late = noise.max_delay_s + _JITTER_CUT * noise.jitter_s
@@ -295,28 +260,42 @@ class _Disturber:
         self._line_normals = np.zeros((n_cars, 4))
         self._encoders: Records | None = None
         if noise.encoder_step_rad:
-            self._encoders = _encoders(physics, wiring, noise.encoder_step_rad, *rng.spawn(1))
+            self._encoders = _encoders(physics, self.wiring, noise.encoder_step_rad, *rng.spawn(1))
+        self.observe()
 
-    def disturb(self, true: Records) -> None:
-        """Take in the exact readings of a control period; those of the wheels' speeds are replaced by counted ones."""
-        physics, out = self._physics, self.readings
+    def observe(self) -> None:
+        """Take the readings of this moment; call it once after each control period."""
+        if self._exact:
+            return
+        physics, true, out, levels = self.physics, self._true, self._readings, self._levels
+        self.wiring.read(true)
         if self._encoders is not None:
             gear, period_s = physics.baseline.actuator_gear, physics.config.control_period_s
-            step_rad = float(self._noise["encoder_step_rad"][0])
-            _count(physics.data.qpos, gear, self._wiring.cars, self._encoders, step_rad, period_s, true)
+            step_rad = float(levels["encoder_step_rad"][0])
+            _count(physics.data.qpos, gear, self.wiring.cars, self._encoders, step_rad, period_s, true)
         for car, normals in enumerate(self._white):
             self._rng.standard_normal(out=normals)
             self._contacts[car] = self._rng.random()
         self._more.standard_normal(out=self._normals)
         self._more.random(out=self._uniforms)
         _localise(
-            *(true, self._own, self._past, self._n_periods, self._noise),
+            *(true, self._own, self._past, self._n_periods, levels),
             *(self._white, self._normals, self._uniforms, out),
         )
         self._n_periods += 1
-        _disturb(true, self._noise, self._own, self._white, self._contacts, out)
+        _disturb(true, levels, self._own, self._white, self._contacts, out)
         self._of_lines.standard_normal(out=self._line_normals)
-        out["lines"] = true["lines"] + self._noise["line_m"] * self._line_normals
+        out["lines"] = true["lines"] + levels["line_m"] * self._line_normals
+
+    def read(self) -> Records:
+        """Return the newest readings of all cars, shape (n,) of READING; the array is used again by the next ones."""
+        if self._exact:
+            self.wiring.read(self._true)
+        return self._readings
+
+    def measure(self, car: int) -> CarMeasurement:
+        """Return the newest reading of a car."""
+        return measurement_of(self.read()[car])
 
 
 def _in_periods(noise: SensorNoise, period_s: float) -> Records:
@@ -410,14 +389,7 @@ def _disturb(
 
 
 def _encoders(physics: PhysicsWorld, wiring: Wiring, step_rad: float, rng: np.random.Generator) -> Records:
-    """Return the wheels' encoders, (n,) of _ENCODERS, where the cars stand.
-
-    They count by how far each wheel has turned, and a speed is a difference of counts. A wheel on an axle turns by its
-    joint. The wheels of the reduced drive have none and roll without slip: they turn by the car's way over the period,
-    in its own frame, times the gears of its motors.
-
-    ``rng`` draws how far each wheel is from its next count of ``step_rad``.
-    """
+    """Return the encoders, (n,) of _ENCODERS, where the cars stand; ``rng`` draws how far the next counts are."""
     model, data = physics.model, physics.data
     encoders = records(len(physics.cars), _ENCODERS)
     encoders["joints"] = -1
@@ -442,7 +414,10 @@ def _count(
     period_s: float,
     out: Records,
 ) -> None:
-    """Replace the speeds in exact readings of all cars by those of a control period's counts."""
+    """Replace the speeds in exact readings by those of a control period's counts.
+
+    A wheel of the reduced drive rolls without slip: by the car's way in its own frame times the gears of its motors.
+    """
     for i in range(len(cars)):
         own, was, at = encoders[i], encoders[i].pose, cars[i].pose
         # How a car has moved since, along the mean of its axes then and now: by that its wheels turn without joints.

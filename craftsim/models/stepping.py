@@ -91,6 +91,7 @@ class Stepping:
         self._addresses = np.array([model._address, data._address], np.int64)
         step = _step_function().get_function_address(_STEP)
         self._call = np.array([self._batch, step, self._addresses.ctypes.data], np.int64)
+        """What mjb_apply takes: the batch, the function, and what that takes."""
 
     def bind(self, motors: TurnedMotors, most_iterations: int) -> None:
         """Step with these motors from now on, and count solvers that need so many iterations."""
@@ -110,18 +111,7 @@ class Stepping:
 
 @compiled
 def _run_steps(call: Ints, motors: TurnedMotors, iterations: Ints, limit: Ints, n_steps: int) -> int:
-    """Run physics steps, with the reduced drive's motors turned as their cars stand before each, and at the end.
-
-    Args:
-        call: (3,) addresses of the batch, the function of :func:`_step_function`, and what it takes.
-        motors: those that are turned.
-        iterations: MjData.solver_niter.
-        limit: (1,): at how many of these a solver gives up.
-        n_steps: how many.
-
-    Returns:
-        In how many steps a solver has given up; -1 where MuJoCo has found an error in one, which ends it.
-    """
+    """Turn the motors and step, so often; return in how many steps a solver gave up, -1 for an error in one."""
     n_capped = 0
     turn_motors(motors)
     for _ in range(n_steps):

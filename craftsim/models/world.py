@@ -18,15 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines
-from craftsim.models.composition import WorldSpec
+from craftsim.models.composition import WorldSpec, check_extent, placements
 from craftsim.models.config import SimulationConfig
-from craftsim.models.effects import StepEffect, effects_of
-from craftsim.models.extent import check_extent
-from craftsim.models.floor import tiles_of
-from craftsim.models.imperfection import FLAT, IDEAL, Drivetrain, Floor
-from craftsim.models.overlaps import MachineNames, Overlap, overlaps
-from craftsim.models.parts import FreeBody, Parts, trees_of_motors
-from craftsim.models.placement import placements
+from craftsim.models.effects import IDEAL, Drivetrain, StepEffect, effects_of
+from craftsim.models.floor import FLAT, Floor, tiles_of
+from craftsim.models.parts import FreeBody, MachineNames, Overlap, overlaps, parts_of, trees_of_motors
 from craftsim.models.stepping import Stepping
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
@@ -41,10 +37,7 @@ _BROKEN = [
 
 
 def _without_log_file() -> None:
-    """Let MuJoCo's warnings go to the terminal alone, not into a MUJOCO_LOG.TXT in the folder where one works.
-
-    What they count is in ``data.warning`` all the same. A log file that somebody has chosen stays.
-    """
+    """Let MuJoCo's warnings go to the terminal alone; ``data.warning`` counts them. A log file that is chosen stays."""
     config = mujoco.MjLogConfig.get()
     if config.logfile == "MUJOCO_LOG.TXT":
         config.logto_file = False
@@ -108,21 +101,13 @@ class PhysicsState:
     """What each effect remembers."""
 
 
-@dataclass(frozen=True)
-class _Rested:
-    """A start that has come to rest with the parameters as they were compiled."""
-
-    state: PhysicsState
-    overlaps: tuple[Overlap, ...]
-
-
 KEPT: Final = 4
 """Starts at rest that a process keeps, those used last: 1 MB each, and address space for more."""
 
 
 @lru_cache(maxsize=KEPT)
-def _kept(start: Hashable) -> list[_Rested]:
-    """Return where what belongs to a start is kept: an empty list, the first time."""
+def _kept(start: Hashable) -> list[tuple[PhysicsState, tuple[Overlap, ...]]]:
+    """Return where a start at rest, with its overlaps, is kept: an empty list, the first time."""
     return []
 
 
@@ -187,10 +172,10 @@ class PhysicsWorld:
         self.tiles = None if floor.flat else tiles_of(floor, grid.size)
         self.model = self.world_spec.model(visual=False)
         self.data = mujoco.MjData(self.model)
-        parts = Parts.of(self.model, machines)
+        self.cars, self.slopes, tables = parts_of(self.model, machines)
         self._heights = self.model.jnt_qposadr[self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] + 2
         if machines.drive == "reduced":
-            for car in parts.cars:
+            for car in self.cars:
                 car.add_spin(self.model)
             mujoco.mj_setConst(self.model, self.data)
         self._warnings = self.data.warning.number
@@ -199,11 +184,10 @@ class PhysicsWorld:
         self._commanded = b""
         """Which motors had a command in the last period, a byte each; empty where the policies may not fit it."""
         self._tree_of_motor = trees_of_motors(self.model)
-        self.cars, self.slopes = parts.cars, parts.slopes
-        self.blocks = parts.tables[Kind.BLOCK]
-        self.tables = tuple(table for tables in parts.tables.values() for table in tables)
+        self.blocks = tables[Kind.BLOCK]
+        self.tables = tuple(table for found in tables.values() for table in found)
         """Blocks, flags, and what else has a block's shape and is carried, by kind."""
-        self.table_kinds = tuple(kind for kind, tables in parts.tables.items() for _ in tables)
+        self.table_kinds = tuple(kind for kind, found in tables.items() for _ in found)
         """The kind of each of them."""
         self.machine_names = MachineNames.of(self.model)
         """The machines by their geoms."""
@@ -251,14 +235,14 @@ class PhysicsWorld:
         self.drivetrain = IDEAL
         self.set_baseline(self.compiled)
         if self._rested:
-            self.restore(self._rested[0].state)
-            self.overlaps = self._rested[0].overlaps
+            state, self.overlaps = self._rested[0]
+            self.restore(state)
         else:
             self.reset()
-            self._rested.append(_Rested(self.save(), self.overlaps))
+            self._rested.append((self.save(), self.overlaps))
 
     @cached_property
-    def _rested(self) -> list[_Rested]:
+    def _rested(self) -> list[tuple[PhysicsState, tuple[Overlap, ...]]]:
         return _kept(self._start)
 
     @cached_property

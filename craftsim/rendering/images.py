@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError, suggestion
-from craftsim.models.overlaps import MachineNames
+from craftsim.models.parts import MachineNames
 from craftsim.rendering.cameras import View
 from craftsim.rendering.image_kinds import FAR_M, IMAGE_KINDS, LABELS, PIXELS, ImageKind, check_images
 from craftsim.rendering.playback import SeenWorld

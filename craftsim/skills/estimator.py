@@ -1,23 +1,16 @@
 """What cars estimate: where they are, how late localisations and motors are, and whether their floor is uneven.
 
-Odometry is prompt and smooth, so a car is controlled by it; all else only says by how much odometry is off. One Kalman
-filter for each car estimates that, for x, y and heading, and with it by how much its localisations are beside its
-place. Uncertainty grows with the way travelled, for wheels slip; on a floor that is uneven the velocity of slip to the
-side is estimated, too, for there a car may go aslant as long as it stands on two wheels of a diagonal.
+Odometry is prompt and smooth, so a car is controlled by it; one Kalman filter a car estimates by how much it is off in
+x, y and heading, and by how much localisations are beside the car's place. Uncertainty grows with the way travelled; on
+an uneven floor the velocity of slip to the side is estimated, too.
 
-- A localisation is compared with where the car believed to be when it was taken. How long ago that was is estimated
-  from the motion itself. As far as it is unknown, a localisation says little while the car moves, and all that it can
-  say once the car has rested for long enough: a delay that is not known yet cannot make a car swing. How noisy
-  localisations are is found from how they scatter at rest.
-- Below a block or a slope, which stands in the middle of its cell, line sensors see a marker: a cross that says where
-  the car is, at once and without bias, unless a car has set it down there. Nothing else can tell a bias: it is changed
-  only while such a marker is seen, and what is learnt of it there stays known.
-
-How late one signal comes behind another that is prompt, a localisation behind odometry or a wheel behind its command,
-is estimated so: for each candidate delay, in whole control periods, the ways that both signals went over a short window
-are compared. The squared mismatch is least at the true delay, and near it a parabola in the delay, whose vertex and
-width give the delay and its variance. Ways do not depend on where the signals started, and hardly on a scale between
-them. What is assumed before anything has moved is one more parabola.
+- A localisation is compared with where the car believed to be when it was taken. As far as its age is unknown, it says
+  little while the car moves: a delay that is not known yet cannot make a car swing.
+- Below a block or a slope, in the middle of its cell, line sensors see a marker: where the car is, at once and without
+  bias, unless a car has set it down there. A bias is changed only while such a marker is seen.
+- A delay, of localisations behind odometry or of wheels behind commands, is found from the ways over a short window:
+  for each candidate, in control periods, their squared mismatch; near its least a parabola, whose vertex and width give
+  the delay and its variance. What is assumed before anything has moved is one more parabola.
 """
 
 from __future__ import annotations
@@ -360,8 +353,7 @@ def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats,
 
 @compiled
 def _learn(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
-    """Take in what localisations say of themselves: how late they are, by the way of the last periods, and how noisy,
-    by how much they differ at rest from one to the next."""
+    """Learn how late localisations are, by the last periods' ways, and how noisy, by how they differ at rest."""
     n_still, noise = estimate.n_still, estimate.noise
     if n_still < rolled.shape[1] and math.isfinite(seen[_X, WINDOW]):
         way = math.hypot(seen[_X, 0] - seen[_X, WINDOW], seen[_Y, 0] - seen[_Y, WINDOW])
@@ -399,14 +391,9 @@ def _at(past: Floats, row: int, delay: float) -> float:
 
 @compiled
 def _correct(known: Record, off: float, variance: float, n_held: int) -> bool:
-    """Take a scalar measurement into a FILTER; return False for an outlier.
+    """Take a scalar measurement, ``off`` from what was expected, into a FILTER; return False for an outlier.
 
-    Args:
-        known: the filter, with the slopes of the measurement; they are zero afterwards.
-        off: by how much the measurement is above what was expected.
-        variance: of the measurement.
-        n_held: so many of the biases the measurement leaves as they are, however unsure they are: it says nothing of
-            them by itself (a Schmidt-Kalman filter).
+    ``known`` has its slopes, which are zero afterwards. So many biases as ``n_held`` stay as they are (Schmidt-Kalman).
     """
     state, covariance, slopes, shares = known.state, known.covariance, known.slopes, known.shares
     expected = variance
@@ -433,19 +420,10 @@ def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> 
     """Correct a pose by the lines that are seen of the marker above.
 
     By how much it is beside the middle of its cell is estimated, too, as long as it is seen: however often a car looks
-    at one marker, it knows its place no better than that has been put there. Over several markers this averages out.
-
-    That holds for markers that have been there from the start. What a car sets down stands where that car believed to
-    be: a car that took it for the middle would pass its own error, or another car's, on to itself, with all that came
-    to it in between, and so would the next one, without end. Below it a car knows only how it moves.
-
-    A car that passes from below one marker to the next looks at the one until it has lost it.
-
-    Args:
-        now: the reading, with the pose as estimated so far.
-        known: the filter; the first parts of its state are of x, y and heading.
-        marker: that the car looks at.
-        moved: (length, width), whether a car has set something down in a column of cells.
+    at one marker, it knows its place no better than that has been put there; over several markers this averages out.
+    ``moved`` says of each column of cells whether a car has set something down there: taken for the middle, that would
+    pass this car's own error, or another's, on to itself without end. A car that passes from below one marker to the
+    next looks at the one until it has lost it.
     """
     if now.board_m > _LOWERED_M:
         marker.raised, marker.seen = 1, 0

@@ -244,11 +244,8 @@ def compensate_lag(car: Record, level: bool) -> None:
 def _hold_law(car: Record) -> None:
     """Command the wheels of a car that is parked on an incline, so that it stays where it was left.
 
-    A wheel's drive at zero speed gives way slowly to a torque above its gear's friction: a loaded car whose gears are
-    smooth creeps down a ramp by 0.2 mm/s. The encoders measure that, and the wheels go back as far.
-
-    A car that stands on two wheels of a diagonal creeps along their rollers, too, which no encoder measures: its
-    estimated pose does. It drives back as at the end of a path when it has crept far enough to be sure of it.
+    A drive at zero speed gives way slowly to a torque above its gear's friction: the wheels go back as far. On two
+    wheels of a diagonal a car creeps along their rollers, too: it drives back when it is sure of it by its pose.
     """
     now, task, known = car.now, car.task, car.known
     hold, drive = known.hold, known.drive
@@ -306,10 +303,7 @@ def _board_law(car: Record) -> None:
 
 @compiled
 def _hinge_law(car: Record, angles: Floats) -> None:
-    """Command the speed of the hinge of the slope above a car towards its end, or end the task.
-
-    ``angles`` are those of the last periods, as many as over which it must be still.
-    """
+    """Command a hinge's speed towards its end, or end the task; ``angles`` are those over which it must be still."""
     now, task, gains, period_s = car.now, car.task, car.known.hinge, car.known.period_s
     hinge = task.hinge
     remaining = hinge.target_rad - now.hinge_rad
@@ -477,11 +471,9 @@ def _to_body(vector: Triple, now: Record) -> Triple:
 def _check_progress(car: Record, error: Triple) -> None:
     """End the task of a driving car that does not get on, unless it is too early to say, and note whether it rests.
 
-    Wheels that stand say that something is in the way. Wheels that turn although the car does not follow may slip on a
-    ground without grip, or spin at an obstacle, because the motors are stronger than the grip. What tells the two apart
-    is with how much force they turn: the drives' torques less what friction, the wheels' own inertia and the weight on
-    an incline take would have moved a free car a certain way, by Newton's second law. An obstacle is there where the
-    car stays far behind that way, too. ``error`` is (m, m, rad) from the car to where it should be.
+    Wheels that turn although the car does not follow slip without grip, or spin at an obstacle. What tells the two
+    apart is their force: the torques less what friction, the wheels' inertia and the weight on an incline take would
+    have moved a free car some way. An obstacle is there where the car stays far behind that way, too.
     """
     now, drive, gains, machine, period_s = (
         car.now,

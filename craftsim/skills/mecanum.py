@@ -3,8 +3,6 @@
 With wheel radius R and lever l = half wheelbase + half track (rollers at 45 degrees, X arrangement), a body twist
 (vx, vy, omega) needs the wheel speeds R w = (vx - vy - l omega, vx + vy + l omega, vx + vy - l omega,
 vx - vy + l omega) at front left, front right, rear left and rear right.
-
-The compiled functions take lever and radius as a record of a car's parameters (:mod:`craftsim.skills.state`) has them.
 """
 
 from __future__ import annotations

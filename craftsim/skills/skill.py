@@ -7,7 +7,6 @@ in Python. Which performs which action says :mod:`craftsim.skills.library`.
 
 from __future__ import annotations
 
-import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -79,11 +78,7 @@ class SkillSetup:
 
     def on(self, terrain: Terrain) -> SkillSetup:
         """Return the same for a move on other ground."""
-        if terrain == self.terrain:
-            return self
-        setup = copy.copy(self)
-        object.__setattr__(setup, "terrain", terrain)
-        return setup
+        return replace(self, terrain=terrain)
 
     def carefully(self) -> SkillSetup:
         """Return the same for driving as slowly as on an uneven floor."""

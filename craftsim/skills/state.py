@@ -174,19 +174,16 @@ CAR: Final = np.dtype(
 @lru_cache(maxsize=64)
 def constants_of(car: SmartcarParameters, machines: Machines, gains: Gains, period_s: float) -> Records:
     """Return the constants of a car, shape (1,) of KNOWN; not to be written to."""
-    # What the spin of the four wheels and their motors adds to the car's inertia, as a mass.
-    wheel_inertia_kgm2 = car.wheel_spin_inertia_kgm2 + car.wheel_armature_kgm2
-    spin_mass_kg = 4 * wheel_inertia_kgm2 / car.wheel_radius_m**2
     # About the vertical axis, the spin of the wheels included.
     turn_inertia_kgm2 = (
         car.chassis_mass_kg * (car.chassis_length_m**2 + car.chassis_width_m**2) / 12
         + 4 * car.wheel_mass_kg * (car.wheel_x_m**2 + car.wheel_y_m**2)
-        + spin_mass_kg * car.turn_radius_m**2
+        + car.spin_mass_kg * car.turn_radius_m**2
     )
     felt_load_n = (car.board_mass_kg + machines.lightest_load_kg * gains.health.load_share) * GRAVITY
     parameters = (
-        *(car.turn_radius_m, car.wheel_radius_m, car.mass_kg, spin_mass_kg, turn_inertia_kgm2),
-        *(wheel_inertia_kgm2, car.wheel_x_m, car.wheel_gain_nms_rad, car.gear_friction_nm),
+        *(car.turn_radius_m, car.wheel_radius_m, car.mass_kg, car.spin_mass_kg, turn_inertia_kgm2),
+        *(car.wheel_inertia_kgm2, car.wheel_x_m, car.wheel_gain_nms_rad, car.gear_friction_nm),
         *(car.wheel_speed_rad_s, car.wheel_torque_nm, car.board_speed_m_s),
         *(machines.slope.hinge_speed_rad_s, felt_load_n),
     )

@@ -26,7 +26,7 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
-from craftsim.models.placement import placements
+from craftsim.models.composition import placements
 from craftsim.validation.audit.trial import Trial, try_it
 
 SITUATIONS = {one.id: one for one in bare_situations()}

@@ -7,7 +7,7 @@ import pytest
 from craftsim.checking.attempt import Thresholds
 from craftsim.checking.setup import RANDOMIZE, setup_of, widened
 from craftsim.errors import InputError
-from craftsim.models.imperfection import Floor
+from craftsim.models.floor import Floor
 from craftsim.models.randomization import NONE
 from craftsim.models.sensing import ASSUMED, MILD, SensorNoise
 

@@ -17,7 +17,7 @@ from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.discrete.tasks.registry import read_task
 from craftsim.errors import InputError
 from craftsim.logs.bags import read_topics
-from craftsim.mjcf.machine_files import load_machines
+from craftsim.mjcf.parameters import load_machines
 from craftsim.models.randomization import load_noise
 from craftsim.rendering.camera_files import read_aim
 from craftsim.skills.gains import load_gains

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.resources import files
 
 import mujoco
@@ -10,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.mjcf.car import WHEELS
-from craftsim.models.effects import Bearings
-from craftsim.models.world import Baseline
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.config import SimulationConfig
+from craftsim.models.world import PhysicsWorld
 
 GRAVITY = 9.81
 
@@ -29,30 +30,35 @@ def warnings(data: mujoco.MjData) -> dict[str, int]:
 
 
 class LoneCar:
-    """One smartcar on an endless plane that tilts: gravity turns instead, which is the same."""
+    """One car on an endless plane that tilts: gravity turns instead, which is the same.
 
-    def __init__(self) -> None:
-        self.model = part("smartcar")
-        self.data = mujoco.MjData(self.model)
-        self.motors = [self.model.actuator(w).id for w in WHEELS]
-        self.wheels = [int(self.model.joint(w).dofadr[0]) for w in WHEELS]
-        self.wheel_angles = [int(self.model.joint(w).qposadr[0]) for w in WHEELS]
-        rollers = [j for j in range(self.model.njnt) if self.model.joint(j).name.startswith("roller")]
+    What a test makes of ``baseline`` holds from the next :meth:`rest` on.
+    """
+
+    def __init__(self, drive: str) -> None:
+        machines, config = replace(NOMINAL, drive=drive), SimulationConfig(sleep=False)
+        self.physics = PhysicsWorld(Grid.empty((12, 12, 1), 1), config, machines=machines)
+        self.model, self.data, self.car = self.physics.model, self.physics.data, self.physics.cars[0]
+        self.baseline = self.physics.baseline.copy()
+        self.motors, self.wheels = self.car.wheel_actuators, self.car.wheel_dofs
+        rollers = [j for j in range(self.model.njnt) if "/roller_" in self.model.joint(j).name]
         self.rollers = self.model.jnt_dofadr[rollers]
+        gears = [f"car0/gear_{wheel}" for wheel in ("fl", "fr", "rl", "rr")]
+        self.gears = [self.model.actuator(gear).id for gear in gears] if drive == "reduced" else []
 
-    @property
-    def mass(self) -> float:
-        return float(self.model.body_mass.sum())
+    def set_gears(self, friction_nm: float) -> None:
+        """Give the gears another dry friction."""
+        self.baseline.dof_frictionloss[self.wheels] = friction_nm
+        self.baseline.actuator_biasprm[self.gears, 3:5] = max(friction_nm, 1e-6)
 
     def unpower(self) -> None:
-        """Take the wheel motors away: no torque at all, not even the servo's damping."""
-        self.model.actuator_gainprm[self.motors] = 0
-        self.model.actuator_biasprm[self.motors] = 0
+        """Take the wheel motors away: no torque at all, not even the servo's damping, and no friction of gears."""
+        self.baseline.actuator_gainprm[self.motors] = self.baseline.actuator_biasprm[self.motors] = 0
+        self.set_gears(0.0)
 
-    def oil(self) -> None:
-        """Take the dry friction of gears and rollers away."""
-        self.model.dof_frictionloss[self.wheels] = 0
-        self.model.dof_frictionloss[self.rollers] = 0
+    def limit(self, torque_nm: float) -> None:
+        """Let the wheel motors give no more than this."""
+        self.baseline.actuator_forcerange[self.motors] = [-torque_nm, torque_nm]
 
     def tilt(self, angle: float, downhill: float = math.pi) -> None:
         """Tilt the plane; downhill is the direction (rad from the car's nose) in which it falls."""
@@ -61,22 +67,15 @@ class LoneCar:
 
     def rest(self) -> None:
         """Start over, and come to rest on the level plane."""
-        mujoco.mj_resetData(self.model, self.data)
-        self.tilt(0)
-        self.run(0.4)
+        self.physics.set_baseline(self.baseline)
+        self.physics.reset()
 
-    def run(self, seconds: float) -> None:
-        """Step as a PhysicsWorld does; the figures in the model stay what a test has made of them."""
-        self.baseline = Baseline.of(self.model)
-        bearings = Bearings(self)
-        bearings.start(self)
-        for _ in range(round(seconds / self.model.opt.timestep)):
-            mujoco.mj_step(self.model, self.data)
-            bearings.after_step(self)
-        self.baseline.write(self.model)
-
-    def drive(self, speeds: object) -> None:
-        self.data.ctrl[self.motors] = speeds
+    def run(self, seconds: float, speeds: object = None, observe: Callable[[], None] | None = None) -> None:
+        """Run whole control periods, with the wheels' speeds in rad/s, or those that stand."""
+        if speeds is not None:
+            self.physics.drive(0, speeds)
+        for _ in range(round(seconds / 0.02)):
+            self.physics.advance(observe)
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -88,15 +87,22 @@ class LoneCar:
         return math.atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
 
     @property
+    def up(self) -> float:
+        """The z component of the car's own z axis."""
+        return 1 - 2 * float(self.data.qpos[4] ** 2 + self.data.qpos[5] ** 2)
+
+    @property
     def speed(self) -> float:
         return float(np.linalg.norm(self.data.qvel[:3]))
 
     @property
-    def angles(self) -> NDArray[np.float64]:
-        return self.data.qpos[self.wheel_angles].copy()
+    def twist(self) -> NDArray[np.float64]:
+        """Forward, left and turn, in the car's frame."""
+        turn = self.data.body("car0/smartcar").xmat.reshape(3, 3)
+        return np.array([*(turn.T @ self.data.qvel[:3])[:2], self.data.qvel[5]])
 
 
-def _threshold(happens: Callable[[float], bool], low: float, high: float, steps: int = 12) -> float:
+def _threshold(happens: Callable[[float], bool], low: float, high: float, steps: int = 9) -> float:
     """Bisect for the least value at which something happens that does not happen at ``low`` but does at ``high``."""
     assert not happens(low)
     assert happens(high)
@@ -123,7 +129,12 @@ def _ramp(state: int, load: Kind = Kind.AIR, yaw: int = 2) -> Grid:
 
 @pytest.fixture
 def lone_car() -> LoneCar:
-    return LoneCar()
+    return LoneCar("rollers")
+
+
+@pytest.fixture
+def make_car() -> Callable[[str], LoneCar]:
+    return LoneCar
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ from craftsim.mjcf.block import TABLES
 from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, SmartcarParameters
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
-from craftsim.models.imperfection import FLAT, Floor
+from craftsim.models.floor import FLAT, Floor
 from craftsim.models.world import PhysicsWorld
 
 GOALS = ((0, 0, 1), (1, 1, 2))

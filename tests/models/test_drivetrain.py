@@ -9,7 +9,7 @@ from craftsim.checking.setup import compile_world, set_up, setup_of
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.imperfection import IDEAL, Drivetrain
+from craftsim.models.effects import IDEAL, Drivetrain
 from craftsim.models.randomization import NONE
 from craftsim.models.world import PhysicsWorld
 
@@ -38,19 +38,14 @@ def _driven(physics: PhysicsWorld, wheels: float, periods: int) -> tuple[np.ndar
     return speeds, torques
 
 
-def test_the_most_torque_of_a_motor_falls_with_its_speed_along_the_declared_line():
-    speeds, torques = _driven(_physics(Drivetrain(torque_slope=0.4)), TOP_RAD_S, 12)
+def test_the_most_torque_of_a_motor_falls_with_its_speed_along_the_declared_line_but_when_it_brakes():
+    physics = _physics(Drivetrain(torque_slope=0.4))
+    speeds, torques = _driven(physics, TOP_RAD_S, 20)
     line = MOST_NM * (1 - 0.4 * speeds[:-1] / TOP_RAD_S)  # as of the step before
     saturated = speeds[1:] < 0.8 * TOP_RAD_S
     assert saturated.sum() > 10
     np.testing.assert_allclose(torques[1:][saturated], line[saturated], rtol=1e-9)
-
-
-def test_a_motor_that_brakes_has_all_of_its_torque():
-    physics = _physics(Drivetrain(torque_slope=0.4))
-    _driven(physics, TOP_RAD_S, 20)
-    _, torques = _driven(physics, -TOP_RAD_S, 2)
-    assert torques.min() == -MOST_NM
+    assert _driven(physics, -TOP_RAD_S, 2)[1].min() == -MOST_NM
 
 
 def test_on_the_reduced_drive_no_motor_passes_on_more_than_line_and_grip_leave_it():

@@ -18,16 +18,10 @@ STATE_SETTERS = {
     ),
     *("mj_setKeyframe", "mj_integratePos", "mj_extractState", "mj_applyFT"),
 }
+WORDS = {*STATE, *FORBIDDEN, *STATE_SETTERS, "mocap"}
+"""Without one of these a file has nothing that is looked for."""
 ARRAY_METHODS = {
-    "fill",
-    "put",
-    "itemset",
-    "sort",
-    "partition",
-    "setfield",
-    "resize",
-    "setflags",
-    "__setitem__",
+    *("fill", "put", "itemset", "sort", "partition", "setfield", "resize", "setflags", "__setitem__")
 }
 ARRAY_WRITERS = {"copyto", "put", "place", "putmask", "put_along_axis", "fill_diagonal"}
 ALLOWED = {
@@ -208,9 +202,11 @@ def test_only_reset_and_restore_write_positions_and_velocities():
     assert len(paths) > 30
     found = {}
     for path in paths:
-        name = path.relative_to(package.parent).as_posix()
+        name, source = path.relative_to(package.parent).as_posix(), path.read_text(encoding="utf-8")
+        if not any(word in source for word in WORDS):
+            continue
         declared = frozenset(DECLARED.get(name, ()))
-        lines = violations(path.read_text(encoding="utf-8"), ALLOWED.get(name, set()), declared)
+        lines = violations(source, ALLOWED.get(name, set()), declared)
         if lines:
             found[name] = lines
     assert found == {}

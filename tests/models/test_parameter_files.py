@@ -6,8 +6,13 @@ from pathlib import Path
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.mjcf.machine_files import load_machines
-from craftsim.mjcf.parameters import NOMINAL, BlockParameters, SlopeParameters, SmartcarParameters
+from craftsim.mjcf.parameters import (
+    NOMINAL,
+    BlockParameters,
+    SlopeParameters,
+    SmartcarParameters,
+    load_machines,
+)
 
 
 def _file(folder: Path, text: str) -> Path:

@@ -28,15 +28,11 @@ SMARTCAR, BLOCK, SLOPE = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope
 OTHER = Machines(
     cars=(
         SmartcarParameters(
-            wheel_radius_m=0.0492,
-            wheel_width_m=0.040,
-            wheel_x_m=0.062,
-            wheel_y_m=0.085,
-            wheel_mass_kg=2.6,
+            *(0.0492, 0.040, 0.062, 0.085, 2.6, 10),
             roller_mass_kg=0.04,
             roller_friction=0.7,
             chassis_length_m=0.215,
-            chassis_width_m=0.160,
+            chassis_width_m=0.16,
             chassis_bottom_m=-0.039,
             chassis_top_m=0.048,
             chassis_chamfer_m=0.027,
@@ -268,17 +264,23 @@ KINDS = (SmartcarParameters, BlockParameters, SlopeParameters, ContactParameters
 
 
 def test_a_figure_that_is_edited_changes_the_model():
-    first = {SmartcarParameters: "smartcar", BlockParameters: "block", SlopeParameters: "slope"}
+    parts = {SmartcarParameters: "smartcar", BlockParameters: "block", SlopeParameters: "slope"}
     for kind in KINDS:
-        parts = sorted(MACHINES, key=lambda part, kind=kind: part != first.get(kind, "ground"))
+        first = parts.get(kind, "ground")
         for name in (field.name for field in fields(kind) if field.name not in READ_BY_SENSORS):
             machines = with_parameters(bumped(kind(), name))
-            assert any(_text(part, machines) != _text(part, NOMINAL) for part in parts), (kind, name)
+            tried = ((part, visual) for visual in (False, True) for part in (first, *MACHINES))
+            assert any(
+                _made(part, machines, visual) != _made(part, NOMINAL, visual) for part, visual in tried
+            ), (
+                kind,
+                name,
+            )
 
 
 @lru_cache(maxsize=len(MACHINES))
-def _text(part: str, machines: Machines) -> str:
-    return text_of(machine_spec(part, machines))
+def _made(part: str, machines: Machines, visual: bool) -> str:
+    return text_of(machine_spec(part, machines, visual=visual))
 
 
 def test_the_files_are_what_the_builders_make_and_no_others():
@@ -314,12 +316,9 @@ def test_a_file_opens_alone_as_what_the_builders_make(tmp_path):
 
 
 def test_the_digest_tells_figures_apart():
-    assert Machines().digest == NOMINAL.digest
-    assert OTHER.digest != NOMINAL.digest
+    assert Machines().digest == NOMINAL.digest != OTHER.digest
     whole, same = (Machines(cars=(SmartcarParameters(wheel_torque_nm=t),)) for t in (3, 3.0))
-    assert whole == same
-    assert whole.digest == same.digest
-    assert replace(NOMINAL, slope=SlopeParameters(hinge_speed_rad_s=1.0)).digest != NOMINAL.digest
+    assert (whole, whole.digest) == (same, same.digest)
 
 
 CAR = SmartcarParameters
@@ -381,31 +380,22 @@ def test_masses_are_the_published_ones(open_part):
         assert figures_of(part, NOMINAL).mass_kg == pytest.approx(mass)
 
 
-def test_all_four_wheels_are_alike(open_part):
-    model = open_part("smartcar")
-    for wheel in ("wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr"):
-        place = np.abs(model.body(wheel).pos) - [
-            SMARTCAR.wheel_x_m,
-            SMARTCAR.wheel_y_m,
-            SMARTCAR.wheel_radius_m,
-        ]
-        assert np.abs(place).max() < 1e-9
-        assert model.body(wheel).subtreemass[0] == pytest.approx(SMARTCAR.wheel_mass_kg)
-        assert len(descendants(model, wheel)) == 1 + SMARTCAR.rollers_per_wheel
-        dof = model.joint(wheel).dofadr[0]
-        assert model.dof_frictionloss[dof] == SMARTCAR.gear_friction_nm
-        motor = model.actuator(wheel)
-        assert motor.forcerange.tolist() == [-SMARTCAR.wheel_torque_nm, SMARTCAR.wheel_torque_nm]
-        assert motor.ctrlrange.tolist() == [-SMARTCAR.wheel_speed_rad_s, SMARTCAR.wheel_speed_rad_s]
-        assert -motor.biasprm[2] == motor.gainprm[0] == SMARTCAR.wheel_gain_nms_rad
-
-
-def test_the_rollers_reach_the_wheels_radius(open_part):
+def test_all_four_wheels_are_alike_and_their_rollers_reach_their_radius(open_part):
     """A roller's middle is the wheel's outermost point: distance of its axis plus its own radius."""
-    model = open_part("smartcar")
-    roller = model.body("roller_fl00")
-    reach = np.hypot(roller.pos[0], roller.pos[2]) + SMARTCAR.roller_radius_m
-    assert reach == pytest.approx(SMARTCAR.wheel_radius_m, abs=1e-9)
+    model, car = open_part("smartcar"), SMARTCAR
+    for wheel in ("wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr"):
+        place = np.abs(model.body(wheel).pos) - [car.wheel_x_m, car.wheel_y_m, car.wheel_radius_m]
+        assert np.abs(place).max() < 1e-9
+        assert model.body(wheel).subtreemass[0] == pytest.approx(car.wheel_mass_kg)
+        motor, dof = model.actuator(wheel), model.joint(wheel).dofadr[0]
+        assert model.dof_frictionloss[dof] == car.gear_friction_nm
+        assert motor.forcerange.tolist() == [-car.wheel_torque_nm, car.wheel_torque_nm]
+        assert motor.ctrlrange.tolist() == [-car.wheel_speed_rad_s, car.wheel_speed_rad_s]
+        assert -motor.biasprm[2] == motor.gainprm[0] == car.wheel_gain_nms_rad
+        rollers = descendants(model, wheel)[1:]
+        assert len(rollers) == car.rollers_per_wheel
+        reach = np.hypot(model.body_pos[rollers, 0], model.body_pos[rollers, 2]) + car.roller_radius_m
+        assert reach == pytest.approx(car.wheel_radius_m, abs=1e-9)
 
 
 def test_the_flap_continues_the_incline_and_folds_to_a_level_top(open_part):

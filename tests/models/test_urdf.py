@@ -13,7 +13,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.composition import WorldSpec, machine_spec
 from craftsim.models.config import SimulationConfig
-from craftsim.models.urdf import LACKS, write_urdf
+from craftsim.models.exporting import LACKS, write_urdf
 
 
 def _assert_same(read: mujoco.MjModel, own: mujoco.MjModel) -> None:

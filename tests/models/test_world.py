@@ -1,6 +1,7 @@
 """A PhysicsWorld can be saved, restored and reset to the bit; its parts sleep and wake; its settings are checked."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError, StartError
+from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
 
@@ -40,29 +42,21 @@ def drive_randomly(physics: PhysicsWorld, seed: int, periods: int) -> list[NDArr
     return states
 
 
-@pytest.mark.parametrize("sleep", [True, False])
-def test_a_restored_site_goes_on_to_the_bit(sleep):
+@pytest.mark.parametrize(("sleep", "drive"), [(True, "rollers"), (False, "reduced")])
+def test_a_restored_or_reset_world_goes_on_to_the_bit(sleep, drive):
     """In the same PhysicsWorld after a detour, and in another one of an equal grid."""
-    config = SimulationConfig(sleep=sleep)
-    physics, other = PhysicsWorld(busy_world(), config), PhysicsWorld(busy_world(), config)
-    drive_randomly(physics, 1, 100)
+    config, machines = SimulationConfig(sleep=sleep), replace(NOMINAL, drive=drive)
+    physics, other = (PhysicsWorld(busy_world(), config, machines=machines) for _ in range(2))
+    begun = drive_randomly(physics, 1, 50)
     saved = physics.save()
-    first = drive_randomly(physics, 2, 100)
-    drive_randomly(physics, 3, 50)
-    physics.restore(saved)
-    second = drive_randomly(physics, 2, 100)
-    drive_randomly(other, 4, 30)
-    other.restore(saved)
-    third = drive_randomly(other, 2, 100)
-    for a, b, c in zip(first, second, third, strict=True):
-        assert a.tobytes() == b.tobytes() == c.tobytes()
-
-
-def test_a_reset_site_starts_over_to_the_bit():
-    physics = PhysicsWorld(busy_world())
-    first = drive_randomly(physics, 5, 60)
+    first = drive_randomly(physics, 2, 50)
+    drive_randomly(other, 4, 15)
+    for restored in (physics, other):
+        restored.restore(saved)
+        again = drive_randomly(restored, 2, 50)
+        assert [state.tobytes() for state in again] == [state.tobytes() for state in first]
     physics.reset()
-    assert [s.tobytes() for s in drive_randomly(physics, 5, 60)] == [s.tobytes() for s in first]
+    assert [s.tobytes() for s in drive_randomly(physics, 1, 50)] == [s.tobytes() for s in begun]
 
 
 def test_a_state_of_another_world_is_refused():
@@ -72,29 +66,27 @@ def test_a_state_of_another_world_is_refused():
 
 
 def sleeper(**settings: float) -> PhysicsWorld:
-    """Return a car that has rested for 2 s beside a block."""
-    physics = PhysicsWorld(
-        draw((4, 4, 1), [(BLOCK, (3, 3, 1), 0)], [(1, 1, 1, 0, 0, 0, 0)]), SimulationConfig(**settings)
-    )
+    """Return a car that has rested for 2 s beside a folded slope."""
+    grid = draw((5, 4, 2), [(FSLOPE, (2, 2, 1), 0)], [(0, 0, 1, 0, 0, 0, 0)])
+    physics = PhysicsWorld(grid, SimulationConfig(**settings))
     for _ in range(100):
         physics.advance()
     return physics
 
 
-def asleep(physics: PhysicsWorld) -> bool:
-    return bool(physics.data.tree_asleep[physics.cars[0].base.tree] >= 0)
-
-
-@pytest.mark.parametrize(
-    "command", [lambda s: s.drive(0, [5.0] * 4), lambda s: s.move_board(0, 0.05)], ids=["wheels", "board"]
-)
-def test_a_command_wakes_a_sleeping_car(command):
+@pytest.mark.parametrize("drive", ["wheels", "board", "hinge"])
+def test_a_command_wakes_what_sleeps(drive):
     physics = sleeper()
-    assert asleep(physics)
+    tree = (physics.slopes if drive == "hinge" else physics.cars)[0].base.tree
+    assert physics.data.tree_asleep[tree] >= 0
     before = physics.data.qpos.copy()
-    command(physics)
+    {
+        "wheels": lambda: physics.drive(0, [5.0] * 4),
+        "board": lambda: physics.move_board(0, 0.05),
+        "hinge": lambda: physics.turn_hinge(0, -0.3),
+    }[drive]()
     physics.advance()
-    assert not asleep(physics)
+    assert physics.data.tree_asleep[tree] < 0
     for _ in range(24):
         physics.advance()
     assert np.abs(physics.data.qpos - before).max() > 0.01
@@ -110,17 +102,6 @@ def test_a_woken_car_drives_as_one_that_never_slept():
             physics.advance()
         ends.append(physics.free_body_state(physics.cars[0].base)[0])
     assert np.linalg.norm(ends[0] - ends[1]) < 1e-4
-
-
-def test_a_sleeping_slopes_hinge_wakes_on_command():
-    physics = PhysicsWorld(draw((5, 5, 2), [(FSLOPE, (2, 2, 1), 0)]))
-    for _ in range(100):
-        physics.advance()
-    assert physics.data.tree_asleep[physics.slopes[0].base.tree] >= 0
-    physics.turn_hinge(0, -0.3)
-    for _ in range(50):
-        physics.advance()
-    assert physics.data.qpos[physics.slopes[0].hinge.qpos] < np.pi - 0.2
 
 
 def test_a_setting_that_cannot_work_is_refused_by_name():
@@ -143,7 +124,7 @@ def test_the_default_settings_are_the_mjcfs_own(open_part):
     assert option.impratio == config.friction_impedance_ratio
 
 
-def test_a_world_that_is_too_large_for_physics_is_refused_at_once():
+def test_a_world_that_is_too_large_for_physics_or_has_two_cars_in_a_cell_is_refused_at_once():
     for size, n_cars, message in (
         ((30, 30, 10), 1, "a world of 9000 cells: too large for physics; allowed: at most 8192"),
         ((6, 6, 1), 33, "a world of 33 cars: too large for physics; allowed: at most 32"),
@@ -152,21 +133,14 @@ def test_a_world_that_is_too_large_for_physics_is_refused_at_once():
         grid.cars[:, 0], grid.cars[:, 1], grid.cars[:, 2] = np.arange(n_cars) % 6, np.arange(n_cars) // 6, 1
         with pytest.raises(InputError, match=message):
             PhysicsWorld(grid)
-
-
-def test_a_load_counts_as_a_part():
     grid = Grid.empty((16, 14, 1), 2)
     grid.cars[:, :3] = [[0, 0, 1], [1, 0, 1]]
     grid.kind.reshape(-1, 2)[28 : 28 + 190, 1] = Kind.WALL
-    PhysicsWorld(grid, reset=False)
     grid.cars[0, 4] = Kind.BLOCK
     with pytest.raises(InputError, match="a world of 193 parts"):
         PhysicsWorld(grid)
-
-
-def test_two_cars_in_one_cell_are_refused_before_they_are_compiled():
-    grid = Grid.empty((3, 1, 1), 2)
-    grid.cars[:, :3] = [1, 0, 1]
+    grid.cars[0, :3] = grid.cars[1, :3]
+    grid.kind[:, :, 1] = Kind.AIR
     with pytest.raises(StartError, match=r"2 cars are in one cell, \(1, 0, 1\)"):
         PhysicsWorld(grid)
 

@@ -10,7 +10,7 @@ from craftsim.skills.executor import Executor
 
 
 def _moved_m(grid: Grid, gear_friction: float, held: bool = True) -> float:
-    """Return how far the first car moves in 10 s with its gears' friction scaled, with or without an executor."""
+    """Return how far the first car moves in 6 s with its gears' friction scaled, with or without an executor."""
     physics = PhysicsWorld(grid, reset=False)
     smooth = physics.baseline.copy()
     smooth.dof_frictionloss[physics.cars[0].wheel_dofs] *= gear_friction
@@ -18,7 +18,7 @@ def _moved_m(grid: Grid, gear_friction: float, held: bool = True) -> float:
     physics.reset()
     start, _ = physics.free_body_state(physics.cars[0].base)
     advance = Executor(physics).advance if held else physics.advance
-    for _ in range(500):
+    for _ in range(300):
         advance()
     end, _ = physics.free_body_state(physics.cars[0].base)
     return float(np.linalg.norm(end - start))
@@ -28,7 +28,7 @@ def _moved_m(grid: Grid, gear_friction: float, held: bool = True) -> float:
 def test_a_loaded_car_with_smooth_gears_is_held_on_the_slope(place):
     grid = draw((3, 1, 3), [(Kind.BLOCK, (0, 0, 1)), (Kind.BODY, (1, 0, 1), 0)], [place])
     assert _moved_m(grid, 0.6) < 4e-4
-    assert _moved_m(grid, 0.6, held=False) > 2e-3
+    assert _moved_m(grid, 0.6, held=False) > 1.2e-3
 
 
 def _pushed_m(way_m: float) -> list[float]:

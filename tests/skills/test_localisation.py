@@ -60,55 +60,87 @@ def _truth(direction, profile, rest_s, heading=0.0) -> tuple[np.ndarray, np.ndar
     return np.array([0.5, 0.5, heading]) + np.outer(way, world), twists
 
 
-def _feed(noise, poses, twists, rng, slip=0.02) -> tuple[np.ndarray, np.ndarray]:
-    """Feed a synthetic motion to an estimator; return its errors (n, 3) and standard deviations (n, 2)."""
-    estimator = _estimator(noise)
-    delay = rng.uniform(noise.min_delay_s, noise.max_delay_s) / PERIOD_S
+def _feed(noise, poses, twists, n, slip=0.02):
+    """Feed a synthetic motion to n cars; return their errors (n, t, 3) and standard deviations (n, t, 3).
+
+    Wheels that slip turn more than a car moves.
+    """
+    estimator = PoseEstimator(noise, PERIOD_S, NOMINAL.cars * n, load_gains().localisation, (3, 3, 2))
+    rngs, times = [np.random.default_rng(car) for car in range(n)], np.arange(len(poses))
+    late = np.array([rng.uniform(noise.min_delay_s, noise.max_delay_s) for rng in rngs]) / PERIOD_S
     sigma = np.array([noise.position_m, noise.position_m, noise.heading_rad])
-    errors, stds = [], []
+    readings, errors, stds = records(n, READING), [], []
+    for k in range(n):
+        write_reading(STILL, readings[k : k + 1])
     for i, (pose, twist) in enumerate(zip(poses, twists, strict=True)):
-        located = [np.interp(i - delay, np.arange(len(poses)), poses[:, k]) for k in range(3)]
-        located += sigma * rng.normal(size=3)
-        # Wheels that slip turn more than the car moves.
-        now = STILL._replace(
-            x=located[0],
-            y=located[1],
-            heading=math.remainder(located[2], math.tau),
-            wheel_speeds=KINEMATICS.wheel_speeds((1 + slip) * twist),
-        )
-        view = _update(estimator, now)
-        error = np.array([view.x, view.y, view.heading]) - pose
-        error[2] = math.remainder(error[2], math.tau)
+        located = np.stack([np.interp(i - late, times, poses[:, k]) for k in range(3)], axis=1)
+        located += sigma * [rng.normal(size=3) for rng in rngs]
+        readings["x"], readings["y"] = located[:, 0], located[:, 1]
+        readings["heading"] = np.remainder(located[:, 2] + math.pi, math.tau) - math.pi
+        readings["wheel_speeds"] = KINEMATICS.wheel_speeds((1 + slip) * twist)
+        views = estimator.update(readings)
+        error = np.stack([views[name] for name in ("x", "y", "heading")], axis=1) - pose
+        error[:, 2] = np.remainder(error[:, 2] + math.pi, math.tau) - math.pi
         errors.append(error)
-        stds.append((view.position_std_m, view.heading_std_rad))
-    return np.array(errors), np.array(stds)
+        place = views["position_std_m"]
+        stds.append(np.stack([place, place, views["heading_std_rad"]], axis=1))
+    return np.stack(errors, axis=1), np.stack(stds, axis=1)
 
 
 @pytest.mark.parametrize(("motion", "heading"), [(DRIVE, 0.0), (SIDEWAYS, 3.0), (TURN, 3.0)])
 def test_after_a_motion_with_slip_the_estimate_is_off_by_few_of_its_own_deviations(motion, heading):
-    poses, twists = _truth(*motion, rest_s=0.3, heading=heading)
-    scaled = []
-    for seed in range(60):
-        errors, stds = _feed(LATE, poses, twists, np.random.default_rng(seed))
-        scaled.append(errors[-1] / stds[-1, [0, 0, 1]])
+    errors, stds = _feed(LATE, *_truth(*motion, rest_s=0.3, heading=heading), 60)
+    scaled = errors[:, -1] / stds[:, -1]
     assert np.abs(scaled).max() < 4.0
     assert np.sqrt(np.square(scaled).mean(axis=0)).max() < 1.6
 
 
 def test_while_it_moves_the_estimate_is_much_better_than_late_localisations_are():
     poses, twists = _truth(*DRIVE, rest_s=0.0)
-    worst = max(
-        np.abs(_feed(LATE, poses, twists, np.random.default_rng(seed))[0][:, 0]).max() for seed in range(30)
-    )
-    behind = np.linalg.norm(twists, axis=1).max() * LATE.max_delay_s
-    assert behind > 0.015
-    assert worst < 0.006
+    assert np.linalg.norm(twists, axis=1).max() * LATE.max_delay_s > 0.015
+    assert np.abs(_feed(LATE, poses, twists, 30)[0][..., 0]).max() < 0.006
 
 
-def _at_rest(seeds, n, noise=NOISY) -> tuple[np.ndarray, np.ndarray]:
-    poses, twists = np.tile([0.5, 0.5, 1.0], (n, 1)), np.zeros((n, 3))
-    both = [_feed(noise, poses, twists, np.random.default_rng(seed)) for seed in range(seeds)]
-    return np.array([errors for errors, _ in both]), both[0][1]
+def test_at_rest_errors_fall_as_declared_and_what_a_car_says_of_its_own_covers_the_truth():
+    errors, stds = _feed(NOISY, np.tile([0.5, 0.5, 1.0], (200, 1)), np.zeros((200, 3)), 200)
+    declared = np.array([NOISY.position_m, NOISY.position_m, NOISY.heading_rad])
+    for n in (1, 4, 16):
+        # As one over the root of the number of localisations. Of 200 cars the deviation is known to 5 %; the filter's
+        # own unrest adds a little.
+        found = np.sqrt(np.square(errors[:, n - 1]).mean(axis=0))
+        np.testing.assert_allclose(found, declared / math.sqrt(n), rtol=0.16)
+        np.testing.assert_allclose(stds[0, n - 1], declared / math.sqrt(n), rtol=0.06)
+    for n in (5, 40, 200):
+        covered = (np.abs(errors[:, n - 1]) < 1.96 * stds[:, n - 1]).mean(axis=0)
+        # 95 %, give or take three deviations of a share of 200. Overcaution would show as more than 99 %.
+        assert covered.min() > 0.95 - 3 * math.sqrt(0.95 * 0.05 / 200)
+        assert covered.min() <= 0.995
+
+
+def test_at_rest_every_localisation_counts_once_however_late_it_comes():
+    estimator = _estimator(SensorNoise(0.001, 0.003, min_delay_s=0.04, max_delay_s=0.04))
+    located = 0.001 * np.random.default_rng(0).normal(size=16)
+    for n, x in enumerate(located, 1):
+        view = _update(estimator, STILL._replace(x=x))
+        # The mean, of which the filter's unrest and what it finds of the noise make a little less.
+        assert abs(view.x - located[:n].mean()) < 0.4 * 0.001 / math.sqrt(n)
+
+
+def test_a_car_that_rests_for_long_never_gets_overconfident():
+    _, (stds,) = _feed(NOISY, np.tile([0.5, 0.5, 1.0], (3000, 1)), np.zeros((3000, 3)), 1)
+    assert stds[-1, 0] > 5e-5
+    assert stds[-1, 2] > 1e-4
+    # But for how much noise it finds, it gets surer all the time.
+    assert np.diff(stds[:, 0]).max() < 0.01 * stds[-1, 0]
+
+
+def test_driving_makes_a_car_unsure_and_resting_makes_it_sure_again():
+    poses, twists = _truth(*DRIVE, rest_s=1.0)
+    still = np.tile(poses[0], (50, 1)), np.zeros((50, 3))
+    _, (stds,) = _feed(NOISY, np.vstack([still[0], poses]), np.vstack([still[1], twists]), 1)
+    before, after = stds[49, 0], stds[-1, 0]
+    assert stds[50:, 0].max() > 2 * before
+    assert after == pytest.approx(before, rel=0.3)
 
 
 def test_slip_to_the_side_that_is_expected_is_found_while_it_lasts():
@@ -130,56 +162,6 @@ def test_slip_to_the_side_that_is_expected_is_found_while_it_lasts():
     assert errors[1] < 0.7 * errors[0]
 
 
-def test_at_rest_the_error_falls_as_one_over_the_root_of_the_number_of_localisations():
-    errors, stds = _at_rest(200, 16)
-    declared = np.array([NOISY.position_m, NOISY.position_m, NOISY.heading_rad])
-    for n in (1, 4, 16):
-        # Of 200 seeds the deviation is known to 5 %; the filter's own unrest adds a little.
-        found = np.sqrt(np.square(errors[:, n - 1]).mean(axis=0))
-        np.testing.assert_allclose(found, declared / math.sqrt(n), rtol=0.16)
-        np.testing.assert_allclose(stds[n - 1], declared[[0, 2]] / math.sqrt(n), rtol=0.06)
-
-
-def test_at_rest_every_localisation_counts_once_however_late_it_comes():
-    estimator = _estimator(SensorNoise(0.001, 0.003, min_delay_s=0.04, max_delay_s=0.04))
-    located = 0.001 * np.random.default_rng(0).normal(size=16)
-    for n, x in enumerate(located, 1):
-        view = _update(estimator, STILL._replace(x=x))
-        # The mean, of which the filter's unrest and what it finds of the noise make a little less.
-        assert abs(view.x - located[:n].mean()) < 0.4 * 0.001 / math.sqrt(n)
-
-
-def test_at_rest_what_a_car_says_of_its_own_error_covers_the_truth():
-    for n in (5, 40, 200):
-        errors, stds = _at_rest(200, n)
-        covered = (np.abs(errors[:, -1]) < 1.96 * stds[-1, [0, 0, 1]]).mean(axis=0)
-        # 95 %, give or take three deviations of a share of 200. Overcaution would show as more than 99 %.
-        assert covered.min() > 0.95 - 3 * math.sqrt(0.95 * 0.05 / 200)
-        assert covered.min() <= 0.995
-
-
-def test_a_car_that_rests_for_long_never_gets_overconfident():
-    _, stds = _at_rest(1, 3000)
-    assert stds[-1, 0] > 5e-5
-    assert stds[-1, 1] > 1e-4
-    # But for how much noise it finds, it gets surer all the time.
-    assert np.diff(stds[:, 0]).max() < 0.01 * stds[-1, 0]
-
-
-def test_driving_makes_a_car_unsure_and_resting_makes_it_sure_again():
-    poses, twists = _truth(*DRIVE, rest_s=1.0)
-    rest = np.tile(poses[0], (50, 1))
-    _, stds = _feed(
-        NOISY,
-        np.vstack([rest, poses]),
-        np.vstack([np.zeros((50, 3)), twists]),
-        np.random.default_rng(0),
-    )
-    before, after = stds[49, 0], stds[-1, 0]
-    assert stds[50:, 0].max() > 2 * before
-    assert after == pytest.approx(before, rel=0.3)
-
-
 def _yard() -> Grid:
     grid = Grid.empty((3, 3, 2), 1)
     grid.cars[0, :4] = 0, 1, 1, 0
@@ -188,21 +170,13 @@ def _yard() -> Grid:
     return grid
 
 
-def test_with_exact_sensors_the_executor_takes_measurements_as_they_are():
+def test_skills_see_the_truth_of_exact_sensors_and_the_estimate_of_noisy_ones():
     physics = PhysicsWorld(_yard())
-    executor = Executor(physics)
-    executor.begin(0, Action.MOVE_RIGHT)
-    for _ in range(10):
-        executor.advance()
-        view, true = measurement_of(executor.readings()[0]), measure(physics, 0)
-        assert (view.x, view.y, view.heading) == (true.x, true.y, true.heading)
-        assert view.position_std_m == view.heading_std_rad == 0.0
-
-
-def test_with_noisy_sensors_skills_see_the_estimate_and_not_the_truth():
-    physics = PhysicsWorld(_yard())
-    executor = Executor(physics, sensors=Sensors(physics, NOISY, np.random.default_rng(0)), assumed=NOISY)
-    view, true = measurement_of(executor.readings()[0]), measure(physics, 0)
+    noisy = Sensors(physics, NOISY, np.random.default_rng(0))
+    exact, estimated = Executor(physics), Executor(physics, sensors=noisy, assumed=NOISY)
+    true = measure(physics, 0)
+    assert measurement_of(exact.readings()[0]) == true
+    view = measurement_of(estimated.readings()[0])
     assert view.x != true.x
     assert view.position_std_m > 0.0
 
@@ -236,7 +210,7 @@ def test_cars_that_take_each_pose_as_it_is_fail_with_late_ones_and_those_that_fi
     assert moves()
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 0.03, 0.1, 0.17])
+@pytest.mark.parametrize("delay_s", [0.0, 0.17])
 def test_a_car_that_has_moved_knows_how_late_its_localisations_are(delay_s):
     world = SensorNoise(0.001, 0.003, min_delay_s=delay_s, max_delay_s=delay_s)
     judge = set_up(_yard(), setup_of("none", noise=world))
@@ -277,9 +251,8 @@ def test_a_reading_that_is_not_fresh_says_nothing_new():
 BIASED = SensorNoise(position_bias_m=0.005, heading_bias_rad=0.01)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_below_a_block_a_car_learns_the_bias_of_its_localisation_and_keeps_it(seed):
-    judge = set_up(_yard(), setup_of("none", noise=BIASED), Seed((seed,)))
+def test_below_a_block_a_car_learns_the_bias_of_its_localisation_and_keeps_it():
+    judge = set_up(_yard(), setup_of("none", noise=BIASED), Seed((0,)))
     first, second = (judge.perform(0, action) for action in (Action.MOVE_RIGHT, Action.MOVE_RIGHT))
     assert first.agrees
     assert second.agrees
@@ -313,7 +286,7 @@ def test_however_long_a_car_looks_at_one_cross_the_next_one_says_as_much():
     assert math.sqrt(estimator._estimates[0]["known"]["covariance"][1, 1]) > 5e-4
 
 
-CYCLES = 500
+CYCLES = 200
 
 
 def _set_down(estimator: PoseEstimator, setter: int, looker: int, off_rad: float) -> None:
@@ -383,10 +356,10 @@ PLANS = (
 )
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_under_noise_and_randomised_physics_actions_succeed_within_three_deviations(seed):
     judge = set_up(_yard(), setup_of("strong"), Seed((seed,)))
-    for action in PLANS[seed % 3]:
+    for action in PLANS[seed]:
         attempt = judge.perform(0, action)
         assert attempt.agrees, attempt
         assert attempt.car_error_m < 3e-3

@@ -15,7 +15,8 @@ from craftsim.checking.setup import Seed, Setup, compile_world, imperfect
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import StartError
-from craftsim.models.imperfection import Floor, Making
+from craftsim.models.floor import Floor
+from craftsim.models.randomization import Making
 from craftsim.models.world import PhysicsWorld
 from craftsim.validation.margins.axes import Axis
 from craftsim.validation.margins.scenarios import Scenario

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import car_durations
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.options import Options
+from craftsim.errors import InputError
 
 if TYPE_CHECKING:
     from craftsim.checking.attempt import Attempt
@@ -39,8 +41,24 @@ class Tick:
     """What touched what; None where that is not logged."""
 
 
+@dataclass(frozen=True)
+class Ended:
+    """The actions that end next in an asynchronous world."""
+
+    time_s: float
+    """Simulated time since the world was set up."""
+    cars: tuple[int, ...]
+    """Whose actions have ended; none where the time that was given came first."""
+    confirmed: Grid
+    """What is so: without what actions have changed that still run."""
+    infos: dict[int, dict[str, Any]] = field(default_factory=dict)
+    """By car that has ended: further entries of its info."""
+    problems: tuple[str, ...] = ()
+    """Why the world cannot be read as a grid any more, in words; empty when it can."""
+
+
 class Backend(Protocol):
-    """One world in which ticks happen.
+    """One world in which ticks happen, or actions begin one by one.
 
     The world as it is seen is kept in a batch of one of :class:`Episodes`, with the queue of the action helper.
     """
@@ -53,6 +71,18 @@ class Backend(Protocol):
 
     def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Let all cars act, ``actions`` (n,) by car in the ``order`` (n,), and bring what is seen up to date."""
+
+    def begin(self, car: int, action: Action, committed: Grid) -> None:
+        """Let an idle car begin an action now, while others may be in the middle of theirs.
+
+        It must be legal in ``committed``: the confirmed world with the effects of what runs. Raises InputError where
+        actions cannot begin one by one.
+        """
+        raise InputError(f"actions of a {type(self).__name__} cannot begin one by one")
+
+    def advance(self, until_s: float | None = None) -> Ended:
+        """Let time pass to the next ending, or to a simulated time; without one, something must run."""
+        raise InputError(f"actions of a {type(self).__name__} cannot begin one by one")
 
     def images(self) -> dict[str, NDArray[Any]]:
         """Return the images of all cameras now, by kind; empty where no images are observed."""

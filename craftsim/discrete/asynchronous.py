@@ -11,18 +11,29 @@ from numpy.typing import NDArray
 from craftsim.discrete import own_actions
 from craftsim.discrete.actions import footprint
 from craftsim.discrete.footprint import Footprint
-from craftsim.discrete.grid import Grid
-from craftsim.discrete.kernel import events
+from craftsim.discrete.grid import CarField, Grid
+from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST, clashes, empty_board, mark
+from craftsim.discrete.kernel.claims import MOST, clashes, empty_board
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import BEGUN, BLOCKED, DECIDES, ILLEGAL, RUNS, WAITS, Running
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.reasons import explain
 from craftsim.discrete.schedule import nominal_durations, situation
 from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.discrete.tasks.starts import Starts
 
-__all__ = ["BEGUN", "BLOCKED", "DECIDES", "ILLEGAL", "RUNS", "WAITS", "AsynchronousEpisodes", "Deadlock", "Timing"]
+__all__ = [
+    "BEGUN",
+    "BLOCKED",
+    "DECIDES",
+    "ILLEGAL",
+    "RUNS",
+    "WAITS",
+    "AsynchronousEpisodes",
+    "Deadlock",
+    "Timing",
+]
 
 _STOP: Final = int(Action.STOP)
 
@@ -41,7 +52,11 @@ class Timing:
     """Whether every action takes 1 s instead of its nominal duration."""
 
     def seconds(
-        self, actions: NDArray[np.integer], before: NDArray[np.integer], after: NDArray[np.integer], noise: Any
+        self,
+        actions: NDArray[np.integer],
+        before: NDArray[np.integer],
+        after: NDArray[np.integer],
+        noise: Any,
     ) -> NDArray[np.float64]:
         """Return how long actions (...) take, of cars (..., 7) before and after them, for standard normal ``noise``."""
         nominal = 1.0 if self.equal else nominal_durations()[actions, situation(before, after)]
@@ -89,6 +104,8 @@ class AsynchronousEpisodes(Episodes):
         )
         self.outcome = np.full((b, n), WAITS, np.int64)
         """(B, n): what became of each car's last decision, as :mod:`craftsim.discrete.kernel.events` has it."""
+        self.asked = np.full((b, n), _STOP, np.int64)
+        """(B, n): what each car asked for then."""
         self.decisions = np.zeros(b, np.int64)
         """(B,): how many have been made."""
         self.earned = np.zeros((b, n))
@@ -152,10 +169,11 @@ class AsynchronousEpisodes(Episodes):
         self.running.fails[began] = False
         self.earned[began] = 0.0
         self.outcome = np.where(began, out, self.outcome)
+        self.asked = np.where(began, acts, self.asked)
         return out
 
     def _decide(self, worlds: slice, turns: Any, acts: Any, out: Any) -> None:
-        running = Running(*(array[worlds] for array in self.running))
+        running = Running._make(array[worlds] for array in self.running)
         some = self.grids.cells[worlds], self.grids.cars[worlds], self.corrections, running
         scratch = self._board, self.queue[worlds], self._space
         depth = NO_HELPER if self.depth is None else self.depth
@@ -183,7 +201,7 @@ class AsynchronousEpisodes(Episodes):
         return BEGUN
 
     def _clash(self, i: int, needs: Footprint) -> bool:
-        one = Running(*(array[i : i + 1] for array in self.running))
+        one = Running._make(array[i : i + 1] for array in self.running)
         events.mark_running(one, 0, self._board, True)
         rows = needs.claims()
         found = bool(clashes(self._board, rows, len(rows)))
@@ -201,7 +219,9 @@ class AsynchronousEpisodes(Episodes):
         shape = out.shape
         noise = self.rng.standard_normal(shape) if timing.jitter else 0.0
         if timing.failures:
-            self.running.fails[:] = np.where(begun, self.rng.random(shape) < timing.failures, self.running.fails)
+            self.running.fails[:] = np.where(
+                begun, self.rng.random(shape) < timing.failures, self.running.fails
+            )
         action = np.maximum(self.running.action, 0)
         seconds = timing.seconds(action, cars_before, self.grids.cars, noise)
         ends = moment(self.time_s[:, None] + seconds)
@@ -214,7 +234,7 @@ class AsynchronousEpisodes(Episodes):
         """
         assert not self.decides.any(), "a car has not decided"
         before = self.running.action.copy()
-        own = np.flatnonzero((before >= N_ACTIONS).any(1)) if self.own else ()
+        own = np.flatnonzero((before >= N_ACTIONS).any(1)).tolist() if self.own else []
         kept = {i: self.confirmed[i].copy() for i in own}
         failing = self.running.fails.copy()
         ended = np.zeros(before.shape, np.bool_)
@@ -262,7 +282,11 @@ class AsynchronousEpisodes(Episodes):
             events.enforce(grid.cells, grid.cars, self.corrections, car, action)
 
     def score(
-        self, applied: NDArray[np.bool_], order: NDArray[np.int64], readable: bool = True, transitions: Any = ()
+        self,
+        applied: NDArray[np.bool_],
+        order: NDArray[np.int64],
+        readable: bool = True,
+        transitions: Any = (),
     ) -> Steps:
         """End an event as :meth:`Episodes.score` ends a tick; as many decisions as cars count as a tick."""
         self.t = np.maximum(self.decisions - 1, 0) // max(self.n_cars, 1)
@@ -286,6 +310,49 @@ class AsynchronousEpisodes(Episodes):
         after = before.copy()
         own_actions.carry_out(after, car, action)
         return self._clash(i, footprint(before, after, car, action))
+
+    def deadlock(self, i: int, mask: NDArray[Any]) -> Deadlock | None:
+        """Return why nothing can go on in a world at an event, or None where something can.
+
+        Nothing runs, and no car has an action but to wait; or each car has asked in vain for one that another car
+        forbids. ``mask`` (n, actions) is what the cars are offered.
+        """
+        if not self.decides[i].all() or (self.queue[i, :, 0] >= 0).any() or not self.n_cars:
+            return None
+        stuck = ~np.delete(mask.astype(np.bool_), _STOP, axis=1).any(1)
+        refused = self.outcome[i] == ILLEGAL
+        if not (stuck.all() or refused.all()):
+            return None
+        found = [
+            self._waits_for(i, car, None if stuck.all() else int(self.asked[i, car]))
+            for car in range(self.n_cars)
+        ]
+        if not stuck.all() and not all(found):
+            return None
+        pairs = tuple((car, other) for car, others in enumerate(found) for other in others)
+        words = [
+            f"car {car} waits for car {other}: {why}"
+            for car, others in enumerate(found)
+            for other, why in others.items()
+        ]
+        words += [f"car {car} can do nothing" for car, others in enumerate(found) if not others]
+        return Deadlock("; ".join(words), pairs)
+
+    def _waits_for(self, i: int, car: int, action: int | None) -> dict[int, str]:
+        """Return why a car cannot act, by each other car without which it could; ``action`` is what it asked for."""
+        grid, found = self.grids[i], dict[int, str]()
+        for other in range(self.n_cars):
+            without = grid.copy()
+            without.cars[other, CarField.Z] += 2 * grid.size[2]
+            for one in Action if action is None else (Action(action),):
+                forbidden = one < N_ACTIONS and batch.reason(
+                    grid.cells, grid.cars, self.corrections, car, one
+                )
+                if other == car or other in found or not forbidden:
+                    continue
+                if not batch.reason(without.cells, without.cars, self.corrections, car, one):
+                    found[other] = str(explain(grid, self.corrections, car, one))
+        return found
 
     def doing(self) -> NDArray[np.float32]:
         """Return (B, n, 2): of each car what it does, -1 if it decides, and the seconds since that began."""

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.asynchronous import Timing, moment
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import car_durations
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
@@ -102,11 +104,40 @@ class Backend(Protocol):
 
 
 class GridBackend(Backend):
-    """A grid world under the rules: nothing fails, and time is looked up."""
+    """A grid world under the rules: nothing fails unless asked for, and time is looked up."""
+
+    def __init__(self, rules: Rules | None = None, timing: Timing | None = None) -> None:
+        """Prepare for episodes; asynchronous ones need the rules, and say how long things take."""
+        self._rules, self._timing = rules or Rules("physical"), timing or Timing()
 
     def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
-        """Begin an episode; there is nothing to draw."""
+        """Begin an episode; ``rng`` draws how long actions take and which fail, where they begin one by one."""
+        self._rng, self._confirmed, self._now_s = rng, grid.copy(), 0.0
+        self._running: dict[int, tuple[float, Action, bool]] = {}
         return grid
+
+    def begin(self, car: int, action: Action, committed: Grid) -> None:
+        """Begin an action: draw how long it takes, and whether it fails."""
+        timing, after = self._timing, self._rules.enforce(committed, car, action)
+        noise = self._rng.standard_normal() if timing.jitter else 0.0
+        fails = bool(timing.failures and self._rng.random() < timing.failures)
+        seconds = timing.seconds(int(action), committed.cars[car], after.cars[car], noise)
+        self._running[car] = float(moment(self._now_s + seconds)), action, fails
+
+    def advance(self, until_s: float | None = None) -> Ended:
+        """Let time pass to the next ending; what ends together is applied in the order in which it began."""
+        ends = [end_s for end_s, _, _ in self._running.values()]
+        self._now_s = min(ends if until_s is None else [*ends, until_s])
+        infos = {}
+        for car, (end_s, action, fails) in list(self._running.items()):
+            if end_s <= self._now_s:
+                del self._running[car]
+                infos[car] = {"failed": fails}
+                if not fails:
+                    self._confirmed = self._rules.enforce(self._confirmed, car, action)
+        if infos and self._rules.rule_set == "physical":
+            self._confirmed.derive_marks()
+        return Ended(self._now_s, tuple(infos), self._confirmed, infos)
 
     def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Let all cars act by the rules."""
@@ -141,7 +172,7 @@ class GridBackend(Backend):
 def make_backend(task: Task, options: Options) -> Backend:
     """Return the backend that the options of an environment ask for."""
     if options.backend == "grid":
-        return GridBackend()
+        return GridBackend(Rules(options.rule_set), options.timing)
     if options.images is not None or options.render_mode in ("rgb_array", "rgb_array_list"):
         from craftsim.rendering.backend import choose_backend
 

@@ -264,6 +264,10 @@ def claimed(running: Running, out: NDArray[np.int8]) -> None:
         out[i, :, :, :] = 0
         for car in range(running.action.shape[1]):
             for k in range(running.n_claims[i, car]):
-                x, y, z = running.claims[i, car, k, 0], running.claims[i, car, k, 1], running.claims[i, car, k, 2]
+                x, y, z = (
+                    running.claims[i, car, k, 0],
+                    running.claims[i, car, k, 1],
+                    running.claims[i, car, k, 2],
+                )
                 if 0 <= x < out.shape[1] and 0 <= y < out.shape[2] and z < out.shape[3]:
                     out[i, x, y, z] = 1

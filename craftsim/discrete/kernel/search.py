@@ -286,9 +286,7 @@ def add_reachable(w: World, space: SearchBuffers, limit: int, mask: NDArray[np.b
 
 
 @compiled
-def due_of(
-    w: World, car: int, action: int, queue: NDArray[np.int8], space: SearchBuffers, limit: int
-) -> int:
+def due_of(w: World, car: int, action: int, queue: NDArray[np.int8], space: SearchBuffers, limit: int) -> int:
     """Return the primitive that an action stands for now: of the queue, else of a new plan for a MOVE, which is queued.
 
     A MOVE without a plan is a STOP.

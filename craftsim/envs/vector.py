@@ -176,9 +176,8 @@ class GridVectorEnv(TaskVectorEnv):
         """Let the cars that decide begin, and advance each world to its next event."""
         asked = np.where(episodes.decides, chosen, int(Action.STOP))
         numbers, queued = self.form.begin(episodes, asked)
-        cars, before, now_s = episodes.grids.cars.copy(), episodes.confirmed.copy(), episodes.time_s.copy()
+        before, now_s = episodes.worlds_before(), episodes.time_s.copy()
         outcome = episodes.decide(numbers, episodes.draw_order())
-        episodes.draw_ends(cars, outcome)
         actions = episodes.running.action.copy()
         ended, failed = episodes.advance()
         duration = np.round(episodes.time_s - now_s, 6)
@@ -193,7 +192,7 @@ class GridVectorEnv(TaskVectorEnv):
             "blocked": outcome == BLOCKED,
             "failed": failed,
             "elapsed_s": np.where(told, elapsed, 0.0),
-            "rewards": np.where(told, episodes.earned, 0.0),
+            "rewards": np.where(told, episodes.decisions.earned, 0.0),
         }
 
     def _look(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.batch import NO_HELPER, Cars, Cells, Mask, Queues
 from craftsim.discrete.kernel.claims import Board, Claims, claims_of, clashes, mark
-from craftsim.discrete.kernel.codes import FIRST_MOVE, N_ACTIONS, STOP
+from craftsim.discrete.kernel.codes import FIRST_MOVE, N_ACTIONS, ROTATE_LEFT, STOP
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import act, legal_actions
@@ -22,7 +23,20 @@ from craftsim.discrete.kernel.search import (
     pop,
     write_plan,
 )
-from craftsim.discrete.kernel.state import DERIVED_MARKS, World, derive_marks, pose_of
+from craftsim.discrete.kernel.state import (
+    AIR,
+    BODY,
+    F_LOAD,
+    F_SLOPE,
+    F_X,
+    F_Y,
+    F_Z,
+    FSLOPE,
+    World,
+    car_field,
+    kind_at,
+    pose_of,
+)
 
 DECIDES = -1
 """In place of an action: the car has none and decides."""
@@ -50,6 +64,40 @@ class Running(NamedTuple):
     """(B, n): rows of these; none while a car waits or decides."""
 
 
+class Decisions(NamedTuple):
+    """The last decisions of the cars of B worlds."""
+
+    asked: NDArray[np.int64]
+    """(B, n): the action that each car asked for."""
+    outcome: NDArray[np.int64]
+    """(B, n): what became of that; see above."""
+    made: NDArray[np.int64]
+    """(B,): how many have been made."""
+    earned: NDArray[np.float64]
+    """(B, n): the rewards since then."""
+
+
+class Clock(NamedTuple):
+    """Times of B worlds, and how long what begins now takes."""
+
+    time_s: NDArray[np.float64]
+    """(B,): now."""
+    nominal_s: NDArray[np.float64]
+    """(actions, 4): durations by action and situation, infinite where they are not known before an action ends."""
+    factor: NDArray[np.float64]
+    """(B, n): of durations, by car."""
+    fails: NDArray[np.bool_]
+    """(B, n): whether what a car begins now fails."""
+    wait_s: NDArray[np.float64]
+    """(1,)."""
+
+
+@compiled
+def moment(seconds: float) -> float:
+    """Return a time rounded to microseconds: what ends together then ends at the same time, however it was added."""
+    return math.floor(seconds * 1e6 + 0.5) / 1e6
+
+
 @compiled
 def mark_running(running: Running, i: int, board: Board, is_set: bool) -> bool:
     """Mark what runs in a world on a board, or clear it; return whether anything does."""
@@ -59,6 +107,33 @@ def mark_running(running: Running, i: int, board: Board, is_set: bool) -> bool:
             mark(board, running.claims[i, car], running.n_claims[i, car], is_set)
             any_runs = True
     return any_runs
+
+
+@compiled
+def reach_of(w: World, car: int, loaded: bool) -> int:
+    """Return how many cells away from a car its claims lie at most, its load's neighbours included."""
+    x, y, z = car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z)
+    own = kind_at(w, x, y, z)
+    return 3 if loaded or car_field(w, car, F_LOAD) != AIR or own in (FSLOPE, BODY) else 1
+
+
+@compiled
+def is_near(w: World, running: Running, i: int, me: int) -> bool:
+    """Return whether something runs so near a car that their claims may meet: a quick sieve."""
+    reach = reach_of(w, me, False)
+    for car in range(running.action.shape[1]):
+        if running.n_claims[i, car] == 0:
+            continue
+        action = running.action[i, car]
+        if action >= N_ACTIONS:
+            return True
+        # Its row is that of its end, at most a cell away from its start.
+        limit = reach + reach_of(w, car, action < ROTATE_LEFT)
+        dx = car_field(w, car, F_X) - car_field(w, me, F_X)
+        dy = car_field(w, car, F_Y) - car_field(w, me, F_Y)
+        if abs(dx) <= limit and abs(dy) <= limit:
+            return True
+    return False
 
 
 @compiled
@@ -74,43 +149,50 @@ def offer(
     depth: int,
     out: Mask,
 ) -> None:
-    """Write into out (B, n, 15) what each car that decides could begin now beside what runs; nothing for the others.
+    """Write into out (B, n, 15) what each car that decides could begin now beside what runs; where that is nothing,
+    and for the others, STOP.
 
     With a search depth moves are on, too, that the helper has a plan for whose first primitive can begin. ``board`` is
     empty, ``row`` (MOST, 4) and ``plan`` (depth + 1,) are scratch.
     """
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
-        any_runs = mark_running(running, i, board, True)
+        marked = False
         for car in range(w.cars.shape[0]):
-            out[i, car, :] = False
             if running.action[i, car] != DECIDES:
+                out[i, car, :] = False
+                out[i, car, STOP] = True
                 continue
             pose = pose_of(w, car)
             legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
+            near = is_near(w, running, i, car)
+            if near and not marked:
+                marked = mark_running(running, i, board, True)
+            some = False
             for action in range(N_ACTIONS):
                 free = legal & (1 << action) != 0
-                if free and any_runs and action != STOP:
+                if free and near and action != STOP:
                     free = not clashes(board, row, claims_of(w, pose, action, row))
                 out[i, car, action] = free
-            if depth == NO_HELPER:
-                continue
+                some |= free
             missing = ~(legal >> FIRST_MOVE) & 15
-            if missing == 0:
-                continue
-            space.legal[:] = UNKNOWN
-            wanted = missing & near_enough(w, car, space, depth)
-            for m in range(4):
-                if not wanted & (1 << m):
-                    continue
-                node = plan_move(w, car, space, FIRST_MOVE + m, depth)
-                if node < 0:
-                    continue
-                write_plan(space, node, plan)
-                first = int(np.int64(plan[0]))
-                free = not any_runs or not clashes(board, row, claims_of(w, pose, first, row))
-                out[i, car, FIRST_MOVE + m] = free
-        if any_runs:
+            if depth != NO_HELPER and missing != 0:
+                space.legal[:] = UNKNOWN
+                wanted = missing & near_enough(w, car, space, depth)
+                for m in range(4):
+                    if not wanted & (1 << m):
+                        continue
+                    node = plan_move(w, car, space, FIRST_MOVE + m, depth)
+                    if node < 0:
+                        continue
+                    write_plan(space, node, plan)
+                    first = int(np.int64(plan[0]))
+                    free = not near or not clashes(board, row, claims_of(w, pose, first, row))
+                    out[i, car, FIRST_MOVE + m] = free
+                    some |= free
+            if not some:
+                out[i, car, STOP] = True
+        if marked:
             mark_running(running, i, board, False)
 
 
@@ -120,6 +202,8 @@ def decide(
     cars: Cars,
     corrections: int,
     running: Running,
+    decisions: Decisions,
+    clock: Clock,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
     board: Board,
@@ -131,12 +215,11 @@ def decide(
     """Let the cars order[i] of each world begin what they have decided on, one after the other, if they decide.
 
     ``actions`` and ``out`` are by car, (B, n); out tells what became of each decision. Cells and cars have the effects
-    of what has begun from here on. Claims, actions and turns are written into ``running``, times are not.
+    of what has begun from here on, but marks are not derived.
     """
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
-        mark_running(running, i, board, True)
-        turn, begun = 0, False
+        marked, turn = False, 0
         for car in range(w.cars.shape[0]):
             turn = max(turn, running.turn[i, car])
         for place in range(order.shape[1]):
@@ -148,30 +231,56 @@ def decide(
             if depth != NO_HELPER:
                 due = due_of(w, car, due, queues[i, car], space, depth)
             turn += 1
-            running.turn[i, car], running.action[i, car] = turn, STOP
-            if due == STOP:
-                out[i, car] = WAITS if actions[i, car] == STOP or queued else ILLEGAL
-                continue
+            result, end_s, now_s = WAITS, clock.time_s[i] + clock.wait_s[0], clock.time_s[i]
             pose = pose_of(w, car)
-            out[i, car] = ILLEGAL
-            if due < N_ACTIONS and legal_actions(w, car, pose, due, due) & (1 << due):
-                claims = running.claims[i, car]
+            if due == STOP:
+                result = WAITS if actions[i, car] == STOP or queued else ILLEGAL
+            elif due >= N_ACTIONS or not legal_actions(w, car, pose, due, due) & (1 << due):
+                result = ILLEGAL
+            else:
+                claims, near = running.claims[i, car], is_near(w, running, i, car)
                 count = claims_of(w, pose, due, claims)
-                out[i, car] = BLOCKED
-                if not clashes(board, claims, count):
+                if near and not marked:
+                    marked = mark_running(running, i, board, True)
+                result = BLOCKED if near and clashes(board, claims, count) else BEGUN
+                if result == BEGUN:
                     act(w, car, due)
-                    mark(board, claims, count, True)
-                    running.action[i, car], running.n_claims[i, car] = due, count
-                    out[i, car], begun = BEGUN, True
-            if depth != NO_HELPER:
-                if out[i, car] == BEGUN:
+                    if marked:
+                        mark(board, claims, count, True)
+                    running.n_claims[i, car] = count
+                    sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
+                    column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
+                    end_s = now_s + clock.nominal_s[due, column] * clock.factor[i, car]
+            if depth != NO_HELPER and due != STOP:
+                if result == BEGUN:
                     if queues[i, car, 0] >= 0:
                         pop(queues[i, car])
-                elif out[i, car] == ILLEGAL or not queued:
+                elif result == ILLEGAL or not queued:
                     queues[i, car, :] = -1
-        mark_running(running, i, board, False)
-        if begun and corrections & DERIVED_MARKS:
-            derive_marks(w)
+            running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
+            note(running, decisions, clock, i, car, actions[i, car], result, end_s)
+            out[i, car] = result
+        if marked:
+            mark_running(running, i, board, False)
+
+
+@compiled
+def note(
+    running: Running,
+    decisions: Decisions,
+    clock: Clock,
+    i: int,
+    car: int,
+    asked: int,
+    result: int,
+    end_s: float,
+) -> None:
+    """Write down a decision, whatever became of it."""
+    running.began_s[i, car] = clock.time_s[i]
+    running.ends_s[i, car] = moment(end_s) if end_s < math.inf else end_s
+    running.fails[i, car] = result == BEGUN and clock.fails[i, car]
+    decisions.asked[i, car], decisions.outcome[i, car], decisions.earned[i, car] = asked, result, 0.0
+    decisions.made[i] += 1
 
 
 @compiled
@@ -196,14 +305,14 @@ def advance(
     """Advance each world, in which no car decides, to its next event; write its time (B,), and what has ended (B, n).
 
     What has ended is applied to the confirmed worlds in the order in which it began; a wait ends with any event. Where
-    something failed, the committed worlds are made anew. Registered actions change nothing here.
+    something failed, the committed worlds are made anew. Registered actions change nothing here. Marks are not derived.
     """
     for i in range(time_s.shape[0]):
         time_s[i] = running.ends_s[i, 0]
         for car in range(1, running.action.shape[1]):
             time_s[i] = min(time_s[i], running.ends_s[i, car])
         w = World(confirmed.cells[i], confirmed.cars[i], confirmed.corrections)
-        failed, changed, turn = False, False, 0
+        failed, turn = False, 0
         for _ in range(running.action.shape[1]):
             car = following(running, i, turn)
             turn = running.turn[i, car]
@@ -216,10 +325,7 @@ def advance(
                 queues[i, car, :] = -1
             elif action < STOP:
                 apply(w, car, action)
-                changed = True
             running.action[i, car], running.n_claims[i, car] = DECIDES, 0
-        if changed and w.corrections & DERIVED_MARKS:
-            derive_marks(w)
         if failed:
             commit(confirmed, committed, running, i)
 
@@ -244,17 +350,6 @@ def commit(confirmed: World, committed: World, running: Running, i: int) -> None
         turn = running.turn[i, car]
         if 0 <= running.action[i, car] < STOP:
             apply(w, car, running.action[i, car])
-    if w.corrections & DERIVED_MARKS:
-        derive_marks(w)
-
-
-@compiled
-def enforce(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -> None:
-    """Change a single world as an action of the 15 does, legal or not, and derive its marks where the rules do."""
-    w = World(cells, cars, corrections)
-    apply(w, car, action)
-    if corrections & DERIVED_MARKS:
-        derive_marks(w)
 
 
 @compiled

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,6 +113,7 @@ class AsynchronousEpisodes(Episodes):
             np.zeros((b, n), np.bool_),
             np.zeros((b, n, MOST, 4), np.int16),
             np.zeros((b, n), np.int64),
+            np.zeros((b, n, 6), np.int16),
         )
         self.decisions = Decisions(
             np.full((b, n), _STOP, np.int64),
@@ -192,7 +194,6 @@ class AsynchronousEpisodes(Episodes):
 
     def _decide(self, worlds: slice, turns: Any, acts: Any, clock: Clock, out: Any) -> None:
         grids, depth = self.grids, NO_HELPER if self.depth is None else self.depth
-        some = np.ascontiguousarray(turns[worlds]), acts[worlds], self._board, self.queue[worlds]
         events.decide(
             *(grids.cells[worlds], grids.cars[worlds], self.corrections),
             Running._make(array[worlds] for array in self.running),
@@ -200,7 +201,10 @@ class AsynchronousEpisodes(Episodes):
             Clock(
                 clock.time_s[worlds], clock.nominal_s, clock.factor[worlds], clock.fails[worlds], clock.wait_s
             ),
-            *some,
+            np.ascontiguousarray(turns[worlds]),
+            acts[worlds],
+            self._board,
+            self.queue[worlds],
             self._space,
             depth,
             out[worlds],
@@ -223,6 +227,7 @@ class AsynchronousEpisodes(Episodes):
                 more = ((0, 0), (0, 0), (0, len(claims) - most), (0, 0))
                 self.running = running = running._replace(claims=np.pad(running.claims, more))
             running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
+            events.write_box(claims, len(claims), running.box[i, car])
             running.action[i, car] = action
             self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
             column = int(situation(before.cars[car], after.cars[car]))
@@ -348,6 +353,13 @@ class AsynchronousEpisodes(Episodes):
         STOP alone where that is nothing, and for the others. With the helper also what is reachable.
         """
         return self.legal() if self.depth is None else self.reachable()
+
+    def some(self, rows: NDArray[np.integer]) -> Self:
+        """Return some of the episodes to look at; what is done to them is not done to these."""
+        other = copy(self)
+        other.grids, other.designs, other.queue = self.grids[rows], self.designs[rows], self.queue[rows]
+        other.running = Running._make(array[rows] for array in self.running)
+        return other
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)

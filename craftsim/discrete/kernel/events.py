@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.batch import NO_HELPER, Cars, Cells, Mask, Queues
 from craftsim.discrete.kernel.claims import Board, Claims, claims_of, clashes, mark
-from craftsim.discrete.kernel.codes import FIRST_MOVE, N_ACTIONS, ROTATE_LEFT, STOP
+from craftsim.discrete.kernel.codes import FIRST_MOVE, LAST_MOVE, LIFT, MOVE_DIRECTIONS, N_ACTIONS, STOP
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import act, legal_actions
@@ -26,14 +26,12 @@ from craftsim.discrete.kernel.search import (
 from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
-    F_LOAD,
     F_SLOPE,
-    F_X,
-    F_Y,
-    F_Z,
     FSLOPE,
+    Pose,
     World,
-    car_field,
+    dir_x,
+    dir_y,
     kind_at,
     pose_of,
 )
@@ -62,6 +60,8 @@ class Running(NamedTuple):
     """(B, n, rows, 4)."""
     n_claims: NDArray[np.int64]
     """(B, n): rows of these; none while a car waits or decides."""
+    box: NDArray[np.int16]
+    """(B, n, 6): the least and the greatest x, y and z of these."""
 
 
 class Decisions(NamedTuple):
@@ -110,30 +110,41 @@ def mark_running(running: Running, i: int, board: Board, is_set: bool) -> bool:
 
 
 @compiled
-def reach_of(w: World, car: int, loaded: bool) -> int:
-    """Return how many cells away from a car its claims lie at most, its load's neighbours included."""
-    x, y, z = car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z)
-    own = kind_at(w, x, y, z)
-    return 3 if loaded or car_field(w, car, F_LOAD) != AIR or own in (FSLOPE, BODY) else 1
+def write_box(claims: Claims, count: int, box: NDArray[np.int16]) -> None:
+    """Write the least and the greatest x, y and z of claims into box (6,)."""
+    for axis in range(3):
+        box[2 * axis] = box[2 * axis + 1] = claims[0, axis]
+        for k in range(1, count):
+            box[2 * axis] = min(box[2 * axis], claims[k, axis])
+            box[2 * axis + 1] = max(box[2 * axis + 1], claims[k, axis])
 
 
 @compiled
-def is_near(w: World, running: Running, i: int, me: int) -> bool:
-    """Return whether something runs so near a car that their claims may meet: a quick sieve."""
-    reach = reach_of(w, me, False)
+def meets(running: Running, i: int, x0: int, x1: int, y0: int, y1: int, z0: int, z1: int) -> bool:
+    """Return whether claims within such a box may meet those of something that runs in a world: a quick sieve."""
     for car in range(running.action.shape[1]):
-        if running.n_claims[i, car] == 0:
-            continue
-        action = running.action[i, car]
-        if action >= N_ACTIONS:
-            return True
-        # Its row is that of its end, at most a cell away from its start.
-        limit = reach + reach_of(w, car, action < ROTATE_LEFT)
-        dx = car_field(w, car, F_X) - car_field(w, me, F_X)
-        dy = car_field(w, car, F_Y) - car_field(w, me, F_Y)
-        if abs(dx) <= limit and abs(dy) <= limit:
-            return True
+        if running.n_claims[i, car] > 0:
+            box = running.box[i, car]
+            beside = x1 < box[0] or x0 > box[1] or y1 < box[2] or y0 > box[3] or z1 < box[4] or z0 > box[5]
+            if not beside:
+                return True
     return False
+
+
+@compiled
+def may_meet(w: World, running: Running, i: int, car: Pose, action: int) -> bool:
+    """Do the same for an action that a car could begin; a load, lifted too, has its neighbours in its box."""
+    reach, dx, dy = 0, 0, 0
+    if car.load != AIR or kind_at(w, car.x, car.y, car.z) in (FSLOPE, BODY):
+        reach = 3
+    elif action == LIFT:
+        reach = 1
+    if FIRST_MOVE <= action <= LAST_MOVE:
+        m = MOVE_DIRECTIONS[action - FIRST_MOVE]
+        dx, dy = dir_x(m), dir_y(m)
+    x0, x1 = min(car.x, car.x + dx) - reach, max(car.x, car.x + dx) + reach
+    y0, y1 = min(car.y, car.y + dy) - reach, max(car.y, car.y + dy) + reach
+    return meets(running, i, x0, x1, y0, y1, car.z - 2, car.z + 3)
 
 
 @compiled
@@ -165,13 +176,13 @@ def offer(
                 continue
             pose = pose_of(w, car)
             legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
-            near = is_near(w, running, i, car)
-            if near and not marked:
-                marked = mark_running(running, i, board, True)
+            near = meets(running, i, pose.x - 4, pose.x + 4, pose.y - 4, pose.y + 4, pose.z - 2, pose.z + 3)
             some = False
             for action in range(N_ACTIONS):
                 free = legal & (1 << action) != 0
-                if free and near and action != STOP:
+                if free and near and action != STOP and may_meet(w, running, i, pose, action):
+                    if not marked:
+                        marked = mark_running(running, i, board, True)
                     free = not clashes(board, row, claims_of(w, pose, action, row))
                 out[i, car, action] = free
                 some |= free
@@ -187,6 +198,8 @@ def offer(
                         continue
                     write_plan(space, node, plan)
                     first = int(np.int64(plan[0]))
+                    if near and not marked:
+                        marked = mark_running(running, i, board, True)
                     free = not near or not clashes(board, row, claims_of(w, pose, first, row))
                     out[i, car, FIRST_MOVE + m] = free
                     some |= free
@@ -238,7 +251,7 @@ def decide(
             elif due >= N_ACTIONS or not legal_actions(w, car, pose, due, due) & (1 << due):
                 result = ILLEGAL
             else:
-                claims, near = running.claims[i, car], is_near(w, running, i, car)
+                claims, near = running.claims[i, car], may_meet(w, running, i, pose, due)
                 count = claims_of(w, pose, due, claims)
                 if near and not marked:
                     marked = mark_running(running, i, board, True)
@@ -248,6 +261,7 @@ def decide(
                     if marked:
                         mark(board, claims, count, True)
                     running.n_claims[i, car] = count
+                    write_box(claims, count, running.box[i, car])
                     sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
                     column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
                     end_s = now_s + clock.nominal_s[due, column] * clock.factor[i, car]

@@ -15,7 +15,7 @@ from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST, clashes, empty_board
+from craftsim.discrete.kernel.claims import MOST
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -124,7 +124,6 @@ class AsynchronousEpisodes(Episodes):
         self._unknown = np.full((len(ACTIONS), len(SITUATIONS)), np.inf)
         self._same = np.ones((b, n)), np.zeros((b, n), np.bool_)
         self._wait_s = np.array([self.timing.wait_s])
-        self._board = empty_board(self.grids.size)
         self._row = np.zeros((MOST, 4), np.int16)
         self._plan = np.zeros((self.depth or 0) + 1, np.int8)
 
@@ -203,7 +202,6 @@ class AsynchronousEpisodes(Episodes):
             ),
             np.ascontiguousarray(turns[worlds]),
             acts[worlds],
-            self._board,
             self.queue[worlds],
             self._space,
             depth,
@@ -236,12 +234,7 @@ class AsynchronousEpisodes(Episodes):
         return result
 
     def _clash(self, i: int, needs: Footprint) -> bool:
-        one = Running._make(array[i : i + 1] for array in self.running)
-        events.mark_running(one, 0, self._board, True)
-        rows = needs.claims()
-        found = bool(clashes(self._board, rows, len(rows)))
-        events.mark_running(one, 0, self._board, False)
-        return found
+        return bool(events.clashes(self.running, i, needs.claims()))
 
     def advance(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Let time pass in each world to its next event; return which decisions have ended, and which have failed.
@@ -364,7 +357,7 @@ class AsynchronousEpisodes(Episodes):
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
         some = self.grids.cells, self.grids.cars, self.corrections, self.running
-        events.offer(*some, self._board, self._row, self._plan, self._space, depth, out)
+        events.offer(*some, self._row, self._plan, self._space, depth, out)
         if not self.own:
             return out
         mask = own_actions.add_columns(out, self.grids, self.corrections, self.own)

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.batch import NO_HELPER, Cars, Cells, Mask, Queues
-from craftsim.discrete.kernel.claims import Board, Claims, claims_of, clashes, mark
+from craftsim.discrete.kernel.claims import Claims, claims_of, conflict
 from craftsim.discrete.kernel.codes import FIRST_MOVE, LAST_MOVE, LIFT, MOVE_DIRECTIONS, N_ACTIONS, STOP
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import act, legal_actions
+from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import (
     UNKNOWN,
     SearchBuffers,
@@ -99,17 +99,6 @@ def moment(seconds: float) -> float:
 
 
 @compiled
-def mark_running(running: Running, i: int, board: Board, is_set: bool) -> bool:
-    """Mark what runs in a world on a board, or clear it; return whether anything does."""
-    any_runs = False
-    for car in range(running.action.shape[1]):
-        if running.n_claims[i, car] > 0:
-            mark(board, running.claims[i, car], running.n_claims[i, car], is_set)
-            any_runs = True
-    return any_runs
-
-
-@compiled
 def write_box(claims: Claims, count: int, box: NDArray[np.int16]) -> None:
     """Write the least and the greatest x, y and z of claims into box (6,)."""
     for axis in range(3):
@@ -120,23 +109,23 @@ def write_box(claims: Claims, count: int, box: NDArray[np.int16]) -> None:
 
 
 @compiled
-def meets(running: Running, i: int, x0: int, x1: int, y0: int, y1: int, z0: int, z1: int) -> bool:
-    """Return whether claims within such a box may meet those of something that runs in a world: a quick sieve."""
-    for car in range(running.action.shape[1]):
-        if running.n_claims[i, car] > 0:
-            box = running.box[i, car]
-            beside = x1 < box[0] or x0 > box[1] or y1 < box[2] or y0 > box[3] or z1 < box[4] or z0 > box[5]
-            if not beside:
-                return True
-    return False
+def near(running: Running, i: int, car: int, x0: int, x1: int, y0: int, y1: int, z0: int, z1: int) -> bool:
+    """Return whether a car's action runs that claims something within a box."""
+    if running.n_claims[i, car] == 0:
+        return False
+    box = running.box[i, car]
+    return not (x1 < box[0] or x0 > box[1] or y1 < box[2] or y0 > box[3] or z1 < box[4] or z0 > box[5])
 
 
 @compiled
-def may_meet(w: World, running: Running, i: int, car: Pose, action: int) -> bool:
-    """Do the same for an action that a car could begin; a load, lifted too, has its neighbours in its box."""
+def blocked(w: World, running: Running, i: int, car: Pose, action: int, row: Claims, count: int) -> bool:
+    """Return whether a claim of what runs in a world stands against a legal action of a car.
+
+    The claims of that are the first ``count`` rows of ``row`` (MOST, 4); with 0 they are written there when needed.
+    """
     reach, dx, dy = 0, 0, 0
     if car.load != AIR or kind_at(w, car.x, car.y, car.z) in (FSLOPE, BODY):
-        reach = 3
+        reach = 3  # the neighbours of its load included
     elif action == LIFT:
         reach = 1
     if FIRST_MOVE <= action <= LAST_MOVE:
@@ -144,7 +133,22 @@ def may_meet(w: World, running: Running, i: int, car: Pose, action: int) -> bool
         dx, dy = dir_x(m), dir_y(m)
     x0, x1 = min(car.x, car.x + dx) - reach, max(car.x, car.x + dx) + reach
     y0, y1 = min(car.y, car.y + dy) - reach, max(car.y, car.y + dy) + reach
-    return meets(running, i, x0, x1, y0, y1, car.z - 2, car.z + 3)
+    for other in range(running.action.shape[1]):
+        if near(running, i, other, x0, x1, y0, y1, car.z - 2, car.z + 3):
+            if count == 0:
+                count = claims_of(w, car, action, row)
+            if conflict(row, count, running.claims[i, other], running.n_claims[i, other]):
+                return True
+    return False
+
+
+@compiled
+def clashes(running: Running, i: int, row: Claims) -> bool:
+    """Return whether a claim of what runs in a world stands against an action with the claims ``row``, for Python."""
+    for other in range(running.action.shape[1]):
+        if conflict(row, len(row), running.claims[i, other], running.n_claims[i, other]):
+            return True
+    return False
 
 
 @compiled
@@ -153,7 +157,6 @@ def offer(
     cars: Cars,
     corrections: int,
     running: Running,
-    board: Board,
     row: Claims,
     plan: NDArray[np.int8],
     space: SearchBuffers,
@@ -163,50 +166,36 @@ def offer(
     """Write into out (B, n, 15) what each car that decides could begin now beside what runs; where that is nothing,
     and for the others, STOP.
 
-    With a search depth moves are on, too, that the helper has a plan for whose first primitive can begin. ``board`` is
-    empty, ``row`` (MOST, 4) and ``plan`` (depth + 1,) are scratch.
+    With a search depth moves are on, too, that the helper has a plan for whose first primitive can begin. ``row``
+    (MOST, 4) and ``plan`` (depth + 1,) are scratch.
     """
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
-        marked = False
         for car in range(w.cars.shape[0]):
-            if running.action[i, car] != DECIDES:
-                out[i, car, :] = False
-                out[i, car, STOP] = True
-                continue
-            pose = pose_of(w, car)
-            legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
-            near = meets(running, i, pose.x - 4, pose.x + 4, pose.y - 4, pose.y + 4, pose.z - 2, pose.z + 3)
-            some = False
             for action in range(N_ACTIONS):
-                free = legal & (1 << action) != 0
-                if free and near and action != STOP and may_meet(w, running, i, pose, action):
-                    if not marked:
-                        marked = mark_running(running, i, board, True)
-                    free = not clashes(board, row, claims_of(w, pose, action, row))
-                out[i, car, action] = free
-                some |= free
-            missing = ~(legal >> FIRST_MOVE) & 15
-            if depth != NO_HELPER and missing != 0:
-                space.legal[:] = UNKNOWN
-                wanted = missing & near_enough(w, car, space, depth)
-                for m in range(4):
-                    if not wanted & (1 << m):
-                        continue
-                    node = plan_move(w, car, space, FIRST_MOVE + m, depth)
-                    if node < 0:
-                        continue
-                    write_plan(space, node, plan)
-                    first = int(np.int64(plan[0]))
-                    if near and not marked:
-                        marked = mark_running(running, i, board, True)
-                    free = not near or not clashes(board, row, claims_of(w, pose, first, row))
-                    out[i, car, FIRST_MOVE + m] = free
-                    some |= free
+                out[i, car, action] = False
+            some = False
+            if running.action[i, car] == DECIDES:
+                pose = pose_of(w, car)
+                legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
+                for action in range(N_ACTIONS):
+                    if legal & (1 << action):
+                        free = action == STOP or not blocked(w, running, i, pose, action, row, 0)
+                        out[i, car, action] = free
+                        some |= free
+                missing = ~(legal >> FIRST_MOVE) & 15
+                if depth != NO_HELPER and missing != 0:
+                    space.legal[:] = UNKNOWN
+                    wanted = missing & near_enough(w, car, space, depth)
+                    for m in range(4):
+                        node = plan_move(w, car, space, FIRST_MOVE + m, depth) if wanted & (1 << m) else -1
+                        if node >= 0:
+                            write_plan(space, node, plan)
+                            free = not blocked(w, running, i, pose, int(np.int64(plan[0])), row, 0)
+                            out[i, car, FIRST_MOVE + m] = free
+                            some |= free
             if not some:
                 out[i, car, STOP] = True
-        if marked:
-            mark_running(running, i, board, False)
 
 
 @compiled
@@ -219,7 +208,6 @@ def decide(
     clock: Clock,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
-    board: Board,
     queues: Queues,
     space: SearchBuffers,
     depth: int,
@@ -232,7 +220,7 @@ def decide(
     """
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
-        marked, turn = False, 0
+        turn = 0
         for car in range(w.cars.shape[0]):
             turn = max(turn, running.turn[i, car])
         for place in range(order.shape[1]):
@@ -251,15 +239,11 @@ def decide(
             elif due >= N_ACTIONS or not legal_actions(w, car, pose, due, due) & (1 << due):
                 result = ILLEGAL
             else:
-                claims, near = running.claims[i, car], may_meet(w, running, i, pose, due)
+                claims = running.claims[i, car]
                 count = claims_of(w, pose, due, claims)
-                if near and not marked:
-                    marked = mark_running(running, i, board, True)
-                result = BLOCKED if near and clashes(board, claims, count) else BEGUN
+                result = BLOCKED if blocked(w, running, i, pose, due, claims, count) else BEGUN
                 if result == BEGUN:
-                    act(w, car, due)
-                    if marked:
-                        mark(board, claims, count, True)
+                    apply(w, car, due)
                     running.n_claims[i, car] = count
                     write_box(claims, count, running.box[i, car])
                     sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
@@ -274,8 +258,6 @@ def decide(
             running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
             note(running, decisions, clock, i, car, actions[i, car], result, end_s)
             out[i, car] = result
-        if marked:
-            mark_running(running, i, board, False)
 
 
 @compiled

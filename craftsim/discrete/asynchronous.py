@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Self
 
@@ -117,7 +116,7 @@ class AsynchronousEpisodes(Episodes):
         )
         self.decisions = Decisions(
             np.full((b, n), _STOP, np.int64),
-            np.full((b, n), WAITS, np.int64),
+            np.full((b, n), RUNS, np.int64),
             np.zeros(b, np.int64),
             np.zeros((b, n)),
         )
@@ -143,7 +142,7 @@ class AsynchronousEpisodes(Episodes):
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
         self.time_s[rows] = 0.0
         self.running.action[rows], self.running.turn[rows], self.running.n_claims[rows] = DECIDES, 0, 0
-        self.decisions.outcome[rows] = WAITS
+        self.decisions.outcome[rows] = RUNS
         self.decisions.made[rows], self.decisions.earned[rows] = 0, 0.0
 
     def grid(self, i: int) -> Grid:
@@ -349,9 +348,10 @@ class AsynchronousEpisodes(Episodes):
 
     def some(self, rows: NDArray[np.integer]) -> Self:
         """Return some of the episodes to look at; what is done to them is not done to these."""
-        other = copy(self)
-        other.grids, other.designs, other.queue = self.grids[rows], self.designs[rows], self.queue[rows]
+        other = super().some(rows)
+        other.time_s = self.time_s[rows]
         other.running = Running._make(array[rows] for array in self.running)
+        other.decisions = Decisions._make(array[rows] for array in self.decisions)
         return other
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
@@ -373,33 +373,33 @@ class AsynchronousEpisodes(Episodes):
         own_actions.carry_out(after, car, action)
         return self._clash(i, footprint(before, after, car, action))
 
+    def idle(self) -> NDArray[np.bool_]:
+        """Return (B,): in which worlds all cars decide, and nothing has begun by their last decisions."""
+        waited = (self.decisions.outcome == WAITS) | (self.decisions.outcome == ILLEGAL)
+        return np.asarray((waited & self.decides).all(1))
+
     def deadlocks(self, masks: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return (B,): in which worlds nothing can go on, as :meth:`deadlock` says; ``masks`` (B, n, actions)."""
-        found = np.zeros(len(self), np.bool_)
-        idle = np.flatnonzero(self.decides.all(1))
-        at_most_stop = (masks[idle].sum(-1) <= masks[idle][..., _STOP]).all(1)
-        doubted = at_most_stop | (self.decisions.outcome[idle] == ILLEGAL).all(1)
-        for i in idle[doubted].tolist():
-            found[i] = self.deadlock(i, masks[i]) is not None
-        return found
+        """Return (B,): in which worlds :meth:`deadlock` finds one; ``masks`` (B, n, actions)."""
+        stuck = (masks.sum(-1) <= masks[..., _STOP]).all(1)
+        doubted = stuck | (self.decisions.outcome == ILLEGAL).all(1)
+        for i in np.flatnonzero(doubted).tolist():
+            doubted[i] = self.deadlock(i, masks[i]) is not None
+        return np.asarray(doubted)
 
     def deadlock(self, i: int, mask: NDArray[Any]) -> Deadlock | None:
         """Return why nothing can go on in a world at an event, or None where something can.
 
-        Nothing runs, and no car has an action but to wait; or each car has asked in vain for one that another car
-        forbids. ``mask`` (n, actions) is what the cars are offered.
+        All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
+        one that another car forbids. ``mask`` (n, actions) is what the cars are offered.
         """
-        if not self.decides[i].all() or (self.queue[i, :, 0] >= 0).any() or not self.n_cars:
+        if not self.idle()[i] or (self.queue[i, :, 0] >= 0).any():
             return None
-        stuck = ~np.delete(mask.astype(np.bool_), _STOP, axis=1).any(1)
-        refused = self.decisions.outcome[i] == ILLEGAL
-        if not (stuck.all() or refused.all()):
+        stuck = not np.delete(mask.astype(np.bool_), _STOP, axis=1).any()
+        if not stuck and (self.decisions.outcome[i] != ILLEGAL).any():
             return None
-        found = [
-            self._waits_for(i, car, None if stuck.all() else int(self.decisions.asked[i, car]))
-            for car in range(self.n_cars)
-        ]
-        if not stuck.all() and not all(found):
+        asked = self.decisions.asked[i]
+        found = [self._waits_for(i, car, None if stuck else int(asked[car])) for car in range(self.n_cars)]
+        if not stuck and not all(found):
             return None
         pairs = tuple((car, other) for car, others in enumerate(found) for other in others)
         words = [

@@ -25,7 +25,6 @@ from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.central import CentralConstruction
-from craftsim.envs.object_choice import ChoiceForm
 from craftsim.envs.observations import Observation, central_space, extra_spaces, extras, joint_action_space
 from craftsim.envs.options import BATCH_OPTIONS, BatchOptions, Options
 from craftsim.errors import CraftsimError, InputError
@@ -143,20 +142,22 @@ class GridVectorEnv(TaskVectorEnv):
             steps, infos = self._next_event(episodes, chosen)
         else:
             steps, infos = self._tick(chosen)
-        self._look()
-        terminated = steps.success & self.task.ends_on_success
-        over = steps.done
+        terminated, over = steps.success & self.task.ends_on_success, steps.done.copy()
         if isinstance(episodes, AsynchronousEpisodes):
-            infos["deadlock"] = episodes.deadlocks(self._masks) & ~terminated
-            over = over | infos["deadlock"]
+            infos["deadlock"] = np.zeros(self.num_envs, np.bool_)
+            idle = np.flatnonzero(episodes.idle() & ~over)
+            if len(idle):
+                some = episodes.some(idle)
+                infos["deadlock"][idle] = some.deadlocks(self.form.masks(some))
+                over |= infos["deadlock"]
         ended = np.flatnonzero(over)
         if len(ended):
-            last = np.full(self.num_envs, None, object)
-            for i in ended:
-                last[i] = {key: array[i].copy() for key, array in self._seen.items()}
+            seen, last = self._seen(episodes.some(ended)), np.full(self.num_envs, None, object)
+            for place, i in enumerate(ended.tolist()):
+                last[i] = {key: array[place] for key, array in seen.items()}
             infos |= {"final_obs": last, "_final_obs": over}
             episodes.reset(ended)
-            self._look_at(ended)
+        self._look()
         if isinstance(episodes, AsynchronousEpisodes):
             infos["decides"] = episodes.decides
         return self._observe(), steps.reward, terminated, over & ~terminated, infos
@@ -196,29 +197,23 @@ class GridVectorEnv(TaskVectorEnv):
             "rewards": np.where(told, episodes.decisions.earned, 0.0),
         }
 
+    def _seen(self, episodes: Episodes) -> Observation:
+        """Return what is observed of worlds."""
+        rows, masks = episodes.entity_rows().reshape(len(episodes), -1), self.form.masks(episodes)
+        return {"observation": rows, "action_mask": masks} | extras(episodes, self.form, self._radius)
+
     def _look(self) -> None:
-        self._masks = self.form.masks(self.episodes)
-        self._rows = self.episodes.entity_rows()
-        self._extras = extras(self.episodes, self.form, self._radius)
-
-    def _look_at(self, rows: NDArray[np.integer]) -> None:
-        """Look again at worlds that have begun anew."""
-        if not isinstance(self.episodes, AsynchronousEpisodes) or isinstance(self.form, ChoiceForm):
-            self._look()
-            return
-        some = self.episodes.some(rows)
-        self._masks[rows], self._rows[rows] = self.form.masks(some), some.entity_rows()
-        self._extras = extras(self.episodes, self.form, self._radius)
-
-    @property
-    def _seen(self) -> Observation:
-        rows = self._rows.reshape(self.num_envs, -1)
-        seen: Observation = {"observation": rows, "action_mask": self._masks}
-        return seen | self._extras
+        self._last = self._seen(self.episodes)
+        self._masks, self._rows = (
+            self._last["action_mask"],
+            self._last["observation"].reshape(self._rows.shape),
+        )
 
     def _observe(self) -> Observation:
-        # Copies, for the next step is judged by these masks, and car_vectors() reads these rows.
-        return {key: array.copy() for key, array in self._seen.items()}
+        # Copies of what is read again: the next step is judged by these masks, and car_vectors() reads these rows.
+        seen = self._last.copy()
+        seen |= {key: seen[key].copy() for key in ("observation", "action_mask")}
+        return seen
 
 
 class PhysicsVectorEnv(TaskVectorEnv):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +100,12 @@ class Episodes:
     def put(self, rows: Any, grids: Grid) -> None:
         """Replace the world of an episode by a copy of another, or those of several by a batch; the episodes go on."""
         self.grids.cells[rows], self.grids.cars[rows] = grids.cells, grids.cars
+
+    def some(self, rows: NDArray[np.integer]) -> Self:
+        """Return some of the episodes to look at; what is done to them is not done to these."""
+        other = copy(self)
+        other.grids, other.designs, other.queue = self.grids[rows], self.designs[rows], self.queue[rows]
+        return other
 
     def reset(self, which: Sequence[int] | NDArray[np.integer] | None = None) -> None:
         """Start some episodes anew, or all."""

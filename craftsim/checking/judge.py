@@ -147,8 +147,10 @@ class Judge:
     @property
     def committed(self) -> Grid:
         """The confirmed world with the effects of what runs, in the order in which it began; decisions start here."""
-        joint = [(car, one.step.action) for car, one in self._running.items()]
-        return self.rules.tick(self.confirmed, joint)[0] if joint else self.grid
+        grid = self.confirmed
+        for car, one in self._running.items():
+            grid = self.rules.enforce(grid, car, one.step.action)
+        return grid
 
     @property
     def problems(self) -> tuple[str, ...]:

@@ -140,7 +140,7 @@ class AsynchronousEpisodes(Episodes):
         """Start the episodes ``rows`` anew; all their cars decide."""
         super().begin(rows, starts)
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
-        self.time_s[rows] = 0.0
+        self.time_s[rows], self.running.began_s[rows] = 0.0, 0.0
         self.running.action[rows], self.running.turn[rows], self.running.n_claims[rows] = DECIDES, 0, 0
         self.decisions.outcome[rows] = RUNS
         self.decisions.made[rows], self.decisions.earned[rows] = 0, 0.0

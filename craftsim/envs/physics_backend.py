@@ -115,7 +115,7 @@ class PhysicsBackend(Backend):
         for attempt in attempts:
             legal[attempt.car] = attempt.legal
             infos[attempt.car] = _info(attempt)
-            if attempt.skill != "succeeded" or attempt.read != attempt.predicted:
+            if _strayed(attempt):
                 episodes.queue[0, attempt.car] = -1  # what was planned starts from where the car is not
         by_car = {attempt.car: attempt for attempt in attempts}
         tried = tuple(by_car.get(car) for car in range(len(actions)))
@@ -148,7 +148,7 @@ class PhysicsBackend(Backend):
             self.judge.physics.time_s,
             tuple(attempt.car for attempt in attempts),
             self.judge.confirmed,
-            {attempt.car: _info(attempt) for attempt in attempts},
+            {attempt.car: _info(attempt) | {"failed": _strayed(attempt)} for attempt in attempts},
             self.judge.problems,
         )
 
@@ -213,6 +213,11 @@ class PhysicsBackend(Backend):
             while self.judge.running:
                 self.advance()
             self._records.end(self.recipe, [attempt for tick in self.ticks for attempt in tick])
+
+
+def _strayed(attempt: Attempt) -> bool:
+    """Return whether an action ended elsewhere than its rules say."""
+    return attempt.skill != "succeeded" or attempt.read != attempt.predicted
 
 
 def _info(attempt: Attempt) -> dict[str, Any]:

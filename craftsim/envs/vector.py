@@ -200,7 +200,8 @@ class GridVectorEnv(TaskVectorEnv):
     def _seen(self, episodes: Episodes) -> Observation:
         """Return what is observed of worlds."""
         rows, masks = episodes.entity_rows().reshape(len(episodes), -1), self.form.masks(episodes)
-        return {"observation": rows, "action_mask": masks} | extras(episodes, self.form, self._radius)
+        seen: Observation = {"observation": rows, "action_mask": masks}
+        return seen | extras(episodes, self.form, self._radius)
 
     def _look(self) -> None:
         self._last = self._seen(self.episodes)
@@ -212,7 +213,8 @@ class GridVectorEnv(TaskVectorEnv):
     def _observe(self) -> Observation:
         # Copies of what is read again: the next step is judged by these masks, and car_vectors() reads these rows.
         seen = self._last.copy()
-        seen |= {key: seen[key].copy() for key in ("observation", "action_mask")}
+        for key in ("observation", "action_mask"):
+            seen[key] = seen[key].copy()
         return seen
 
 

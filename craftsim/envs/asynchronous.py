@@ -51,7 +51,8 @@ class AsynchronousCore(Core):
         self._told: list[dict[str, Any]] = [{} for _ in range(self.n_cars)]
         self._stale = False
         self._take_turns()
-        return self._infos({"success": False, "duration_s": 0.0, "problems": (), "deadlock": None})
+        shared = {"success": False, "duration_s": 0.0, "problems": (), "deadlock": None}
+        return self._infos(shared, np.zeros(self.n_cars, np.bool_), set())
 
     def _take_turns(self) -> None:
         decides = self.episodes.decides[0]
@@ -110,10 +111,9 @@ class AsynchronousCore(Core):
             time_s = round(happened.time_s - self._zero_s, 6)
             ended = episodes.finish(0, time_s, happened.cars, happened.confirmed)
             infos, problems = infos | happened.infos, happened.problems
-        for car, info in infos.items():
-            self._told[car] = info
-            if info.get("failed"):
-                episodes.queue[0, car] = -1  # what was planned starts from where the car is not
+        self._told = [infos.get(car, told) for car, told in enumerate(self._told)]
+        failed = {car for car, info in infos.items() if info.get("failed")}
+        episodes.queue[0, list(failed)] = -1  # what was planned starts from where the car is not
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)
         steps = episodes.settle(
             before, actions, ended[None], np.array([duration_s]), self.options.time_weight, problems
@@ -123,31 +123,35 @@ class AsynchronousCore(Core):
         self._show()
         success, over = bool(steps.success[0]), bool(steps.done[0])
         terminated = success and self.task.ends_on_success
-        deadlock = None if terminated or problems else episodes.deadlock(0, self.masks)
+        deadlock = None if terminated or over or problems else episodes.deadlock(0, self.masks)
         truncated = not terminated and (over or bool(problems) or deadlock is not None)
         self._runs = not (terminated or truncated)
         self.turns = []
         if self._runs:
             self._take_turns()
         shared = {"success": success, "duration_s": duration_s, "problems": problems, "deadlock": deadlock}
-        return CoreStep(
-            float(steps.reward[0]), terminated, truncated, self._infos(shared), np.argsort(running.turn[0])
-        )
+        told = self._infos(shared, ended | (not self._runs), failed)
+        return CoreStep(float(steps.reward[0]), terminated, truncated, told, np.argsort(running.turn[0]))
 
-    def _infos(self, shared: dict[str, Any]) -> list[dict[str, Any]]:
-        """Return the infos by car, after an event."""
+    def _infos(
+        self, shared: dict[str, Any], ended: NDArray[np.bool_], failed: set[int]
+    ) -> list[dict[str, Any]]:
+        """Return the infos by car after an event: ``ended`` (n,) are whose decisions have, ``failed`` whose actions."""
         episodes = self.episodes
-        decides, elapsed_s = episodes.decides[0], episodes.time_s[0] - episodes.running.began_s[0]
+        decides, outcome = episodes.decides[0], episodes.decisions.outcome[0]
+        elapsed_s = np.where(ended, episodes.time_s[0] - episodes.running.began_s[0], 0.0)
+        earned = np.where(ended, episodes.decisions.earned[0], 0.0)
         return [
             {
+                **self._told[car],
                 "action_mask": mask,
                 "illegal": bool(self._wrong[car]),
-                "blocked": bool(episodes.decisions.outcome[0, car] == BLOCKED),
+                "blocked": bool(outcome[car] == BLOCKED),
                 "decides": bool(decides[car]),
                 "elapsed_s": round(float(elapsed_s[car]), 6),
-                "failed": False,
+                "earned": float(earned[car]),
+                "failed": car in failed,
                 **shared,
-                **self._told[car],
             }
             for car, mask in enumerate(self.masks.copy())
         ]
@@ -186,10 +190,8 @@ class AsynchronousParallel(ParallelConstruction):
         ignored = set(actions) - set(acting)
         agents = self.agents
         observations, _, terminated, truncated, infos = super().step(asked)
-        rewards = {}
-        for car, agent in enumerate(agents):
-            over = infos[agent]["decides"] or not self.agents
-            rewards[agent] = float(self.core.episodes.decisions.earned[0, car]) if over else 0.0
+        rewards = {agent: infos[agent]["earned"] for agent in agents}
+        for agent in agents:
             infos[agent]["ignored"] = agent in ignored
         return observations, rewards, terminated, truncated, infos
 

@@ -50,9 +50,11 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
         Raises InputError where no episode runs, and for actions of another shape or that are no numbers from 0 to 14.
         """
         result = self.core.step(action)
-        info: dict[str, Any] = {key: tuple(of_car[key] for of_car in result.infos) for key in result.infos[0]}
+        # In asynchronous execution a car has some keys only after its first action.
+        keys = dict.fromkeys(key for of_car in result.infos for key in of_car)
+        info: dict[str, Any] = {key: tuple(of_car.get(key) for of_car in result.infos) for key in keys}
         info["action_mask"] = self.core.masks.copy()
-        for key in ("success", "duration_s", "problems"):
+        for key in {"success", "duration_s", "problems", "deadlock"} & set(keys):
             info[key] = info[key][0]
         return self._observe(), result.reward, result.terminated, result.truncated, info
 

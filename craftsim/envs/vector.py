@@ -35,7 +35,7 @@ from craftsim.workers.ray_actor import RayActor, processors
 Bools = NDArray[np.bool_]
 Batch = tuple[Observation, NDArray[np.float64], Bools, Bools, dict[str, Any]]
 
-_OF_WORLD: Final = ("success", "duration_s", "problems")
+_OF_WORLD: Final = ("success", "duration_s", "problems", "deadlock")
 """Infos that a world has one of; of the others it has one per car."""
 _CLOSE_S: Final = 10.0
 """How long worlds may take to write their records, and to close."""
@@ -133,7 +133,7 @@ class GridVectorEnv(TaskVectorEnv):
         Infos, each an array with a leading dimension B: ``success``, ``duration_s``, ``illegal`` (B, n); and where
         ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset. In asynchronous execution
         also ``decides`` (B, n), who decides next, which reset() says, too; of each car whose decision has ended, and
-        of all at the end of an episode, ``elapsed_s`` and ``rewards`` (B, n), the time since that decision and the sum
+        of all at the end of an episode, ``elapsed_s`` and ``earned`` (B, n), the time since that decision and the sum
         of the rewards of that time; ``blocked`` and ``failed`` (B, n), and ``deadlock`` (B,). Raises InputError before
         the first reset, and for actions of another shape or that are no numbers from 0 to 14.
         """
@@ -194,7 +194,7 @@ class GridVectorEnv(TaskVectorEnv):
             "blocked": outcome == BLOCKED,
             "failed": failed,
             "elapsed_s": np.where(told, elapsed, 0.0),
-            "rewards": np.where(told, episodes.decisions.earned, 0.0),
+            "earned": np.where(told, episodes.decisions.earned, 0.0),
         }
 
     def _seen(self, episodes: Episodes) -> Observation:
@@ -544,6 +544,8 @@ class _Holder:
         final = None
         if terminated or truncated:
             final, observation = observation, env.reset()[0]
+            if "decides" in info:
+                info["decides"] = (True,) * len(info["decides"])
         return observation, reward, terminated, truncated, info, final
 
     def render(self, env: CentralConstruction) -> Any:

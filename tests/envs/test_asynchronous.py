@@ -210,10 +210,9 @@ def test_a_batch_is_its_worlds_one_by_one(helper_depth):
                 assert info["duration_s"] == pytest.approx(infos["duration_s"][i])
                 for key in ("illegal", "blocked") if decides[i, car] else ():
                     assert info[key] == infos[key][i, car]
-                if info["decides"] or over:
-                    assert info["elapsed_s"] == pytest.approx(infos["elapsed_s"][i, car])
-                    earned = one.core.episodes.decisions.earned[0, car]
-                    assert earned == pytest.approx(infos["rewards"][i, car])
+                assert info["failed"] == infos["failed"][i, car]
+                for key in ("elapsed_s", "earned"):
+                    assert info[key] == pytest.approx(infos[key][i, car])
             if over:
                 n_ended += 1
                 one.reset(options={"grid": episodes.grid(i)})
@@ -314,3 +313,21 @@ def test_pettingzoo_takes_both_forms_in_physics():
         warnings.simplefilter("ignore")
         api_test(aec("strip", backend="physics"), num_cycles=6)
         parallel_api_test(craftsim.parallel_env("strip", execution="asynchronous"), num_cycles=4)
+
+
+def test_a_batch_in_physics_says_who_decides():
+    envs = craftsim.vector_env(
+        make_task("strip", max_steps=1), 2, "physics", workers=1, execution="asynchronous", wait_s=0.3
+    )
+    try:
+        seen, infos = envs.reset(seed=0)
+        rng, decides = np.random.default_rng(0), np.ones((2, 2), bool)
+        for _ in range(6):
+            np.testing.assert_array_equal(seen["doing"][:, 0, :, 0] == -1, decides)
+            actions = np.array([[pick(rng, mask) for mask in masks] for masks in seen["action_mask"]])
+            seen, _, _, _, infos = envs.step(actions)
+            decides = infos["decides"]
+            assert decides.any(1).all()
+            assert (infos["elapsed_s"][~decides] == 0).all()
+    finally:
+        envs.close()

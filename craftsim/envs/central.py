@@ -32,7 +32,7 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
         self._prepare(task, chosen)
         self.render_mode = chosen.render_mode
         played, form = self.core.task, self.core.form
-        beside = extra_spaces(played, form, chosen.local_view)
+        beside = extra_spaces(played, form, chosen.local_view, chosen.timing is not None)
         self.observation_space = central_space(played, chosen.images, form.n_actions, beside)
         self.action_space = joint_action_space(played, form.n_actions)
 
@@ -50,9 +50,11 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
         Raises InputError where no episode runs, and for actions of another shape or that are no numbers from 0 to 14.
         """
         result = self.core.step(action)
-        info: dict[str, Any] = {key: tuple(of_car[key] for of_car in result.infos) for key in result.infos[0]}
+        # In asynchronous execution a car has some keys only after its first action.
+        keys = dict.fromkeys(key for of_car in result.infos for key in of_car)
+        info: dict[str, Any] = {key: tuple(of_car.get(key) for of_car in result.infos) for key in keys}
         info["action_mask"] = self.core.masks.copy()
-        for key in ("success", "duration_s", "problems"):
+        for key in {"success", "duration_s", "problems", "deadlock"} & set(keys):
             info[key] = info[key][0]
         return self._observe(), result.reward, result.terminated, result.truncated, info
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +88,11 @@ class Episodes:
         """Number of cars in each world."""
         return self.grids.n_cars
 
+    @property
+    def scored(self) -> Grid:
+        """The worlds that rewards and success are a matter of."""
+        return self.grids
+
     def grid(self, i: int) -> Grid:
         """Return a copy of one world."""
         return self.grids[i].copy()
@@ -94,6 +100,12 @@ class Episodes:
     def put(self, rows: Any, grids: Grid) -> None:
         """Replace the world of an episode by a copy of another, or those of several by a batch; the episodes go on."""
         self.grids.cells[rows], self.grids.cars[rows] = grids.cells, grids.cars
+
+    def some(self, rows: NDArray[np.integer]) -> Self:
+        """Return some of the episodes to look at; what is done to them is not done to these."""
+        other = copy(self)
+        other.grids, other.designs, other.queue = self.grids[rows], self.designs[rows], self.queue[rows]
+        return other
 
     def reset(self, which: Sequence[int] | NDArray[np.integer] | None = None) -> None:
         """Start some episodes anew, or all."""
@@ -142,7 +154,7 @@ class Episodes:
         """Return what a reward function sees of a tick that an episode has just had; arguments are its fields."""
         return Transition(
             before,
-            self.grid(i),
+            self.scored[i].copy(),
             int(self.t[i]),
             tuple(Action(action) for action in actions.tolist()),
             tuple(applied.tolist()),
@@ -222,8 +234,8 @@ class Episodes:
         """
         after, success = self.potential, np.zeros(len(self), np.bool_)
         if readable:
-            after = self.task.potential(self.grids, self.designs)
-            success = self.task.reached(self.grids, self.designs)
+            after = self.task.potential(self.scored, self.designs)
+            success = self.task.reached(self.scored, self.designs)
         if isinstance(self.task.reward, Reward):
             reward, self.bonus_given = self.task.reward.of_tick(
                 self.potential, after, self.t, self.bonus_given

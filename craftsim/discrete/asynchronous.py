@@ -1,0 +1,439 @@
+"""Asynchronous episodes: each car decides when its own action has ended, while others are in the middle of theirs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete import own_actions
+from craftsim.discrete.actions import ACTIONS, footprint
+from craftsim.discrete.footprint import Footprint
+from craftsim.discrete.grid import CarField, Grid
+from craftsim.discrete.kernel import batch, events
+from craftsim.discrete.kernel.batch import NO_HELPER
+from craftsim.discrete.kernel.claims import MOST
+from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kernel.events import (
+    BEGUN,
+    BLOCKED,
+    DECIDES,
+    ILLEGAL,
+    RUNS,
+    WAITS,
+    Clock,
+    Decisions,
+    Running,
+)
+from craftsim.discrete.kernel.state import DERIVED_MARKS
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.reasons import explain
+from craftsim.discrete.schedule import SITUATIONS, nominal_durations, situation
+from craftsim.discrete.tasks.episodes import Episodes, Steps
+from craftsim.discrete.tasks.rewards import Reward
+from craftsim.discrete.tasks.starts import Starts
+
+__all__ = [
+    "BEGUN",
+    "BLOCKED",
+    "DECIDES",
+    "ILLEGAL",
+    "RUNS",
+    "WAITS",
+    "AsynchronousEpisodes",
+    "Deadlock",
+    "Timing",
+]
+
+_STOP: Final = int(Action.STOP)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How long actions take on the grid, and how long a car waits."""
+
+    wait_s: float = 1.0
+    """A wait ends with the next event, after so many seconds at the latest."""
+    jitter: float = 0.0
+    """Standard deviation of the logarithm of durations."""
+    failures: float = 0.0
+    """Probability that an action ends without effect."""
+    equal: bool = False
+    """Whether every action takes 1 s instead of its nominal duration."""
+
+    @property
+    def nominal_s(self) -> NDArray[np.float64]:
+        """(actions, 4): durations by action and situation, before jitter."""
+        table = nominal_durations()
+        return np.ones_like(table) if self.equal else table
+
+    def factors(self, rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        """Draw by how much some durations differ from the nominal ones."""
+        return np.exp(self.jitter * rng.standard_normal(shape)) if self.jitter else np.ones(shape)
+
+    def fails(self, rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Draw which of some actions fail."""
+        drawn = rng.random(shape) < self.failures if self.failures else np.zeros(shape, np.bool_)
+        return np.asarray(drawn)
+
+
+class Deadlock(NamedTuple):
+    """Why nothing can go on in a world."""
+
+    words: str
+    """A sentence for each car."""
+    pairs: tuple[tuple[int, int], ...]
+    """(car, the car that it waits for)."""
+
+
+class AsynchronousEpisodes(Episodes):
+    """B asynchronous episodes of one task. All state is in public attributes.
+
+    ``grids`` are the committed worlds, on which cars decide: the confirmed ones with the effects of what runs. Rewards
+    and success are a matter of the confirmed ones.
+    """
+
+    def __init__(self, *arguments: Any, timing: Timing | None = None, **more: Any) -> None:
+        """Take what :class:`Episodes` takes, and how long things take."""
+        super().__init__(*arguments, **more)
+        self.timing = timing or Timing()
+        b, n = len(self), self.n_cars
+        self.confirmed = self.grids.copy()
+        """What is so: the effects of all that has ended."""
+        self.time_s = np.zeros(b)
+        """(B,): since the episode began."""
+        self.running = Running(
+            np.full((b, n), DECIDES, np.int64),
+            np.zeros((b, n)),
+            np.full((b, n), np.inf),
+            np.zeros((b, n), np.int64),
+            np.zeros((b, n), np.bool_),
+            np.zeros((b, n, MOST, 4), np.int16),
+            np.zeros((b, n), np.int64),
+            np.zeros((b, n, 6), np.int16),
+        )
+        self.decisions = Decisions(
+            np.full((b, n), _STOP, np.int64),
+            np.full((b, n), RUNS, np.int64),
+            np.zeros(b, np.int64),
+            np.zeros((b, n)),
+        )
+        self._unknown = np.full((len(ACTIONS), len(SITUATIONS)), np.inf)
+        self._same = np.ones((b, n)), np.zeros((b, n), np.bool_)
+        self._wait_s = np.array([self.timing.wait_s])
+        self._row = np.zeros((MOST, 4), np.int16)
+        self._plan = np.zeros((self.depth or 0) + 1, np.int8)
+
+    @property
+    def scored(self) -> Grid:
+        """The confirmed worlds."""
+        return self.confirmed
+
+    @property
+    def decides(self) -> NDArray[np.bool_]:
+        """(B, n): which cars have no action and decide."""
+        return np.asarray(self.running.action == DECIDES)
+
+    def begin(self, rows: NDArray[np.integer], starts: Starts) -> None:
+        """Start the episodes ``rows`` anew; all their cars decide."""
+        super().begin(rows, starts)
+        self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
+        self.time_s[rows], self.running.began_s[rows] = 0.0, 0.0
+        self.running.action[rows], self.running.turn[rows], self.running.n_claims[rows] = DECIDES, 0, 0
+        self.decisions.outcome[rows] = RUNS
+        self.decisions.made[rows], self.decisions.earned[rows] = 0, 0.0
+
+    def grid(self, i: int) -> Grid:
+        """Return a copy of a committed world, with its marks."""
+        return self._marked(self.grids[i])
+
+    def _marked(self, grid: Grid) -> Grid:
+        """Return a copy of a world, with derived marks where the rules have them derived: they are not kept here."""
+        copied = grid.copy()
+        if self.corrections & DERIVED_MARKS:
+            copied.derive_marks()
+        return copied
+
+    def decide(
+        self, actions: NDArray[np.integer], order: NDArray[np.integer], timed: bool = True
+    ) -> NDArray[np.int64]:
+        """Let cars begin what they have decided on; return (B, n), what became of each decision.
+
+        Args:
+            actions: (B, n) by car; those of cars whose actions run are ignored.
+            order: (B, k), the cars that decide now, in their order; each is judged on what the earlier ones have begun.
+            timed: whether it is drawn here when an action ends, and whether it fails; else :meth:`finish` is to say so.
+
+        What the rules forbid, or what a claim stands against, becomes a wait.
+        """
+        turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
+        factor, fails = self._same
+        if timed:
+            factor = self.timing.factors(self.rng, acts.shape) if self.timing.jitter else factor
+            fails = self.timing.fails(self.rng, acts.shape) if self.timing.failures else fails
+        nominal = self.timing.nominal_s if timed else self._unknown
+        clock = Clock(self.time_s, nominal, factor, fails, self._wait_s)
+        out = np.full(acts.shape, RUNS, np.int64)
+        done = 0
+        some = np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else []
+        for i in [*some, len(self)]:
+            self._decide(slice(done, i), turns, acts, clock, out)
+            done = i + 1
+            for place in range(turns.shape[1] if i < len(self) else 0):
+                car = int(turns[i, place])
+                queued = self.depth is not None and self.queue[i, car, 0] >= 0
+                if self.running.action[i, car] == DECIDES and acts[i, car] >= N_ACTIONS and not queued:
+                    out[i, car] = self._decide_own(i, car, int(acts[i, car]), clock)
+                else:
+                    self._decide(slice(i, i + 1), turns[:, place : place + 1], acts, clock, out)
+        return out
+
+    def _decide(self, worlds: slice, turns: Any, acts: Any, clock: Clock, out: Any) -> None:
+        grids, depth = self.grids, NO_HELPER if self.depth is None else self.depth
+        events.decide(
+            *(grids.cells[worlds], grids.cars[worlds], self.corrections),
+            Running._make(array[worlds] for array in self.running),
+            Decisions._make(array[worlds] for array in self.decisions),
+            Clock(
+                clock.time_s[worlds], clock.nominal_s, clock.factor[worlds], clock.fails[worlds], clock.wait_s
+            ),
+            np.ascontiguousarray(turns[worlds]),
+            acts[worlds],
+            self.queue[worlds],
+            self._space,
+            depth,
+            out[worlds],
+        )
+
+    def _decide_own(self, i: int, car: int, action: int, clock: Clock) -> int:
+        """Let a car begin a registered action, which is a user's code."""
+        running, before = self.running, self.grid(i)
+        result, end_s = ILLEGAL, clock.time_s[i] + clock.wait_s[0]
+        running.turn[i, car], running.action[i, car] = running.turn[i].max() + 1, _STOP
+        if not own_actions.why(before, self.corrections, car, action):
+            after = before.copy()
+            own_actions.carry_out(after, car, action)
+            needs = footprint(before, after, car, Action(action))
+            result = BLOCKED if self._clash(i, needs) else BEGUN
+        if result == BEGUN:
+            claims = needs.claims()
+            most = running.claims.shape[2]
+            if len(claims) > most:
+                more = ((0, 0), (0, 0), (0, len(claims) - most), (0, 0))
+                self.running = running = running._replace(claims=np.pad(running.claims, more))
+            running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
+            events.write_box(claims, len(claims), running.box[i, car])
+            running.action[i, car] = action
+            self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
+            column = int(situation(before.cars[car], after.cars[car]))
+            end_s = clock.time_s[i] + clock.nominal_s[action, column] * clock.factor[i, car]
+        events.note(running, self.decisions, clock, i, car, action, result, end_s)
+        return result
+
+    def _clash(self, i: int, needs: Footprint) -> bool:
+        return bool(events.clashes(self.running, i, needs.claims()))
+
+    def advance(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Let time pass in each world to its next event; return which decisions have ended, and which have failed.
+
+        All cars must have decided; both (B, n).
+        """
+        assert not self.decides.any(), "a car has not decided"
+        before = self.running.action.copy()
+        own = np.flatnonzero((before >= N_ACTIONS).any(1)).tolist() if self.own else []
+        kept = {i: self._marked(self.confirmed[i]) for i in own}
+        failing = self.running.fails.copy()
+        ended = np.zeros(before.shape, np.bool_)
+        worlds = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
+        events.advance(*worlds, self.running, self.queue, self.time_s, ended)
+        for i, grid in kept.items():
+            for car in np.argsort(self.running.turn[i]):
+                if ended[i, car] and not failing[i, car]:
+                    self._enforce(grid, int(car), int(before[i, car]))
+            self.confirm(i, grid)
+        return ended, ended & failing
+
+    def finish(self, i: int, time_s: float, cars: Any, confirmed: Grid) -> NDArray[np.bool_]:
+        """Bring a world to an event that something else has simulated; return which decisions have ended, (n,).
+
+        Args:
+            i: its number.
+            time_s: the time now; waits that end then have ended, and all waits if an action has.
+            cars: whose actions have ended.
+            confirmed: what is so now.
+        """
+        running = self.running
+        self.time_s[i] = time_s
+        ended = np.zeros(self.n_cars, np.bool_)
+        ended[list(cars)] = True
+        ended |= (running.action[i] == _STOP) & ((running.ends_s[i] <= time_s + 1e-6) | ended.any())
+        if ended.any():
+            ended |= running.action[i] == _STOP
+        running.action[i, ended], running.n_claims[i, ended] = DECIDES, 0
+        self.confirm(i, confirmed)
+        return ended
+
+    def confirm(self, i: int, confirmed: Grid) -> None:
+        """Replace a confirmed world, and make the committed one of it anew, with the effects of what runs."""
+        self.confirmed.cells[i], self.confirmed.cars[i] = confirmed.cells, confirmed.cars
+        grid = confirmed.copy()
+        for car in np.argsort(self.running.turn[i]):
+            self._enforce(grid, int(car), int(self.running.action[i, car]))
+        self.grids.cells[i], self.grids.cars[i] = grid.cells, grid.cars
+
+    def _enforce(self, grid: Grid, car: int, action: int) -> None:
+        if own_actions.is_own(action):
+            own_actions.carry_out(grid, car, action)
+        elif action not in (DECIDES, _STOP):
+            batch.enforce(grid.cells, grid.cars, self.corrections, car, action)
+
+    def settle(
+        self,
+        before: Grid | None,
+        actions: NDArray[np.integer],
+        ended: NDArray[np.bool_],
+        duration_s: NDArray[np.float64],
+        time_weight: float,
+        problems: tuple[str, ...] = (),
+    ) -> Steps:
+        """Score an event: as many decisions as cars count as a tick. What it earns is added to the decisions', too.
+
+        Args:
+            before: what :meth:`worlds_before` returned before it.
+            actions: (B, n), what the cars were doing.
+            ended: (B, n), whose actions have ended; waits count.
+            duration_s: (B,), since the event before.
+            time_weight: cost of a second.
+            problems: why the worlds cannot be read as grids any more.
+        """
+        self.t = np.maximum(self.decisions.made - 1, 0) // max(self.n_cars, 1)
+        seen, applied = [], ended
+        if self.takes_functions and self.corrections & DERIVED_MARKS:
+            self.confirmed.derive_marks()
+        if before is not None:
+            # The rules forbid a STOP on a ramp.
+            stood = (self.decisions.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
+            applied = ended & ((actions != _STOP) | stood)
+            took = np.where(ended & (actions != _STOP), self.time_s[:, None] - self.running.began_s, 0.0)
+            done = np.where(ended, actions, _STOP)
+            seen = [
+                self.transition(i, before[i], done[i], applied[i], took[i], duration_s[i], problems=problems)
+                for i in range(len(self))
+            ]
+        steps = self.score(applied, self.running.turn, not problems, seen)
+        if time_weight:
+            steps = replace(steps, reward=steps.reward - time_weight * duration_s)
+        self.decisions.earned[:] += steps.reward[:, None]
+        return steps
+
+    @property
+    def takes_functions(self) -> bool:
+        """Whether rewards or success are functions of a user's, which see marks."""
+        reward, success = self.task.reward, self.task.success
+        builtin = isinstance(reward, Reward) and isinstance(reward.potential, str)
+        return not builtin or not (success is None or isinstance(success, str))
+
+    def worlds_before(self) -> Grid | None:
+        """Return copies of the confirmed worlds where the reward is a function of what happens, else None."""
+        return None if isinstance(self.task.reward, Reward) else self.confirmed.copy()
+
+    def offered(self) -> NDArray[np.bool_]:
+        """Return (B, n, 15): what a car that decides may begin now: legal, and compatible with what runs.
+
+        STOP alone where that is nothing, and for the others. With the helper also what is reachable.
+        """
+        return self.legal() if self.depth is None else self.reachable()
+
+    def some(self, rows: NDArray[np.integer]) -> Self:
+        """Return some of the episodes to look at; what is done to them is not done to these."""
+        other = super().some(rows)
+        other.time_s = self.time_s[rows]
+        other.running = Running._make(array[rows] for array in self.running)
+        other.decisions = Decisions._make(array[rows] for array in self.decisions)
+        return other
+
+    def _masks(self, depth: int) -> NDArray[np.bool_]:
+        out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
+        some = self.grids.cells, self.grids.cars, self.corrections, self.running
+        events.offer(*some, self._row, self._plan, self._space, depth, out)
+        if not self.own:
+            return out
+        mask = own_actions.add_columns(out, self.grids, self.corrections, self.own)
+        for i, car, k in np.argwhere(mask[..., N_ACTIONS:]).tolist():
+            mask[i, car, N_ACTIONS + k] = bool(self.decides[i, car]) and not self._blocks(i, car, self.own[k])
+        return mask
+
+    def _blocks(self, i: int, car: int, action: Action) -> bool:
+        if not self.running.n_claims[i].any():
+            return False
+        before = self.grid(i)
+        after = before.copy()
+        own_actions.carry_out(after, car, action)
+        return self._clash(i, footprint(before, after, car, action))
+
+    def idle(self) -> NDArray[np.bool_]:
+        """Return (B,): in which worlds all cars decide, and nothing has begun by their last decisions."""
+        waited = (self.decisions.outcome == WAITS) | (self.decisions.outcome == ILLEGAL)
+        return np.asarray((waited & self.decides).all(1))
+
+    def deadlocks(self, masks: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return (B,): in which worlds :meth:`deadlock` finds one; ``masks`` (B, n, actions)."""
+        stuck = (masks.sum(-1) <= masks[..., _STOP]).all(1)
+        doubted = stuck | (self.decisions.outcome == ILLEGAL).all(1)
+        for i in np.flatnonzero(doubted).tolist():
+            doubted[i] = self.deadlock(i, masks[i]) is not None
+        return np.asarray(doubted)
+
+    def deadlock(self, i: int, mask: NDArray[Any]) -> Deadlock | None:
+        """Return why nothing can go on in a world at an event, or None where something can.
+
+        All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
+        one that another car forbids. ``mask`` (n, actions) is what the cars are offered.
+        """
+        if not self.idle()[i] or (self.queue[i, :, 0] >= 0).any():
+            return None
+        stuck = not np.delete(mask.astype(np.bool_), _STOP, axis=1).any()
+        if not stuck and (self.decisions.outcome[i] != ILLEGAL).any():
+            return None
+        asked = self.decisions.asked[i]
+        found = [self._waits_for(i, car, None if stuck else int(asked[car])) for car in range(self.n_cars)]
+        if not stuck and not all(found):
+            return None
+        pairs = tuple((car, other) for car, others in enumerate(found) for other in others)
+        words = [
+            f"car {car} waits for car {other}: {why}"
+            for car, others in enumerate(found)
+            for other, why in others.items()
+        ]
+        words += [f"car {car} can do nothing" for car, others in enumerate(found) if not others]
+        return Deadlock("; ".join(words), pairs)
+
+    def _waits_for(self, i: int, car: int, action: int | None) -> dict[int, str]:
+        """Return why a car cannot act, by each other car without which it could; ``action`` is what it asked for."""
+        grid, found = self.grid(i), dict[int, str]()
+        for other in range(self.n_cars):
+            without = grid.copy()
+            without.cars[other, CarField.Z] += 2 * grid.size[2]
+            for one in Action if action is None else (Action(action),):
+                forbidden = one < N_ACTIONS and batch.reason(
+                    grid.cells, grid.cars, self.corrections, car, one
+                )
+                if other == car or other in found or not forbidden:
+                    continue
+                if not batch.reason(without.cells, without.cars, self.corrections, car, one):
+                    found[other] = str(explain(grid, self.corrections, car, one))
+        return found
+
+    def doing(self) -> NDArray[np.float32]:
+        """Return (B, n, 2): of each car what it does, -1 if it decides, and the seconds since that began."""
+        idle = self.decides
+        since = np.where(idle, 0.0, self.time_s[:, None] - self.running.began_s)
+        return np.stack([np.where(idle, DECIDES, self.running.action), since], axis=-1).astype(np.float32)
+
+    def claimed(self) -> NDArray[np.int8]:
+        """Return (B, L, W, H + 1): 1 for each cell that what runs has claimed."""
+        out = np.zeros(self.grids.cells.shape[:4], np.int8)
+        events.claimed(self.running, out)
+        return out

@@ -1,0 +1,157 @@
+"""The claims of actions: which cells an action needs while it runs, and whether two actions need the same.
+
+A claim is a row (x, y, z, bits); an action has a list of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.kernel.codes import (
+    DROP,
+    FIRST_MOVE,
+    FOLD,
+    LAST_MOVE,
+    LIFT,
+    ROTATE_LEFT,
+    ROTATE_RIGHT,
+    UNFOLD,
+)
+from craftsim.discrete.kernel.effects import after
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.state import AIR, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of, yaw_at
+
+SPACE = 1
+"""Swept by the car, its load or a flap."""
+CHANGES = 2
+"""Whose object the action takes, puts down or turns."""
+RELIES = 4
+"""Whose object must stay as it is: what is stood on, driven under or out of."""
+LOADS = 8
+"""Through which a load moves, sideways play and all."""
+MOST = 48
+"""Rows that the claims of one of the 15 actions may take."""
+Claims = NDArray[np.int16]
+"""(rows, 4)."""
+
+
+@compiled
+def add(out: Claims, count: int, x: int, y: int, z: int, bits: int) -> int:
+    """Append a row; return how many there are now."""
+    out[count, 0], out[count, 1], out[count, 2], out[count, 3] = x, y, z, bits
+    return count + 1
+
+
+@compiled
+def add_standing(w: World, car: Pose, out: Claims, count: int) -> int:
+    """Append what a car needs where it stands; return how many rows there are now."""
+    count = add(out, count, car.x, car.y, car.z, SPACE | RELIES)
+    count = add(out, count, car.x, car.y, car.z - 1, RELIES)
+    if car.slope == 1:
+        count = add(out, count, car.x, car.y, car.z + 1, SPACE)
+    if car.load == AIR:
+        return count
+    first = count
+    count = add(out, count, car.x, car.y, car.z, SPACE | LOADS)
+    if car.load == FSLOPE:
+        x, y = car.x + dir_x(car.load_yaw), car.y + dir_y(car.load_yaw)
+        count = add(out, count, x, y, car.z, SPACE | LOADS)
+    if car.slope != 0:
+        # A load leans downhill with its car, by 40 to 60 mm at its height: into the next cell.
+        downhill = yaw_at(w, car.x, car.y, car.z if car.slope == 1 else car.z - 1)
+        for i in range(first, count):
+            x, y = out[i, 0] + dir_x(downhill), out[i, 1] + dir_y(downhill)
+            count = add(out, count, x, y, car.z, SPACE | LOADS)
+    return count
+
+
+@compiled
+def add_swept(out: Claims, count: int, x: int, y: int, z: int) -> int:
+    """Append a cell through which a load moves; carried, it is 32 mm into the level above."""
+    count = add(out, count, x, y, z, SPACE | LOADS)
+    return add(out, count, x, y, z + 1, SPACE)
+
+
+@compiled
+def pose_after(w: World, car: Pose, action: int) -> Pose:
+    """Return a car's state after any legal action."""
+    if ROTATE_LEFT <= action <= LAST_MOVE:
+        return after(w, car, action)
+    load, load_yaw = car.load, car.load_yaw
+    if action == LIFT:
+        load = kind_at(w, car.x, car.y, car.z)
+        load_yaw = yaw_at(w, car.x, car.y, car.z) if load == FSLOPE else 0
+    elif action == DROP:
+        load, load_yaw = AIR, 0
+    return Pose(car.x, car.y, car.z, car.yaw, load, load_yaw, car.slope)
+
+
+@compiled(inline=False)
+def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
+    """Write the claims of a legal action of the 15 into out (MOST, 4), the same cell maybe twice; return the rows."""
+    new = pose_after(w, car, action)
+    moves = FIRST_MOVE <= action <= LAST_MOVE
+    count = add_standing(w, car, out, 0)
+    if moves or new.load != car.load or car.load == FSLOPE:
+        count = add_standing(w, new, out, count)
+    x, y, z = car.x, car.y, car.z
+    if moves:
+        # A load sweeps the space that it stands in before and after.
+        for i in range(count if car.load != AIR else 0):
+            if out[i, 3] & SPACE:
+                count = add_swept(out, count, out[i, 0], out[i, 1], out[i, 2])
+    elif action in (ROTATE_LEFT, ROTATE_RIGHT) and car.load != AIR:
+        # A load sweeps the neighbour cells, a folded slope the corners, too.
+        for dx in range(-1, 2):
+            for dy in range(-1, 2):
+                if dx == 0 or dy == 0 or car.load == FSLOPE:
+                    count = add_swept(out, count, x + dx, y + dy, z)
+    elif action in (LIFT, DROP):
+        # The object, a slope's gear too, and room above it.
+        count = add(out, count, x, y, z, SPACE | CHANGES | LOADS)
+        held = new if action == LIFT else car
+        if held.load == FSLOPE:
+            gx, gy = x + dir_x(held.load_yaw), y + dir_y(held.load_yaw)
+            count = add(out, count, gx, gy, z, SPACE | CHANGES | LOADS)
+        count = add(out, count, x, y, z + 1, SPACE)
+    elif action in (FOLD, UNFOLD):
+        # The flap is a third of a metre long: it reaches into the second level above, and 12 mm past the foot's cell.
+        fx, fy = x + dir_x(car.yaw + 2), y + dir_y(car.yaw + 2)
+        for up in range(3):
+            bits = SPACE | CHANGES if up == 0 else SPACE
+            count = add(out, count, x, y, z + up, bits)
+            count = add(out, count, fx, fy, z + up, bits)
+        count = add(out, count, fx + dir_x(car.yaw + 2), fy + dir_y(car.yaw + 2), z, SPACE)
+        count = add(out, count, fx, fy, z - 1, RELIES)
+    return count
+
+
+@compiled
+def write_claims(
+    cells: NDArray[np.int16], cars: NDArray[np.int16], corrections: int, car: int, action: int, out: Claims
+) -> int:
+    """Do the same for a car of a single world, for Python."""
+    w = World(cells, cars, corrections)
+    return claims_of(w, pose_of(w, car), action, out)
+
+
+@compiled(inline=False)
+def conflict(first: Claims, n_first: int, second: Claims, n_second: int) -> bool:
+    """Return whether two actions with these claims must not run at the same time."""
+    for i in range(n_first):
+        x, y, z, mine = first[i, 0], first[i, 1], first[i, 2], first[i, 3]
+        for k in range(n_second):
+            apart = abs(second[k, 0] - x) + abs(second[k, 1] - y)
+            if apart > 1 or second[k, 2] != z:
+                continue
+            theirs = second[k, 3]
+            if mine & theirs & LOADS:
+                return True
+            if apart == 0 and (
+                mine & theirs & SPACE
+                or (mine & CHANGES and theirs & (CHANGES | RELIES))
+                or (mine & RELIES and theirs & CHANGES)
+            ):
+                return True
+    return False

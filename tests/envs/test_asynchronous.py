@@ -1,0 +1,333 @@
+"""Asynchronous execution: it agrees with ticks where all actions take the same time, and keeps to its claims."""
+
+import warnings
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pettingzoo.test import api_test, parallel_api_test
+
+import craftsim
+from craftsim.discrete.actions import footprint
+from craftsim.discrete.asynchronous import BEGUN, AsynchronousEpisodes, Timing
+from craftsim.discrete.grid import Grid, Kind, Piece
+from craftsim.discrete.grid_checks import check_values
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import make_schedule
+from craftsim.discrete.tasks import make_task
+from craftsim.errors import InputError
+
+STOP = int(Action.STOP)
+RULES = Rules("physical")
+CASES = [
+    ("simple_two_story", None, {}),
+    ("complex_two_story", None, {}),
+    ("strip", 3, {}),
+    ("free_building", 4, {}),
+    ("breaking_barrier", None, {}),
+    ("simple_two_story", None, {"helper_depth": 10}),
+]
+
+
+def aec(task="simple_two_story", n_cars=None, backend="grid", max_steps=None, **options):
+    task = make_task(task, n_cars=n_cars, **({} if max_steps is None else {"max_steps": max_steps}))
+    return craftsim.env(task, backend, execution="asynchronous", **options)
+
+
+def pick(rng, mask):
+    return int(rng.choice(np.flatnonzero(mask)))
+
+
+def same_as_ticks(task, n_cars, options, seed, max_steps=15):
+    """Play a random asynchronous episode of equal durations, and the same in ticks; both must agree."""
+    one = aec(task, n_cars, max_steps=max_steps, durations="equal", **options)
+    other = craftsim.parallel_env(make_task(task, n_cars=n_cars, max_steps=max_steps), "grid", **options)
+    one.reset(seed)
+    other.reset(seed)
+    rng = np.random.default_rng(seed)
+    ticks = 0
+    while other.agents:
+        actions, queued, order = {}, one.core.episodes.queue[0, :, 0] >= 0, list(one.core.turns)
+        for car in order:
+            agent = one.agent_selection
+            assert agent == f"car_{car}"
+            # What the queue of the helper holds may be blocked by a claim, which ticks know nothing of.
+            actions[agent] = STOP if queued[car] else pick(rng, one.observe(agent)["action_mask"])
+            if not queued[car]:
+                assert one.observe(agent)["action_mask"][actions[agent]]
+            one.step(actions[agent])
+        if any(info["blocked"] for info in one.infos.values()):
+            return ticks
+        _, rewards, terminated, truncated, infos = other.step(actions)
+        ticks += 1
+        assert one.core.episodes.confirmed[0].same_visible(other.grid), (task, seed, ticks)
+        assert one.core.episodes.confirmed[0].same_marks(other.grid)
+        assert one.core.grid.same_visible(other.grid)
+        assert one.core.episodes.time_s[0] == ticks
+        assert one.rewards == pytest.approx(rewards)
+        for agent, info in infos.items():
+            assert one.infos[agent]["success"] == info["success"]
+            assert one.infos[agent]["illegal"] == info["illegal"], (task, seed, ticks, actions, order)
+        assert one.terminations == terminated
+        if one.infos["car_0"]["deadlock"]:
+            return ticks
+        assert one.truncations == truncated
+    return ticks
+
+
+@pytest.mark.parametrize(("task", "n_cars", "options"), CASES)
+def test_equal_durations_give_what_ticks_give(task, n_cars, options):
+    # 54 episodes in all
+    assert sum(same_as_ticks(task, n_cars, options, seed) for seed in range(9)) > 100
+
+
+@pytest.mark.slow
+def test_equal_durations_give_what_ticks_give_in_a_thousand_episodes():
+    for seed in range(1000):
+        task, n_cars, options = CASES[seed % len(CASES)]
+        same_as_ticks(task, n_cars, options, 1000 + seed, max_steps=30)
+
+
+@pytest.mark.parametrize("task", ["strip", "complex_two_story"])
+def test_what_is_offered_is_what_a_schedule_lets_run_beside_the_rest(task):
+    episodes = AsynchronousEpisodes(
+        make_task(task), np.random.default_rng(0), 6, timing=Timing(jitter=0.4, failures=0.2)
+    )
+    rng, running, compared, refused = np.random.default_rng(1), {}, 0, 0
+    for _ in range(60):
+        masks, grids = episodes.offered(), [episodes.grid(i) for i in range(6)]
+        for i, car in np.argwhere(episodes.decides).tolist():
+            legal = RULES.mask(grids[i])[car]
+            others = [needs for (world, _), needs in running.items() if world == i]
+            expected = np.zeros(15, bool)
+            for action in np.flatnonzero(legal):
+                step = make_schedule(grids[i], [[(car, Action(action))]], RULES).steps[0]
+                clash = action != STOP and any(needs.conflicts(step.footprint) for needs in others)
+                expected[action] = not clash
+                compared, refused = compared + bool(others), refused + clash
+            expected[STOP] |= not expected.any()
+            np.testing.assert_array_equal(masks[i, car], expected)
+        actions = np.array([[pick(rng, mask) for mask in masks[i]] for i in range(6)])
+        order = episodes.draw_order()
+        out = episodes.decide(actions, order)
+        for i in range(6):
+            grid = grids[i]
+            for car in order[i].tolist():
+                if out[i, car] == BEGUN:
+                    then = RULES.apply(grid, car, Action(actions[i, car]))
+                    running[i, car] = footprint(grid, then, car, Action(actions[i, car]))
+                    grid = then
+            assert grid.same_visible(episodes.grids[i])
+        ended, _ = episodes.advance()
+        episodes.settle(None, actions, ended, np.zeros(6), 0.0)
+        running = {key: needs for key, needs in running.items() if not ended[key]}
+        for i in range(6):
+            committed = episodes.confirmed[i].copy()
+            for car in np.argsort(episodes.running.turn[i]).tolist():
+                if episodes.running.action[i, car] not in (-1, STOP):
+                    committed = RULES.enforce(committed, car, int(episodes.running.action[i, car]))
+            assert committed.same_visible(episodes.grids[i])
+            check_values(episodes.grid(i))
+        over = np.flatnonzero(episodes.done)
+        running = {key: needs for key, needs in running.items() if key[0] not in over}
+        episodes.reset(over)
+    assert compared > 500
+    assert refused > 20
+
+
+@pytest.mark.parametrize("helper_depth", [None, 10])
+def test_a_batch_is_its_worlds_one_by_one(helper_depth):
+    options = {
+        "jitter": 0.3,
+        "failures": 0.2,
+        "helper_depth": helper_depth,
+        "time_weight": 0.1,
+        "wait_s": 0.5,
+    }
+    task, rng = make_task("simple_two_story", max_steps=12), np.random.default_rng(0)
+    envs = craftsim.vector_env(task, 5, execution="asynchronous", **options)
+    seen, infos = envs.reset(seed=0)
+    ones = [craftsim.parallel_env(task, "grid", execution="asynchronous", **options) for _ in range(5)]
+    drawn = SimpleNamespace()
+
+    def keep(name, function):
+        def call(*arguments):
+            setattr(drawn, name, function(*arguments))
+            return getattr(drawn, name)
+
+        return call
+
+    episodes = envs.episodes
+    episodes.draw_order = keep("order", episodes.draw_order)
+    timing = episodes.timing
+    episodes.timing = SimpleNamespace(
+        jitter=timing.jitter,
+        failures=timing.failures,
+        nominal_s=timing.nominal_s,
+        factors=keep("factors", timing.factors),
+        fails=keep("fails", timing.fails),
+    )
+
+    class Same:
+        """What the batch has drawn, for the car that begins."""
+
+        def __init__(self, i, backend):
+            self.i, self.begin, self.nominal_s = i, backend.begin, timing.nominal_s
+            backend.begin, backend._timing = self.of, self
+
+        def of(self, car, action, committed):
+            self.car = car
+            self.begin(car, action, committed)
+
+        def factors(self, rng, shape):
+            return drawn.factors[self.i, self.car]
+
+        def fails(self, rng, shape):
+            return drawn.fails[self.i, self.car]
+
+    for i, one in enumerate(ones):
+        one.reset(options={"grid": episodes.grid(i)})
+        Same(i, one.core.backend)
+    n_ended = 0
+    for _ in range(70):
+        decides, masks = infos["decides"], seen["action_mask"]
+        actions = np.array([[pick(rng, mask) for mask in masks[i]] for i in range(5)])
+        seen, reward, terminated, truncated, infos = envs.step(actions)
+        for i, one in enumerate(ones):
+            assert set(one.core.turns) == set(np.flatnonzero(decides[i]))
+            np.testing.assert_array_equal(one.core.masks, masks[i])
+            one.core.turns = [car for car in drawn.order[i].tolist() if decides[i, car]]
+            result = one.core.step(actions[i])
+            over = terminated[i] | truncated[i]
+            assert result.reward == pytest.approx(reward[i])
+            assert (result.terminated, result.truncated) == (terminated[i], truncated[i])
+            last = infos["final_obs"][i] if over else {key: value[i] for key, value in seen.items()}
+            np.testing.assert_array_equal(one.core.state(), last["observation"])
+            for key in ("doing", "claimed"):
+                np.testing.assert_allclose(one.core.extras[key], last[key], atol=1e-5)
+            for car, info in enumerate(result.infos):
+                assert info["duration_s"] == pytest.approx(infos["duration_s"][i])
+                for key in ("illegal", "blocked") if decides[i, car] else ():
+                    assert info[key] == infos[key][i, car]
+                assert info["failed"] == infos["failed"][i, car]
+                for key in ("elapsed_s", "earned"):
+                    assert info[key] == pytest.approx(infos[key][i, car])
+            if over:
+                n_ended += 1
+                one.reset(options={"grid": episodes.grid(i)})
+    assert n_ended >= 5
+
+
+def test_rewards_come_with_the_end_of_an_action_and_sum_to_what_the_team_gets():
+    task = make_task("strip", max_steps=25)
+    env = craftsim.parallel_env(task, "grid", execution="asynchronous", jitter=0.2, time_weight=0.1)
+    rng, total, team = np.random.default_rng(0), dict.fromkeys(env.possible_agents, 0.0), 0.0
+    seen, infos = env.reset(seed=3)
+    start = env.core.episodes.potential[0]
+    while env.agents:
+        acting = set(env.agents_to_act)
+        actions = {agent: pick(rng, one["action_mask"]) for agent, one in seen.items()}
+        seen, rewards, _, _, infos = env.step(actions)
+        team -= 0.1 * infos["car_0"]["duration_s"]
+        for agent, reward in rewards.items():
+            total[agent] += reward
+            assert infos[agent]["ignored"] == (agent not in acting)
+            if env.agents and not infos[agent]["decides"]:
+                assert reward == 0.0
+                assert seen[agent]["action_mask"].nonzero()[0].tolist() == [STOP]
+    assert total == pytest.approx(dict.fromkeys(total, team + env.core.episodes.potential[0] - start))
+
+
+def episode(env, seed):
+    """Return all that happens in a random episode."""
+    env.reset(seed=seed)
+    rng, found = np.random.default_rng(seed), []
+    for agent in env.agent_iter():
+        seen, reward, terminated, truncated, info = env.last()
+        found.append((agent, seen["observation"].tolist(), seen["doing"].tolist(), reward, info["elapsed_s"]))
+        env.step(None if terminated or truncated else pick(rng, seen["action_mask"]))
+    return found
+
+
+def test_equal_seeds_are_equal_and_durations_and_failures_are_drawn():
+    env = aec(max_steps=20, jitter=0.3, failures=0.3)
+    assert episode(env, 5) == episode(env, 5) == episode(aec(max_steps=20, jitter=0.3, failures=0.3), 5)
+    assert episode(env, 5) != episode(env, 6)
+    never = aec(max_steps=20, failures=1.0)
+    never.reset(seed=0)
+    start = never.core.grid
+    episode(never, 0)
+    assert never.core.episodes.confirmed[0].same_visible(start)
+
+
+def test_a_deadlock_ends_the_episode_and_says_who_waits_for_whom():
+    task = make_task("simple_two_story")
+    grid = Grid.empty(task.starts[0].size, 2)
+    grid.put(Piece(Kind.BODY, (2, 1, 1), 0))
+    grid.kind[1, 1, 1] = Kind.BLOCK
+    grid.cars[:] = (3, 1, 1, 2, 0, 0, 1), (2, 1, 2, 0, 0, 0, 2)
+    grid.derive_marks()
+    env = craftsim.parallel_env(task, "grid", execution="asynchronous")
+    env.reset(options={"grid": grid})
+    _, _, terminated, truncated, infos = env.step({"car_0": STOP, "car_1": STOP})
+    assert (any(terminated.values()), all(truncated.values())) == (False, True)
+    deadlock = infos["car_0"]["deadlock"]
+    assert deadlock.pairs == ((0, 1), (1, 0))
+    assert "car 0 waits for car 1: MOVE_LEFT is forbidden" in deadlock.words
+    envs = craftsim.vector_env(task.starting_from([grid]), 3, execution="asynchronous")
+    envs.reset(seed=0)
+    _, _, _, truncated, infos = envs.step(np.full((3, 2), STOP))
+    assert infos["deadlock"].all()
+    assert truncated.all()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"jitter": 0.1}, "asynchronous"),
+        ({"execution": "asynchronous", "wait_s": 0.0}, "wait_s"),
+        ({"execution": "asynchronous", "backend": "physics", "failures": 0.1}, "physics knows no 'failures'"),
+        ({"execution": "later"}, "execution"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(options, words):
+    with pytest.raises(InputError, match=words):
+        craftsim.parallel_env("strip", **({"backend": "grid"} | options))
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"jitter": 0.3, "failures": 0.3, "helper_depth": 10, "local_view": 2}]
+)
+def test_pettingzoo_takes_both_forms(options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        api_test(aec(max_steps=20, **options), num_cycles=120)
+        parallel_api_test(
+            craftsim.parallel_env("strip", "grid", execution="asynchronous", **options), num_cycles=60
+        )
+
+
+def test_pettingzoo_takes_both_forms_in_physics():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        api_test(aec("strip", backend="physics"), num_cycles=6)
+        parallel_api_test(craftsim.parallel_env("strip", execution="asynchronous"), num_cycles=4)
+
+
+def test_a_batch_in_physics_says_who_decides():
+    envs = craftsim.vector_env(
+        make_task("strip", max_steps=1), 2, "physics", workers=1, execution="asynchronous", wait_s=0.3
+    )
+    try:
+        seen, infos = envs.reset(seed=0)
+        rng, decides = np.random.default_rng(0), np.ones((2, 2), bool)
+        for _ in range(6):
+            np.testing.assert_array_equal(seen["doing"][:, 0, :, 0] == -1, decides)
+            actions = np.array([[pick(rng, mask) for mask in masks] for masks in seen["action_mask"]])
+            seen, _, _, _, infos = envs.step(actions)
+            decides = infos["decides"]
+            assert decides.any(1).all()
+            assert (infos["elapsed_s"][~decides] == 0).all()
+    finally:
+        envs.close()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
@@ -299,12 +299,20 @@ class Watched:
 
     def exceeded(self, limits: Thresholds) -> list[BoundedError]:
         """Return the errors that are over their limits, or no numbers."""
-        found = []
-        for measure in BOUNDED_ERRORS:
-            value = self.errors[measure.field]
-            if value is not None and not value <= getattr(limits, measure.limit):
-                found.append(measure)
-        return found
+        values = ((one, self.errors[one.field]) for one in BOUNDED_ERRORS)
+        return [one for one, value in values if value is not None and not value <= getattr(limits, one.limit)]
+
+    def excesses(self, exceeded: Iterable[BoundedError], limits: Thresholds, of_others: bool) -> list[str]:
+        """Describe what is over its limit of this action or of bystanders; of each of these a distance and an angle."""
+        found: dict[Any, str] = {}
+        for one in exceeded:
+            if one.of_bystanders is of_others:
+                unit = "mm" if one.field.endswith("_m") else "mrad"
+                name, value = self.bystanders.get(one.field, ""), self.errors[one.field]
+                what = one.words.format(f"{1e3 * value:.2f} {unit}", name=name)
+                told = f"{what} (allowed {1e3 * getattr(limits, one.limit):.2f})"
+                found.setdefault((name, unit) if name else one, told)
+        return list(found.values())[:_SHOWN]
 
 
 def compare(before: Grid, predicted: Grid, reading: Reading) -> Cause:
@@ -384,9 +392,9 @@ def reason_of(watched: Watched, cause: Cause, exceeded: Iterable[BoundedError], 
     if watched.capped_steps and not parts:
         parts = [capped_text(watched.capped_steps)]
     parts += [text for _, text in watched.hazards[:_SHOWN]]
-    own = [*_excesses(watched, exceeded, limits, of_bystanders=False)] if watched.applied else []
-    parts += own[:_SHOWN] if outcome.succeeded else [str(outcome)]
-    parts += [*_excesses(watched, exceeded, limits, of_bystanders=True)][:_SHOWN]
+    own = watched.excesses(exceeded, limits, of_others=False) if watched.applied else []
+    parts += own if outcome.succeeded else [str(outcome)]
+    parts += watched.excesses(exceeded, limits, of_others=True)
     if not parts:
         parts += differences[:1]
     if watched.strayed_m and (own or not watched.applied):
@@ -400,23 +408,3 @@ def reason_of(watched: Watched, cause: Cause, exceeded: Iterable[BoundedError], 
 def capped_text(steps: int) -> str:
     """Return the reason that an unsolved step gives."""
     return f"the solver gave up in {steps} physics step{'s' * (steps != 1)}"
-
-
-def _excesses(
-    watched: Watched, exceeded: Iterable[BoundedError], limits: Thresholds, of_bystanders: bool
-) -> Iterator[str]:
-    """Describe errors that are over their limits; of each bystander one distance and one angle."""
-    described = set()
-    for measure in exceeded:
-        if measure.of_bystanders is not of_bystanders:
-            continue
-        name, unit = (
-            watched.bystanders.get(measure.field, ""),
-            "mm" if measure.field.endswith("_m") else "mrad",
-        )
-        if name and (name, unit) in described:
-            continue
-        described.add((name, unit))
-        value, limit = watched.errors[measure.field], getattr(limits, measure.limit)
-        what = measure.words.format(f"{1e3 * value:.2f} {unit}", name=name)
-        yield f"{what} (allowed {1e3 * limit:.2f})"

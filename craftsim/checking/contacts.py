@@ -94,7 +94,6 @@ class ContactLog:
         machines, model = physics.machine_names, physics.model
         self.names, self._machine = machines.names, machines.of_geom
         """Of all machines: what is fixed first, then those that move in the order of their bodies."""
-        self._place = {name: at for at, name in enumerate(self.names)}
         self._roots = list(machines.roots)
         self._weigh()
         joints = model.body_jntadr[self._roots]
@@ -106,40 +105,39 @@ class ContactLog:
         """What counts as a blow."""
         self.period_n = 0.0
         """The largest force between any two machines in the last control period."""
+        self._at_start = np.zeros(len(self._pairs), np.bool_)
         self.begin()
 
     def begin(self) -> None:
         """Forget everything, and note what touches now."""
         self._impossible: dict[int, tuple[float, float]] = {}
         self._motion["down_m_s"], self._motion["upright"] = 0.0, 1.0
-        for name, nothing in (("hardest_n", 0.0), ("recent_n", 0.0), ("down_m_s", 0.0), ("upright", 1.0)):
-            self._worst[name] = nothing
-        self._pairs["since_s"], self._pairs["peak_n"] = math.inf, 0.0
-        self._all_begun_s = self._begun_s = self.physics.data.time
-        self._awake = self.physics.awake_copy()
-        self._note(self._awake)
-        self._looked_s = math.nan
-        self._at_start = np.isfinite(self._pairs["since_s"])
+        self._worst["hardest_n"] = self._worst["recent_n"] = self._worst["down_m_s"] = 0.0
+        self._worst["upright"] = 1.0
+        self._all_begun_s, self._begun_s, self._looked_s = self.physics.data.time, math.nan, math.nan
+        self._forget(np.ones(len(self._pairs), np.bool_))
 
     def begin_with(self, machines: Collection[str]) -> None:
         """Forget what these touched, and note what they touch now: an action with them begins while others run."""
-        if self._all_begun_s == self.physics.data.time:
-            return
-        n = len(self.names)
-        rows = [self._place[name] for name in machines]
-        own = np.zeros((n, n), np.bool_)
-        own[rows], own[:, rows] = True, True
-        self._pairs["since_s"][own.ravel()], self._pairs["peak_n"][own.ravel()] = math.inf, 0.0
+        if self._all_begun_s != self.physics.data.time:
+            self._forget(self._of(machines))
+
+    def _forget(self, pairs: NDArray[np.bool_]) -> None:
+        self._pairs["since_s"][pairs], self._pairs["peak_n"][pairs] = math.inf, 0.0
         if self._begun_s != self.physics.data.time:
             self._begun_s, self._awake = self.physics.data.time, self.physics.awake_copy()
         self._note(self._awake)
-        self._at_start[own.ravel()] = np.isfinite(self._pairs["since_s"][own.ravel()])
+        self._at_start[pairs] = np.isfinite(self._pairs["since_s"][pairs])
+
+    def _of(self, machines: Collection[str]) -> NDArray[np.bool_]:
+        """Return the pairs with any of these machines."""
+        one_of = np.isin(self.names, list(machines))
+        return (one_of[:, None] | one_of).ravel()
 
     def look(self) -> None:
         """Note what touches and how hard; call it after each physics step, such as by being an executor's observer."""
-        data = self.physics.data
-        self._looked_s = data.time
-        self._note(data)
+        self._looked_s = self.physics.data.time
+        self._note(self.physics.data)
 
     def sample(self, _: PhysicsWorld | None = None) -> None:
         """Note contacts and motion; call it after each control period, such as by being an executor's observer."""
@@ -157,27 +155,15 @@ class ContactLog:
 
     def news(self, machines: Collection[str]) -> tuple[Contact, ...]:
         """Return the contacts of these machines that were not there when the log began, the first one first."""
-        n = len(self.names)
-        new = (np.isfinite(self._pairs["since_s"]) & ~self._at_start).reshape(n, n)
-        if not new.any():
-            return ()
-        rows = [self._place[name] for name in machines]
-        own = np.zeros_like(new)
-        own[rows], own[:, rows] = new[rows], new[:, rows]
-        return self._contacts(own.ravel())
+        new = np.isfinite(self._pairs["since_s"]) & ~self._at_start
+        return self._contacts(new & self._of(machines)) if new.any() else ()
 
     def _contacts(self, chosen: NDArray[np.bool_]) -> tuple[Contact, ...]:
-        n, since, peak = len(self.names), self._pairs["since_s"], self._pairs["peak_n"]
-        found = [
-            Contact(
-                self.names[pair // n],
-                self.names[pair % n],
-                float(since[pair]),
-                float(peak[pair]),
-                bool(self._at_start[pair]),
-            )
-            for pair in np.flatnonzero(chosen).tolist()
-        ]
+        names, found = self.names, []
+        for pair in np.flatnonzero(chosen).tolist():
+            first, second = divmod(pair, len(names))
+            since_s, peak_n = (float(self._pairs[field][pair]) for field in ("since_s", "peak_n"))
+            found.append(Contact(names[first], names[second], since_s, peak_n, bool(self._at_start[pair])))
         return tuple(sorted(found, key=lambda contact: contact.since_s))
 
     @property
@@ -205,17 +191,6 @@ class ContactLog:
         """The furthest that any machine leaned."""
         return math.acos(max(-1.0, float(self._worst["upright"][0])))
 
-    @property
-    def falls_m_s(self) -> dict[str, float]:
-        """The fastest that each machine moved down."""
-        return dict(zip(self.names[2:], (-self._motion["down_m_s"]).tolist(), strict=True))
-
-    @property
-    def tilts_rad(self) -> dict[str, float]:
-        """The furthest that each machine leaned."""
-        tilts = np.arccos(np.clip(self._motion["upright"], -1.0, 1.0))
-        return dict(zip(self.names[2:], tilts.tolist(), strict=True))
-
     def is_unsafe(self) -> bool:
         """Return whether anything was unsafe since the log began."""
         return self.tilt_rad > TIPPED_RAD or self.fall_m_s > FALL_M_S or self.peak_n > self.limit_n
@@ -224,23 +199,25 @@ class ContactLog:
         """Return all that was unsafe since the log began, each with what was allowed."""
         if not self.is_unsafe():
             return ()
-        tilts, falls = self.tilts_rad.items(), self.falls_m_s.items()
-        found = [
-            ((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})")
-            for name, tilt in tilts
-            if tilt > TIPPED_RAD
-        ]
-        found += [
-            ((name,), f"{name} fell ({speed:.1f} m/s, allowed {FALL_M_S:.1f})")
-            for name, speed in falls
-            if speed > FALL_M_S
-        ]
-        hits = [
-            ((a, b), f"{a} and {b} hit each other ({force:.0f} N, allowed {self.limit_n:.0f})")
-            for a, b, _, force, _ in self.contacts
-            if force > self.limit_n
-        ]
-        return (*found, *hits)
+        tilts = np.arccos(np.clip(self._motion["upright"], -1.0, 1.0)).tolist()
+        falls = (-self._motion["down_m_s"]).tolist()
+        return (
+            *(
+                ((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})")
+                for name, tilt in zip(self.names[2:], tilts, strict=True)
+                if tilt > TIPPED_RAD
+            ),
+            *(
+                ((name,), f"{name} fell ({speed:.1f} m/s, allowed {FALL_M_S:.1f})")
+                for name, speed in zip(self.names[2:], falls, strict=True)
+                if speed > FALL_M_S
+            ),
+            *(
+                ((a, b), f"{a} and {b} hit each other ({force:.0f} N, allowed {self.limit_n:.0f})")
+                for a, b, _, force, _ in self.contacts
+                if force > self.limit_n
+            ),
+        )
 
     def write(self, path: Path) -> None:
         """Write the contacts as CSV with a line of headings; raise InputError where the disk does not take it."""
@@ -338,24 +315,11 @@ def note_contacts(
     pairs: Record,
     worst: Record,
 ) -> int:
-    """Note the pairs of machines of all contacts, and the net force of each.
+    """Note the pairs of machines that touch, with the hardest net force of each; return how many blows are new peaks.
 
-    Normal forces are summed as vectors. A boss that is wedged between pads presses on them with forces that cancel
-    out: they squeeze the two machines, and move neither.
-
-    Args:
-        geom1: of MuJoCo's contacts, as the next three.
-        geom2: the geom that the normal points at.
-        frame: (n, 9) the normal and two tangents.
-        efc_address: of the first row; with elliptic cones that is the normal force (MuJoCo, mj_contactForce).
-        efc_force: MjData.efc_force.
-        time_s: simulated time.
-        machine: (n_geom,) the machine of each geom.
-        pairs: (n_machines ** 2,) of PAIR; net forces are zero before and after.
-        worst: (1,) of WORST.
-
-    Returns:
-        How many blows there are that are new peaks; their pairs are in ``pairs``.
+    Normal forces are summed as vectors: of a boss that is wedged between pads they cancel out, and move neither.
+    ``frame`` (n, 9) starts with the normal, which points at ``geom2``; at ``efc_address`` is, with elliptic cones, the
+    normal force (MuJoCo, mj_contactForce). ``machine`` (n_geom,) is that of each geom. Pairs of blows are in ``pairs``.
     """
     n_touched, n_machines = 0, worst[0].n_machines
     for i in range(len(geom1)):
@@ -391,14 +355,7 @@ def note_contacts(
 
 @compiled
 def note_motion(qpos: Floats, qvel: Floats, motion: Record, worst: Record) -> None:
-    """Note how fast each machine moves down, and how upright it is.
-
-    Args:
-        qpos: MjData.qpos.
-        qvel: MjData.qvel.
-        motion: (n,) of MOTION.
-        worst: (1,) of WORST.
-    """
+    """Note how fast each machine moves down, and how upright it is."""
     for i in range(len(motion)):
         at = motion[i].qpos
         tilt_x, tilt_y = qpos[at + 4], qpos[at + 5]
@@ -418,30 +375,29 @@ def unexpected_contacts(
     """Return those of some contacts that the prediction does not explain, hardest first.
 
     A car and what it handles may touch each other, and what bears them where they are and where they should be.
-
-    Args:
-        contacts: what touched and did not at the start.
-        names: of the objects.
-        before: the start as it was read.
-        predicted: the world that the rules predict.
-        cars: those that act.
+    ``names`` are those of the objects, ``cars`` those that act.
     """
     if not contacts:
         return ()
-    bearers = _bearers(names, before)
+    grid = before.grid
+    # What fills each cell, the ground included; a carried object fills none.
+    bearers: dict[Cell, str] = {(int(x), int(y), 0): GROUND for x, y in np.ndindex(*grid.kind.shape[:2])}
+    bearers |= {(int(x), int(y), int(z)): WALL for x, y, z in np.argwhere(grid.kind == Kind.WALL)}
+    for index, cell, _ in before.standing:
+        bearers |= dict.fromkeys(cells_at(grid, cell), names[index])
     known: set[frozenset[str]] = set()
     for car in cars:
         name = f"car {car}"
-        way = [cell_of(before.grid, car), cell_of(predicted, car)]
+        way = [cell_of(grid, car), cell_of(predicted, car)]
         places = {name: way}
         for index in handled(before, predicted, car):
             places[names[index]] = [part for cell in way for part in cells_at(predicted, cell)]
-            places[names[index]] += cells_at(before.grid, way[0])
+            places[names[index]] += cells_at(grid, way[0])
         known |= {frozenset((a, b)) for a in places for b in places}
         for thing, cells in places.items():
             below = [(x, y, z - 1) for x, y, z in cells]
             known |= {frozenset((thing, bearers[cell])) for cell in below if cell in bearers}
-        ramps = [cell for cell in way if before.grid.kind_at(cell) in (Kind.FOOT, Kind.BODY)]
+        ramps = [cell for cell in way if grid.kind_at(cell) in (Kind.FOOT, Kind.BODY)]
         known |= {frozenset((name, bearers[cell])) for cell in ramps}
     strange = [c for c in contacts if frozenset((c.first, c.second)) not in known]
     return tuple(sorted(strange, key=lambda contact: -contact.peak_n))
@@ -475,13 +431,3 @@ def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:
     if z >= predicted.cells.shape[2] or before.grid.cells[x, y, z, KIND] == predicted.cells[x, y, z, KIND]:
         return []
     return [index for index, place, _ in before.standing if place == cell]
-
-
-def _bearers(names: Sequence[str], reading: Reading) -> dict[Cell, str]:
-    """Return the name of what fills each cell, the ground included; a carried object fills none."""
-    grid = reading.grid
-    found: dict[Cell, str] = {(int(x), int(y), 0): GROUND for x, y in np.ndindex(*grid.kind.shape[:2])}
-    found |= {(int(x), int(y), int(z)): WALL for x, y, z in np.argwhere(grid.kind == Kind.WALL)}
-    for index, cell, _ in reading.standing:
-        found |= dict.fromkeys(cells_at(grid, cell), names[index])
-    return found

@@ -143,14 +143,14 @@ class Recipe:
         return replace(self, steps=(*self.steps, *steps))
 
 
-def _grid(text: str) -> Grid:
-    return _blueprint(text).grid(np.random.default_rng(0))
-
-
 @lru_cache(maxsize=2)
 def _blueprint(text: str) -> Blueprint:
     """Return the blueprint of a world, or of an intended one; many trials start from the same."""
     return parse_blueprint(text, "world of a recipe")
+
+
+def _grid(text: str) -> Grid:
+    return _blueprint(text).grid(np.random.default_rng(0))
 
 
 def run_up(recipe: Recipe, reuse: PhysicsWorld | None = None) -> Judge:

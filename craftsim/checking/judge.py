@@ -99,12 +99,9 @@ class Judge:
             drift = self._drift
             executor.observers.append(lambda _: drift.stray(executor.paths()))
         self._look()
-        n_cars = len(self.physics.cars)
-        self._names = [
-            *(f"car {car}" for car in range(n_cars)),
-            *map(self.poses.name, range(len(self.poses.kinds))),
-        ]
-        """Of cars and objects."""
+        self._n_cars = len(self.physics.cars)
+        self._names = [f"car {car}" for car in range(self._n_cars)]
+        self._names += map(self.poses.name, range(len(self.poses.kinds)))
         self._known = self._beyond()
         """(n, 2): which objects are not as they should stand or be carried, and have been reported so."""
         self._running: dict[int, Watched] = {}
@@ -264,7 +261,7 @@ class Judge:
         over = [running.pop(car) for car in ended]
         swaying = {index for one in running.values() for index in one.below}
         # What swayed under a car has its place again once that has come to its end.
-        self._drift.settle([len(self.physics.cars) + index for one in over for index in one.below])
+        self._drift.settle([self._n_cars + index for one in over for index in one.below])
         for one in over:
             self._measure(one, ended[one.step.car], acting, swaying)
             for other in running.values():
@@ -323,7 +320,7 @@ class Judge:
 
     def _expect_rest(self, one: Watched, ended: Watched) -> None:
         """From here on hold it against an action if what one that has ended was about moves."""
-        rows = [ended.step.car, *(len(self.physics.cars) + index for index in ended.about)]
+        rows = [ended.step.car, *(self._n_cars + index for index in ended.about)]
         one.poses[rows] = self._rows[rows]
         one.meant.difference_update(ended.about)
 
@@ -347,7 +344,7 @@ class Judge:
 
         The latter has been reported, and is held against no later action again.
         """
-        n_cars, limits = len(self.physics.cars), self.thresholds
+        n_cars, limits = self._n_cars, self.thresholds
         drifted = (self._drift.furthest > (limits.bystander_m, limits.bystander_rad)).any(axis=1)
         left = set(np.flatnonzero(drifted).tolist()) - {n_cars + index for index in swaying}
         left.update(one.step.car for one in over)
@@ -386,7 +383,7 @@ class Judge:
         one.strayed_m = self._drift.strayed_m(car) if self.physics.uneven else None
         one.capped_steps = self.physics.capped_steps - one.capped_steps
         if log is not None:
-            names = self._names[len(self.physics.cars) :]
+            names = self._names[self._n_cars :]
             one.contacts = unexpected_contacts(log.news(one.own), names, one.reading, step.after, one.cars)
             one.hazards, one.peak_force_n = log.hazards(), log.peak_n
 
@@ -403,9 +400,9 @@ class Judge:
     ) -> tuple[dict[str, float], dict[str, str]]:
         """Return the largest of each error of what an action does not concern, and the name of what has it, by field.
 
-        What sways under a car that still drives is not looked at now, but held against that car's action at its end.
+        What sways under a car that still drives is held against that car's action at its end.
         """
-        n_cars = len(self.physics.cars)
+        n_cars = self._n_cars
         excused = np.zeros(len(self._rows), np.bool_)
         excused[list(acting)] = True
         excused[[n_cars + index for index in one.meant | swaying]] = True
@@ -486,12 +483,11 @@ class Drift:
         velocity = self._qvel[self._speeds]
         return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
 
-    def leave(self, machines: Sequence[int]) -> None:
+    def leave(self, machines: Iterable[int]) -> None:
         """From here on hold these against where they are now."""
         rows = list(machines)
-        if rows:
-            self._left[rows] = self._qpos[self._places[rows]]
-            self.furthest[rows] = 0.0
+        self._left[rows] = self._qpos[self._places[rows]]
+        self.furthest[rows] = 0.0
 
     def settle(self, machines: slice | list[int]) -> None:
         """Forget how far these have been from their places: of what was meanwhile only where it ends counts."""
@@ -527,14 +523,7 @@ class Drift:
 
 @compiled
 def _note_away(qpos: Floats, places: Integers, left: Floats, furthest: Floats) -> None:
-    """Note how far each machine is from its place.
-
-    Args:
-        qpos: MjData.qpos.
-        places: (n,) of each machine's free joint in qpos.
-        left: (n, 7) position and quaternion of its place.
-        furthest: (n, 2) metres and radians so far.
-    """
+    """Note how far each machine, its free joint in qpos at ``places``, is from the pose where it was left."""
     for i in range(len(places)):
         pose = qpos[places[i] : places[i] + 7]
         furthest[i, 0] = max(furthest[i, 0], _apart(pose, left[i]))
@@ -553,14 +542,9 @@ def _largest_errors(
 ) -> None:
     """Find the largest of each error of bystanders.
 
-    Args:
-        now: (n, 7) poses of cars and objects.
-        then: (n, 7) those at the start of the action.
-        furthest: (n, 2) of :class:`Drift`.
-        bounded: (n_objects, 2) of the reading.
-        excused: (n,) which are no bystanders.
-        known: (n_objects, 2) which errors of the reading have been reported before.
-        largest: (6, 2) takes each error and the machine that has it, -1 for none; nan counts as the largest.
+    ``now`` and ``then`` (n, 7) are poses of cars and objects at the end and the start of the action, ``furthest``
+    (n, 2) that of :class:`Drift`, ``bounded`` (n_objects, 2) that of the reading; ``known`` (n_objects, 2) of these
+    were reported before. ``largest`` (6, 2) takes each error and the machine that has it, -1 for none; nan is largest.
     """
     n_cars = len(now) - len(bounded)
     for k in range(6):

@@ -206,33 +206,30 @@ def setup_of(
 
 def _randomization(given: Randomize | str | Path) -> _Terms:
     given = preset_of_level(given) if isinstance(given, str) else given
-    if given in RANDOMIZE:
-        return RANDOMIZE[cast(Randomize, given)]
-    _check_file(given, "randomization")
-    return _read(given, RANDOMIZE)
+    return (
+        RANDOMIZE[cast(Randomize, given)] if _is_preset(given, "randomization") else _read(given, RANDOMIZE)
+    )
 
 
 def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> SensorNoise:
-    if given is None:
-        return declared
-    if isinstance(given, SensorNoise):
-        return given
-    if given in RANDOMIZE:
+    if given is None or isinstance(given, SensorNoise):
+        return declared if given is None else given
+    if _is_preset(given, "noise"):
         return RANDOMIZE[cast(Randomize, given)][1].sensors
-    _check_file(given, "noise")
     return load_noise(given, declared)
 
 
-def _check_file(given: str | Path, what: str) -> None:
-    """Raise InputError for what is no preset and has no suffix, as a file would."""
-    if not Path(given).suffix:
+def _is_preset(given: str | Path, what: str) -> bool:
+    """Return whether this is a preset's name; raise InputError for what has no suffix either, as a file would."""
+    if given not in RANDOMIZE and not Path(given).suffix:
         known = ", ".join(RANDOMIZE)
         raise InputError(
             f"unknown {what} '{given}'{suggestion(str(given), RANDOMIZE)}; there are {known}, or give a YAML file"
         )
+    return given in RANDOMIZE
 
 
-MAX_WORDS: Final = 64
+_MAX_WORDS: Final = 64
 """Numbers in a seed."""
 
 
@@ -249,8 +246,8 @@ class Seed:
     def __post_init__(self) -> None:
         if min((*self.entropy, *self.spawn_key), default=0) < 0 or max(self.spawn_key, default=0) >= 2**32:
             raise InputError("a seed's entropy must be 0 or more, and its spawn key from 0 to 2**32 - 1")
-        if len(self.entropy) + len(self.spawn_key) > MAX_WORDS:
-            raise InputError(f"a seed of more than {MAX_WORDS} numbers")
+        if len(self.entropy) + len(self.spawn_key) > _MAX_WORDS:
+            raise InputError(f"a seed of more than {_MAX_WORDS} numbers")
 
     @classmethod
     def of(cls, sequence: np.random.SeedSequence) -> Seed:

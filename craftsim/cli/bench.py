@@ -9,7 +9,7 @@ from craftsim.choices import RuleSet
 from craftsim.cli.options import OptionalDir
 from craftsim.options import number
 from craftsim.storage.folders import output_directory, owning
-from craftsim.storage.limits import BATCH, BENCH_S, SEED
+from craftsim.storage.limits import BATCH, BENCH_S, DESIGNS, SEED, WORKERS
 from craftsim.storage.writing import write_whole
 
 if TYPE_CHECKING:
@@ -30,17 +30,19 @@ Case = tuple[str, int, bool, Step]
 
 @owning
 def bench(
-    what: Literal["rules", "env", "physics"],
+    what: Literal["rules", "env", "physics", "execution"],
     *,
     rules: RuleSet = "published",
     worlds: Annotated[int, number(BATCH)] = 1000,
     seconds: Annotated[float, number(BENCH_S)] = 2.0,
+    designs: Annotated[int, number(DESIGNS)] = 0,
+    workers: Annotated[int, number(WORKERS)] = 1,
     seed: Annotated[int, number(SEED)] = 0,
     out: OptionalDir = None,
 ) -> int:
-    """Measure how fast the grid rules, the environments or the physics are on this machine.
+    """Measure how fast the grid rules, the environments or the physics are on this machine, or how plans are executed.
 
-    All figures are steps a CPU second of masked random play, resets included; a step is one tick of one world, with the
+    Speeds are steps a CPU second of masked random play, resets included; a step is one tick of one world, with the
     masks of all cars for the next one. A calibration in plain Python is timed in turns with each: "CraftEnv" is an
     estimate from it of what CraftEnv would do here and now, "times" the ratio. The repository has more benchmarks:
     `make bench`.
@@ -51,11 +53,17 @@ def bench(
 
     physics: joint steps through PettingZoo on either drive.
 
+    execution: makespans of plans in physics, of the six tasks and of random designs: one action after the other, tick
+    after tick, and each action as early as those that it depends on have ended, beside the predicted makespans. Reduced
+    drive, mild randomization, paired starts.
+
     Args:
         what: what to measure.
         rules: the rule set to run; rules only.
         worlds: how many worlds a batch has; rules and env only.
         seconds: how long each measurement runs.
+        designs: how many random designs are planned and built besides the six tasks; execution only.
+        workers: processes to share the work; execution only.
         seed: decides starts and actions.
         out: folder for report.json, and for the table in Markdown.
     """
@@ -64,6 +72,13 @@ def bench(
     from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
     from craftsim.reports.terminal import Terminal
 
+    if what == "execution":
+        from craftsim.checking.setup import setup_of
+        from craftsim.cli.execution import execution_report
+
+        setup = setup_of("mild", drive="reduced")
+        terms = {"what": what, "designs": designs, "setup": setup}
+        return execution_report(designs, seed, setup, workers, terms).publish(out, Terminal())
     cases = {
         "rules": lambda task: rule_cases(task, rules, worlds, seed),
         "env": lambda task: grid_cases(task, worlds, seed),

@@ -13,20 +13,14 @@ from craftsim.workers.actor import defer_sigint, spawn_context
 from craftsim.workers.pool import Pool
 
 
-def test_a_process_that_still_imports_hears_of_no_interrupt():
+def test_a_process_that_still_imports_hears_of_no_interrupt_and_whoever_starts_it_hears_as_before():
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     process = spawn_context().Process(target=time.sleep, args=(0.0,))
     process.start()
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
     os.kill(process.pid, signal.SIGINT)
     process.join()
     assert process.exitcode == 0
-
-
-def test_whoever_starts_it_hears_as_before():
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
-    process = spawn_context().Process(target=int)
-    process.start()
-    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
-    process.join()
 
 
 def test_workers_hear_of_no_interrupt():

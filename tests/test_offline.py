@@ -29,24 +29,12 @@ LIST = "0 STOP\n"
 @pytest.mark.parametrize(
     "words",
     [
-        ["show", "strip", "--out", "out"],
-        ["conformance", TRACES, "--out", "out"],
-        ["doctor", "--out", "out"],
-        ["bench", "rules", "--seconds", "0.01", "--worlds", "2"],
-        [
-            "validate",
-            "strip",
-            "--actions",
-            "list.txt",
-            "--randomize",
-            "none",
-            "--trials",
-            "1",
-            "--video",
-            "none",
-        ],
+        "show strip --out out",
+        f"conformance {TRACES} --out out",
+        "doctor --out out",
+        "bench rules --seconds 0.01 --worlds 2",
+        "validate strip --actions list.txt --randomize none --trials 1 --video none",
     ],
-    ids=lambda words: words[0],
 )
 def test_a_command_works_with_all_sockets_shut(words, tmp_path):
     (tmp_path / "site").mkdir()
@@ -54,7 +42,7 @@ def test_a_command_works_with_all_sockets_shut(words, tmp_path):
     (tmp_path / "list.txt").write_text(LIST)
     path = os.pathsep.join([str(tmp_path / "site"), str(ROOT), os.environ.get("PYTHONPATH", "")])
     child = subprocess.run(
-        [sys.executable, "-m", "craftsim", *words],
+        [sys.executable, "-m", "craftsim", *words.split()],
         env=os.environ | {"PYTHONPATH": path},
         cwd=tmp_path,
         capture_output=True,

@@ -41,12 +41,8 @@ WORDS = {
     "doctor": [],
 }
 """Commands that own the folder that they write into, with what they cannot do without."""
-WITHOUT = {
-    "render": "one film or some pictures",
-    "show": "pictures",
-    "view": "nothing",
-}
-"""Commands that own no folder, and what they write."""
+WITHOUT = ("render", "show", "view")
+"""Commands that own no folder: they write a film, pictures, or nothing."""
 
 _TAKES_TURNS = """
 import os, sys
@@ -83,30 +79,25 @@ def test_every_command_with_a_folder_is_here():
         assert "out" in inspect.signature(function).parameters
 
 
-@pytest.mark.parametrize("command", WORDS)
-def test_a_second_process_is_told_and_the_first_loses_nothing(command, taken, capsys):
+def test_a_second_process_is_told_and_the_first_loses_nothing(taken, capsys):
     before = sorted(taken.iterdir())
-    assert main([*command.split(), *WORDS[command], "--out", str(taken)]) == 2
-    assert f"{taken} {IN_USE}; wait until it has ended, or choose another --out" in capsys.readouterr().err
+    for command, words in WORDS.items():
+        assert main([*command.split(), *words, "--out", str(taken)]) == 2
+        assert (
+            f"{taken} {IN_USE}; wait until it has ended, or choose another --out" in capsys.readouterr().err
+        )
+    for write in (lambda: write_report(taken, {}, command="mine"), lambda: validate("strip", out=taken)):
+        with pytest.raises(InputError, match=IN_USE):
+            write()
     assert sorted(taken.iterdir()) == before
     assert (taken / "report.json").read_text() == "the first's"
 
 
-def test_python_is_told_too(taken):
-    with pytest.raises(InputError, match=IN_USE):
-        write_report(taken, {}, command="mine")
-    with pytest.raises(InputError, match=IN_USE):
-        validate("strip", out=taken)
-
-
-def test_a_name_that_no_folder_can_have_is_refused(tmp_path):
-    with pytest.raises(InputError, match="cannot make the output directory"), owned(tmp_path / "a\0b"):
-        pass
-
-
-def test_a_link_to_a_folder_is_the_folder(taken, tmp_path):
+def test_a_link_to_a_folder_is_the_folder_and_a_name_that_none_can_have_is_refused(taken, tmp_path):
     (tmp_path / "link").symlink_to(taken)
     with pytest.raises(InputError, match=IN_USE), owned(tmp_path / "link"):
+        pass
+    with pytest.raises(InputError, match="cannot make the output directory"), owned(tmp_path / "a\0b"):
         pass
 
 
@@ -168,27 +159,23 @@ def test_wrong_input_leaves_no_folder_and_removes_none(tmp_path, capsys):
     assert not [*(tmp_path / "mine").iterdir()]
 
 
-@pytest.mark.parametrize("plant", ["link", "dangling link", "pipe", "folder"])
+PLANTS = {
+    "link": lambda path: path.symlink_to("../victim"),
+    "dangling link": lambda path: path.symlink_to("../nowhere"),
+    "pipe": os.mkfifo,
+    "folder": Path.mkdir,
+}
+
+
+@pytest.mark.parametrize("plant", PLANTS)
 def test_what_lies_at_the_name_of_the_lock_is_refused(tmp_path, plant):
-    victim = tmp_path / "victim"
-    victim.write_text("precious")
-    out = tmp_path / "out"
-    out.mkdir()
-    match plant:
-        case "link":
-            (out / LOCK).symlink_to(victim)
-        case "dangling link":
-            (out / LOCK).symlink_to(tmp_path / "nowhere")
-        case "pipe":
-            os.mkfifo(out / LOCK)
-        case "folder":
-            (out / LOCK).mkdir()
-    with (
-        pytest.raises(InputError, match=r"craftsim-lock: .*; remove it, or choose another --out"),
-        owned(out),
-    ):
+    (tmp_path / "victim").write_text("precious")
+    (tmp_path / "out").mkdir()
+    PLANTS[plant](tmp_path / "out" / LOCK)
+    remedy = pytest.raises(InputError, match=r"craftsim-lock: .*; remove it, or choose another --out")
+    with remedy, owned(tmp_path / "out"):
         pass
-    assert victim.read_text() == "precious"
+    assert (tmp_path / "victim").read_text() == "precious"
     assert not (tmp_path / "nowhere").exists()
 
 

@@ -78,9 +78,6 @@ def test_json_that_is_none_is_our_error(tmp_path):
     for text in ("[" * 100_000, "1" * 5000, "NaN", '"\\ud800"', "", "{", '{"a": 1,}', "\x00"):
         with pytest.raises(InputError, match="here: not JSON"):
             parse_json(text.encode(), "here")
-
-
-def test_json_is_read():
     assert parse_json(b'{"a": [1, 2.5, "\xc3\xa9", null]}', "here") == {"a": [1, 2.5, "\u00e9", None]}
 
 
@@ -161,19 +158,6 @@ def test_other_packing_damage_and_a_plain_array_are_refused(tmp_path):
     np.save(tmp_path / "plain.npy", np.zeros(3))
     with pytest.raises(InputError, match="not an archive"):
         read_arrays(tmp_path / "plain.npy", SMALL)
-
-
-def test_an_archive_with_any_byte_changed_is_read_or_refused(tmp_path):
-    path = tmp_path / "a.npz"
-    np.savez_compressed(path, a=np.arange(20), b=np.ones((2, 2)))
-    whole_one = path.read_bytes()
-    for place in range(len(whole_one)):
-        for value in (0, 255, whole_one[place] ^ 1):
-            path.write_bytes(whole_one[:place] + bytes([value]) + whole_one[place + 1 :])
-            try:
-                read_arrays(path, SMALL)
-            except InputError:
-                continue
 
 
 def test_a_file_is_whole_or_as_it_was(tmp_path):

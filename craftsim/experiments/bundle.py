@@ -87,6 +87,11 @@ class Recorded:
     before: Arrays
     after: Arrays
 
+    @property
+    def arrays(self) -> dict[str, Arrays]:
+        """The arrays by the names of their files."""
+        return {PHYSICS: self.physics, BEFORE: self.before, AFTER: self.after}
+
 
 def state_of(physics: PhysicsWorld) -> Arrays:
     """Return copies of all that decides how a PhysicsWorld goes on, that MuJoCo's state vector leaves out included."""
@@ -121,15 +126,7 @@ def write_bundle(
     again = do(judge, recipe.steps[-1])
     if attempts is not None and attempts != again:
         raise ReplayError(f"{key} came out otherwise when it was re-run: {again} for {attempts}")
-    bundle = Bundle(
-        schema_version=SCHEMA_VERSION,
-        key=key,
-        versions=versions(),
-        recipe=recipe,
-        attempts=again,
-        start_s=start_s,
-        end_s=judge.physics.time_s,
-    )
+    bundle = Bundle(SCHEMA_VERSION, key, versions(), recipe, again, start_s, judge.physics.time_s)
     directory_within(folder.parent, folder.name)
     try:
         _write(folder, bundle, judge, before)
@@ -145,11 +142,8 @@ class ReplayError(RuntimeError):
 def _write(folder: Path, bundle: Bundle, judge: Judge, before: Arrays) -> None:
     for name in (TEXT, FILM, TRAJECTORY):
         (folder / name).unlink(missing_ok=True)
-    for name, arrays in (
-        (PHYSICS, physics_of(judge.physics)),
-        (BEFORE, before),
-        (AFTER, state_of(judge.physics)),
-    ):
+    now = Recorded(folder, bundle, physics_of(judge.physics), before, state_of(judge.physics))
+    for name, arrays in now.arrays.items():
         # In memory first, for a zip archive cannot be closed on a full disk.
         archive = io.BytesIO()
         np.savez_compressed(archive, allow_pickle=False, **arrays)

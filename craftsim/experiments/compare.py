@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
@@ -22,18 +23,11 @@ from craftsim.experiments.intervals import (
 )
 from craftsim.experiments.records import Finished, differences, read_finished
 from craftsim.experiments.session import Session
-from craftsim.experiments.statistics import (
-    Distribution,
-    attempts_frame,
-    carried_out,
-    errors,
-    legal_attempts,
-    trials_frame,
-)
+from craftsim.experiments.statistics import Distribution, attempts_frame, carried_out, errors, trials_frame
 from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
 _SHOWN: Final = 6
 """How many kinds of difference the text shows."""
@@ -100,15 +94,12 @@ class Alike:
         return self.as_predicted_alike / self.actions if self.actions else 1.0
 
     def __str__(self) -> str:
-        ratios = [
-            f"{name} {ratio:.3f} times theirs"
-            for name, ratio in (
-                ("durations", self.duration_ratio),
-                ("errors", self.error_ratio),
-                ("peak forces", self.peak_force_ratio),
-            )
-            if ratio is not None
-        ]
+        named = {
+            "durations": self.duration_ratio,
+            "errors": self.error_ratio,
+            "peak forces": self.peak_force_ratio,
+        }
+        ratios = [f"{name} {ratio:.3f} times theirs" for name, ratio in named.items() if ratio is not None]
         lines = [
             f"Of {self.actions:,} actions {self.share:.2%} went as predicted in both or in neither, and "
             f"{self.legal.successes:,} of the {self.legal.trials:,} that the rules allow"
@@ -247,64 +238,99 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tu
 
 def compare_paired(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> Paired:
     """Return how two runs of the same trials under two settings compare; trials that tried nothing are left out."""
-    from statsmodels.stats.contingency_tables import mcnemar
+    return _paired(_trials(first), _trials(second))
 
-    one, two = ({r["key"]: r["agrees"] for r in carried_out(run) if r["attempts"]} for run in (first, second))
-    keys = one.keys() & two.keys()
-    table = [[0, 0], [0, 0]]
-    for key in keys:
-        table[not one[key]][not two[key]] += 1
-    (both, only_first), (only_second, neither) = table
-    return Paired(
-        pairs=len(keys),
-        unpaired=len(one.keys() ^ two.keys()),
-        both=both,
-        only_first=only_first,
-        only_second=only_second,
-        neither=neither,
-        first=Proportion.of(both + only_first, len(keys)),
-        second=Proportion.of(both + only_second, len(keys)),
-        p_value=float(mcnemar(table, exact=True).pvalue),
+
+def alike(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> Alike:
+    """Return how alike the actions of two runs of the same trials are."""
+    return _alike(_pairs(_attempts(first), _attempts(second)))
+
+
+def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> RealityGap:
+    """Return how two runs agree on the trials that they share, paired by their keys; ``seed`` is the bootstrap's.
+
+    Raises InputError for runs that share no trial.
+    """
+    trials, attempts = (list(map(of, (sim.records, real.records))) for of in (_trials, _attempts))
+    shared = set(trials[0].key) & set(trials[1].key)
+    if not shared:
+        raise InputError(
+            f"{sim.folder} and {real.folder} have no trial in common that both carried out, so that nothing is paired; "
+            "both need the same worlds, plans or policies, and trials of the same numbers"
+        )
+    trials, attempts = ([one[one.key.isin(shared)] for one in both] for both in (trials, attempts))
+    pairs, plans = _pairs(*attempts), _plans(*trials)
+    return RealityGap(
+        changed=changes(sim.manifest, real.manifest),
+        trials=_paired(*trials),
+        actions=_alike(pairs),
+        by_verb={str(verb): _agreement(some) for verb, some in pairs[pairs.legal].groupby("verb_a")},
+        error_shifts=_shifts(*(errors(one[one.legal]) for one in attempts)),
+        plans=plans,
+        ranks=agreement_of([plan.sim for plan in plans], [plan.real for plan in plans], seed),
     )
 
 
-def paired_actions(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> DataFrame:
+def _trials(run: Iterable[TrialRecord]) -> DataFrame:
+    """Return the trials that were carried out, each with its ``key``."""
+    return trials_frame(run).assign(key=_keys(run))
+
+
+def _attempts(run: Iterable[TrialRecord]) -> DataFrame:
+    """Return their attempts, each with the ``key`` of its trial."""
+    frame = attempts_frame(run)
+    texts = dict.fromkeys(("action", "verb", "load", "result"), object)
+    return frame.assign(key=_keys(run)[frame.trial.to_numpy()]).astype(texts)
+
+
+def _keys(run: Iterable[TrialRecord]) -> NDArray[np.object_]:
+    return np.array([record["key"] for record in carried_out(run)], object)
+
+
+def _paired(first: DataFrame, second: DataFrame) -> Paired:
+    from statsmodels.stats.contingency_tables import mcnemar
+
+    one, other = (run[run.attempts > 0].set_index("key").agrees for run in (first, second))
+    keys = one.index.intersection(other.index)
+    agree = one[keys].to_numpy(), other[keys].to_numpy()
+    both, only_first, only_second, neither = (
+        int((first & second).sum()) for first in (agree[0], ~agree[0]) for second in (agree[1], ~agree[1])
+    )
+    return Paired(
+        *(len(keys), len(one) + len(other) - 2 * len(keys)),
+        *(both, only_first, only_second, neither),
+        Proportion.of(both + only_first, len(keys)),
+        Proportion.of(both + only_second, len(keys)),
+        float(mcnemar([[both, only_first], [only_second, neither]], exact=True).pvalue),
+    )
+
+
+def _pairs(first: DataFrame, second: DataFrame) -> DataFrame:
     """Return the actions of each trial that both runs tried, for as long as both try the same.
 
     A row for each, in the order of the second run: ``key``, and every column of
     :func:`~craftsim.experiments.statistics.attempts_frame` of either run, which ends with ``_a`` or ``_b``; ``good_a``
     and ``good_b`` say whether it went as predicted, ``alike`` whether in both or in neither.
     """
-    one, other = (_keyed_attempts(run) for run in (first, second))
-    pairs = other.merge(one, on=["key", "number"], suffixes=("_b", "_a"))
+    pairs = second.merge(first, on=["key", "number"], suffixes=("_b", "_a"))
     same = (pairs.tick_a == pairs.tick_b) & (pairs.car_a == pairs.car_b) & (pairs.action_a == pairs.action_b)
     pairs = pairs[same.groupby(pairs.key).cummin().astype(bool)]
     good = {f"good_{run}": pairs[f"result_{run}"] == Verdict.AS_PREDICTED for run in "ab"}
     return pairs.assign(**good, alike=good["good_a"] == good["good_b"], legal=pairs.legal_a & pairs.legal_b)
 
 
-def _keyed_attempts(run: Iterable[TrialRecord]) -> DataFrame:
-    frame = attempts_frame(run)
-    keys = np.array([record["key"] for record in carried_out(run)], object)
-    texts = dict.fromkeys(("action", "verb", "load", "result"), object)
-    return frame.assign(key=keys[frame.trial.to_numpy()]).astype(texts)
-
-
-def alike(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> Alike:
-    """Return how alike the actions of two runs of the same trials are."""
-    pairs = paired_actions(first, second)
-    legal, both = pairs[pairs.legal], pairs[pairs.good_a & pairs.good_b]
-    apart = pairs[~pairs.alike]
+def _alike(pairs: DataFrame) -> Alike:
+    legal, both, apart = pairs[pairs.legal], pairs[pairs.good_a & pairs.good_b], pairs[~pairs.alike]
     kinds = apart.key.groupby([_kind(row) for row in apart.itertuples()])
     found = [Difference(str(kind), len(keys), str(keys.iloc[0])) for kind, keys in kinds]
     return Alike(
-        actions=len(pairs),
-        as_predicted_alike=int(pairs.alike.sum()),
-        legal=Proportion.of(int(legal.alike.sum()), len(legal)),
-        duration_ratio=_ratio(both, "duration_s"),
-        error_ratio=_ratio(both, "car_error_m"),
-        peak_force_ratio=_ratio(both, "peak_force_n"),
-        differences=tuple(sorted(found, key=lambda one: (-one.actions, one.kind))),
+        len(pairs),
+        int(pairs.alike.sum()),
+        Proportion.of(int(legal.alike.sum()), len(legal)),
+        _middle(both, "duration_s"),
+        _middle(both, "car_error_m"),
+        _middle(both, "peak_force_n"),
+        tuple(sorted(found, key=lambda one: (-one.actions, one.kind))),
     )
 
 
@@ -315,50 +341,22 @@ def _kind(row: Any) -> str:
     return f"{row.verb_a}{load}{slope}{forbidden}: {row.result_a} there, {row.result_b} here"
 
 
-def _ratios(pairs: DataFrame, name: str) -> DataFrame:
+def _ratios(pairs: DataFrame, name: str) -> Series[float]:
     known = pairs[pairs[f"{name}_a"] > 0]
     return known[f"{name}_b"] / known[f"{name}_a"]
 
 
-def _ratio(pairs: DataFrame, name: str) -> float | None:
+def _middle(pairs: DataFrame, name: str) -> float | None:
     ratios = _ratios(pairs, name)
     return float(np.median(ratios)) if len(ratios) else None
 
 
-def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> RealityGap:
-    """Return how two runs agree on the trials that they share, paired by their keys; ``seed`` is the bootstrap's.
-
-    Raises InputError for runs that share no trial.
-    """
-    shared = {r["key"] for r in carried_out(sim.records)} & {r["key"] for r in carried_out(real.records)}
-    if not shared:
-        raise InputError(
-            f"{sim.folder} and {real.folder} have no trial in common that both carried out, so that nothing is paired; "
-            "both need the same worlds, plans or policies, and trials of the same numbers"
-        )
-    one, other = ([r for r in run.records if r["key"] in shared] for run in (sim, real))
-    plans = _plans(one, other)
-    return RealityGap(
-        changed=changes(sim.manifest, real.manifest),
-        trials=compare_paired(one, other),
-        actions=alike(one, other),
-        by_verb=_by_verb(paired_actions(one, other)),
-        error_shifts=_shifts(one, other),
-        plans=plans,
-        ranks=agreement_of([plan.sim for plan in plans], [plan.real for plan in plans], seed),
+def _agreement(pairs: DataFrame) -> VerbAgreement:
+    ratios = _ratios(pairs[pairs.good_a & pairs.good_b], "duration_s")
+    alike, sim, real = (
+        Proportion.of(int(pairs[name].sum()), len(pairs)) for name in ("alike", "good_a", "good_b")
     )
-
-
-def _by_verb(pairs: DataFrame) -> dict[str, VerbAgreement]:
-    return {
-        str(verb): VerbAgreement(
-            Proportion.of(int(some.alike.sum()), len(some)),
-            Proportion.of(int(some.good_a.sum()), len(some)),
-            Proportion.of(int(some.good_b.sum()), len(some)),
-            _median(_ratios(some[some.good_a & some.good_b], "duration_s").tolist()),
-        )
-        for verb, some in pairs[pairs.legal].groupby("verb_a")
-    }
+    return VerbAgreement(alike, sim, real, _median(ratios.tolist()))
 
 
 def _median(values: Sequence[float]) -> Estimate:
@@ -372,30 +370,27 @@ def _median(values: Sequence[float]) -> Estimate:
     return Estimate(float(np.median(values)), low, high)
 
 
-def _shifts(sim: Iterable[TrialRecord], real: Iterable[TrialRecord]) -> dict[str, ErrorShift]:
+def _shifts(sim: Mapping[str, Any], real: Mapping[str, Any]) -> dict[str, ErrorShift]:
     from scipy.stats import ks_2samp
 
     found = {}
-    first, second = (errors(legal_attempts(run)) for run in (sim, real))
-    for name, values in first.items():
-        one, other = Distribution.of(values), Distribution.of(second[name])
+    for name, values in sim.items():
+        one, other = Distribution.of(values), Distribution.of(real[name])
         if one is not None and other is not None:
-            test = ks_2samp(values, second[name])
+            test = ks_2samp(values, real[name])
             found[name] = ErrorShift(one, other, float(test.statistic), float(test.pvalue))
     return found
 
 
-def _plans(sim: Iterable[TrialRecord], real: Iterable[TrialRecord]) -> list[PlanScore]:
-    one, other = (_successes(run) for run in (sim, real))
+def _plans(sim: DataFrame, real: DataFrame) -> list[PlanScore]:
+    one, other = (
+        run.physics.fillna(run.agrees.astype(float)).groupby(
+            run.context.astype(str) + ": " + run.group.astype(str)
+        )
+        for run in (sim, real)
+    )
+    shares = other.mean()
     return [
-        PlanScore(name, runs, good / runs, other[name][1] / other[name][0])
-        for name, (runs, good) in sorted(one.items())
+        PlanScore(str(name), len(found), float(found.sum()) / len(found), float(shares[name]))
+        for name, found in one
     ]
-
-
-def _successes(run: Iterable[TrialRecord]) -> dict[str, tuple[int, int]]:
-    """Return for each plan in each world its number of runs, and of those that succeed."""
-    trials = trials_frame(run)
-    good = trials.physics.fillna(trials.agrees.astype(float))
-    plans = good.groupby([trials.context.astype(str), trials.group.astype(str)])
-    return {f"{context}: {plan}": (len(found), int(found.sum())) for (context, plan), found in plans}

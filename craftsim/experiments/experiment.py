@@ -8,10 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any
 
 from craftsim.errors import DISK_ERRORS
 from craftsim.experiments.schema import ANY, Form
+from craftsim.experiments.schema import TrialRecord as TrialRecord
 from craftsim.reports.json_file import plain
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS, TRIALS, size_text
 from craftsim.workers.pool import Engine
@@ -58,25 +59,6 @@ class Failure:
 
 Answer = Done | Failure
 Work = Callable[[Any], Done]
-
-
-class TrialRecord(TypedDict):
-    """A line of ``trials.jsonl``."""
-
-    key: str
-    index: int
-    """Place of the item in the run."""
-    group: str
-    seed: int
-    context: str | None
-    episode: int | None
-    attempts: list[dict[str, Any]]
-    agrees: bool
-    error: str | None
-    """Why there is no result: what the work raised, that it took too long, or that its worker died twice."""
-    bundle: str | None
-    extra: dict[str, Any]
-    """What the work has to tell besides; ``traceback`` where it raised something."""
 
 
 Progress = Callable[[int], AbstractContextManager[Callable[[TrialRecord], None]]]

@@ -9,11 +9,11 @@ from typing import Final
 
 from craftsim.experiments.compare import ErrorShift, RealityGap
 from craftsim.experiments.intervals import Estimate, Proportion
-from craftsim.experiments.sections import changes_table, difference_text
+from craftsim.experiments.sections import bounds_text, changes_table, difference_text
+from craftsim.experiments.statistics import ERRORS
 from craftsim.reports.json_file import document
 from craftsim.reports.report import (
     Block,
-    Column,
     DataTable,
     Headline,
     KeyFigure,
@@ -21,20 +21,10 @@ from craftsim.reports.report import (
     Section,
     Tone,
     interval,
+    numbers,
     percent,
 )
 
-_ERRORS: Final = {
-    "car_error_m": "car's place, mm",
-    "heading_error_rad": "car's heading, mrad",
-    "height_error_m": "car's height, mm",
-    "placed_error_m": "place set down, mm",
-    "bystander_displacement_m": "others moved, mm",
-    "thing_heading_rad": "heading of what is handled, mrad",
-    "reach_m": "its reach out of its cell, mm",
-    "bystander_turn_rad": "others turned, mrad",
-    "drift_m": "others from where they were left, mm",
-}
 _KS_AT_5_PERCENT: Final = 1.358
 """Kolmogorov's constant: times the root of (n + m) / (n m) it is the least distance that the test finds at 5 %."""
 
@@ -78,9 +68,8 @@ def _outcomes(gap: RealityGap) -> Section:
 
 
 def _verbs(gap: RealityGap) -> Section:
-    names = ("pairs", "alike (95 %)", "good: sim", "real", "durations (95 %)")
     table = DataTable(
-        (Column("action"), *(Column(name, "number") for name in names)),
+        numbers("action", "pairs", "alike (95 %)", "good: sim", "real", "durations (95 %)"),
         [
             (
                 *(verb, one.agreement.trials, _share(one.agreement)),
@@ -96,12 +85,11 @@ def _verbs(gap: RealityGap) -> Section:
 
 
 def _errors(shifts: Mapping[str, ErrorShift]) -> Section:
-    names = ("sim median", "95th", "real median", "95th", "KS distance", "detectable", "p")
     table = DataTable(
-        (Column("error"), *(Column(name, "number") for name in names)),
+        numbers("error", "sim median", "95th", "real median", "95th", "KS distance", "detectable", "p"),
         [
             (
-                _ERRORS[name],
+                ERRORS[name],
                 *(f"{value:.3f}" for value in (one.sim.median, one.sim.p95, one.real.median, one.real.p95)),
                 *(f"{one.distance:.3f}", f"{_least_distance(one):.3f}", f"{one.p_value:.2g}"),
             )
@@ -122,22 +110,17 @@ def _least_distance(one: ErrorShift) -> float:
 def _plans(gap: RealityGap) -> Section:
     blocks: list[Block] = []
     if gap.plans:
-        names = ("runs", "success: sim", "real")
-        table = DataTable(
-            (Column("world: plan or policy"), *(Column(name, "number") for name in names)),
-            [
-                (
-                    *(one.plan, one.runs),
-                    *(
-                        _share(Proportion.of(round(rate * one.runs), one.runs))
-                        for rate in (one.sim, one.real)
-                    ),
-                )
-                for one in gap.plans
-            ],
-            "Plans and policies",
+        rates = [(one, [round(rate * one.runs) for rate in (one.sim, one.real)]) for one in gap.plans]
+        blocks.append(
+            DataTable(
+                numbers("world: plan or policy", "runs", "success: sim", "real"),
+                [
+                    (one.plan, one.runs, *(_share(Proportion.of(good, one.runs)) for good in both))
+                    for one, both in rates
+                ],
+                "Plans and policies",
+            )
         )
-        blocks.append(table)
     if gap.ranks is None:
         blocks.append("Ranks: at least three plans are needed.")
     else:
@@ -154,7 +137,4 @@ def _share(p: Proportion) -> str:
 
 
 def _estimate(one: Estimate) -> str:
-    if one.value is None:
-        return "not defined"
-    low, high = ("?" if bound is None else f"{bound:.2f}" for bound in (one.low, one.high))
-    return f"{one.value:.2f} ({low} to {high})"
+    return "not defined" if one.value is None else f"{one.value:.2f} ({bounds_text(one)})"

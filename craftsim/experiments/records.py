@@ -13,7 +13,7 @@ from typing import Any, Final, overload
 
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import TrialRecord
-from craftsim.experiments.schema import ANY, Form, manifest_of
+from craftsim.experiments.schema import ANY, Form, Manifest, manifest_of
 from craftsim.storage.limits import HEADER, SESSION
 from craftsim.storage.limits import TRIALS as TRIALS_LIMITS
 from craftsim.storage.paths import exists
@@ -35,28 +35,26 @@ _PAGE: Final = 64
 """Records that are read at once."""
 
 
-@dataclass
-class Source:
-    """Where records are read: the open database of a run, and once that has ended its file as it is then."""
-
-    database: sqlite3.Connection
-
-
 class Records(Sequence[TrialRecord]):
     """The records of a run in the order of its trials; each is read when it is asked for.
 
     They stay as they are when another run begins in the folder. Changes to a record that was given are lost.
     """
 
-    def __init__(
-        self, source: Source, where: Path, length: int, bundles: Mapping[int, str] | None = None
-    ) -> None:
-        """Take them from a source; ``bundles`` gives some of them, by index, the folders of their bundles."""
-        self._source, self._where, self._length, self._bundles = source, where, length, bundles or {}
+    def __init__(self, database: sqlite3.Connection, where: Path, length: int) -> None:
+        """Take them from the open database of a run."""
+        self._databases, self._where, self._length = [database], where, length
+        self._bundles: Mapping[int, str] = {}
 
     def with_bundles(self, bundles: Mapping[int, str]) -> Records:
         """Return the same records, some of them with the folders of bundles, by index."""
-        return Records(self._source, self._where, self._length, {**self._bundles, **bundles})
+        made = Records(self._databases[0], self._where, self._length)
+        made._databases, made._bundles = self._databases, {**self._bundles, **bundles}
+        return made
+
+    def read_from(self, database: sqlite3.Connection) -> None:
+        """Read from another database from now on, as all that were made of these do."""
+        self._databases[0] = database
 
     def __len__(self) -> int:
         return self._length
@@ -83,7 +81,7 @@ class Records(Sequence[TrialRecord]):
 
     def _some(self, first: int, end: int) -> Iterator[TrialRecord]:
         try:
-            found = texts(self._source.database, first, end)
+            found = texts(self._databases[0], first, end)
         except sqlite3.Error:
             found = []
         if len(found) != end - first:
@@ -106,12 +104,13 @@ class Records(Sequence[TrialRecord]):
         return list, (list(self),)
 
 
+@dataclass(frozen=True)
 class _Selected:
-    def __init__(self, records: Iterable[TrialRecord], wanted: Callable[[TrialRecord], bool]) -> None:
-        self._records, self._wanted = records, wanted
+    records: Iterable[TrialRecord]
+    wanted: Callable[[TrialRecord], bool]
 
     def __iter__(self) -> Iterator[TrialRecord]:
-        return filter(self._wanted, self._records)
+        return filter(self.wanted, self.records)
 
 
 def select(records: Iterable[TrialRecord], wanted: Callable[[TrialRecord], bool]) -> Iterable[TrialRecord]:
@@ -151,11 +150,11 @@ def read_finished(folder: Path, command: str, form: Form = ANY) -> Finished:
             found = _take_lines(database, folder / TRIALS, n, form)
         if found < n:
             raise InputError(f"{folder} holds an unfinished run ({found} of {n} trials); {finish}")
-    return Finished(folder, manifest, Records(Source(database), folder / DATABASE, n))
+    return Finished(folder, manifest, Records(database, folder / DATABASE, n))
 
 
 @contextmanager
-def described(folder: Path, remedy: str) -> Iterator[tuple[sqlite3.Connection, dict[str, Any]]]:
+def described(folder: Path, remedy: str) -> Iterator[tuple[sqlite3.Connection, Manifest]]:
     """Give the database in a folder, to be read alone, and what its run is.
 
     Raises InputError, with the remedy, for a folder without a run, and for what is none.
@@ -174,11 +173,14 @@ def described(folder: Path, remedy: str) -> Iterator[tuple[sqlite3.Connection, d
         yield with_tables(connected("")), old_manifest(folder)
 
 
-def old_manifest(folder: Path) -> dict[str, Any]:
+def old_manifest(folder: Path) -> Manifest:
     """Return what the run of craftsim 0.2 in a folder is; raise InputError for what says nothing of the kind."""
-    path = folder / OLD
+    return _manifest(read_bytes(folder / OLD, HEADER), folder / OLD)
+
+
+def _manifest(data: bytes, path: Path) -> Manifest:
     try:
-        return manifest_of(read_bytes(path, HEADER), f"{path}: not a run's manifest")
+        return manifest_of(data, f"{path}: not a run's manifest")
     except InputError as error:
         raise InputError(f"{error}; choose another folder") from None
 
@@ -273,14 +275,10 @@ def has_tables(database: sqlite3.Connection, path: Path) -> bool:
     return bool(found)
 
 
-def stored_manifest(database: sqlite3.Connection, path: Path) -> dict[str, Any]:
+def stored_manifest(database: sqlite3.Connection, path: Path) -> Manifest:
     """Return what a run is, as its database says; raise InputError where it does not."""
     found = [text for (text,) in database.execute("SELECT text FROM manifest LIMIT 2")]
-    data = found[0].encode() if len(found) == 1 and isinstance(found[0], str) else b""
-    try:
-        return manifest_of(data, f"{path}: not a run's manifest")
-    except InputError as error:
-        raise InputError(f"{error}; choose another folder") from None
+    return _manifest(found[0].encode() if len(found) == 1 and isinstance(found[0], str) else b"", path)
 
 
 def texts(database: sqlite3.Connection, first: int, end: int) -> list[tuple[int, str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,15 +16,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import do, limit_time, start
 from craftsim.checking.judge import Judge
 from craftsim.errors import InputError
-from craftsim.experiments.bundle import (
-    AFTER,
-    BEFORE,
-    PHYSICS,
-    TEXT,
-    Recorded,
-    physics_of,
-    state_of,
-)
+from craftsim.experiments.bundle import TEXT, Recorded, physics_of, state_of
 from craftsim.reports.json_file import versions
 from craftsim.skills.executor import Observer
 from craftsim.storage.reading import Arrays
@@ -81,9 +73,9 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
         raise InputError(f"{recorded.folder / TEXT}: {error}") from error
     physics = judge.physics
     drawn = physics_of(physics)
-    _check_shapes(recorded.folder / PHYSICS, recorded.physics, drawn)
-    for file, array in ((BEFORE, recorded.before), (AFTER, recorded.after)):
-        _check_shapes(recorded.folder / file, array, state_of(physics))
+    begun = state_of(physics)
+    for file, arrays in Recorded(recorded.folder, bundle, drawn, begun, begun).arrays.items():
+        _check_shapes(recorded.folder / file, recorded.arrays[file], arrays)
     limit_time(
         judge,
         bundle.most_s,
@@ -97,13 +89,12 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
             judge.executor.observers.append(observer)
         attempts = do(judge, bundle.recipe.steps[-1])
         after = state_of(physics)  # who watches may let it go on
-    differing: list[str] = []
-    for name, was, now in (
-        (PHYSICS, recorded.physics, drawn),
-        (BEFORE, recorded.before, before),
-        (AFTER, recorded.after, after),
-    ):
-        differing += [f"{name}: {key}" for key in now if was[key].tobytes() != now[key].tobytes()]
+    differing = [
+        f"{file}: {name}"
+        for file, arrays in Recorded(recorded.folder, bundle, drawn, before, after).arrays.items()
+        for name, array in arrays.items()
+        if recorded.arrays[file][name].tobytes() != array.tobytes()
+    ]
     if (bundle.start_s, bundle.end_s) != (before["time"], after["time"]):
         differing.append("start_s and end_s")
     if bundle.attempts != attempts:
@@ -115,9 +106,12 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
         position_m=position_m,
         angle_rad=angle_rad,
         attempts=attempts,
-        same_results=[(a.result, a.finding) for a in bundle.attempts]
-        == [(a.result, a.finding) for a in attempts],
+        same_results=_results(bundle.attempts) == _results(attempts),
     )
+
+
+def _results(attempts: Sequence[Attempt]) -> list[tuple[str, str]]:
+    return [(attempt.result, attempt.finding) for attempt in attempts]
 
 
 def _changed(was: dict[str, str]) -> dict[str, tuple[str, str]]:

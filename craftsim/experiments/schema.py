@@ -5,17 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
-from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError, create_model
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    create_model,
+    with_config,
+)
+from typing_extensions import TypedDict
 
 from craftsim.errors import InputError
 from craftsim.storage.limits import RUNS
 from craftsim.storage.reading import parse_json
 from craftsim.storage.records import first_mistake
-
-if TYPE_CHECKING:
-    from craftsim.experiments.experiment import TrialRecord
 
 STRICT: Final = ConfigDict(strict=True, allow_inf_nan=False)
 """A number is a number and no text, and finite."""
@@ -28,13 +34,13 @@ def _bundle(folder: str) -> str:
     return folder
 
 
-@dataclass(frozen=True)
-class _Record:
-    """A :class:`TrialRecord` with the conditions that hold for all commands."""
+@with_config(STRICT)
+class TrialRecord(TypedDict):
+    """A line of ``trials.jsonl``, with the conditions that hold for all commands."""
 
-    __pydantic_config__ = STRICT
     key: str
     index: Annotated[int, Field(ge=0)]
+    """Place of the item in the run."""
     group: str
     seed: int
     context: str | None
@@ -42,15 +48,16 @@ class _Record:
     attempts: list[dict[str, Any]]
     agrees: bool
     error: str | None
+    """Why there is no result: what the work raised, that it took too long, or that its worker died twice."""
     bundle: Annotated[str, AfterValidator(_bundle)] | None
     extra: dict[str, Any]
+    """What the work has to tell besides; ``traceback`` where it raised something."""
 
 
-@dataclass(frozen=True)
-class _Manifest:
+@with_config(STRICT)
+class Manifest(TypedDict):
     """What a run is."""
 
-    __pydantic_config__ = STRICT
     schema_version: int
     command: str
     seed: int
@@ -58,10 +65,11 @@ class _Manifest:
     config: dict[str, Any]
     items: Annotated[int, Field(ge=0, le=int(RUNS.high))]
     keys: str
+    """Digest of the items' keys."""
 
 
-_RECORD: Final = TypeAdapter(_Record)
-_MANIFEST: Final = TypeAdapter(_Manifest)
+_RECORD: Final = TypeAdapter(TrialRecord)
+_MANIFEST: Final = TypeAdapter(Manifest)
 
 
 @dataclass(frozen=True)
@@ -81,10 +89,9 @@ class Form:
 
     def record(self, line: bytes, where: str) -> TrialRecord:
         """Return the record that a line holds; raise InputError, beginning with ``where``, for one that is none."""
-        record: TrialRecord = parse_json(line, where)
-        _check(_RECORD, line, where)
+        record: TrialRecord = _read(_RECORD, line, where)
         if record["error"] is None:
-            _check(self._outcome, line, where)
+            _read(self._outcome, line, where)
         elif record["attempts"] or record["agrees"]:
             raise InputError(f"{where}: a trial with an error has no attempts and does not agree")
         return record
@@ -94,16 +101,16 @@ ANY: Final = Form()
 """Of trials of which nothing more is known."""
 
 
-def manifest_of(data: bytes, where: str) -> dict[str, Any]:
+def manifest_of(data: bytes, where: str) -> Manifest:
     """Return what a run is; raise InputError, beginning with ``where``, for what is no manifest."""
-    loaded: dict[str, Any] = parse_json(data, where)
-    _check(_MANIFEST, data, where)
-    return loaded
+    manifest: Manifest = _read(_MANIFEST, data, where)
+    return manifest
 
 
-def _check(wanted: TypeAdapter[Any], data: bytes, where: str) -> None:
+def _read(wanted: TypeAdapter[Any], data: bytes, where: str) -> Any:
+    parse_json(data, where)
     try:
-        wanted.validate_json(data)
+        return wanted.validate_json(data)
     except ValidationError as error:
         # What is in a file may be long, and steer a terminal.
         raise InputError(f"{where}: {first_mistake(error)}") from None

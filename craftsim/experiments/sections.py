@@ -16,6 +16,8 @@ from craftsim.experiments.compare import Comparison, Paired
 from craftsim.experiments.durations import Duration
 from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, least_detectable
 from craftsim.experiments.statistics import (
+    ERRORS,
+    Distribution,
     Figures,
     LegalityMatrix,
     MatrixRow,
@@ -23,6 +25,7 @@ from craftsim.experiments.statistics import (
     PolicyScore,
     Precision,
     Survival,
+    in_thousandths,
 )
 from craftsim.reports.json_file import plain, versions
 from craftsim.reports.plots import (
@@ -47,6 +50,7 @@ from craftsim.reports.report import (
     Section,
     Tone,
     Value,
+    numbers,
     share_cells,
 )
 
@@ -126,28 +130,18 @@ def error_tables(errors: Mapping[str, int]) -> list[Block]:
         f" {more} more kinds of error are in trials.jsonl." if more > 0 else ""
     )
     rows = list(errors.items())[:_MOST_ERRORS]
-    columns = (Column("error"), Column("trials", "number"))
-    return [DataTable(columns, rows, "Trials that did not come to an end", note)]
+    return [DataTable(numbers("error", "trials"), rows, "Trials that did not come to an end", note)]
 
 
 def precision_table(found: Precision) -> DataTable:
     """Return a table of errors."""
-    named = {
-        "car's place, mm": found.car_error_mm,
-        "car's heading, mrad": found.heading_error_mrad,
-        "car's height, mm": found.height_error_mm,
-        "place of what is set down, mm": found.placed_error_mm,
-        "heading of what is handled, mrad": found.thing_heading_mrad,
-        "its reach out of its cell, mm": found.reach_mm,
-        "movement of anything else, mm": found.bystander_displacement_mm,
-        "turn of anything else, mrad": found.bystander_turn_mrad,
-        "anything else from where it was left, mm": found.drift_mm,
-        "duration against the median of its kind, s": found.duration_error_s,
-        "peak contact force, N (all attempts)": found.peak_force_n,
+    named: dict[str, Distribution | None] = {
+        label: getattr(found, in_thousandths(name)) for name, label in ERRORS.items()
     }
-    names = ("n", "median", "95th percentile", "99th percentile", "largest")
+    named["duration against the median of its kind, s"] = found.duration_error_s
+    named["peak contact force, N (all attempts)"] = found.peak_force_n
     return DataTable(
-        (Column("error"), *(Column(name, "number") for name in names)),
+        numbers("error", "n", "median", "95th percentile", "99th percentile", "largest"),
         [
             (name, one.n, *(_figure(value) for value in (one.median, one.p95, one.p99, one.max)))
             for name, one in named.items()
@@ -200,15 +194,16 @@ def duration_blocks(table: Sequence[Duration]) -> list[Block]:
     caption = (
         "Durations of the actions that did as predicted: median, and from the 5th to the 95th percentile."
     )
-    names = ("n", "mean s", "5 %", "median", "95 %", "longest")
-    seconds = [(row.mean_s, row.p05_s, row.median_s, row.p95_s, row.max_s) for row in table]
     return [
         Drawing.of_axes(draw, rows_height_in(len(rows), 0.23), caption, "durations by kind of action"),
         DataTable(
-            (Column("kind of action"), *(Column(name, "number") for name in names)),
+            numbers("kind of action", "n", "mean s", "5 %", "median", "95 %", "longest"),
             [
-                (duration_name(row), row.n, *(f"{value:.2f}" for value in values))
-                for row, values in zip(table, seconds, strict=True)
+                (
+                    *(duration_name(row), row.n),
+                    *(f"{s:.2f}" for s in (row.mean_s, row.p05_s, row.median_s, row.p95_s, row.max_s)),
+                )
+                for row in table
             ],
             "Durations in seconds",
             "The same table is in durations.csv.",
@@ -259,9 +254,8 @@ def policies_section(figures: Figures) -> list[Section]:
         [Proportion.of(round(rate * one.episodes), one.episodes) for rate in (one.grid, one.physics)]
         for one in scores
     ]
-    names = ("episodes", "grid world", "95 % interval", "physics", "95 % interval")
     table = DataTable(
-        (Column("policy"), *(Column(name, "number") for name in names)),
+        numbers("policy", "episodes", "grid world", "95 % interval", "physics", "95 % interval"),
         [
             (one.policy, one.episodes, *share_cells(grid), *share_cells(physics))
             for one, (grid, physics) in zip(scores, shares, strict=True)
@@ -275,7 +269,7 @@ def policies_section(figures: Figures) -> list[Section]:
     if agreement is not None:
         blocks.append(
             DataTable(
-                (Column("figure"), Column("value", "number"), Column("95 % interval", "number")),
+                numbers("figure", "value", "95 % interval"),
                 [
                     ("Pearson correlation", *estimate_cells(agreement.pearson)),
                     ("Spearman correlation", *estimate_cells(agreement.spearman)),
@@ -306,8 +300,12 @@ def estimate_cells(one: Estimate) -> tuple[Value, Value]:
     """Return an estimate as two cells: its value and its interval."""
     if one.value is None:
         return "not defined", None
-    low, high = ("?" if bound is None else f"{bound:.3f}" for bound in (one.low, one.high))
-    return f"{one.value:.3f}", f"{low} to {high}"
+    return f"{one.value:.3f}", bounds_text(one, 3)
+
+
+def bounds_text(one: Estimate, digits: int = 2) -> str:
+    """Return the bounds of an estimate's interval."""
+    return " to ".join("?" if bound is None else f"{bound:.{digits}f}" for bound in (one.low, one.high))
 
 
 def difference_text(paired: Paired, first: str, second: str) -> str:
@@ -329,16 +327,15 @@ def paired_sections(comparison: Comparison | None) -> list[Section]:
     if comparison is None:
         return []
     trials = comparison.trials
-    counts = {
-        "both runs": trials.both,
-        "the earlier run alone": trials.only_first,
-        "this run alone": trials.only_second,
-        "neither": trials.neither,
-    }
     blocks: list[Block] = [
         DataTable(
-            (Column("agrees with the rules in"), Column("trials", "number")),
-            list(counts.items()),
+            numbers("agrees with the rules in", "trials"),
+            [
+                ("both runs", trials.both),
+                ("the earlier run alone", trials.only_first),
+                ("this run alone", trials.only_second),
+                ("neither", trials.neither),
+            ],
             f"{trials.pairs:,} pairs",
             f"McNemar's exact test, two-sided: p = {trials.p_value:.3g}. {trials.unpaired:,} trials that only one of "
             "the runs carried out are left out.",
@@ -370,9 +367,9 @@ def changes_table(changed: Mapping[str, tuple[Any, Any]], first: str, second: st
 
 def comparison_notes(comparison: Comparison | None) -> list[str]:
     """Return in short how the same trials went under other settings."""
-    return (
-        [] if comparison is None else [str(comparison), difference_text(comparison.trials, "there", "here")]
-    )
+    if comparison is None:
+        return []
+    return [str(comparison), difference_text(comparison.trials, "there", "here")]
 
 
 def run_notes(capped_steps: int, retried: int) -> list[str]:

@@ -44,7 +44,6 @@ from craftsim.experiments.records import (
     OLD,
     TRIALS,
     Records,
-    Source,
     as_it_is,
     checked,
     connected,
@@ -129,8 +128,7 @@ class Session:
     ) -> None:
         """Go on with what a database holds."""
         self.experiment, self.out, self.options, self.manifest = experiment, out, options, manifest
-        self._source = Source(database)
-        self.records = Records(self._source, (out or Path()) / DATABASE, len(experiment.items))
+        self.records = Records(database, (out or Path()) / DATABASE, len(experiment.items))
         """Of all trials, in their order; each can be read once its trial is done."""
         self._database, self._begun_s = database, time.perf_counter()
         self._done = bytearray(len(experiment.items))
@@ -138,11 +136,8 @@ class Session:
             self._done[number] = True
         self._doing = ""
         self._pool: Pool | None = None
-        self._last = -1
-        """The largest number in ``trials.jsonl``, or that of all trials where its lines are in no order."""
         if out is not None:
             self._export()
-            self._last = self._done.rfind(1)
             flags = os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC
             self._lines = os.open(out / TRIALS, flags)
 
@@ -188,14 +183,14 @@ class Session:
         return [self.records[number] for number in jobs]
 
     def _try(self, items: Iterable[tuple[int, Item]]) -> Iterator[TrialRecord]:
-        experiment = self.experiment
+        experiment, number = self.experiment, None
         for number, answer in self._answers(items, experiment.work, experiment.timeout_s, experiment.batch):
             text = text_of(experiment.items[number], number, answer)
             self._keep("INSERT INTO trials VALUES (?, ?)", number, text)
             self._done[number] = True
-            self._append(number, text)
+            self._append(text)
             yield json.loads(text)
-        if self._last == len(self._done) and all(self._done):
+        if number is not None and self.out is not None and all(self._done):
             self._export()
 
     def map(
@@ -258,7 +253,7 @@ class Session:
         # On a full disk what is in the log stays there for the next one to open it.
         with contextlib.suppress(sqlite3.Error):
             self._database.execute("PRAGMA journal_mode = DELETE").fetchall()
-            self._source.database = as_it_is(self.out / DATABASE)
+            self.records.read_from(as_it_is(self.out / DATABASE))
         self._database.close()
 
     def _keep(self, statement: str, *values: object) -> None:
@@ -266,7 +261,7 @@ class Session:
         with disk_errors(self.out or Path()):
             self._database.execute(statement, values)
 
-    def _append(self, number: int, text: str) -> None:
+    def _append(self, text: str) -> None:
         """Write a line, whole or not at all."""
         if self.out is None:
             return
@@ -278,7 +273,6 @@ class Session:
             except OSError:
                 os.ftruncate(self._lines, start)
                 raise
-        self._last = number if number > self._last else len(self._done)
 
     def _export(self) -> None:
         """Write the lines of all that is done in the order of the trials."""

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import warnings
-from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice, repeat, takewhile
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -27,21 +27,23 @@ if TYPE_CHECKING:
 
 RESULTS: Final = (Verdict.AS_PREDICTED, Verdict.FAILED, Verdict.SIDE_EFFECT, Verdict.UNSAFE, Verdict.SOLVER)
 """Results from the best to the worst, the order of columns; the last proves nothing."""
-ERRORS: Final = (
-    "car_error_m",
-    "heading_error_rad",
-    "height_error_m",
-    "placed_error_m",
-    "bystander_displacement_m",
-    "thing_heading_rad",
-    "reach_m",
-    "bystander_turn_rad",
-    "drift_m",
-)
-"""Fields of an attempt that say how far physics was from the prediction; older records lack the last four."""
+ERRORS: Final = {
+    "car_error_m": "car's place, mm",
+    "heading_error_rad": "car's heading, mrad",
+    "height_error_m": "car's height, mm",
+    "placed_error_m": "place of what is set down, mm",
+    "thing_heading_rad": "heading of what is handled, mrad",
+    "reach_m": "its reach out of its cell, mm",
+    "bystander_displacement_m": "movement of anything else, mm",
+    "bystander_turn_rad": "turn of anything else, mrad",
+    "drift_m": "anything else from where it was left, mm",
+}
+"""Fields of an attempt that say how far physics was from the prediction, in words; older records lack some."""
 _TEXTS: Final = ("action", "verb", "load", "result", "finding")
 _NUMBERS: Final = ("tick", "car", "level", "duration_s", "peak_force_n", *ERRORS)
 _FLAGS: Final = ("slope", "legal", "performed")
+_ROWS: Final = 10_000
+"""That wait to become columns."""
 
 
 def carried_out(records: Iterable[TrialRecord]) -> Iterator[TrialRecord]:
@@ -92,20 +94,13 @@ def legal_attempts(records: Iterable[TrialRecord]) -> DataFrame:
 
 def _frame(rows: Iterable[Sequence[Any]], numbers: Sequence[str], texts: Sequence[str]) -> DataFrame:
     """Return rows of numbers, None for NaN, and then texts, as a frame; there may be millions."""
-    from pandas import Categorical, DataFrame
+    from pandas import DataFrame, concat
 
-    columns = [array("d") for _ in numbers]
-    codes = [(array("q"), dict[str, int]()) for _ in texts]
-    for row in rows:
-        for column, value in zip(columns, row, strict=False):
-            column.append(math.nan if value is None else value)
-        for (code, known), text in zip(codes, row[len(numbers) :], strict=True):
-            code.append(known.setdefault(text, len(known)))
-    found: dict[str, Any] = dict(zip(numbers, map(np.asarray, columns), strict=True))
-    for name, (code, known) in zip(texts, codes, strict=True):
-        coded = Categorical.from_codes(np.asarray(code), list(known))
-        found[name] = coded.reorder_categories(sorted(known))
-    return DataFrame(found)
+    kinds = dict.fromkeys(numbers, float) | dict.fromkeys(texts, object)
+    parts = (list(islice(rows, _ROWS)) for rows in repeat(iter(rows)))
+    frames = [DataFrame(part, columns=list(kinds)).astype(kinds) for part in takewhile(bool, parts)]
+    found = concat(frames, ignore_index=True) if frames else DataFrame(columns=list(kinds)).astype(kinds)
+    return found.astype(dict.fromkeys(texts, "category"))
 
 
 def capped_steps(records: Iterable[TrialRecord]) -> int:
@@ -141,14 +136,9 @@ class MatrixRow:
     def of(cls, attempts: DataFrame) -> MatrixRow:
         """Count the results of some attempts."""
         found = attempts.result.value_counts()
-        return cls.counted([int(found.get(result, 0)) for result in RESULTS])
-
-    @classmethod
-    def counted(cls, counts: Sequence[int]) -> MatrixRow:
-        """Return the row of so many attempts of each of :data:`RESULTS`."""
-        good, failed, side_effect, unsafe, numerics = counts
-        trials = sum(counts)
-        return cls(trials, good, failed, side_effect, unsafe, numerics, Proportion.of(good, trials))
+        good, failed, side_effect, unsafe, numerics = (int(found.get(result, 0)) for result in RESULTS)
+        n = len(attempts)
+        return cls(n, good, failed, side_effect, unsafe, numerics, Proportion.of(good, n))
 
 
 @dataclass(frozen=True)
@@ -222,22 +212,19 @@ def drift(trials: DataFrame, attempts: DataFrame) -> dict[str, Distribution | No
 
 def precision(attempts: DataFrame) -> Precision:
     """Return the errors of some attempts."""
-    found = {name: Distribution.of(values) for name, values in errors(attempts).items()}
-    good = as_predicted(attempts)
-    deviations = [np.abs(part.duration_s - np.median(part.duration_s)) for _, part in kinds_of(good)]
+    kinds = (part.duration_s for _, part in kinds_of(as_predicted(attempts)))
+    deviations = [np.abs(seconds - np.median(seconds)) for seconds in kinds]
     return Precision(
-        car_error_mm=found["car_error_m"],
-        heading_error_mrad=found["heading_error_rad"],
-        height_error_mm=found["height_error_m"],
-        placed_error_mm=found["placed_error_m"],
-        bystander_displacement_mm=found["bystander_displacement_m"],
         duration_error_s=Distribution.of(np.concatenate([[], *deviations])),
         peak_force_n=Distribution.of(attempts.peak_force_n.dropna()),
-        thing_heading_mrad=found["thing_heading_rad"],
-        reach_mm=found["reach_m"],
-        bystander_turn_mrad=found["bystander_turn_rad"],
-        drift_mm=found["drift_m"],
+        **{in_thousandths(name): Distribution.of(values) for name, values in errors(attempts).items()},
     )
+
+
+def in_thousandths(name: str) -> str:
+    """Return what an error is called in thousandths, such as ``drift_mm`` for ``drift_m``."""
+    stem, _, unit = name.rpartition("_")
+    return f"{stem}_m{unit}"
 
 
 def errors(attempts: DataFrame) -> dict[str, NDArray[np.float64]]:
@@ -331,12 +318,10 @@ class PolicyScore:
 
 def policy_scores(trials: DataFrame) -> list[PolicyScore]:
     """Return the scores of the policies, the groups of trials that succeed or not in either world, by name."""
-    known = trials[trials.grid.notna() & trials.physics.notna()]
+    known = trials[trials.grid.notna() & trials.physics.notna()].groupby("group", observed=True)
     return [
-        PolicyScore(
-            str(policy), int(found.grid.sum()) / len(found), int(found.physics.sum()) / len(found), len(found)
-        )
-        for policy, found in known.groupby("group", observed=True)
+        PolicyScore(str(policy), float(found.grid.mean()), float(found.physics.mean()), len(found))
+        for policy, found in known
     ]
 
 
@@ -388,8 +373,9 @@ def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
     trials, attempts = trials_frame(known), attempts_frame(known)
     legal = attempts[attempts.legal]
     scores = policy_scores(trials)
-    # Of groups and verbs alike: a category without attempts has zeros.
-    by_group = legal.groupby(["group", "result"], observed=False).size().unstack(fill_value=0)
+    # A group without attempts has zeros.
+    good = (legal.result == Verdict.AS_PREDICTED).groupby(legal.group, observed=True).agg(["sum", "size"])
+    by_group = good.reindex(trials.group.cat.categories, fill_value=0)
     return Figures(
         trials=sum(1 for _ in known),
         errors=error_counts(known),
@@ -397,7 +383,7 @@ def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
         retried=retried(carried_out(known)),
         all=GroupFigures(_agree(trials), MatrixRow.of(legal).success),
         by_group={
-            str(name): GroupFigures(_agree(found), _success(by_group, str(name)))
+            str(name): GroupFigures(_agree(found), Proportion.of(*map(int, by_group.loc[name])))
             for name, found in trials.groupby("group", observed=True)
         },
         by_verb={str(verb): MatrixRow.of(found) for verb, found in legal.groupby("verb", observed=True)},
@@ -413,9 +399,3 @@ def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
 
 def _agree(trials: DataFrame) -> Proportion:
     return Proportion.of(int(trials.agrees.sum()), len(trials))
-
-
-def _success(counts: DataFrame, group: str) -> Proportion:
-    """Return the share that did as predicted, of the counts of results by group."""
-    found = counts.loc[group] if group in counts.index else {}
-    return Proportion.of(int(found.get(Verdict.AS_PREDICTED, 0)), int(sum(found)) if len(found) else 0)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,6 +74,11 @@ class Column:
     """What the name means, where it does not say so itself."""
     terminal: bool = True
     """Whether the terminal has room for it."""
+
+
+def numbers(first: str, *names: str) -> tuple[Column, ...]:
+    """Return the heads of a table of numbers, one of which is named by the first column of each row."""
+    return Column(first), *(Column(name, "number") for name in names)
 
 
 @dataclass(frozen=True)
@@ -216,21 +221,12 @@ class Report:
         return self.exit_code
 
 
-class _Share(Protocol):
-    @property
-    def rate(self) -> float | None: ...
-    @property
-    def wilson_low(self) -> float: ...
-    @property
-    def wilson_high(self) -> float: ...
-
-
 SHARE = (Column("share", "number"), Column("95 % interval", "number"))
 """The columns of :func:`share_cells`."""
 
 
-def share_cells(p: _Share) -> tuple[Value, Value]:
-    """Return a proportion as two cells: its rate with a bar, and its interval."""
+def share_cells(p: Any) -> tuple[Value, Value]:
+    """Return a :class:`~craftsim.experiments.intervals.Proportion` as two cells: its rate with a bar, its interval."""
     if p.rate is None:
         return None, None
     bar = (p.rate, p.wilson_low, p.wilson_high)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final, ParamSpec, TypeVar
 
 from craftsim.errors import InputError
-from craftsim.storage.locks import FLAGS, is_at, lock
+from craftsim.storage.writing import FLAGS, is_at, lock
 
 P = ParamSpec("P")
 R = TypeVar("R")

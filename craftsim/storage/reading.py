@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, Any, Final
 
 import numpy as np
@@ -29,7 +30,7 @@ _KINDS: Final = "biuf"
 """Kinds of the elements of arrays: booleans and numbers."""
 _PACKED: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 ARCHIVE_ERRORS: Final = (
-    *(zipfile.BadZipFile, zlib.error, OSError, struct.error),
+    *(zipfile.BadZipFile, zlib.error, OSError, struct.error, SyntaxError, TokenError),
     *(ValueError, EOFError, KeyError, RuntimeError, NotImplementedError, OverflowError),
 )
 """What zipfile and NumPy raise for archives that are none."""

@@ -1,21 +1,50 @@
-"""Writing files that are whole or as they were, whatever happens: a full disk, a kill, a mistake, another writer."""
+"""Writing files that are whole or as they were, whatever happens: a full disk, a kill, a mistake, another writer.
+
+Locks are the system's: one process at a time has one, and it ends with that process, however it ends.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
 from craftsim.errors import InputError
-from craftsim.storage.locks import FLAGS, lock
 
 LEFT_OUT_IF_EMPTY: Final = "left_out_if_empty"
 """Key of a field's metadata: a report says nothing of it where it is empty."""
 WRITERS: Final = 16
 """How many may write one file at the same time; the last to end is the one whose file stays."""
+FLAGS: Final = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+"""To open what is locked: never what a link points to, waiting for no pipe, and not for processes that one starts.
+
+For writing, since a network's file system locks nothing else."""
+
+
+def lock(number: int, path: Path) -> bool:
+    """Lock an open file until its number is closed; return whether it is ours now, and still the one at a path.
+
+    Raises OSError for a file system that has no locks.
+    """
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return is_at(number, path)
+
+
+def is_at(number: int, path: Path) -> bool:
+    """Return whether an open file is the regular one at a path."""
+    try:
+        there = path.lstat()
+    except FileNotFoundError:
+        return False
+    return stat.S_ISREG(there.st_mode) and os.path.samestat(os.fstat(number), there)
 
 
 @contextmanager

@@ -1,22 +1,101 @@
-"""What a study came to: a table by task and algorithm, statistics over all runs, plots, and the file of results."""
+"""What a study came to: a table by task and algorithm, statistics over all runs, plots, and the file of results.
+
+The statistics are those that Agarwal et al. advise ("Deep reinforcement learning at the edge of the statistical
+precipice", NeurIPS 2021). Their library rliable does not import beside pandas 3 (its dependency arch does not).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import trim_mean
 
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.storage.writing import whole
-from craftsim.studies.scores import TAUS, Runs, improvement, iqm_curve, measures, profile
 from craftsim.studies.study import Study, StudyRun
 from craftsim.training.curve import last_fifth
 
 _POINTS: Final = 60
 """Of each curve."""
+REPETITIONS: Final = 2000
+"""Of the stratified bootstrap."""
+TAUS: Final = np.linspace(0.0, 1.0, 51)
+"""Success rates at which performance profiles are drawn."""
+Runs = NDArray[np.float64]
+"""Success rates, shape (..., seeds, tasks)."""
+
+
+def iqm(runs: Runs) -> NDArray[np.float64]:
+    """Return the interquartile mean over seeds and tasks: of the middle half of all runs, shape (...)."""
+    found: NDArray[np.float64] = trim_mean(runs.reshape(*runs.shape[:-2], -1), 0.25, axis=-1)
+    return found
+
+
+MEASURES: Final[Mapping[str, Callable[[Runs], NDArray[np.float64]]]] = {
+    "iqm": iqm,
+    "mean": lambda runs: runs.mean((-2, -1)),
+    "median": lambda runs: np.median(runs.mean(-2), -1),
+    "optimality_gap": lambda runs: 1 - np.minimum(runs, 1.0).mean((-2, -1)),
+}
+"""By name: what is said of all runs of an algorithm; the median is that of the tasks' means."""
+
+
+def measures(runs: Runs) -> dict[str, list[float]]:
+    """Return every measure of an algorithm's runs (seeds, tasks), each as estimate, low and high at 95 %."""
+    drawn = _drawn(runs)
+    return {
+        name: [float(measure(runs)), *np.quantile(measure(drawn), (0.025, 0.975)).tolist()]
+        for name, measure in MEASURES.items()
+    }
+
+
+def profile(runs: Runs) -> NDArray[np.float64]:
+    """Return (3, len(TAUS)): the share of runs above each success rate, its low and its high at 95 %."""
+
+    def above(some: Runs) -> NDArray[np.float64]:
+        shares: NDArray[np.float64] = (some[..., None] > TAUS).mean((-3, -2))
+        return shares
+
+    return np.stack([above(runs), *np.quantile(above(_drawn(runs)), (0.025, 0.975), axis=0)])
+
+
+def improvement(ours: Runs, theirs: Runs) -> list[float]:
+    """Return how likely a run of ours is better than one of theirs on a task, ties by half, its low and its high."""
+
+    def better(a: Runs, b: Runs) -> NDArray[np.float64]:
+        gap = a[..., :, None, :] - b[..., None, :, :]
+        likely: NDArray[np.float64] = ((gap > 0) + 0.5 * (gap == 0)).mean((-3, -2, -1))
+        return likely
+
+    bounds = np.quantile(better(_drawn(ours), _drawn(theirs, 1)), (0.025, 0.975))
+    return [float(better(ours, theirs)), *bounds.tolist()]
+
+
+def iqm_curve(runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return (3, len(at)): the interquartile mean over runs of success after so many steps, its low and its high.
+
+    A run, a list of (steps, success), has the success of its last evaluation until then, and 0 before its first one.
+    """
+    held = np.array([[_held(run, int(step)) for step in at] for run in runs])
+    columns = np.moveaxis(_drawn(held), -1, 0)[..., None]
+    bounds = np.quantile(iqm(columns), (0.025, 0.975), axis=-1)
+    return np.stack([iqm(held.T[..., None]), *bounds])
+
+
+def _held(run: Sequence[tuple[int, float]], step: int) -> float:
+    before = [success for at, success in run if at <= step]
+    return before[-1] if before else 0.0
+
+
+def _drawn(runs: Runs, seed: int = 0) -> Runs:
+    """Return (REPETITIONS, seeds, tasks): runs drawn with replacement, those of each task by themselves."""
+    rng = np.random.default_rng(seed)
+    rows = rng.integers(len(runs), size=(REPETITIONS, *runs.shape))
+    return np.take_along_axis(np.broadcast_to(runs, rows.shape), rows, axis=1)
 
 
 def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
@@ -123,10 +202,7 @@ def _plot_curves(path: Path, study: Study, figures: dict[str, Any]) -> Path:
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         axes.set(ylim=(-0.03, 1.03), xlabel="steps", ylabel="success, IQM over seeds")
         axes.set_title(task, parse_math=False)  # the study's words may have a $ in them
-    _name_lines(figure)
-    with whole(path) as partial:
-        figure.savefig(partial, dpi=110)
-    return path
+    return _saved(figure, path)
 
 
 def _plot_profiles(path: Path, study: Study, figures: dict[str, Any]) -> Path:
@@ -138,10 +214,7 @@ def _plot_profiles(path: Path, study: Study, figures: dict[str, Any]) -> Path:
         _band(axes, TAUS, profile(_scores(study, figures["runs"], algo)), study, algo)
     axes.set(xlabel="success rate", ylabel="share of runs above it", ylim=(-0.03, 1.03))
     axes.set_title(study.title, parse_math=False)
-    _name_lines(figure)
-    with whole(path) as partial:
-        figure.savefig(partial, dpi=110)
-    return path
+    return _saved(figure, path)
 
 
 def _band(axes: Any, x: NDArray[Any], band: NDArray[np.float64], study: Study, algo: str) -> None:
@@ -152,7 +225,10 @@ def _band(axes: Any, x: NDArray[Any], band: NDArray[np.float64], study: Study, a
     axes.fill_between(x, band[1], band[2], color=line.get_color(), alpha=0.15, linewidth=0)
 
 
-def _name_lines(figure: Any) -> None:
-    """Add one legend beside all axes."""
+def _saved(figure: Any, path: Path) -> Path:
+    """Write a figure with one legend beside all axes."""
     named = {line.get_label(): line for axes in figure.axes for line in axes.get_lines()}
     figure.legend(named.values(), named.keys(), loc="outside right upper", fontsize="small")
+    with whole(path) as partial:
+        figure.savefig(partial, dpi=110)
+    return path

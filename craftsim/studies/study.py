@@ -6,7 +6,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -35,10 +35,7 @@ from craftsim.training.shape import Shape, check_stage
 
 SHIPPED: Final = Path(__file__).parents[1] / "data" / "studies"
 _SETTLED: Final = ("task", "algo", "seed")
-SETTINGS: Final = tuple(field.name for field in fields(TrainConfig) if field.name not in _SETTLED)
-"""Fields of a training configuration that a study may set."""
-
-
+"""Fields of a training configuration that a study does not set."""
 _NAME_CHARACTERS: Final = 80
 """Of a run's folder."""
 
@@ -99,18 +96,19 @@ class Study:
 
     def __post_init__(self) -> None:
         self._check_counts()
-        for key, known in {
-            "of_tasks": self.of_tasks,
-            "tests": self.tests,
-            "reference": self.reference,
-        }.items():
-            for task in known:
-                if task not in self.tasks:
-                    hint = suggestion(task[:80], self.tasks)
-                    raise ValueError(f"key '{key}.{task[:40]}': no task of the study{hint}")
-        self._check_settings("settings", self.settings, SETTINGS)
-        for task, given in self.of_tasks.items():
-            self._check_settings(f"of_tasks.{task}", given, (*SETTINGS, "steps"))
+        by_task = {"of_tasks": self.of_tasks, "tests": self.tests, "reference": self.reference}
+        for key, task in ((key, task) for key, known in by_task.items() for task in known):
+            if task not in self.tasks:
+                hint = suggestion(task[:80], self.tasks)
+                raise ValueError(f"key '{key}.{task[:40]}': no task of the study{hint}")
+        layers = {
+            "settings": self.settings,
+            **{f"of_tasks.{task}": own for task, own in self.of_tasks.items()},
+        }
+        for where, given in layers.items():
+            for key in (*_SETTLED, *(["steps"] if where == "settings" else [])):
+                if key in given:
+                    raise ValueError(f"key '{where[:60]}.{key}': the study says that itself; leave it out")
         self._check_runs()
 
     def _check_counts(self) -> None:
@@ -125,13 +123,6 @@ class Study:
         STUDY_TASKS.check(
             "tasks that are trained on or played", len({*self.tasks}.union(*self.tests.values()))
         )
-
-    def _check_settings(self, where: str, given: Mapping[str, Any], known: tuple[str, ...]) -> None:
-        for key in given:
-            if key not in known:
-                raise ValueError(
-                    f"key '{where}.{key[:40]}': unknown{suggestion(key[:80], known)}; there are {', '.join(known)}"
-                )
 
     def _check_runs(self) -> None:
         """Refuse tasks of one name, and what would fail when a run begins, or only once it has been trained."""

@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 import yaml
 
-from craftsim.audit.intended import NoPredictionError, intended
 from craftsim.audit.neighbours import nearby
 from craftsim.audit.plan import audit_plan, distribute_trials
-from craftsim.audit.situation import SCENES
+from craftsim.audit.situation import SCENES, NoPredictionError, intended
 from craftsim.audit.survey import survey
 from craftsim.checking.setup import setup_of
-from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import describe_car
 from craftsim.discrete.rules import Rules
-from craftsim.validation.audit.suspects import SUSPECTS, find
 from craftsim.validation.audit.trial import items_of
 
 RULES = ("published", "physical")
@@ -29,14 +27,9 @@ def test_every_situation_is_in_exactly_one_row(rules):
     members = [member.row for row in audit_plan(rules) for member in row.members]
     every = [*(one for one, _ in survey(rules)), *SCENES, *(near for near, _, _ in nearby(rules))]
     assert Counter(members) == Counter(situation.row for situation in every)
-    assert len({row.row for row in audit_plan(rules)}) == len(audit_plan(rules))
-
-
-@BOTH
-def test_no_two_situations_or_rows_read_alike(rules):
     rows = audit_plan(rules)
-    assert len({row.name for row in rows}) == len(rows)
-    assert len({member.id for row in rows for member in row.members}) == sum(len(row.members) for row in rows)
+    assert len({row.row for row in rows}) == len({row.name for row in rows}) == len(rows)
+    assert len({member.id for row in rows for member in row.members}) == len(members)
 
 
 @BOTH
@@ -87,13 +80,6 @@ def test_trials_are_spread_evenly_over_the_members_of_a_row():
     assert len(list(distribute_trials(row, 1))) == len(row.members)
 
 
-def test_every_suspect_has_rows():
-    for suspect, finding in zip(SUSPECTS, find([], []), strict=True):
-        assert finding.verdict == "not tried"
-        assert suspect["rows"]
-    assert len(SUSPECTS) == 14
-
-
 def _alone(car, *things) -> Grid:
     grid = Grid.empty((4, 4, 3), 1)
     grid.cars[0] = car
@@ -103,27 +89,21 @@ def _alone(car, *things) -> Grid:
     return grid
 
 
-@pytest.mark.parametrize(
-    ("grid", "action", "reason"),
-    [
-        (_alone((1, 1, 1, 0, 0, 0, 0)), Action.LIFT, "nothing to lift"),
-        (_alone((1, 1, 1, 0, 0, 0, 0)), Action.DROP, "nothing to drop"),
-        (_alone((1, 1, 1, 0, 0, 0, 0)), Action.UNFOLD, "nothing to unfold"),
+def test_where_nothing_is_intended_there_is_a_reason_and_else_the_next_cell():
+    bare, car, block = (1, 1, 1, 0, 0, 0, 0), (1, 1, 1, 0, Kind.BLOCK, 0, 0), (Kind.BLOCK, (2, 1, 1))
+    for grid, action, reason in (
+        (_alone(bare), Action.LIFT, "nothing to lift"),
+        (_alone(bare), Action.UNFOLD, "nothing to unfold"),
         (_alone((0, 1, 1, 0, 0, 0, 0)), Action.MOVE_LEFT, "the map ends there"),
-        (_alone((1, 1, 1, 0, 0, 0, 0), (Kind.WALL, (2, 1, 1))), Action.MOVE_RIGHT, "a wall is there"),
-        (_alone((1, 1, 1, 0, Kind.BLOCK, 0, 0), (Kind.BLOCK, (2, 1, 1))), Action.MOVE_RIGHT, "share a cell"),
+        (_alone(bare, (Kind.WALL, (2, 1, 1))), Action.MOVE_RIGHT, "a wall is there"),
+        (_alone(car, block), Action.MOVE_RIGHT, "share a cell"),
         (_alone((1, 1, 2, 0, 0, 0, 0), (Kind.BLOCK, (1, 1, 1))), Action.MOVE_RIGHT, "no ground"),
-    ],
-)
-def test_where_nothing_is_intended_there_is_a_reason(grid, action, reason):
-    with pytest.raises(NoPredictionError, match=reason):
-        intended(grid, 0, action)
-
-
-def test_a_forbidden_move_leads_to_the_next_cell():
-    grid = _alone((1, 1, 1, 0, 0, 0, 0), (Kind.BLOCK, (1, 1, 1)))
-    assert not Rules("physical").legal(grid, 0, Action.MOVE_FORWARD)
-    assert intended(grid, 0, Action.MOVE_FORWARD).cars[0, [CarField.X, CarField.Y]].tolist() == [1, 2]
+    ):
+        with pytest.raises(NoPredictionError, match=reason):
+            intended(grid, 0, action)
+    under = _alone(bare, (Kind.BLOCK, (1, 1, 1)))
+    assert not Rules("physical").legal(under, 0, Action.MOVE_FORWARD)
+    assert intended(under, 0, Action.MOVE_FORWARD).cars[0, :2].tolist() == [1, 2]
 
 
 def test_cars_of_scenes_are_written_as_reports_write_them():

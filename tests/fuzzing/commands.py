@@ -100,58 +100,43 @@ SLOTS = (
 braces the name of the file that a folder should hold."""
 
 
-def _written(data: bytes) -> Callable[[Path], None]:
-    return lambda path: void(path.write_bytes(data))
-
-
-def void(result: object) -> None:
-    """Drop a result."""
-
-
-def _sparse(path: Path) -> None:
-    with path.open("wb") as file:
-        file.truncate(2**40)
-
-
 def _archive(path: Path) -> None:
     with path.open("wb") as file:
         np.savez(file, a=np.zeros(3))
 
 
-FORMS: dict[str, Callable[[Path], None]] = {
+FORMS: dict[str, bytes | Callable[[Path], object]] = {
     "missing": lambda path: None,
     "folder": lambda path: path.mkdir(),
     "pipe": lambda path: os.mkfifo(path),
     "device": lambda path: path.symlink_to("/dev/zero"),
     "loop": lambda path: path.symlink_to(path.name),
     "dangling": lambda path: path.symlink_to("nowhere"),
-    "below a file": lambda path: void(path.parent.rmdir() or path.parent.touch()),
-    "empty": _written(b""),
-    "noise": lambda path: void(path.write_bytes(np.random.default_rng(0).bytes(5000))),
-    "not text": _written(b"start: \xff\xfe strip\n"),
-    "byte order mark": _written(b"\xef\xbb\xbfstart: strip\n"),
-    "other byte order": lambda path: void(path.write_text("start: strip\n", encoding="utf-16")),
-    "zeros": _written(bytes(5000)),
-    "sparse": _sparse,
+    "below a file": lambda path: path.parent.rmdir() or path.parent.touch(),
+    "empty": b"",
+    "noise": np.random.default_rng(0).bytes(5000),
+    "not text": b"start: \xff\xfe strip\n",
+    "byte order mark": b"\xef\xbb\xbfstart: strip\n",
+    "other byte order": "start: strip\n".encode("utf-16"),
+    "zeros": bytes(5000),
+    "sparse": lambda path: path.touch() or os.truncate(path, 2**40),
     "archive": _archive,
-    "json": _written(b'{"a": [1, 2, {"b": null}]}'),
-    "deep json": _written(b"[" * 10_000),
-    "numbers": _written(b"1,2,3\n4,5\n"),
-    "picture": _written(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\xff\xff\xff\xff\xff\xff\xff\xff\x08\x06\0\0\0"),
-    "packed": _written(b"\x1f\x8b\x08\0\0\0\0\0\0\xff" + b"x" * 50),
-    "bag": _written(b"\x89MCAP0\r\n" + b"\xff" * 100),
-    "deep": _written(b"start: " + b"[" * 5000),
-    "anchors": _written(b"a: &a [1, 1]\nstart: [*a, *a]\n"),
-    "tag": _written(b"start: !!python/object/apply:os.getcwd []\n"),
-    "twice": _written(b"start: strip\nstart: strip\n"),
-    "not finite": _written(b"start: .nan\narea_length: .inf\ndrive: {max_speed: .inf}\nsteps: .nan\n"),
-    "texts for numbers": _written(
-        b"area_length: '3'\ndrive: {max_speed: yes}\nsteps: true\nposition_m: [1]\n"
-    ),
-    "a list": _written(b"- 1\n- [a]\n"),
-    "a word": _written(b"strip"),
+    "json": b'{"a": [1, 2, {"b": null}]}',
+    "deep json": b"[" * 10_000,
+    "numbers": b"1,2,3\n4,5\n",
+    "picture": b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\xff\xff\xff\xff\xff\xff\xff\xff\x08\x06\0\0\0",
+    "packed": b"\x1f\x8b\x08\0\0\0\0\0\0\xff" + b"x" * 50,
+    "bag": b"\x89MCAP0\r\n" + b"\xff" * 100,
+    "deep": b"start: " + b"[" * 5000,
+    "anchors": b"a: &a [1, 1]\nstart: [*a, *a]\n",
+    "tag": b"start: !!python/object/apply:os.getcwd []\n",
+    "twice": b"start: strip\nstart: strip\n",
+    "not finite": b"start: .nan\narea_length: .inf\ndrive: {max_speed: .inf}\nsteps: .nan\n",
+    "texts for numbers": b"area_length: '3'\ndrive: {max_speed: yes}\nsteps: true\nposition_m: [1]\n",
+    "a list": b"- 1\n- [a]\n",
+    "a word": b"strip",
 }
-"""What stands at the path."""
+"""What stands at the path: its content, or what makes it."""
 NAMES: dict[str, str] = {
     "long": "x" * 300,
     "deep": "x/" * 3000,
@@ -215,7 +200,8 @@ class Case:
         if not os.path.lexists(outer):  # or once more the same
             if path.parent != folder:
                 path.parent.mkdir(parents=True)
-            FORMS[name](path)
+            made = FORMS[name]
+            path.write_bytes(made) if isinstance(made, bytes) else made(path)
         place = path if name == "below a file" and not inner else outer
         return f"{place.relative_to(folder)}{'/' if self.form.endswith(SAME) else ''}"
 

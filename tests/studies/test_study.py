@@ -16,7 +16,7 @@ from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
 from craftsim.reports.terminal import Terminal
 from craftsim.studies.report import conclusions, runs_table
-from craftsim.studies.runs import RUNS, run_study, train_and_evaluate
+from craftsim.studies.runs import RUNS, train_and_evaluate
 from craftsim.studies.study import SHIPPED, Study, read_study
 from craftsim.training.curve import CURVE_FILE, Point, read_last, write_curve
 
@@ -98,70 +98,40 @@ def test_one_seed_has_no_interval():
     assert re.match(r"ippo, all tasks: IQM 0\.\d+, optimality gap", conclusions(figures)[0])
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in SHIPPED.glob("*.yaml")))
-def test_shipped_studies_are_sound(name):
-    assert read_study(name).runs
+WRONG = {
+    ("tasks: [strip]", "tasks: [stripe]"): "no task of the study",
+    ("tasks: [strip]", "tasks: [strip, strip]"): "key 'tasks': 'strip' is given 2 times",
+    ("tasks: [strip]", "tasks: []"): "key 'tasks': has 0 entries, allowed: at least 1",
+    ("algos: [ippo]", "algos: [ppo]"): r"key 'algos\[0\]'",
+    ("seeds: 2", "seed: 2"): "unknown key 'seed'; did you mean 'seeds'",
+    ("seeds: 2", "seeds: 1001"): "key 'seeds': 1001 is out of range, allowed: 1 to 1000",
+    ("steps: 400", "steps: inf"): "key 'steps'",
+    ("title: Tiny", "title: " + 201 * "x"): "key 'title': has 201 characters, allowed: at most 200",
+    ("reference: {strip: 0.92}", "reference: {block: 0.9}"): "no task of the study",
+    ("reference: {strip: 0.92}", "reference: {strip: nan}"): "key 'reference.strip'",
+    (
+        "reference: {strip: 0.92}",
+        "of_tasks: {strip: {steps: [1]}}",
+    ): "'of_tasks.strip.steps': must be an integer",
+    ("reference: {strip: 0.92}", "of_tasks: {strip: {steps: -1}}"): "'of_tasks.strip.steps' is -1",
+    ("{worlds: 10, width: 8}", "{world: 10}"): "did you mean 'worlds'",
+    ("{worlds: 10, width: 8}", "{width: [1]}"): "settings of 'strip' by ippo: key 'width'.* not a list",
+    ("{worlds: 10, width: 8}", "{hyperparameters: {gamma: nan}}"): "key 'hyperparameters.gamma'",
+    ("{worlds: 10, width: 8}", "{stages: [designs], stage_steps: 1}"): "stage 'designs' has",
+    ("{worlds: 10, width: 8}", "{pretrained: nothere}"): "no policy 'nothere'",
+    ("{worlds: 10, width: 8}", "{shown_share: 0.9, imitate: 3}"): "leave it out",
+    ("[strip, random_strip@test]", "[designs]"): "key 'tests.strip': 'designs' has 2 cars in an area of",
+    ("[strip, random_strip@test]", "[http.server:test]"): "module:factory is code",
+    ("[strip, random_strip@test]", f"[{'x' * 1001}]"): "a name of 1001 characters; allowed: at most 1000",
+}
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("tasks: [strip]", "tasks: [stripe]", "no task of the study"),
-        ("algos: [ippo]", "algos: [ppo]", r"key 'algos\[0\]'"),
-        ("seeds: 2", "seeds: many", "key 'seeds'"),
-        ("seeds: 2", "seed: 2", "seed"),
-        ("{worlds: 10, width: 8}", "{world: 10}", "did you mean 'worlds'"),
-        ("{worlds: 10, width: 8}", "{width: 100000}", "key 'width': 100000 is out"),
-        ("reference: {strip: 0.92}", "reference: {block: 0.9}", "no task of the study"),
-        ("reference: {strip: 0.92}", "reference: {strip: nan}", "key 'reference.strip'"),
-        ("reference: {strip: 0.92}", "reference: {strip: 92}", "key 'reference.strip': 92 is out"),
-        ("steps: 400", "steps: inf", "key 'steps'"),
-        ("steps: 400", "steps: 0", "key 'steps': 0 is out of range, allowed: 1 to"),
-        ("episodes: 20", "episodes: [1]", "key 'episodes'"),
-        ("seeds: 2", "seeds: 1001", "key 'seeds': 1001 is out of range, allowed: 1 to 1000"),
-        ("seeds: 2", "until: nan", "key 'until'"),
-        ("seeds: 2", "until: 2", "key 'until': 2 is out of range, allowed: 0 to 1"),
-        ("title: Tiny", "title: " + 201 * "x", "key 'title': has 201 characters, allowed: at most 200"),
-        ("tasks: [strip]", "tasks: [strip, strip]", "key 'tasks': 'strip' is given 2 times"),
-        ("tasks: [strip]", "tasks: []", "key 'tasks': has 0 entries, allowed: at least 1"),
-        ("algos: [ippo]", "algos: [ippo, vdn, ippo]", "key 'algos': 'ippo' is given 2 times"),
-        (
-            "{strip: [strip, random_strip@test]}",
-            "{strip: []}",
-            "key 'tests.strip': has 0 entries, allowed: at least 1",
-        ),
-        (
-            "{strip: [strip, random_strip@test]}",
-            "{strip: [designs]}",
-            "key 'tests.strip': 'designs' has 2 cars in an area of",
-        ),
-        ("{worlds: 10, width: 8}", "{width: [1]}", "settings of 'strip' by ippo: key 'width'.* not a list"),
-        ("{worlds: 10, width: 8}", "{stages: 5}", "key 'stages'"),
-        ("{worlds: 10, width: 8}", "{stages: [designs], stage_steps: 1}", "stage 'designs' has"),
-        ("{worlds: 10, width: 8}", "{hyperparameters: 5}", "key 'hyperparameters'"),
-        ("{worlds: 10, width: 8}", "{hyperparameters: {gamma: nan}}", "key 'hyperparameters.gamma'"),
-        ("{worlds: 10, width: 8}", "{pretrained: nothere}", "no policy 'nothere'"),
-        ("{worlds: 10, width: 8}", "{shown_share: 0.9, imitate: 3}", "leave it out"),
-        (
-            "reference: {strip: 0.92}",
-            "of_tasks: {strip: {steps: inf}}",
-            "'of_tasks.strip.steps': must be an integer",
-        ),
-        (
-            "reference: {strip: 0.92}",
-            "of_tasks: {strip: {steps: [1]}}",
-            "'of_tasks.strip.steps': must be an integer",
-        ),
-        ("reference: {strip: 0.92}", "of_tasks: {strip: {steps: -1}}", "'of_tasks.strip.steps' is -1"),
-        ("[strip, random_strip@test]", "[http.server:test]", "module:factory is code"),
-        ("[strip, random_strip@test]", f"[{'x' * 1001}]", "a name of 1001 characters; allowed: at most 1000"),
-    ],
-)
-def test_what_is_wrong_in_a_file_is_named(old, new, said, tiny):
-    tiny.write_text(TEXT.replace(old, new))
-    with pytest.raises(InputError, match=said) as error:
-        read_study(str(tiny))
-    assert str(tiny) in str(error.value)
+def test_what_is_wrong_in_a_file_is_named(tiny):
+    for (old, new), said in WRONG.items():
+        tiny.write_text(TEXT.replace(old, new))
+        with pytest.raises(InputError, match=said) as error:
+            read_study(str(tiny))
+        assert str(tiny) in str(error.value)
 
 
 def test_a_product_that_is_too_large_is_refused_by_count_before_anything_is_made_of_it(tiny, monkeypatch):
@@ -181,71 +151,56 @@ def test_a_product_that_is_too_large_is_refused_by_count_before_anything_is_made
 START = "area_length: 4\narea_width: 4\narea_height: 2\nblock_num: 2\nslope_num: 0\nsmartcar_num: 1\n"
 
 
-def test_runs_of_tasks_from_files_lie_in_the_study_wherever_the_files_do(tmp_path, monkeypatch):
+def test_registered_tasks_and_those_from_files_have_folders_in_the_study_and_are_known_to_workers(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr("craftsim.discrete.tasks.registry._REGISTERED", {})
+    register_task(replace(make_task("strip"), name="mine"))
     for name in ("own$\\frac", "..."):
         (tmp_path / f"{name}.yaml").write_text("start: start.yaml\ngoal: platform\n")
     (tmp_path / "start.yaml").write_text(START)
     work = tmp_path / "a" / "b"
     work.mkdir(parents=True)
     monkeypatch.chdir(work)
-    tasks = ["../../own$\\frac.yaml", str(tmp_path / "....yaml")]
-    text = f"title: $\\frac\ntasks: {json.dumps(tasks)}\n"
-    Path("own.yaml").write_text(f"{text}seeds: 1\nsteps: 1\nepisodes: 2\nsettings: {{worlds: 2, width: 4}}\n")
+    settings = "seeds: 1\nsteps: 1\nepisodes: 2\nsettings: {worlds: 2, width: 4}\n"
+    tasks = ["../../own$\\frac.yaml", str(tmp_path / "....yaml"), "mine"]
+    Path("own.yaml").write_text(f"title: $\\frac\ntasks: {json.dumps(tasks)}\n{settings}")
     before = {path for path in tmp_path.rglob("*") if "out" not in path.parts}
     assert main(["study", "own.yaml", "--out", "out"]) == 1
     assert {path for path in tmp_path.rglob("*") if "out" not in path.parts} == before
-    assert sorted(str(path.parent.relative_to("out")) for path in Path("out").rglob("run.pt")) == [
-        "runs/own-frac/ippo/0",
-        "runs/task/ippo/0",
-    ]
+    runs = sorted(str(path.parent.relative_to("out")) for path in Path("out").rglob("run.pt"))
+    assert runs == ["runs/mine/ippo/0", "runs/own-frac/ippo/0", "runs/task/ippo/0"]
     report = json.loads(Path("out/report.json").read_text())
-    assert [run["error"] for run in report["figures"]["runs"]] == [None, None]
-
-
-def test_two_tasks_of_one_name_are_not_mixed_and_a_changed_one_is_noticed(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "own.yaml").write_text("start: ../start.yaml\ngoal: platform\n")
-    (tmp_path / "start.yaml").write_text(START)
-    settings = "seeds: 1\nsteps: 1\nepisodes: 2\nsettings: {worlds: 2, width: 4}\n"
-    Path("s.yaml").write_text(f"title: T\ntasks: [a/own.yaml, b/own.yaml]\n{settings}")
-    assert main(["study", "s.yaml"]) == 2
-    assert "tasks 'a/own.yaml' and 'b/own.yaml' are both called 'own'" in capsys.readouterr().err
-    Path("s.yaml").write_text(f"title: T\ntasks: [a/own.yaml]\n{settings}")
-    assert main(["study", "s.yaml"]) == 1
-    Path("start.yaml").write_text(START.replace("block_num: 2", "block_num: 3"))
-    assert main(["study", "s.yaml", "--resume"]) == 2
+    assert [run["error"] for run in report["figures"]["runs"]] == [None] * 3
+    (tmp_path / "start.yaml").write_text(START.replace("block_num: 2", "block_num: 3"))
+    assert main(["study", "own.yaml", "--out", "out", "--resume"]) == 2
     assert "digests" in capsys.readouterr().err
 
 
-def test_a_registered_task_is_known_to_the_workers(monkeypatch, tmp_path):
-    monkeypatch.setattr("craftsim.discrete.tasks.registry._REGISTERED", {})
-    register_task(replace(make_task("strip"), name="mine"))
-    study = Study(
-        title="T", tasks=("mine",), seeds=1, steps=1, episodes=1, settings={"worlds": 2, "width": 4}
-    )
-    (record,) = run_study(study, tmp_path)
-    assert (record["key"], record["error"]) == ("mine/ippo/0", None)
+def test_two_tasks_of_one_name_are_not_mixed(tmp_path):
+    (tmp_path / "start.yaml").write_text(START)
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "own.yaml").write_text("start: ../start.yaml\ngoal: platform\n")
+    names = [str(tmp_path / folder / "own.yaml") for folder in "ab"]
+    with pytest.raises(InputError, match="are both called 'own'"):
+        Study(title="T", tasks=tuple(names), settings={"worlds": 2, "width": 4})
 
 
-@pytest.mark.parametrize(
-    "text", ["", "steps\n", "steps,successes,episodes\n1,1,0\n", "steps,successes\n1,2\n", "\xff\x00"]
-)
-def test_progress_lives_with_a_curve_that_is_none(text, tmp_path):
-    (tmp_path / CURVE_FILE).write_text(text, encoding="latin-1")
-    assert read_last(tmp_path / CURVE_FILE) is None
+def test_progress_lives_with_a_curve_that_is_none(tmp_path):
+    for text in ("", "steps\n", "steps,successes,episodes\n1,1,0\n", "\xff\x00"):
+        (tmp_path / CURVE_FILE).write_text(text, encoding="latin-1")
+        assert read_last(tmp_path / CURVE_FILE) is None
 
 
-def test_a_folder_for_its_results_does_not_hide_a_shipped_study(tmp_path, monkeypatch):
+def test_a_shipped_study_is_found_by_name_and_not_hidden_by_a_folder_for_its_results(tmp_path, monkeypatch):
+    for path in SHIPPED.glob("*.yaml"):
+        assert read_study(path.stem).runs
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quick").mkdir()
     assert read_study("quick").runs
     with pytest.raises(InputError, match="not a regular file"):
         read_study(str(tmp_path))
-
-
-def test_a_study_that_is_not_there_is_named_with_those_that_are():
     with pytest.raises(
         InputError, match="there are designs, paper, paper_ippo, paper_protocol, quick, random"
     ):

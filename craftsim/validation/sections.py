@@ -30,7 +30,7 @@ from craftsim.reports.report import (
     Value,
     count,
 )
-from craftsim.validation.shrinking.campaign import ACTIONS, BLUEPRINT, Shrunk
+from craftsim.validation.minimize import ACTIONS, BLUEPRINT, Shrunk
 
 MOST_FAILURES: Final = 1000
 """Failures that a report lists."""

@@ -17,8 +17,7 @@ from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import describe_car
 from craftsim.discrete.rules import Rules
-from craftsim.validation.audit.suspects import SUSPECTS, find
-from craftsim.validation.audit.trial import items_of
+from craftsim.validation.audit import SUSPECTS, find, items_of
 
 RULES = ("published", "physical")
 BOTH = pytest.mark.parametrize("rules", RULES)

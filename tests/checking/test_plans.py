@@ -14,7 +14,7 @@ from craftsim.checking.setup import Setup, nominal_gains, set_up
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.models.sensing import EXACT
-from craftsim.validation.runs.steps import steps_of
+from craftsim.validation.rollout import steps_of
 
 RIGHT = Action.MOVE_RIGHT
 

@@ -38,7 +38,7 @@ from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE
 from craftsim.training.config import TrainConfig
 from craftsim.training.trainer import Trainer
 from craftsim.validation.forms import RUNS
-from craftsim.validation.runs.once import record_once
+from craftsim.validation.validation import record_once
 from fuzzing import campaign_folders, replays, words
 
 NAME = "planted_module:make"

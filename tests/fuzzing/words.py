@@ -15,7 +15,7 @@ from craftsim.cli import main
 from craftsim.discrete.tasks import as_task
 from craftsim.experiments.durations import Duration, read_durations, write_durations
 from craftsim.storage.limits import SEED
-from craftsim.validation.runs.policies import make_policy
+from craftsim.validation.policies import make_policy
 from fuzzing.mutations import mutated_bytes
 
 ROWS = [

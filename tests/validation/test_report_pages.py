@@ -21,9 +21,8 @@ from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.trajectory import TRAJECTORIES
 from craftsim.reports import html
 from craftsim.reports.html import write_html
-from craftsim.validation.audit.audit import Audit
-from craftsim.validation.audit.report import audit_report
-from craftsim.validation.audit.results import Results, judged_by_rules
+from craftsim.validation.audit import Audit, Results, judged_by_rules
+from craftsim.validation.audit_report import audit_report
 from craftsim.validation.report import validation_report
 from craftsim.validation.validation import Validation
 

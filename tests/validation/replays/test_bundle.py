@@ -30,7 +30,7 @@ from craftsim.experiments.bundle import (
     write_bundle,
 )
 from craftsim.experiments.replay import replay
-from craftsim.validation.audit.trial import Trial, recipe_of, try_it
+from craftsim.validation.audit import Trial, recipe_of, try_it
 from craftsim.validation.recording import record_bundle
 
 

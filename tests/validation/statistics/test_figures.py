@@ -11,7 +11,7 @@ from craftsim.errors import InputError
 from craftsim.experiments.durations import DurationKey, duration_table, read_durations, write_durations
 from craftsim.experiments.statistics import as_predicted, attempts_frame, campaign_figures, precision
 from craftsim.reports.json_file import write_report
-from craftsim.validation.audit.verdicts import Judgement, audit_rows, judge, provisional_note, verdict_counts
+from craftsim.validation.audit import Judgement, audit_rows, judge, provisional_note, verdict_counts
 
 
 def _frame(attempts):

@@ -8,22 +8,30 @@ single piece, and what stands on it, the action does as predicted, or the rules 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Final
 
 from craftsim.checking.attempt import Attempt, Thresholds
 from craftsim.checking.episode import OverrunError, Recipe, do, limit_time, start
 from craftsim.checking.setup import SEED_0, Seed, Setup, set_up
-from craftsim.discrete.files.blueprint import blueprint_text
+from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
 from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.errors import InputError
+from craftsim.experiments.bundle import Bundle, read_bundle
+from craftsim.experiments.experiment import Answer, Done, Failure, Item, TrialRecord
+from craftsim.experiments.session import Session
 from craftsim.models.randomization import NONE
+from craftsim.storage.folders import directory_within
 from craftsim.storage.limits import SHRINK_S
-from craftsim.validation.shrinking.pieces import (
+from craftsim.storage.writing import write_whole
+from craftsim.validation.counterexample import (
     WorldPart,
     cropped,
     distance,
@@ -31,7 +39,15 @@ from craftsim.validation.shrinking.pieces import (
     lowered,
     pieces_of,
     without,
+    words_of,
 )
+
+FOLDER: Final = "smallest"
+"""Of the files, within that of a campaign."""
+BLUEPRINT: Final = "smallest.yaml"
+ACTIONS: Final = "smallest.actions"
+_TIMEOUT_S: Final = 3600.0
+"""After which the search for a smallest world is given up."""
 
 MOST_TRIALS: Final = 150
 """After so many trials the search ends with the smallest world so far; as after :data:`SHRINK_S` of simulated time."""
@@ -39,6 +55,7 @@ MOST_TRIALS: Final = 150
 OnTrial = Callable[[bool], None]
 """Called after each trial: whether the action still failed."""
 
+_NUMBER: Final = re.compile(r"\d+(\.\d+)?")
 _MOVES: Final = {way: action for action, way in MOVE_DIRECTION.items()}
 
 
@@ -65,6 +82,11 @@ class Smallest:
     minimal: bool
     """Whether every piece is needed; False where the trials did not suffice."""
     trials: int
+
+    @property
+    def words(self) -> str:
+        """What fails, when, and how."""
+        return words_of(self.grid, self.action, self.attempt.result, Rules(self.setup.rules))
 
 
 class DependsError(Exception):
@@ -96,18 +118,10 @@ def failing_actions(recipe: Recipe, attempts: Sequence[Attempt], most_s: float =
 
 
 def shrink(failing: Situated, on_trial: OnTrial = lambda fails: None, most: int = MOST_TRIALS) -> Smallest:
-    """Return the smallest world in which an action still fails with the same result.
+    """Return the smallest world in which an action still fails with the same result, after so many trials at most.
 
     It is tried without noise and with the nominal physics; where it works with these, with the setup and the seed of
-    the failure.
-
-    Args:
-        failing: the action.
-        on_trial: shows what is done.
-        most: trials, at most.
-
-    Raises:
-        DependsError: the action works from a fresh start.
+    the failure. Raises DependsError for an action that works from a fresh start.
     """
     nominal = replace(failing.setup, thresholds=Thresholds(), randomization=NONE)
     trials = 0
@@ -245,3 +259,95 @@ def _parts(pieces: Sequence[WorldPart], n: int) -> Iterator[Sequence[WorldPart]]
         part = pieces[i * len(pieces) // n : (i + 1) * len(pieces) // n]
         if part:
             yield part
+
+
+@dataclass(frozen=True)
+class Shrunk:
+    """A failure in its smallest world."""
+
+    key: str
+    """Name of the trial."""
+    sentence: str
+    """When it fails, or why it could not be shrunk."""
+    rules: str
+    """The rule set that allows the action."""
+    minimal: bool
+    """Whether nothing can be taken away any more without the failure going away, too."""
+    trials: int
+    cells: tuple[int, int, int] | None
+    """Size of the smallest world; None where there is none."""
+    folder: str | None
+    """With its blueprint and its actions, relative to the campaign's."""
+
+
+ShrinkProgress = Callable[[int], AbstractContextManager[Callable[[Shrunk], None]]]
+"""Given the number of kinds, opens what is called with each one's result."""
+
+
+def shrink_bundle(bundle: Bundle, out: Path, name: str, on_trial: OnTrial = lambda fails: None) -> Shrunk:
+    """Shrink the failure of a replay bundle, and write its smallest world into the folder ``name`` of ``out``.
+
+    Raises InputError where no legal action fails, and for a folder that cannot be written.
+    """
+    rules, why = bundle.recipe.setup.rules, ""
+    for failing in failing_actions(bundle.recipe, bundle.attempts, bundle.most_s):
+        try:
+            found = shrink(failing, on_trial)
+        except DependsError as error:
+            why = why or f"car {failing.car} {failing.action.name}: {error}"
+            continue
+        folder = directory_within(out, name)
+        write_blueprint(found.grid, folder / BLUEPRINT)
+        write_whole(folder / ACTIONS, f"0 {found.action.name}\n")
+        return Shrunk(bundle.key, found.words, rules, found.minimal, found.trials, found.grid.size, name)
+    return Shrunk(bundle.key, why, rules, minimal=False, trials=0, cells=None, folder=None)
+
+
+def shrink_failures(
+    session: Session, records: Iterable[TrialRecord], progress: ShrinkProgress
+) -> tuple[Shrunk, ...]:
+    """Shrink the first failure of each kind that has a replay bundle, and write its world into :data:`FOLDER`."""
+    bundles = list(first_of_each_kind(records).values())
+    if not bundles or session.out is None:
+        return ()
+    out = session.out.resolve()
+    items = [
+        Item(bundle, FOLDER, 0, (out, bundle, f"{FOLDER}/{number:02d}"))
+        for number, bundle in enumerate(bundles)
+    ]
+    with progress(len(items)) as on_each:
+        answers = session.map(
+            *(FOLDER, items, _shrink, "looking for the smallest worlds"),
+            timeout_s=_TIMEOUT_S,
+            on_answer=lambda number, answer: on_each(_shrunk(bundles[number], answer)),
+        )
+    return tuple(_shrunk(bundle, answer) for bundle, answer in zip(bundles, answers, strict=True))
+
+
+def kind_of(reason: str) -> str:
+    """Return a reason with its numbers masked: reasons that differ only in these are of one kind."""
+    return _NUMBER.sub("#", reason)
+
+
+def first_of_each_kind(records: Iterable[TrialRecord]) -> dict[str, str]:
+    """Return the bundle of the first failure of each kind of a legal action, by the kind."""
+    found: dict[str, str] = {}
+    for record in records:
+        wrong = next((a for a in record["attempts"] if a["legal"] and a["performed"] and a["reason"]), None)
+        if wrong is not None and record["bundle"]:
+            found.setdefault(f"{wrong['verb']}: {kind_of(wrong['reason'])}", record["bundle"])
+    return found
+
+
+def _shrink(job: tuple[Path, str, str]) -> Done:
+    out, bundle, name = job
+    return Done(
+        agrees=True, extra=asdict(shrink_bundle(read_bundle(out / bundle, of_own_run=True).bundle, out, name))
+    )
+
+
+def _shrunk(bundle: str, answer: Answer) -> Shrunk:
+    if isinstance(answer, Failure):
+        return Shrunk(bundle, answer.text, "", minimal=False, trials=0, cells=None, folder=None)
+    cells = answer.extra["cells"]
+    return Shrunk(**{**answer.extra, "cells": None if cells is None else tuple(cells)})

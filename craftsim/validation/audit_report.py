@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final
 
 from craftsim.experiments.bundle import TRAJECTORY
 from craftsim.experiments.intervals import CONFIDENCE
@@ -22,7 +22,14 @@ from craftsim.experiments.sections import (
     results_table,
     run_notes,
 )
-from craftsim.experiments.statistics import Figures, Precision, capped_steps, legal_attempts, retried
+from craftsim.experiments.statistics import (
+    Figures,
+    Precision,
+    capped_steps,
+    error_counts,
+    legal_attempts,
+    retried,
+)
 from craftsim.reports.plots import BAD, CAUTION, GOOD, MUTED, rows_height_in, stacked_rows
 from craftsim.reports.report import (
     Block,
@@ -42,21 +49,20 @@ from craftsim.reports.report import (
     count,
     interval,
 )
-from craftsim.validation.audit.audit import Audit
-from craftsim.validation.audit.suspects import SuspectFinding
-from craftsim.validation.audit.verdicts import (
+from craftsim.validation.audit import (
+    MIN_TRIALS,
     SOUND_SHARE,
+    Audit,
     AuditRow,
     Judgement,
-    provisional_note,
+    SuspectFinding,
+    judged_by_rules,
     verdict_counts,
 )
 from craftsim.validation.sections import RecordedRun, case_of, recorded_section, smallest_section
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-_T = TypeVar("_T")
 
 MOST_STRIKING: Final = 6
 """Unsound rows shown before all others, of as many actions as there are."""
@@ -86,23 +92,25 @@ _INTERVAL: Final = Column(f"{100 * CONFIDENCE:.0f} % interval", tip="of the shar
 
 def audit_report(audit: Audit, out: Path, command: str) -> Report:
     """Return the report of an audit in the folder ``out``; ``command`` is how it can be run again."""
-    rows, figures = audit.results.rows, audit.figures
+    rows, figures = audit.rows, audit.figures
     found = verdict_counts(rows)
-    unsound = _striking_first(rows, Judgement.UNSOUND)
+    unsound, conservative = (_striking_first(rows, j) for j in (Judgement.UNSOUND, Judgement.CONSERVATIVE))
     first = {row.action: row for row in reversed(unsound)}
     one_each = [row for row in unsound if first[row.action] is row]
-    conservative = _striking_first(rows, Judgement.CONSERVATIVE)
-    strangest_first = [*one_each, *(row for row in unsound if row not in one_each), *conservative]
+    striking = [*one_each, *(row for row in unsound if row not in one_each), *conservative]
+    recorded = [
+        RecordedRun(row.name, f"{row.bundles[0]}/{TRAJECTORY}", False) for row in striking if row.bundles
+    ]
     sections = [
         _disagreements("Unsound", unsound),
         _disagreements("Conservative", conservative),
-        _suspects(audit.results.suspects),
+        _suspects(audit.suspects),
         _matrix(rows, figures),
         *paired_sections(audit.comparison),
         *smallest_section(audit.smallest),
         *_unsound(audit, unsound, one_each),
         *_conservative(rows, conservative),
-        *recorded_section(out, _recorded(strangest_first)),
+        *recorded_section(out, recorded),
         Section(
             "others",
             "All other rows",
@@ -116,7 +124,7 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
             [
                 results_table("By action", "action", figures.by_verb),
                 precision_table(figures.precision),
-                error_drawing(legal_attempts(audit.judged)),
+                error_drawing(legal_attempts(judged_by_rules(audit.records))),
                 *duration_blocks(figures.durations),
             ],
         ),
@@ -129,49 +137,41 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
         *comparison_notes(audit.comparison),
         *_precision(figures.precision),
     ]
-    failed = found[Judgement.UNSOUND] or any(record["error"] is not None for record in audit.records)
+    named = (Judgement.UNSOUND, Judgement.SOUND, Judgement.CONSERVATIVE, Judgement.RIGHTLY_FORBIDDEN)
+    least = min((row.trials for row in rows if row.trials), default=0)
     return Report(
         "Audit of the rules",
         f"rule set: {audit.config['rules']}",
         _headline(audit),
-        [*_key_figures(rows, figures)],
+        [
+            *(KeyFigure(f"{found[judgement]:,}", judgement.value, "rows") for judgement in named),
+            KeyFigure(f"{figures.trials:,}", "trials", f"at least {least} a row"),
+        ],
         sections,
         notes,
-        exit_code=int(bool(failed)),
+        exit_code=int(bool(found[Judgement.UNSOUND] or error_counts(audit.records))),
     )
 
 
 def _headline(audit: Audit) -> Headline:
-    rows, rules = audit.results.rows, audit.config["rules"]
-    found = verdict_counts(rows)
-    unsound, sound, conservative, forbidden = (
-        found[j]
-        for j in (Judgement.UNSOUND, Judgement.SOUND, Judgement.CONSERVATIVE, Judgement.RIGHTLY_FORBIDDEN)
-    )
-    untried, allowed = found[Judgement.NOT_TRIED], unsound + sound
-    errors = sum(record["error"] is not None for record in audit.records)
+    found, errors = verdict_counts(audit.rows), sum(error_counts(audit.records).values())
+    unsound, conservative = found[Judgement.UNSOUND], found[Judgement.CONSERVATIVE]
+    allowed = unsound + found[Judgement.SOUND]
+    few = sum(row.provisional for row in audit.rows)
     sentence = (
-        f"{rules}: {unsound:,} of {count(allowed, 'row')} that the rules allow are unsound; {conservative:,} that they "
-        f"forbid would have worked, {forbidden:,} are rightly forbidden."
+        f"{audit.config['rules']}: {unsound:,} of {count(allowed, 'row')} that the rules allow are unsound; "
+        f"{conservative:,} that they forbid would have worked, {found[Judgement.RIGHTLY_FORBIDDEN]:,} are rightly "
+        "forbidden."
     )
     sentence += f" {count(errors, 'trial')} did not come to an end." if errors else ""
-    sentence += f" {note}" if (note := provisional_note(rows)) else ""
+    if few:
+        are = "row is" if few == 1 else "rows are"
+        sentence += f" {few:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."
     if unsound:
         return Headline("Unsound", Tone.BAD, sentence)
-    if not allowed or untried:
+    if not allowed or found[Judgement.NOT_TRIED]:
         return Headline("Not decided", Tone.CAUTION, sentence)
     return Headline("Sound", Tone.GOOD, sentence)
-
-
-def _key_figures(rows: Sequence[AuditRow], figures: Figures) -> Iterator[KeyFigure]:
-    found = verdict_counts(rows)
-    for judgement in (
-        *(Judgement.UNSOUND, Judgement.SOUND),
-        *(Judgement.CONSERVATIVE, Judgement.RIGHTLY_FORBIDDEN),
-    ):
-        yield KeyFigure(f"{found[judgement]:,}", judgement.value, "rows")
-    tried = [row.trials for row in rows if row.trials]
-    yield KeyFigure(f"{figures.trials:,}", "trials", f"at least {min(tried, default=0)} a row")
 
 
 def _precision(found: Precision) -> list[str]:
@@ -214,7 +214,7 @@ def _tone(finding: SuspectFinding) -> Tone:
 
 
 def _matrix(rows: Sequence[AuditRow], figures: Figures) -> Section:
-    actions = grouped(rows, lambda row: row.action)
+    actions = _by_action(rows)
     parts = {
         judgement.value: (
             colour,
@@ -254,7 +254,7 @@ def _unsound(audit: Audit, unsound: Sequence[AuditRow], one_each: Sequence[Audit
     )
     striking = Cases([_case(row) for row in one_each][:MOST_STRIKING])
     blocks: list[Block] = [corrections, striking]
-    groups = _by_action(audit.results.rows, unsound, "allowed")
+    groups = _groups(audit.rows, unsound, "allowed")
     return [Section("unsound", title, lead, [*blocks, *groups])]
 
 
@@ -263,7 +263,7 @@ def _conservative(rows: Sequence[AuditRow], conservative: Sequence[AuditRow]) ->
         return []
     title = f"Conservative: {count(len(conservative), 'row')}"
     lead = "The rules forbid these, and they would have worked. By action."
-    return [Section("conservative", title, lead, [*_by_action(rows, conservative, "forbidden")])]
+    return [Section("conservative", title, lead, [*_groups(rows, conservative, "forbidden")])]
 
 
 def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
@@ -275,7 +275,7 @@ def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
     )
     cells = [
         (
-            f"{row.action}/{row.context}",
+            row.name,
             f"{row.as_predicted:,} of {row.trials:,}",
             *(interval(row.wilson_low, row.wilson_high), row.reason),
         )
@@ -323,35 +323,22 @@ def _striking_first(rows: Sequence[AuditRow], judgement: Judgement) -> list[Audi
     )
 
 
-def grouped(items: Iterable[_T], key: Callable[[_T], str]) -> dict[str, list[_T]]:
-    """Return items by their group, groups in the order of their names."""
-    groups: dict[str, list[_T]] = {}
-    for item in items:
-        groups.setdefault(key(item), []).append(item)
+def _by_action(rows: Iterable[AuditRow]) -> dict[str, list[AuditRow]]:
+    """Return rows by their action, in the order of the actions' names."""
+    groups: dict[str, list[AuditRow]] = {}
+    for row in rows:
+        groups.setdefault(row.action, []).append(row)
     return dict(sorted(groups.items()))
 
 
-def _by_action(rows: Sequence[AuditRow], chosen: Sequence[AuditRow], word: str) -> Iterator[Group]:
+def _groups(rows: Sequence[AuditRow], chosen: Sequence[AuditRow], word: str) -> Iterator[Group]:
     """Yield the rows chosen from all ``rows``, by action, with the films of them that there are."""
-    for action, group in grouped(chosen, lambda row: row.action).items():
+    for action, group in _by_action(chosen).items():
         tried = sum(r.action == action and r.legal == group[0].legal and r.trials > 0 for r in rows)
         title = f"{action}: {len(group):,} of {tried:,} that are {word}"
         yield Group(title, [_row_table(group), Cases([*map(_case, group)], unfilmed=0)])
 
 
 def _case(row: AuditRow) -> Case:
-    did = f"{row.as_predicted:,} of {row.trials:,} as predicted"
-    return case_of(
-        f"{row.action}/{row.context}",
-        row.verdict,
-        _TONES[Judgement(row.verdict)],
-        f"{did}; {row.reason}" if row.reason else did,
-        row.bundles[0] if row.bundles else "",
-    )
-
-
-def _recorded(rows: Iterable[AuditRow]) -> Iterator[RecordedRun]:
-    """Yield what was recorded of disagreements, if it was."""
-    for row in rows:
-        if row.bundles:
-            yield RecordedRun(f"{row.action}/{row.context}", f"{row.bundles[0]}/{TRAJECTORY}", False)
+    bundle = row.bundles[0] if row.bundles else ""
+    return case_of(row.name, row.verdict, _TONES[Judgement(row.verdict)], row.evidence, bundle)

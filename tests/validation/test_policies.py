@@ -8,7 +8,7 @@ import pytest
 
 from craftsim.discrete.tasks import as_task, make_task
 from craftsim.errors import InputError
-from craftsim.validation.runs.policies import check_policy, make_policy, policy_digest
+from craftsim.validation.policies import check_policy, make_policy, policy_digest
 
 OBSERVATIONS = {
     f"car_{i}": {

@@ -25,10 +25,8 @@ from craftsim.reports.report import (
     count,
     percent,
 )
-from craftsim.validation.margins.axes import Axis
-from craftsim.validation.margins.maps import Map, values_of
-from craftsim.validation.margins.margins import Margin, Margins
-from craftsim.validation.margins.search import SHARE, confidence
+from craftsim.validation.imperfections import Axis
+from craftsim.validation.margins import SHARE, Map, Margin, Margins, confidence, values_of
 from craftsim.validation.sections import case_of
 
 if TYPE_CHECKING:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from craftsim.checking.setup import Setup
+from craftsim.checking.setup import setup_of
 from craftsim.experiments.bundle import read_bundle
 from craftsim.models.world import PhysicsWorld
-from craftsim.validation.runs.choice import items_of, policy_pilot, subjects_of
-from craftsim.validation.runs.policies import make_policy
-from craftsim.validation.runs.run import Terms, do_run
+from craftsim.validation.choice import items_of, policy_pilot, subjects_of
+from craftsim.validation.policies import make_policy
+from craftsim.validation.rollout import Terms, do_run
 
 
 @pytest.fixture
@@ -17,7 +17,7 @@ def run_of(tmp_path):
 
     def make(place, policy):
         subjects = subjects_of([place])
-        terms = Terms(3, Setup(), tmp_path)
+        terms = Terms(3, setup_of(drive="reduced"), tmp_path)
         (item,) = items_of(subjects, [policy_pilot(policy, subjects, "ticks")], 1, terms)
         return item.job
 
@@ -56,7 +56,7 @@ def test_a_policy_sees_the_same_in_both_worlds_as_long_as_they_agree(run_of, mon
 
         return act
 
-    monkeypatch.setattr("craftsim.validation.runs.run.make_policy", watch)
+    monkeypatch.setattr("craftsim.validation.rollout.make_policy", watch)
     done = do_run(run_of("strip", "random"))
     assert done.agrees
     in_physics, by_rules = seen[: len(seen) // 2], seen[len(seen) // 2 :]

@@ -6,8 +6,8 @@ later included, takes them from its own name and unit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, reduce
 from typing import Any, Final
 
@@ -26,9 +26,10 @@ _UNITS: Final = {
     "_rad": ("mrad", 1e3, 0.1),
     "_s": ("ms", 1e3, 0.25),
     "_n": ("N", 1.0, 0.8),
+    "_share": ("%", 1e2, 0.8),
+    "": ("%", 1e2, 0.8),
 }
 """By how a figure's name ends: the unit for people, how many of them make one of the figure, the largest value."""
-_SHARE: Final = ("%", 1e2, 0.8)
 _SHAPES: Final = ("floor.tile_m", "floor.wavelength_m", "sensors.min_delay_s")
 """Figures that say how another imperfection looks, and are none by themselves."""
 
@@ -64,7 +65,7 @@ class Axis:
 
     def value(self, base: DomainRandomization) -> float:
         """Return the value that a base has."""
-        return float(_get(base, self.figure))
+        return float(reduce(getattr, self.figure.split("."), base))  # type: ignore[arg-type]
 
     def on(self, base: DomainRandomization, value: float) -> DomainRandomization:
         """Return the base with this figure at a value. Raises InputError for a value that the figure cannot have."""
@@ -77,46 +78,38 @@ class Axis:
         return f"{self.scale * value:.3g} {self.unit}"
 
 
-@dataclass(frozen=True)
-class _Said:
-    name: str = ""
-    largest: float | None = None
-    also: Mapping[str, float | None] = field(default_factory=dict)
-
-
-_SAID: Final = {
-    "motor": _Said("motor-strength"),
-    "tilt_rad": _Said("floor-tilt"),
-    "floor.lippage_m": _Said(largest=0.005),
-    "floor.unevenness_m": _Said(largest=0.01),
-    "floor.joint_m": _Said("joint-width", also={"floor.joint_depth_m": 0.001}),
-    "floor.joint_depth_m": _Said("joint-depth", 0.005, {"floor.joint_m": 0.005}),
-    "making.wheel_radius_m": _Said(largest=0.001),
-    "making.wheel_place_m": _Said(largest=0.002),
-    "making.board_m": _Said("board-height", 0.002),
-    "making.board_place_m": _Said("board-place", 0.005),
-    "making.foot_m": _Said("leg-length", 0.002),
-    "making.underside_m": _Said("underside-height", 0.002),
-    "making.pocket_m": _Said("pocket-place", 0.005),
-    "sensors.position_m": _Said("position-noise"),
-    "sensors.heading_rad": _Said("heading-noise"),
-    "sensors.position_drift_m": _Said(largest=0.01),
-    "sensors.heading_drift_rad": _Said(largest=0.02),
-    "sensors.max_delay_s": _Said("delay", also={"sensors.min_delay_s": None}),
-    "sensors.localisation_period_s": _Said(largest=0.5),
-    "sensors.lost_share": _Said("lost-localisations"),
-    "sensors.outlier_share": _Said("outliers", 0.2, {"sensors.outlier_m": 0.05}),
-    "sensors.outlier_m": _Said("outlier-size", 0.2, {"sensors.outlier_share": 0.02}),
-    "sensors.encoder_step_rad": _Said(largest=0.2),
-    "sensors.tilt_rad": _Said("tilt-noise"),
-    "sensors.board_m": _Said("board-height-noise", 0.001),
-    "sensors.board_bias_m": _Said("board-height-bias", 0.002),
-    "sensors.board_force_n": _Said("board-force-noise"),
-    "sensors.hinge_rad": _Said("hinge-noise"),
-    "sensors.undocked_share": _Said("lost-plug-contact"),
+_SAID: Final[dict[str, tuple[str, float, dict[str, float | None]]]] = {
+    "motor": ("motor-strength", 0, {}),
+    "tilt_rad": ("floor-tilt", 0, {}),
+    "floor.lippage_m": ("", 0.005, {}),
+    "floor.unevenness_m": ("", 0.01, {}),
+    "floor.joint_m": ("joint-width", 0, {"floor.joint_depth_m": 0.001}),
+    "floor.joint_depth_m": ("joint-depth", 0.005, {"floor.joint_m": 0.005}),
+    "making.wheel_radius_m": ("", 0.001, {}),
+    "making.wheel_place_m": ("", 0.002, {}),
+    "making.board_m": ("board-height", 0.002, {}),
+    "making.board_place_m": ("board-place", 0.005, {}),
+    "making.foot_m": ("leg-length", 0.002, {}),
+    "making.underside_m": ("underside-height", 0.002, {}),
+    "making.pocket_m": ("pocket-place", 0.005, {}),
+    "sensors.position_m": ("position-noise", 0, {}),
+    "sensors.heading_rad": ("heading-noise", 0, {}),
+    "sensors.position_drift_m": ("", 0.01, {}),
+    "sensors.heading_drift_rad": ("", 0.02, {}),
+    "sensors.max_delay_s": ("delay", 0, {"sensors.min_delay_s": None}),
+    "sensors.localisation_period_s": ("", 0.5, {}),
+    "sensors.lost_share": ("lost-localisations", 0, {}),
+    "sensors.outlier_share": ("outliers", 0.2, {"sensors.outlier_m": 0.05}),
+    "sensors.outlier_m": ("outlier-size", 0.2, {"sensors.outlier_share": 0.02}),
+    "sensors.encoder_step_rad": ("", 0.2, {}),
+    "sensors.tilt_rad": ("tilt-noise", 0, {}),
+    "sensors.board_m": ("board-height-noise", 0.001, {}),
+    "sensors.board_bias_m": ("board-height-bias", 0.002, {}),
+    "sensors.board_force_n": ("board-force-noise", 0, {}),
+    "sensors.hinge_rad": ("hinge-noise", 0, {}),
+    "sensors.undocked_share": ("lost-plug-contact", 0, {}),
 }
-
-
+"""By figure: a name, a largest value, and companions with their values, each where it has one of its own."""
 WORTH: Final = (
     *("lippage", "unevenness", "floor-tilt", "friction", "mass", "motor-strength", "backlash", "motor-lag"),
     *("wheel-radius", "underside-height", "pocket-place", "position-noise", "heading-noise", "position-bias"),
@@ -145,13 +138,11 @@ def axes_of(names: Sequence[str]) -> tuple[Axis, ...]:
 
 
 def _axis(figure: str) -> Axis:
-    said = _SAID.get(figure, _Said())
-    unit, scale, largest = next((u for end, u in _UNITS.items() if figure.endswith(end)), _SHARE)
-    ending = next(
-        (end for end in _UNITS if figure.endswith(end)), "_share" if figure.endswith("_share") else ""
-    )
-    name = said.name or figure.rpartition(".")[2].removesuffix(ending).replace("_", "-")
-    return Axis(name, figure, unit, scale, said.largest or largest, tuple(said.also.items()))
+    name, largest, also = _SAID.get(figure, ("", 0, {}))
+    ending = next(end for end in _UNITS if figure.endswith(end))
+    unit, scale, usual = _UNITS[ending]
+    name = name or figure.rpartition(".")[2].removesuffix(ending).replace("_", "-")
+    return Axis(name, figure, unit, scale, largest or usual, tuple(also.items()))
 
 
 def _figures(part: Any, prefix: str = "") -> Iterator[str]:
@@ -162,10 +153,6 @@ def _figures(part: Any, prefix: str = "") -> Iterator[str]:
             yield from _figures(value, f"{prefix}{one.name}.")
         else:
             yield prefix + one.name
-
-
-def _get(base: Any, figure: str) -> Any:
-    return reduce(getattr, figure.split("."), base)
 
 
 def _with(base: Any, figure: str, value: float) -> Any:

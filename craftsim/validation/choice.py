@@ -10,10 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.checking.episode import Step
 from craftsim.checking.setup import Setup, check_start
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
-from craftsim.discrete.files.plan import Plan, read_actions, read_plan
+from craftsim.discrete.files.plan import Plan, read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
@@ -25,13 +24,12 @@ from craftsim.skills.library import check_cars
 from craftsim.storage.paths import exists, resolved
 from craftsim.storage.writing import writable
 from craftsim.training.policy import is_shipped_policy
-from craftsim.validation.play.worlds import MAX_CARS, RandomWorlds
-from craftsim.validation.runs.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
-from craftsim.validation.runs.run import Run, Terms
-from craftsim.validation.runs.steps import PlanOrder, steps_of
+from craftsim.validation.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
+from craftsim.validation.rollout import By, PlanOrder, RandomPlay, Run, Terms, steps_of
+from craftsim.validation.worlds import MAX_CARS, RandomWorlds
 
 PLAY: Final = "play"
-"""Stands for random play by the rules that prefers the rare: a plan that each run draws for its world."""
+"""Stands for :class:`RandomPlay`."""
 SHIPPED: Final = "shipped"
 """Stands for the digest of what belongs to a version of craftsim."""
 
@@ -56,11 +54,9 @@ class Pilot:
     name: str
     digest: str
     """Of the files that it is made of, so that a changed one is noticed."""
-    plans: Mapping[str, tuple[Step, ...]] = field(default_factory=dict)
-    """By subject; a policy has none."""
-    policy: str | Policy = ""
-    play: PlanOrder | None = None
-    """How random play is carried out; None where something else decides."""
+    by: By
+    plans: Mapping[str, By] = field(default_factory=dict)
+    """By subject, where it has a plan of its own."""
 
 
 def subjects_of(
@@ -116,23 +112,11 @@ def check_starts(subjects: Sequence[Subject], setup: Setup, seed: int) -> None:
             check_start(PhysicsWorld(start, setup.simulation, machines=setup.machines))
 
 
-def plan_pilot(plan: Path | Plan, subject: Subject, order: PlanOrder) -> Pilot:
-    """Return what carries out a plan; raise PlanError for one that does not fit."""
-    read = plan if isinstance(plan, Plan) else read_plan(plan, subject.n_cars)
-    return _pilot(read, subject, order)
-
-
-def actions_pilot(path: Path, subject: Subject) -> Pilot:
-    """Return what tries a file's actions one after the other; raise PlanError for one that does not fit."""
-    return _pilot(read_actions(path, subject.n_cars), subject, "sequential")
-
-
-def _pilot(plan: Plan, subject: Subject, order: PlanOrder) -> Pilot:
-    return Pilot(
-        writable(plan.path.stem),
-        _digest(repr((plan.ticks, *plan.after.items()) if plan.after else plan.ticks).encode()),
-        {subject.name: steps_of(plan.ticks, order, plan.after)},
-    )
+def plan_pilot(plan: Plan, order: PlanOrder) -> Pilot:
+    """Return what carries out a plan, whatever happens."""
+    said = (plan.ticks, *plan.after.items()) if plan.after else plan.ticks
+    steps = steps_of(plan.ticks, order, plan.after)
+    return Pilot(writable(plan.path.stem), _digest(repr(said).encode()), steps)
 
 
 def policy_pilot(
@@ -142,16 +126,15 @@ def policy_pilot(
     rules: RuleSet = "physical",
     timeout_s: float = 600.0,
 ) -> Pilot:
-    """Return what does as a policy says.
+    """Return what does as a policy says; one of others is asked now what it does at the start of each world.
 
-    One of others is asked here and now what it does at the start of each world. Raises InputError where there is no
-    such policy, and where it does not answer in time with an action for each agent.
+    Raises InputError where there is no such policy, and where it does not answer in time with an action for each agent.
     """
     if not isinstance(policy, str):
         name = getattr(policy, "__name__", type(policy).__name__)
-        return Pilot(name, _digest(name.encode()), policy=policy)
+        return Pilot(name, _digest(name.encode()), policy)
     if policy == PLAY:
-        return Pilot(PLAY, SHIPPED, play=order)
+        return Pilot(PLAY, SHIPPED, RandomPlay(order))
     if policy != PLANNER:
         own = exists(policy) and not is_shipped_policy(policy)
         place = str(resolved(policy)) if own else policy
@@ -159,7 +142,7 @@ def policy_pilot(
             world = subject.world
             task = world.task(np.random.default_rng(0)) if isinstance(world, RandomWorlds) else as_task(world)
             check_policy(place, task, rules, timeout_s)
-        return Pilot(writable(policy), policy_digest(place), policy=place)
+        return Pilot(writable(policy), policy_digest(place), place)
     for subject in subjects:
         if isinstance(subject.world, RandomWorlds) or not as_task(subject.world).has_goal:
             raise InputError(
@@ -168,7 +151,7 @@ def policy_pilot(
             )
     shipped = [subject for subject in subjects if subject.world in TASK_NAMES]
     plans = {s.name: steps_of(read_plan(shipped_plan(s.name), s.n_cars).ticks, order) for s in shipped}
-    return Pilot(PLANNER, SHIPPED, plans, PLANNER)
+    return Pilot(PLANNER, SHIPPED, PLANNER, plans)
 
 
 def items_of(
@@ -179,8 +162,8 @@ def items_of(
         for subject in subjects:
             for pilot in pilots:
                 key = f"{subject.name}/{pilot.name}/{episode:04d}"
-                steps = pilot.plans.get(subject.name)
-                run = Run(key, subject.world, steps, pilot.policy, episode, terms, pilot.play)
+                by = pilot.plans.get(subject.name, pilot.by)
+                run = Run(key, subject.world, by, episode, terms)
                 yield Item(key, pilot.name, terms.seed, run, subject.name, episode)
 
 

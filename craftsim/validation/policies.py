@@ -134,12 +134,9 @@ def policy_digest(name: str) -> str:
     policy = make_policy(name, 0)
     if isinstance(policy, RandomPolicy):
         return RANDOM
-    if _is_trained(name):
-        files = [policy_file(name)]
-    else:
-        source = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
-        files = [] if source is None else [Path(source)]
-    return hashlib.sha256(b"".join(read_bytes(file, POLICY) for file in files)).hexdigest()
+    module = sys.modules.get(name.partition(":")[0])
+    file = policy_file(name) if _is_trained(name) else getattr(module, "__file__", None)
+    return hashlib.sha256(b"" if file is None else read_bytes(Path(file), POLICY)).hexdigest()
 
 
 def _is_trained(name: str) -> bool:
@@ -152,26 +149,23 @@ def _function(name: str) -> Policy:
     known = f"'{RANDOM}', '{PLANNER}', 'module:function', the path of a trained policy, or a shipped one: {shipped}"
     if not colon:
         raise InputError(f"no policy '{name}': there is no such file; allowed: {known}")
+    what = f"policy '{name}'"
     if not all(part.isidentifier() for part in (*module.split("."), function)):
-        raise InputError(f"policy '{name}': must be module:function, such as mypackage.policies:greedy")
+        raise InputError(f"{what}: must be module:function, such as mypackage.policies:greedy")
     try:
-        found = getattr(loaded := import_own(module), function)
-    except AttributeError as error:
-        if error.name != function:
-            raise InputError(f"policy '{name}': the module cannot be imported: {error}") from error
-        raise InputError(
-            f"policy '{name}': the module {module} ({place_of(loaded)}) has no '{function}'"
-        ) from None
+        loaded = import_own(module)
     except ModuleNotFoundError as error:
         raise InputError(
-            f"policy '{name}': {error}; modules are looked for in this folder too; allowed: {known}"
+            f"{what}: {error}; modules are looked for in this folder too; allowed: {known}"
         ) from error
     except _ANYTHING as error:
-        raise InputError(f"policy '{name}': module '{module}' cannot be imported: {_said(error)}") from error
+        raise InputError(f"{what}: module '{module}' cannot be imported: {_said(error)}") from error
+    found: Policy | None = getattr(loaded, function, None)
+    if found is None:
+        raise InputError(f"{what}: the module {module} ({place_of(loaded)}) has no '{function}'")
     if not callable(found):
-        raise InputError(f"policy '{name}' is a {type(found).__name__}, not a function")
-    policy: Policy = found
-    return policy
+        raise InputError(f"{what} is a {type(found).__name__}, not a function")
+    return found
 
 
 def _said(error: BaseException) -> str:

@@ -20,8 +20,9 @@ from craftsim.envs import parallel_env
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import InputError
 from craftsim.skills.disturbances import Disturbance
-from craftsim.validation import builds
-from craftsim.validation.runs.obstacles import Without
+from craftsim.validation import validation
+from craftsim.validation.replanning import Replanning, without
+from craftsim.validation.rollout import Run, Terms, do_run
 
 SETUP = setup_of(drive="reduced")
 STRIP = make_task("strip")
@@ -80,18 +81,19 @@ def test_after_a_failure_nothing_begins_any_more_if_a_plan_is_followed_until_som
     assert not others[-1].performed
 
 
-def test_cars_out_of_action_are_walls_and_plans_name_the_cars_of_the_real_world():
-    judge = set_up(_world([(1, 1, 1)], [(2, 0), (4, 2)]), SETUP)
-    seen = Without.of(judge, _task((3, 1, 1)), [0])
-    assert seen.grid.kind[2, 0, 1] == Kind.WALL
-    assert seen.grid.n_cars == 1
-    assert seen.in_real_numbers([[(0, Action.LIFT)]]) == [[(1, Action.LIFT)]]
-
-
-def test_what_stands_where_a_car_is_out_of_action_stays_if_the_design_has_it_there():
-    judge = set_up(_world([(2, 0, 1)], [(2, 0), (4, 2)]), SETUP, SEED_0)
-    assert Without.of(judge, _task((2, 0, 1)), [0]).grid.kind[2, 0, 1] == Kind.BLOCK
-    assert Without.of(judge, _task((3, 0, 1)), [0]).grid.kind[2, 0, 1] == Kind.WALL
+@pytest.mark.parametrize(
+    ("block", "goal", "there"),
+    [
+        ((1, 1, 1), (3, 1, 1), Kind.WALL),
+        ((2, 0, 1), (3, 0, 1), Kind.WALL),
+        ((2, 0, 1), (2, 0, 1), Kind.BLOCK),
+    ],
+)
+def test_cars_out_of_action_are_walls_but_where_the_design_has_what_stands_there(block, goal, there):
+    judge = set_up(_world([block], [(2, 0), (4, 2)]), SETUP, SEED_0)
+    seen, acting = without(judge, _task(goal), [0])
+    assert seen.kind[2, 0, 1] == there
+    assert (seen.n_cars, acting) == (1, (1,)), "plans are for the cars of the real world"
 
 
 def _build(out, start, goal, *words):
@@ -107,19 +109,24 @@ def files(tmp_path_factory):
     return folder
 
 
-def test_a_design_is_planned_and_built(files, tmp_path):
-    assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", "--attempts", "3") == 0
-    figures = json.loads((tmp_path / "report.json").read_text())["figures"]["builds"]
-    assert (figures["endings"], figures["replans"]) == ({"built": 1}, 0)
+@pytest.mark.parametrize(("disturb", "ended"), [(None, "built"), ("fold", "built"), ("shove", "built")])
+def test_a_design_is_planned_and_built(files, disturb, ended):
+    task = validation.read_goal(str(files / "start.yaml"), files / "goal.yaml")
+    done = do_run(Run("one", task, Replanning(3, 3, disturb), 0, Terms(0, SETUP)))
+    assert (done.extra["ended"], done.extra["physics_success"]) == (ended, True), done.extra
+    assert bool(done.extra["replans"]) == bool(done.extra["disturbed"])
 
 
 def test_a_building_whose_only_car_is_out_of_action_ends_as_given_up(files, tmp_path):
     words = ("--attempts", "3", "--disturb", "dead-car", "--trials", "1")
     assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", *words) == 1
     (record,) = map(json.loads, (tmp_path / "trials.jsonl").read_text().splitlines())
-    assert record["error"] is None
-    assert record["extra"]["ended"] == "gave up"
+    assert (record["error"], record["extra"]["ended"]) == (None, "gave up")
     assert "car 0 is out of action" in record["extra"]["disturbed"]
+    assert json.loads((tmp_path / "report.json").read_text())["figures"]["builds"]["endings"] == {
+        "gave up": 1
+    }
+    assert "Not all built" in (tmp_path / "report.html").read_text()
 
 
 def test_a_design_that_cannot_be_built_is_wrong_input(files, tmp_path, capsys):
@@ -128,7 +135,7 @@ def test_a_design_that_cannot_be_built_is_wrong_input(files, tmp_path, capsys):
 
 
 def test_a_run_to_compare_with_is_read_before_anything_is_planned(files, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(builds, "plan_building", lambda *args, **kwargs: pytest.fail("is planned"))
+    monkeypatch.setattr(validation, "plan_building", lambda *args, **kwargs: pytest.fail("is planned"))
     assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", "--baseline", "gone") == 2
     assert "gone" in capsys.readouterr().err
 

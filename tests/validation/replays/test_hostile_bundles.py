@@ -41,6 +41,14 @@ def _edit(folder, keys, value):
 
 
 EDITS = {
+    "another schema": (("schema_version",), 99, "schema_version is 99"),
+    "no steps": (("recipe", "steps"), [], "recipe.steps is empty"),
+    "an unknown action": ((*FIRST, "ticks", 0, 0, "action"), "UNFLOD", "did you mean 'UNFOLD'"),
+    "an unknown car": ((*FIRST, "ticks", 0, 0, "car"), 7, "there is no car 7"),
+    "a text for a share": (("recipe", "setup", "randomization", "mass"), "much", "recipe.setup.randomization.mass"),
+    "unknown rules": (("recipe", "setup", "rules"), "mine", "recipe.setup.rules"),
+    "half a world": (("recipe", "world"), "area_length: 3", "area_width"),
+    "anchors": (("recipe", "world"), "block: &a [*a]", "anchors"),
     "tiny steps": (SIMULATION, lambda s: s | {"timestep_s": 1e-7, "control_period_s": 1e-7}, "timestep_s': 1e-07 is"),
     "a long period": ((*SIMULATION, "control_period_s"), 4e6, "4000000.0 is out of range, allowed: 0.001 to 1"),
     "no end of settling": ((*SIMULATION, "settle_s"), 1e9, "1000000000.0 is out of range, allowed: 0 to 60"),
@@ -84,17 +92,21 @@ EDITS = {
 
 
 @pytest.mark.parametrize("name", EDITS)
-def test_a_hostile_value_is_one_message_before_any_work(name, folder, capsys):
+def test_a_hostile_value_is_one_message_before_any_work(name, folder):
     keys, value, message = EDITS[name]
     _edit(folder, keys, value)
-    words = ["replay", str(folder), "--out", str(folder / "out")]
     begun = time.process_time()
-    assert cli.main(words) == 2
-    said = capsys.readouterr().err
-    assert cli.main([*words, "--minimize"]) == 2
+    with pytest.raises(InputError, match=TEXT) as caught:
+        replay(read_bundle(folder))
+    assert message in str(caught.value)
     assert time.process_time() - begun < 10
-    assert TEXT in said
-    assert message in said
+
+
+def test_a_command_says_it_too(folder, capsys):
+    _edit(folder, ("end_s",), -1.0)
+    for words in ([], ["--minimize"]):
+        assert cli.main(["replay", str(folder), "--out", str(folder / "out"), *words]) == 2
+        assert "must be 0 or more" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

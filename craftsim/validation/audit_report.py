@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -101,6 +101,14 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
     recorded = [
         RecordedRun(row.name, f"{row.bundles[0]}/{TRAJECTORY}", False) for row in striking if row.bundles
     ]
+    flags = audit.rows_by_flag | {"no flag": sum(not flags for flags in audit.corrections.values())}
+    corrections = DataTable(
+        (Column("correction", "path"), Column("unsound rows", "number")),
+        [(flag, number) for flag, number in flags.items() if number],
+        "The rules that these come of",
+        "A correction is a difference of the physical rules from CraftEnv's; docs/rules.md says what each asks for.",
+    )
+    striking_first = corrections, Cases([_case(row) for row in one_each][:MOST_STRIKING])
     sections = [
         _disagreements("Unsound", unsound),
         _disagreements("Conservative", conservative),
@@ -108,14 +116,22 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
         _matrix(rows, figures),
         *paired_sections(audit.comparison),
         *smallest_section(audit.smallest),
-        *_unsound(audit, unsound, one_each),
-        *_conservative(rows, conservative),
+        *_groups(
+            rows, Judgement.UNSOUND, "The rules allow these, and physics refuses.", unsound, *striking_first
+        ),
+        *_groups(
+            rows, Judgement.CONSERVATIVE, "The rules forbid these, and they would have worked.", conservative
+        ),
         *recorded_section(out, recorded),
         Section(
             "others",
             "All other rows",
             "The rules and physics agree on these, or there is nothing to compare.",
-            [_others(rows, judgement) for judgement in _OTHERS if found[judgement]],
+            [
+                _row_table([row for row in rows if row.verdict == judgement], judgement.value, note)
+                for judgement, note in _OTHERS.items()
+                if found[judgement]
+            ],
         ),
         Section(
             "errors",
@@ -130,21 +146,21 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
         ),
         provenance_section(command, audit.seed, audit.config),
     ]
-    flags = ", ".join(f"{flag} {number}" for flag, number in audit.rows_by_flag.items())
+    named = ", ".join(f"{flag} {number}" for flag, number in audit.rows_by_flag.items())
     notes = [
-        *([f"unsound rows by the correction that concerns them: {flags}"] if flags else []),
+        *([f"unsound rows by the correction that concerns them: {named}"] if named else []),
         *run_notes(capped_steps(audit.records), retried(audit.records)),
         *comparison_notes(audit.comparison),
         *_precision(figures.precision),
     ]
-    named = (Judgement.UNSOUND, Judgement.SOUND, Judgement.CONSERVATIVE, Judgement.RIGHTLY_FORBIDDEN)
+    decided = (Judgement.UNSOUND, Judgement.SOUND, Judgement.CONSERVATIVE, Judgement.RIGHTLY_FORBIDDEN)
     least = min((row.trials for row in rows if row.trials), default=0)
     return Report(
         "Audit of the rules",
         f"rule set: {audit.config['rules']}",
         _headline(audit),
         [
-            *(KeyFigure(f"{found[judgement]:,}", judgement.value, "rows") for judgement in named),
+            *(KeyFigure(f"{found[judgement]:,}", judgement.value, "rows") for judgement in decided),
             KeyFigure(f"{figures.trials:,}", "trials", f"at least {least} a row"),
         ],
         sections,
@@ -193,24 +209,15 @@ def _suspects(suspects: Iterable[SuspectFinding]) -> Section:
         *(Column("suspect", "wide"), Column("verdict"), Column("evidence", "path", terminal=False)),
         *(Column("rows", "number"), Column("trials", "number")),
     )
-    rows = [
-        (
-            f"{one.number}. {one.question}",
-            Cell(one.verdict, _tone(one)),
-            *(one.evidence, one.rows, one.trials),
-        )
-        for one in suspects
-    ]
-    note = "Evidence is the clearest row of the gravest verdict."
+    rows = []
+    for one in suspects:
+        # Verdicts are listed the gravest first.
+        gravest = next((j for j in Judgement if one.verdict.split(", ")[0].endswith(f" {j}")), None)
+        verdict = Cell(one.verdict, _TONES[gravest] if gravest else Tone.MUTED)
+        rows.append((f"{one.number}. {one.question}", verdict, one.evidence, one.rows, one.trials))
+    table = DataTable(columns, rows, "Suspects", "Evidence is the clearest row of the gravest verdict.")
     lead = "Rules that were under suspicion before the audit."
-    table = DataTable(columns, rows, "Suspects", note)
     return Section("suspects", "Suspects", lead, [table], terminal=True)
-
-
-def _tone(finding: SuspectFinding) -> Tone:
-    """Return the tone of the gravest verdict; verdicts are listed in that order."""
-    gravest = next((j for j in Judgement if finding.verdict.split(", ")[0].endswith(f" {j}")), None)
-    return _TONES[gravest] if gravest else Tone.MUTED
 
 
 def _matrix(rows: Sequence[AuditRow], figures: Figures) -> Section:
@@ -237,33 +244,21 @@ def _matrix(rows: Sequence[AuditRow], figures: Figures) -> Section:
     return Section("matrix", "Rules against physics", lead, blocks)
 
 
-def _unsound(audit: Audit, unsound: Sequence[AuditRow], one_each: Sequence[AuditRow]) -> list[Section]:
-    if not unsound:
+def _groups(
+    rows: Sequence[AuditRow], judgement: Judgement, lead: str, chosen: Sequence[AuditRow], *first: Block
+) -> list[Section]:
+    """Return the rows with a verdict by action, with the films of them that there are; nothing for no row."""
+    if not chosen:
         return []
-    flags = audit.rows_by_flag | {"no flag": sum(not flags for flags in audit.corrections.values())}
-    corrections = DataTable(
-        (Column("correction", "path"), Column("unsound rows", "number")),
-        [(flag, number) for flag, number in flags.items() if number],
-        "The rules that these come of",
-        "A correction is a difference of the physical rules from CraftEnv's; docs/rules.md says what each asks for.",
-    )
-    title = f"Unsound: {count(len(unsound), 'row')}"
-    lead = (
-        "The rules allow these, and physics refuses. First the most striking row of an action each, then all of them, "
-        "by action. Replay bundles from the folder of this page."
-    )
-    striking = Cases([_case(row) for row in one_each][:MOST_STRIKING])
-    blocks: list[Block] = [corrections, striking]
-    groups = _groups(audit.rows, unsound, "allowed")
-    return [Section("unsound", title, lead, [*blocks, *groups])]
-
-
-def _conservative(rows: Sequence[AuditRow], conservative: Sequence[AuditRow]) -> list[Section]:
-    if not conservative:
-        return []
-    title = f"Conservative: {count(len(conservative), 'row')}"
-    lead = "The rules forbid these, and they would have worked. By action."
-    return [Section("conservative", title, lead, [*_groups(rows, conservative, "forbidden")])]
+    blocks, legal = [*first], chosen[0].legal
+    for action, group in _by_action(chosen).items():
+        tried = sum(row.action == action and row.legal == legal and row.trials > 0 for row in rows)
+        title = f"{action}: {len(group):,} of {tried:,} that are {'allowed' if legal else 'forbidden'}"
+        blocks.append(Group(title, [_row_table(group), Cases([*map(_case, group)], unfilmed=0)]))
+    if first:
+        lead += " First the most striking row of an action each, then all of them."
+    title = f"{judgement.value.capitalize()}: {count(len(chosen), 'row')}"
+    return [Section(judgement.value, title, f"{lead} Replay bundles from the folder of this page.", blocks)]
 
 
 def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
@@ -284,35 +279,28 @@ def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
     return Section(verdict.lower(), title, "", [DataTable(columns, cells, title)], terminal=True, page=False)
 
 
-def _bundle(row: AuditRow) -> Value:
-    bundle = row.bundles[0] if row.bundles else ""
-    return Cell(bundle, link=f"{bundle}/{TRAJECTORY}") if bundle else None
-
-
-def _row_table(rows: Iterable[AuditRow], title: str = "", note: str = "", actions: bool = False) -> DataTable:
-    """Return the table of all that is known of rows."""
-    cells = []
+def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> DataTable:
+    """Return the table of all that is known of rows; folded where all have one verdict."""
+    cells: list[tuple[Value, ...]] = []
     for row in rows:
-        bar = (row.as_predicted / row.trials, row.wilson_low, row.wilson_high) if row.trials else None
-        text = interval(row.wilson_low, row.wilson_high)
+        bundle = row.bundles[0] if row.bundles else ""
         trials, *results = result_cells(row)
-        provisional = Cell(f"{trials}, provisional", Tone.CAUTION) if row.provisional else trials
-        first: list[Value] = [row.action] if actions else []
-        last: list[Value] = [] if actions else [_bundle(row)]
-        known = Cell(text, share=bar) if bar else None
-        cells.append((*first, row.context, row.reason, provisional, *results, known, *last))
+        bar = (row.as_predicted / row.trials, row.wilson_low, row.wilson_high) if row.trials else None
+        cells.append(
+            (
+                *(row.name, row.reason),
+                Cell(f"{trials}, provisional", Tone.CAUTION) if row.provisional else trials,
+                *results,
+                Cell(interval(row.wilson_low, row.wilson_high), share=bar) if bar else None,
+                Cell(bundle, link=f"{bundle}/{TRAJECTORY}") if bundle else None,
+            )
+        )
     columns = (
-        *([Column("action", "path")] if actions else []),
-        *(Column("context", "path"), Column("physical reason", "wide"), *RESULTS, _INTERVAL),
-        *([] if actions else [Column("bundle", "path", "folder of a replay bundle: craftsim replay FOLDER")]),
+        *(Column("row", "path"), Column("physical reason", "wide"), *RESULTS, _INTERVAL),
+        Column("bundle", "path", "folder of a replay bundle: craftsim replay FOLDER"),
     )
-    return DataTable(columns, cells, title, note, folded=actions, tall=True)
-
-
-def _others(rows: Iterable[AuditRow], judgement: Judgement) -> DataTable:
-    chosen = [row for row in rows if row.verdict == judgement]
-    title = f"{judgement.value.capitalize()}: {count(len(chosen), 'row')}"
-    return _row_table(chosen, title, _OTHERS[judgement], actions=True)
+    title = f"{verdict.capitalize()}: {count(len(rows), 'row')}" if verdict else ""
+    return DataTable(columns, cells, title, note, folded=bool(verdict), tall=True)
 
 
 def _striking_first(rows: Sequence[AuditRow], judgement: Judgement) -> list[AuditRow]:
@@ -329,14 +317,6 @@ def _by_action(rows: Iterable[AuditRow]) -> dict[str, list[AuditRow]]:
     for row in rows:
         groups.setdefault(row.action, []).append(row)
     return dict(sorted(groups.items()))
-
-
-def _groups(rows: Sequence[AuditRow], chosen: Sequence[AuditRow], word: str) -> Iterator[Group]:
-    """Yield the rows chosen from all ``rows``, by action, with the films of them that there are."""
-    for action, group in _by_action(chosen).items():
-        tried = sum(r.action == action and r.legal == group[0].legal and r.trials > 0 for r in rows)
-        title = f"{action}: {len(group):,} of {tried:,} that are {word}"
-        yield Group(title, [_row_table(group), Cases([*map(_case, group)], unfilmed=0)])
 
 
 def _case(row: AuditRow) -> Case:

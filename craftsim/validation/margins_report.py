@@ -10,7 +10,6 @@ from craftsim.experiments.sections import error_tables, provenance_section
 from craftsim.experiments.statistics import error_counts
 from craftsim.reports.plots import BAD, GOOD, INK
 from craftsim.reports.report import (
-    Block,
     Cases,
     Cell,
     Column,
@@ -41,12 +40,23 @@ def margins_report(result: Margins, command: str) -> Report:
         action: [by_axis[axis.name] for axis in result.telling if axis.name in by_axis]
         for action, by_axis in result.weakest.items()
     }
-    compared = any(one.before for one in result.margins)
+    compared, trials = any(one.before for one in result.margins), result.config["trials"]
     return Report(
         "Margins",
         f"beyond --randomize {result.config['randomize']}, {result.config['setup'].machines.drive} drive",
         _headline(result),
-        [*_key_figures(result)],
+        [
+            KeyFigure(
+                f"{len({one.scenario for one in result.margins})}", "scenarios", f"{len(weakest)} actions"
+            ),
+            KeyFigure(f"{len(result.telling)}", "imperfections that matter", "to one action or more"),
+            KeyFigure(
+                f"{trials}",
+                "trials stand each margin",
+                f"{percent(confidence(trials))} sure of {percent(SHARE)}",
+            ),
+            KeyFigure(f"{sum(one.limit.tried for one in result.margins):,}", "trials in all"),
+        ],
         [
             _sheet(result),
             _first_failures(result),
@@ -83,16 +93,6 @@ def _headline(result: Margins) -> Headline:
     return Headline("Data sheet", Tone.CAUTION if lost else Tone.GOOD, sentence)
 
 
-def _key_figures(result: Margins) -> Iterator[KeyFigure]:
-    scenarios = {one.scenario for one in result.margins}
-    yield KeyFigure(f"{len(scenarios)}", "scenarios", f"{len(result.weakest)} actions")
-    yield KeyFigure(f"{len(result.telling)}", "imperfections that matter", "to one action or more")
-    trials = result.config["trials"]
-    sure = f"{percent(confidence(trials))} sure of {percent(SHARE)}"
-    yield KeyFigure(f"{trials}", "trials stand each margin", sure)
-    yield KeyFigure(f"{sum(one.limit.tried for one in result.margins):,}", "trials in all")
-
-
 def _sheet(result: Margins) -> Section:
     trials = result.config["trials"]
     note = (
@@ -109,10 +109,8 @@ def _sheet(result: Margins) -> Section:
         "The largest value of each imperfection, alone, that all trials stand in the weakest scenario of each action: "
         "by so much a machine and its floor may be worse."
     )
-    blocks: list[Block] = [
-        DataTable(columns, rows, "Margins", note),
-        *error_tables(error_counts(result.records)),
-    ]
+    table = DataTable(columns, rows, "Margins", note)
+    blocks = [table, *error_tables(error_counts(result.records))]
     return Section("sheet", "Data sheet", lead, blocks, terminal=True)
 
 
@@ -120,8 +118,7 @@ def _sheet_cell(one: Margin | None) -> Value:
     if one is None:
         return None
     tone = {"-": Tone.MUTED, "base": Tone.BAD}.get(one.number, Tone.PLAIN)
-    tip = f"{one.scenario}: {one.limit.reason}" if one.limit.reason else one.scenario
-    return Cell(one.number, tone, tip=tip)
+    return Cell(one.number, tone, tip=": ".join(filter(None, (one.scenario, one.limit.reason))))
 
 
 def _first_failures(result: Margins) -> Section:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Final
 
@@ -56,6 +57,8 @@ OnTrial = Callable[[bool], None]
 """Called after each trial: whether the action still failed."""
 
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")
+_MARGINS: Final = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 2))
+"""Empty columns round the smallest world, and levels above it."""
 _MOVES: Final = {way: action for action, way in MOVE_DIRECTION.items()}
 
 
@@ -147,31 +150,28 @@ class _Search:
         self.left_s = SHRINK_S
         self.known: dict[str, bool] = {}
         self.attempt: Attempt | None = None
-        self.result: str | None = None
-        self.action, self.size = failing.action, failing.grid.size
-        self.pieces = pieces_of(failing.grid, failing.car)
-        self.drawn = True
-        start = grid_of(self.pieces, self.size)
+        self.pieces, self.size = pieces_of(failing.grid, failing.car), failing.grid.size
+        self.action = failing.action
         # What play led to need not be what a drawing may show; then no smaller world need be.
-        self.drawn = "snapshot:" not in blueprint_text(start)
+        self.drawn = "snapshot:" not in blueprint_text(grid_of(self.pieces, self.size))
         self.fails(self.pieces, self.size, self.action)
 
     def run(self, trials_before: int) -> Smallest:
-        """Take away what is not needed, and return what is left."""
-        while True:
+        """Take away what is not needed, bring what is left down, crop the map, and return it."""
+        self._remove()
+        while self._simplify():
             self._remove()
-            if not self._simplify():
+        quarters, action = -self.pieces[0].yaw, self.action
+        if action in MOVE_DIRECTION:
+            action = _MOVES[(MOVE_DIRECTION[action] + quarters) % 4]
+        heading_x = tuple(piece.turned(quarters) for piece in self.pieces)
+        crops = product(((heading_x, action), (self.pieces, self.action)), _MARGINS)
+        for (pieces, act), margins in crops:
+            if self.fails(*cropped(pieces, *margins), act):
                 break
-        self._crop()
         assert self.attempt is not None
-        return Smallest(
-            grid_of(self.pieces, self.size),
-            self.action,
-            self.attempt,
-            self.setup,
-            self.trials < self.most,
-            self.trials + trials_before,
-        )
+        grid, minimal = grid_of(self.pieces, self.size), self.trials < self.most
+        return Smallest(grid, self.action, self.attempt, self.setup, minimal, self.trials + trials_before)
 
     def fails(self, pieces: Sequence[WorldPart], size: Cell, action: Action) -> bool:
         """Return whether the action of the first piece is legal in a world and fails; remember that world if so."""
@@ -181,14 +181,13 @@ class _Search:
         if key not in self.known:
             if self.trials >= self.most:
                 return False
-            self.known[key] = self._try(grid, text, action)
+            hopeless = self.drawn and "snapshot:" in text
+            self.known[key] = not hopeless and self.rules.legal(grid, 0, action) and self._try(grid, action)
         if self.known[key]:
             self.pieces, self.size, self.action = tuple(pieces), size, action
         return self.known[key]
 
-    def _try(self, grid: Grid, text: str, action: Action) -> bool:
-        if (self.drawn and "snapshot:" in text) or not self.rules.legal(grid, 0, action):
-            return False
+    def _try(self, grid: Grid, action: Action) -> bool:
         judge = set_up(grid, self.setup, self.seed)
         if judge.problems or not judge.grid.same_visible(grid):
             return False
@@ -200,9 +199,9 @@ class _Search:
             self.trials = self.most
             return False
         self.left_s -= passed_s()
-        fails = not attempt.agrees and self.result in (None, attempt.result)
+        fails = not attempt.agrees and (self.attempt is None or self.attempt.result == attempt.result)
         if fails:
-            self.attempt, self.result = attempt, attempt.result
+            self.attempt = attempt
         self.on_trial(fails)
         return fails
 
@@ -210,9 +209,9 @@ class _Search:
         """Take away parts of what stands around, smaller and smaller ones."""
         n = 2
         while others := self._others():
-            n = min(n, len(others))
-            before = len(self.pieces)
-            for part in _parts(others, n):
+            n, before = min(n, len(others)), len(self.pieces)
+            for i in range(n):
+                part = others[i * len(others) // n : (i + 1) * len(others) // n]
                 keep = without(self.pieces, part)
                 if len(keep) < len(self.pieces):
                     self.fails(keep, self.size, self.action)
@@ -232,33 +231,12 @@ class _Search:
     def _simplify(self) -> bool:
         """Take a load off, or bring all down by a level; return whether one of these leaves the failure."""
         for place, piece in enumerate(self.pieces):
-            if piece.load == Kind.AIR:
-                continue
             bare = replace(piece, load=Kind.AIR, load_yaw=0)
-            if self.fails((*self.pieces[:place], bare, *self.pieces[place + 1 :]), self.size, self.action):
+            pieces = (*self.pieces[:place], bare, *self.pieces[place + 1 :])
+            if piece.load != Kind.AIR and self.fails(pieces, self.size, self.action):
                 return True
         lower = lowered(self.pieces)
         return bool(lower) and self.fails(lower, self.size, self.action)
-
-    def _crop(self) -> None:
-        """Crop the map, and let the car head +x if it fails that way, too."""
-        quarters = -self.pieces[0].yaw
-        turned = tuple(piece.turned(quarters) for piece in self.pieces)
-        action = self.action
-        if action in MOVE_DIRECTION:
-            action = _MOVES[(MOVE_DIRECTION[action] + quarters) % 4]
-        for pieces, act in ((turned, action), (self.pieces, self.action)):
-            for margin, above in ((0, 0), (1, 0), (0, 1), (1, 1), (2, 2)):
-                if self.fails(*cropped(pieces, margin, above), act):
-                    return
-
-
-def _parts(pieces: Sequence[WorldPart], n: int) -> Iterator[Sequence[WorldPart]]:
-    """Yield n parts of nearly equal size."""
-    for i in range(n):
-        part = pieces[i * len(pieces) // n : (i + 1) * len(pieces) // n]
-        if part:
-            yield part
 
 
 @dataclass(frozen=True)

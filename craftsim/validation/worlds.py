@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -167,10 +166,10 @@ class _Drawing:
 
     def _cars(self, n_cars: int) -> None:
         """Put all cars down, one after the other, and let some carry something."""
-        kinds, shares = list(_Place), [place.share for place in _Place]
-        drawn = [kinds[i] for i in self.rng.choice(len(kinds), _TRIES, p=shares).tolist()]
+        shares = [place.share for place in _PLACES]
+        drawn = [_PLACES[i] for i in self.rng.choice(len(_PLACES), _TRIES, p=shares).tolist()]
         # Those on ramps come first, while their ways are free.
-        wanted = sorted(drawn[:n_cars], key=lambda place: place.on_the_way, reverse=True) + drawn[n_cars:]
+        wanted = sorted(drawn[:n_cars], key=lambda place: place.at_ramp, reverse=True) + drawn[n_cars:]
         places: list[_Place] = []
         for place in wanted:
             if len(places) < n_cars and _put_car(self.grid, len(places), place, self.rng):
@@ -180,27 +179,28 @@ class _Drawing:
             _put_load(self.grid, car, place, self.rng)
 
 
-class _Place(Enum):
-    """Where a car starts; with how likely that is, and how likely it carries something there."""
+class _Place(NamedTuple):
+    """Where a car starts."""
 
-    ON_TOP = (0.2, 0.4)
-    """On the ground or on top of a stack, the highest included, where it is above the top level."""
-    UNDER = (0.15, 0.0)
-    """Under a block or a flag, in a stack or not."""
-    UNDER_SLOPE = (0.1, 0.0)
-    """Under a slope, folded or not."""
-    ON_RAMP = (0.2, 0.5)
-    """On the foot or over the body of a ramp, up or down."""
-    AT_RAMP = (0.35, 0.5)
-    """Before the foot or on the landing of a ramp, about to drive it."""
+    share: float
+    """How likely it starts there."""
+    loaded: float
+    """How likely it carries something there."""
+    at_ramp: bool = False
+    """Whether it is on a ramp, or before one."""
 
-    def __init__(self, share: float, loaded: float) -> None:
-        self.share, self.loaded = share, loaded
 
-    @property
-    def on_the_way(self) -> bool:
-        """Whether it is on a ramp or before one."""
-        return self in (_Place.ON_RAMP, _Place.AT_RAMP)
+_ON_TOP: Final = _Place(0.2, 0.4)
+"""On the ground or on top of a stack, the highest included, where it is above the top level."""
+_UNDER: Final = _Place(0.15, 0.0)
+"""Under a block or a flag, in a stack or not."""
+_UNDER_SLOPE: Final = _Place(0.1, 0.0)
+"""Under a slope, folded or not."""
+_ON_RAMP: Final = _Place(0.2, 0.5, True)
+"""On the foot or over the body of a ramp, up or down."""
+_BEFORE_RAMP: Final = _Place(0.35, 0.5, True)
+"""Before the foot or on the landing of a ramp, about to drive it."""
+_PLACES: Final = (_ON_TOP, _UNDER, _UNDER_SLOPE, _ON_RAMP, _BEFORE_RAMP)
 
 
 def _put_car(grid: Grid, car: int, place: _Place, rng: np.random.Generator) -> bool:
@@ -247,27 +247,20 @@ def _cells(grid: Grid, place: _Place) -> list[_Start]:
         cell = (x, y, z + 1)
         here, below = grid.kind_at(cell), grid.kind_at((x, y, z))
         along = int(grid.yaw[cell]) if z < height else 0
-        match place:
-            case _Place.ON_TOP:
-                if here == Kind.AIR and below in (Kind.GROUND, Kind.BLOCK):
-                    found.append(_Start(cell))
-            case _Place.UNDER:
-                if here in (Kind.BLOCK, Kind.FLAG):
-                    found.append(_Start(cell))
-            case _Place.UNDER_SLOPE:
-                if here in (Kind.FSLOPE, Kind.BODY):
-                    found.append(_Start(cell, ((along + 2) % 4,)))
-            case _Place.ON_RAMP:
-                if here == Kind.BODY:
-                    foot, both = beside(cell, along), (along, (along + 2) % 4)
-                    found.append(_Start(foot, both, 1, _way(cell, along)))
-                    if grid.kind_at((x, y, z + 2)) == Kind.AIR:
-                        found.append(_Start((x, y, z + 2), both, 2, _way(cell, along)))
-            case _Place.AT_RAMP:
-                if here == Kind.BODY:
-                    end, landing = beside(beside(cell, along), along), beside((x, y, z + 2), along + 2)
-                    for there, yaw in ((end, (along + 2) % 4), (landing, along)):
-                        found += [_Start(there, (yaw,), 0, _way(cell, along))] if _free(grid, there) else []
+        on_top = place is _ON_TOP and here == Kind.AIR and below in (Kind.GROUND, Kind.BLOCK)
+        if on_top or (place is _UNDER and here in (Kind.BLOCK, Kind.FLAG)):
+            found.append(_Start(cell))
+        elif place is _UNDER_SLOPE and here in (Kind.FSLOPE, Kind.BODY):
+            found.append(_Start(cell, ((along + 2) % 4,)))
+        elif place.at_ramp and here == Kind.BODY:
+            way, up, above = _way(cell, along), (along + 2) % 4, (x, y, z + 2)
+            if place is _ON_RAMP:
+                found.append(_Start(beside(cell, along), (along, up), 1, way))
+                if grid.kind_at(above) == Kind.AIR:
+                    found.append(_Start(above, (along, up), 2, way))
+                continue
+            ends = ((beside(beside(cell, along), along), up), (beside(above, up), along))
+            found += [_Start(there, (yaw,), 0, way) for there, yaw in ends if _free(grid, there)]
     return found
 
 

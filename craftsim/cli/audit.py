@@ -73,9 +73,8 @@ def audit(
     from craftsim.cli.films import record_failures, rendering_works
     from craftsim.cli.progress import counting, shrinking
     from craftsim.reports.terminal import Terminal
-    from craftsim.validation.audit.audit import run_audit
-    from craftsim.validation.audit.report import audit_report
-    from craftsim.validation.audit.trial import BATCH
+    from craftsim.validation.audit import BATCH, run_audit
+    from craftsim.validation.audit_report import audit_report
 
     console = Terminal()
     setup = physics.setup()  # says what is wrong with its files before contexts are looked for

@@ -38,16 +38,16 @@ def build(
     """
     from craftsim.cli.films import film_runs, rendering_works
     from craftsim.cli.progress import counting
-    from craftsim.validation.builds import build_all, read_goal
-    from craftsim.validation.report import builds_report
-    from craftsim.validation.runs.rebuilding import Rebuilding
+    from craftsim.validation.replanning import Replanning
+    from craftsim.validation.report import validation_report
+    from craftsim.validation.validation import build_all, read_goal
 
     task = read_goal(start, goal)
     setup = physics.setup()
     console = Terminal()
     filming = video and rendering_works(console)
     result = build_all(
-        *(task, setup, Rebuilding(*asked)),
+        *(task, setup, Replanning(*asked)),
         trials=campaign.trials,
         seed=physics.seed,
         out=out,
@@ -57,7 +57,7 @@ def build(
     )
     if filming:
         film_runs(console, out, campaign.workers)
-    return builds_report(result, out, command_again()).publish(out, console)
+    return validation_report(result, out, command_again()).publish(out, console)
 
 
 def _is_built(record: dict[str, dict[str, str]]) -> bool:

@@ -83,7 +83,7 @@ def _player(env: ParallelConstruction, policy: str, plan: Path | None) -> MakeAc
     """Return what makes the policy of each episode; raise InputError where there is none, or not for this task."""
     from craftsim.discrete.files.plan import read_plan
     from craftsim.envs.planner import PlannerPolicy, PlanPolicy
-    from craftsim.validation.runs.policies import make_policy
+    from craftsim.validation.policies import make_policy
 
     if plan is not None:
         read = read_plan(plan, env.core.n_cars)

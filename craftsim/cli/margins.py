@@ -62,10 +62,9 @@ def margins(
     """
     from craftsim.cli.progress import counting
     from craftsim.reports.terminal import Terminal
-    from craftsim.validation.margins import scenarios as known
-    from craftsim.validation.margins.axes import WORTH, axes_of
-    from craftsim.validation.margins.margins import run_margins
-    from craftsim.validation.margins.report import margins_report
+    from craftsim.validation.imperfections import WORTH, axes_of
+    from craftsim.validation.margins import run_margins, scenarios
+    from craftsim.validation.margins_report import margins_report
 
     console = Terminal()
     over = axes_of(pair or ())
@@ -73,7 +72,7 @@ def margins(
         raise InputError(f"--map is {' '.join(pair)}; allowed: two different imperfections")
     chosen = axes_of(imperfections or pair or (QUICK if quick else WORTH))
     result = run_margins(
-        known.scenarios(situations, quick),
+        scenarios(situations, quick),
         chosen,
         physics.setup(),
         20 if quick else campaign.trials,

@@ -53,7 +53,7 @@ def plan(
     from craftsim.discrete.files.plan import write_plan
     from craftsim.planning import plan_building
     from craftsim.storage.folders import owned
-    from craftsim.validation.builds import read_goal
+    from craftsim.validation.validation import read_goal
 
     rng = np.random.default_rng(seed)
     task = read_goal(start, goal).for_episode(rng)

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from craftsim.reports.text import clean
 
 if TYPE_CHECKING:
-    from craftsim.validation.shrinking.campaign import ShrinkProgress
+    from craftsim.validation.minimize import ShrinkProgress
 
 LINE_EVERY_S: Final = 20.0
 """Without a terminal, a line says how far things are so often."""

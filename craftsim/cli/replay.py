@@ -84,9 +84,8 @@ def _shrink(folder: Path, out: Path) -> int:
     from craftsim.experiments.bundle import read_bundle
     from craftsim.reports.json_file import document
     from craftsim.reports.terminal import Terminal
+    from craftsim.validation.minimize import MOST_TRIALS, shrink_bundle
     from craftsim.validation.sections import smallest_section
-    from craftsim.validation.shrinking.campaign import shrink_bundle
-    from craftsim.validation.shrinking.shrink import MOST_TRIALS
 
     console = Terminal()
     bundle = read_bundle(folder).bundle

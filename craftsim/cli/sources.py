@@ -35,7 +35,7 @@ def find_trajectory(
     """
     from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.rendering.trajectory import SUFFIX, Trajectory
-    from craftsim.validation.runs.once import record_once
+    from craftsim.validation.validation import record_once
 
     path = Path(what)
     recorded = what not in TASK_NAMES and (path.suffix == SUFFIX or is_folder(path))

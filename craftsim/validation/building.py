@@ -18,8 +18,7 @@ from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
 from craftsim.logs.log import Log
 from craftsim.rendering.trajectory import Trajectory
-from craftsim.validation.runs.run import Run, Terms, record_episode
-from craftsim.validation.runs.steps import PlanOrder, steps_of
+from craftsim.validation.rollout import PlanOrder, Run, Terms, roll_out, steps_of
 
 
 @dataclass(frozen=True)
@@ -73,16 +72,11 @@ class Building:
     ) -> Building:
         """Carry out the plan and return the building with its episode.
 
-        Args:
-            setup: configuration of the physics.
-            seed: decides what is drawn.
-            order: how the plan is carried out.
-            watch: who looks on.
-            where: sets up its world.
+        ``watch`` looks on, and ``where`` sets up the world.
         """
         terms = Terms(seed, setup, set_up=where)
-        run = Run(self.name, self.task, steps_of(self.plan.ticks, order, self.plan.after), "", 0, terms)
-        done = record_episode(run, watch)
+        run = Run(self.name, self.task, steps_of(self.plan.ticks, order, self.plan.after), 0, terms)
+        done = roll_out(run, record=True, watch=watch)
         return replace(self, episode=done.episode, trajectory=done.trajectory, logs=done.logs)
 
     @property

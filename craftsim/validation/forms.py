@@ -12,13 +12,12 @@ from craftsim.checking.attempt import Attempt, Finding, Verdict
 from craftsim.errors import InputError
 from craftsim.experiments.records import Finished, described, read_finished
 from craftsim.experiments.schema import STRICT, Form
-from craftsim.validation.margins.finding import Limit, RowFound
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 
 
 @dataclass(frozen=True, repr=False)
-class _Judged(Attempt):
+class Judged(Attempt):
     """An attempt as a record holds it."""
 
     __pydantic_config__ = STRICT
@@ -65,15 +64,12 @@ class _TrialExtra:
     does_not_stand: tuple[str, ...] = ()
 
 
-RUNS: Final = Form(_Judged, _RunExtra)
+RUNS: Final = Form(Judged, _RunExtra)
 """Of a validation."""
-BUILDS: Final = Form(_Judged, _BuildExtra)
+BUILDS: Final = Form(Judged, _BuildExtra)
 """Of buildings with re-planning."""
-TRIALS: Final = Form(_Judged, _TrialExtra)
+TRIALS: Final = Form(Judged, _TrialExtra)
 """Of an audit."""
-MARGINS: Final = Form(_Judged, Limit | RowFound)
-"""Of a search for margins."""
-
 COMPARED: Final = {"validate": RUNS, "audit": TRIALS}
 """What the records of the commands hold that make runs to compare."""
 

@@ -1,16 +1,16 @@
-"""The reports of a validation, of buildings with re-planning, and of a demonstration."""
+"""The reports of a validation, of buildings with re-planning among them, and of a demonstration."""
 
 from __future__ import annotations
 
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
-from craftsim.checking.attempt import Verdict
+from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.sections import (
@@ -50,19 +50,17 @@ from craftsim.reports.report import (
     share_cells,
 )
 from craftsim.validation.building import Building
-from craftsim.validation.builds import Builds
-from craftsim.validation.play.play import ALL, NEIGHBOURS, Coverage
+from craftsim.validation.play import ALL, NEIGHBOURS, Coverage
 from craftsim.validation.sections import (
     RunFailure,
     actions_section,
-    attempts_of,
     failures_of,
     failures_section,
     recorded_runs,
     recorded_section,
     smallest_section,
 )
-from craftsim.validation.validation import Validation
+from craftsim.validation.validation import BuildFigures, Validation
 
 _GOALS: Final = ("physics_success", "grid_success")
 _RENDER: Final = "To watch it, from the folder of this report: craftsim render FILE, or craftsim view FILE."
@@ -73,6 +71,9 @@ _WORST: Final = {
     "bystander_displacement_mm": "others",
 }
 """What a summary says of the worst action, and the heads of its columns."""
+_LEAD: Final = (
+    "Each action is predicted by the rules, carried out by motors, and judged on the poses afterwards."
+)
 _OTHER_GOALS: Final = {
     "free_building": ("all blocks form one platform", "the blocks do NOT form one platform"),
     "breaking_barrier": ("the flag is at the goal", "the flag is NOT at the goal"),
@@ -82,24 +83,23 @@ _OTHER_GOALS: Final = {
 
 def validation_report(result: Validation, out: Path, command: str) -> Report:
     """Return the report of a validation in the folder ``out``; ``command`` is how it can be run again."""
-    figures, records = result.figures, result.records
-    legal = legal_attempts(records)
-    title = f"{', '.join(result.config['worlds'])}: {', '.join(result.config['by'])}"
+    figures, records, builds = result.figures, result.records, result.builds
+    runs = ((record["key"], [*map(Attempt.of, record["attempts"])]) for record in records)
+    of_plans = [] if builds else [survival_section(figures.survival), *policies_section(figures)]
     sections = [
-        _results(figures, records),
+        _builds(records) if builds else _results(figures, records),
         *_coverage(result.coverage),
         *paired_sections(result.comparison),
         *smallest_section(result.smallest),
-        *_plans(records),
+        *([actions_section(runs, len(records))] if records else []),
         failures_section(failures_of(records), error_tables(figures.errors)),
         *recorded_section(out, recorded_runs(result.items, records)),
-        survival_section(figures.survival),
-        *policies_section(figures),
+        *of_plans,
         Section(
             "errors",
             "Errors and forces",
             "Where physics agrees with the rules, how far it is from them in numbers.",
-            [precision_table(figures.precision), error_drawing(legal)],
+            [precision_table(figures.precision), error_drawing(legal_attempts(records))],
         ),
         Section(
             "durations",
@@ -110,15 +110,15 @@ def validation_report(result: Validation, out: Path, command: str) -> Report:
         provenance_section(command, result.seed, result.config),
     ]
     notes = [*run_notes(figures.capped_steps, figures.retried), *comparison_notes(result.comparison)]
-    return Report(
-        "Validation in physics",
-        title,
-        _headline(figures, records),
-        [*_key_figures(figures)],
-        sections,
-        [*notes, *_drift(figures)],
-        exit_code=0 if result.agrees else 1,
-    )
+    if builds:
+        title, about = "Building with re-planning", str(records[0]["context"])
+        headline, key_figures, good = _built(builds, len(records)), _build_figures(builds), result.all_built
+    else:
+        title = "Validation in physics"
+        about = f"{', '.join(result.config['worlds'])}: {', '.join(result.config['by'])}"
+        headline, key_figures, good = _headline(figures, records), _key_figures(figures), result.agrees
+        notes += _drift(figures)
+    return Report(title, about, headline, [*key_figures], sections, notes, exit_code=0 if good else 1)
 
 
 def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
@@ -149,9 +149,8 @@ def _disagrees(attempt: Mapping[str, Any]) -> bool:
 
 
 def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
-    shares = {"runs that agree": figures.all.runs, "actions as predicted": figures.all.actions}
-    for label, p in shares.items():
-        yield KeyFigure(percent(p.rate), label, _note(p))
+    yield _share("runs that agree", figures.all.runs)
+    yield _share("actions as predicted", figures.all.actions)
     if car := figures.precision.car_error_mm:
         yield KeyFigure(f"{car.median:.2g} mm", "car's error, median", f"95 % within {car.p95:.2g} mm")
     if force := figures.precision.peak_force_n:
@@ -160,8 +159,9 @@ def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
         yield KeyFigure(f"{figures.rank_agreement.mmrv:.2f}", "rank violation (MMRV)", "0 best, 1 worst")
 
 
-def _note(p: Proportion) -> str:
-    return f"{p.successes:,} of {p.trials:,}; {interval(p.wilson_low, p.wilson_high)}"
+def _share(label: str, p: Proportion) -> KeyFigure:
+    note = f"{p.successes:,} of {p.trials:,}; {interval(p.wilson_low, p.wilson_high)}"
+    return KeyFigure(percent(p.rate), label, note)
 
 
 def _drift(figures: Figures) -> list[str]:
@@ -184,54 +184,40 @@ def _results(figures: Figures, records: Iterable[TrialRecord]) -> Section:
         ]
         heads = (Column("plan or policy", "path"), *(Column(name, "number") for name in columns))
         blocks.append(DataTable(heads, rows, "By plan or policy", most=0))
-    verbs = results_table("By action", "action", figures.by_verb)
-    legality = legality_table(figures.matrix)
-    blocks += [_of_page(legality), _of_page(verbs), success_drawing(figures.by_verb)]
-    lead = "Each action is predicted by the rules, carried out by motors, and judged on the poses afterwards."
-    return Section("results", "Results", lead, blocks, terminal=True)
-
-
-def _of_page(table: DataTable) -> DataTable:
-    return replace(table, most=0)
-
-
-@dataclass
-class _Row:
-    """What is counted of the runs of one plan or policy in one world."""
-
-    counts: Counter[str] = field(default_factory=Counter)
-    makespans: array[float] = field(default_factory=lambda: array("d"))
-
-    def add(self, record: TrialRecord) -> None:
-        self.counts["runs"] += 1
-        if record["error"] is not None:
-            return
-        self.makespans.append(record["extra"].get("makespan_s", 0.0))
-        self.counts["agree"] += record["agrees"]
-        self.counts["actions"] += len(record["attempts"])
-        self.counts["good"] += sum(not _disagrees(a) for a in record["attempts"])
-        for key in _GOALS:
-            self.counts[f"with {key}"] += key in record["extra"]
-            self.counts[key] += record["extra"].get(key, False)
-
-    def cells(self) -> list[Value]:
-        done, n = len(self.makespans), self.counts
-        known = done and all(n[f"with {key}"] == done for key in _GOALS)
-        goals = [f"{n[key]}/{done}" if known else None for key in _GOALS]
-        makespan = f"{median(self.makespans):.1f}" if done else None
-        counted = [n[key] for key in ("runs", "agree", "actions", "good")]
-        return [*counted, *goals, makespan, n["runs"] - done]
+    tables = legality_table(figures.matrix), results_table("By action", "action", figures.by_verb)
+    blocks += [*(replace(table, most=0) for table in tables), success_drawing(figures.by_verb)]
+    return Section("results", "Results", _LEAD, blocks, terminal=True)
 
 
 def runs_table(records: Iterable[TrialRecord]) -> DataTable:
     """Return a table with a row for each world and each plan or policy."""
-    rows: dict[tuple[str | None, str], _Row] = {}
+    counts: dict[tuple[str, str], Counter[str]] = {}
+    makespans: dict[tuple[str, str], array[float]] = {}
     for record in records:
-        rows.setdefault((record["context"], record["group"]), _Row()).add(record)
+        key = record["context"] or "", record["group"]
+        n, extra = counts.setdefault(key, Counter()), record["extra"]
+        times = makespans.setdefault(key, array("d"))
+        n["runs"] += 1
+        if record["error"] is not None:
+            continue
+        times.append(extra.get("makespan_s", 0.0))
+        n["agree"] += record["agrees"]
+        n["actions"] += len(record["attempts"])
+        n["good"] += sum(not _disagrees(a) for a in record["attempts"])
+        n["with goals"] += all(goal in extra for goal in _GOALS)
+        n.update({goal: int(extra.get(goal, False)) for goal in _GOALS})
+    rows: list[tuple[Value, ...]] = []
+    for key, n in counts.items():
+        done = len(makespans[key])
+        known = done and n["with goals"] == done
+        goals = [f"{n[goal]}/{done}" if known else None for goal in _GOALS]
+        makespan = f"{median(makespans[key]):.1f}" if done else None
+        counted = [n[name] for name in ("runs", "agree", "actions", "good")]
+        rows.append((*key, *counted, *goals, makespan, n["runs"] - done))
     names = ("runs", "agree", "actions", "good", "goal", "rules", "makespan", "errors")
     return DataTable(
         (Column("world"), Column("plan or policy"), *(Column(name, "number") for name in names)),
-        [(name or "", by, *row.cells()) for (name, by), row in rows.items()],
+        rows,
         "Runs",
         "goal: runs that reach it, in physics and by the rules; makespan: median, s simulated",
     )
@@ -245,94 +231,49 @@ def _coverage(coverage: Coverage | None) -> list[Section]:
     note = f"{coverage.actions:,} actions in {coverage.worlds:,} worlds: {totals}"
     if coverage.do_not_stand:
         note += f"; {coverage.do_not_stand:,} more worlds cannot be, and nothing was tried there"
-    table = DataTable(
-        (
-            Column("action, level, load"),
-            *(Column(name, "number", terminal=name == ALL) for name in (ALL, *NEIGHBOURS)),
-        ),
-        [(name, *(n or None for n in counts.values())) for name, counts in coverage.rows.items()],
-        "Coverage",
-        note,
-        tall=True,
-    )
+    names = (Column(name, "number", terminal=name == ALL) for name in (ALL, *NEIGHBOURS))
+    rows = [(name, *(n or None for n in counts.values())) for name, counts in coverage.rows.items()]
+    table = DataTable((Column("action, level, load"), *names), rows, "Coverage", note, tall=True)
     lead = "What random play has done, and how often beside what."
     return [Section("coverage", "Coverage", lead, [table], terminal=True)]
 
 
-def _plans(records: Sequence[TrialRecord]) -> list[Section]:
-    """Return what each action of the runs did, where there are few enough to look at."""
-    total = len(records)
-    return [actions_section(attempts_of(records), total)] if total else []
-
-
-def builds_report(result: Builds, out: Path, command: str) -> Report:
-    """Return the report of buildings with re-planning in the folder ``out``; ``command`` builds them again."""
-    figures, builds, records = result.figures, result.builds, result.records
-    n, built = len(records), builds.endings.get("built", 0)
+def _built(builds: BuildFigures, n: int) -> Headline:
+    built = builds.endings.get("built", 0)
     sentence = f"{built} of {n} buildings stand"
     sentence += f"; {builds.replans} further plans were made." if builds.replans else "."
-    badge, tone = (
-        ("Built", Tone.GOOD)
-        if result.all_built
-        else ("Not all built", Tone.BAD if not built else Tone.CAUTION)
-    )
-    times = {"first plan's makespan": builds.planned_s, "real makespan": builds.real_s}
-    return Report(
-        "Building with re-planning",
-        str(records[0]["context"]),
-        Headline(badge, tone, sentence),
-        [
-            KeyFigure(percent(builds.built.rate), "built", _note(builds.built)),
-            KeyFigure(
-                f"{builds.replans:,}", "further plans", f"{count(builds.disturbed, 'building')} disturbed"
-            ),
-            *(
-                KeyFigure(f"{value:.1f} s", name, "median")
-                for name, value in times.items()
-                if value is not None
-            ),
-        ],
-        [
-            Section(
-                "buildings", "Buildings", "Each from its start to its end.", [_builds_table(records)], True
-            ),
-            *paired_sections(result.comparison),
-            failures_section(failures_of(records), error_tables(figures.errors)),
-            actions_section(attempts_of(records), n),
-            *recorded_section(out, recorded_runs(result.items, records)),
-            Section(
-                "errors",
-                "Errors and durations",
-                "Of the actions that did as predicted.",
-                [
-                    results_table("By action", "action", figures.by_verb),
-                    precision_table(figures.precision),
-                    *duration_blocks(figures.durations),
-                ],
-            ),
-            provenance_section(command, result.seed, result.config),
-        ],
-        [*run_notes(figures.capped_steps, figures.retried), *comparison_notes(result.comparison)],
-        exit_code=0 if result.all_built else 1,
-    )
+    if built == n:
+        return Headline("Built", Tone.GOOD, sentence)
+    return Headline("Not all built", Tone.CAUTION if built else Tone.BAD, sentence)
 
 
-def _builds_table(records: Iterable[TrialRecord]) -> DataTable:
-    note = "good: actions as predicted; planned: makespan of the first plan; both times in simulated seconds"
+def _build_figures(builds: BuildFigures) -> Iterator[KeyFigure]:
+    yield _share("built", builds.built)
+    yield KeyFigure(
+        f"{builds.replans:,}", "further plans", f"{count(builds.disturbed, 'building')} disturbed"
+    )
+    for name, value in (("first plan's makespan", builds.planned_s), ("real makespan", builds.real_s)):
+        if value is not None:
+            yield KeyFigure(f"{value:.1f} s", name, "median")
+
+
+def _builds(records: Iterable[TrialRecord]) -> Section:
+    rows: list[tuple[Value, ...]] = []
+    for record in records:
+        if record["error"] is not None:
+            rows.append((record["key"], *[None] * 5, Cell(record["error"], Tone.MUTED)))
+            continue
+        extra, attempts = record["extra"], record["attempts"]
+        good = sum(not _disagrees(attempt) for attempt in attempts)
+        ended = "; ".join(filter(None, (extra["ended"], extra["why"], extra["disturbed"])))
+        tone = Tone.GOOD if extra["ended"] == "built" else Tone.BAD
+        times = [f"{extra[key]:.1f}" for key in ("planned_s", "makespan_s")]
+        rows.append((record["key"], len(attempts), good, extra["replans"], *times, Cell(ended, tone)))
     names = ("actions", "good", "replans", "planned", "real")
     columns = (Column("building"), *(Column(name, "number") for name in names), Column("ended"))
-    return DataTable(columns, [_build_row(record) for record in records], "Buildings", note)
-
-
-def _build_row(record: TrialRecord) -> tuple[Value, ...]:
-    if record["error"] is not None:
-        return record["key"], *[None] * 5, Cell(record["error"], Tone.MUTED)
-    extra, attempts = record["extra"], record["attempts"]
-    good = sum(not _disagrees(attempt) for attempt in attempts)
-    ended = "; ".join(filter(None, (extra["ended"], extra["why"], extra["disturbed"])))
-    tone = Tone.GOOD if extra["ended"] == "built" else Tone.BAD
-    times = [f"{extra[key]:.1f}" for key in ("planned_s", "makespan_s")]
-    return record["key"], len(attempts), good, extra["replans"], *times, Cell(ended, tone)
+    note = "good: actions as predicted; planned: makespan of the first plan; both times in simulated seconds"
+    table = DataTable(columns, rows, "Buildings", note)
+    return Section("buildings", "Buildings", "Each from its start to its end.", [table], terminal=True)
 
 
 def demo_report(
@@ -351,30 +292,37 @@ def demo_report(
         document: what ``report.json`` holds.
         films: of buildings, by their names.
     """
+    figures = [one.figures for one in buildings]
     agree, total = sum(one.n_agree for one in buildings), sum(one.n_actions for one in buildings)
     good = all(one.good for one in buildings)
-    badge, tone = ("Agrees", Tone.GOOD) if good else ("Disagrees", Tone.BAD)
-    if agree == total and not good:
-        badge = "Goal missed"
-    failures = [failure for one in buildings for failure in _building_failures(one)]
-    sections = [
-        _summary(buildings),
-        actions_section(((one.name, one.attempts) for one in buildings), len(buildings)),
-        *([failures_section(iter(failures), note=_RENDER)] if failures else []),
-        *_films(buildings, films),
-        provenance_section(command, *about),
+    badge = "Agrees" if good else "Goal missed" if agree == total else "Disagrees"
+    failures = [
+        RunFailure(one.name, asdict(attempt), "", f"{one.name}{SUFFIX}")
+        for one in buildings
+        for attempt in one.attempts
+        if not attempt.agrees
     ]
+    makespan_s = sum(one["makespan_s"] for one in figures)
+    key_figures = [_share("actions as predicted", Proportion.of(agree, total))]
+    key_figures.append(KeyFigure(f"{makespan_s:.1f} s", "makespan, simulated"))
+    for name, label in (("car", "car's error, at worst"), ("placed", "set down off, at worst")):
+        values = [value for one in figures if (value := one[f"max_{name}_error_mm"]) is not None]
+        key_figures += [KeyFigure(f"{max(values):.2f} mm", label)] if values else []
     return Report(
         "Demonstration",
         ", ".join(one.name for one in buildings),
-        Headline(badge, tone, _conclusion(buildings, agree, total)),
-        [*_demo_figures(buildings, agree, total)],
-        sections,
+        Headline(badge, Tone.GOOD if good else Tone.BAD, _conclusion(buildings, agree, total)),
+        key_figures,
         [
-            *([_worst(buildings[0].figures)] if len(buildings) == 1 else []),
-            *run_notes(
-                *(sum(one.figures[name] for one in buildings) for name in ("capped_steps", "retried"))
-            ),
+            _summary(buildings, figures),
+            actions_section(((one.name, one.attempts) for one in buildings), len(buildings)),
+            *([failures_section(iter(failures), note=_RENDER)] if failures else []),
+            *_films(buildings, films),
+            provenance_section(command, *about),
+        ],
+        [
+            *([_worst(figures[0])] if len(buildings) == 1 else []),
+            *run_notes(*(sum(one[name] for one in figures) for name in ("capped_steps", "retried"))),
         ],
         {f"Film of {name}" if len(films) > 1 else "Film": path for name, path in films.items()},
         document,
@@ -382,50 +330,29 @@ def demo_report(
     )
 
 
-def _building_failures(building: Building) -> Iterator[RunFailure]:
-    for attempt in building.attempts:
-        if not attempt.agrees:
-            yield RunFailure(building.name, asdict(attempt), "", f"{building.name}{SUFFIX}")
-
-
-def _summary(buildings: Sequence[Building]) -> Section:
+def _summary(buildings: Sequence[Building], figures: Sequence[Mapping[str, Any]]) -> Section:
     """Return a section with a row for each building."""
-    names = ("ticks", "agree", "goal", "s", *_WORST.values())
     goals = {
         None: Cell("none", Tone.MUTED),
         True: Cell("reached", Tone.GOOD),
         False: Cell("missed", Tone.BAD),
     }
-    rows = [
-        (
-            *(one.name, one.figures["ticks"]),
-            Cell(
-                f"{one.n_agree} of {one.n_actions}", Tone.GOOD if one.n_agree == one.n_actions else Tone.BAD
-            ),
-            *(goals[one.reached], f"{one.figures['makespan_s']:.1f}"),
-            *(None if (v := one.figures[f"max_{name}"]) is None else f"{v:.2f}" for name in _WORST),
+    rows = []
+    for one, found in zip(buildings, figures, strict=True):
+        tone = Tone.GOOD if one.n_agree == one.n_actions else Tone.BAD
+        worst = (found[f"max_{name}"] for name in _WORST)
+        rows.append(
+            (
+                *(one.name, found["ticks"], Cell(f"{one.n_agree} of {one.n_actions}", tone)),
+                *(goals[one.reached], f"{found['makespan_s']:.1f}"),
+                *(None if value is None else f"{value:.2f}" for value in worst),
+            )
         )
-        for one in buildings
-    ]
     note = "s: makespan; at worst: mm, mrad of cars, set: mm of things set down, others: mm that bystanders moved"
+    names = ("ticks", "agree", "goal", "s", *_WORST.values())
     columns = (Column("task"), *(Column(name, "number") for name in names))
     table = DataTable(columns, rows, "Built in physics, checked by the rules", note)
-    lead = "Each action is predicted by the rules, carried out by motors, and judged on the poses afterwards."
-    return Section("buildings", "Buildings", lead, [table], terminal=len(buildings) > 1)
-
-
-def _demo_figures(buildings: Sequence[Building], agree: int, total: int) -> Iterator[KeyFigure]:
-    share = Proportion.of(agree, total)
-    yield KeyFigure(percent(share.rate), "actions as predicted", _note(share))
-    figures = [one.figures for one in buildings]
-    yield KeyFigure(f"{sum(one['makespan_s'] for one in figures):.1f} s", "makespan, simulated")
-    for name, label in (
-        ("car_error_mm", "car's error, at worst"),
-        ("placed_error_mm", "set down off, at worst"),
-    ):
-        values = [one[f"max_{name}"] for one in figures if one[f"max_{name}"] is not None]
-        if values:
-            yield KeyFigure(f"{max(values):.2f} mm", label)
+    return Section("buildings", "Buildings", _LEAD, [table], terminal=len(buildings) > 1)
 
 
 def _films(buildings: Sequence[Building], films: Mapping[str, Path]) -> list[Section]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.errors import InputError
@@ -30,7 +30,7 @@ from craftsim.reports.report import (
     Value,
     count,
 )
-from craftsim.validation.shrinking.campaign import ACTIONS, BLUEPRINT, Shrunk
+from craftsim.validation.minimize import ACTIONS, BLUEPRINT, Shrunk
 
 MOST_FAILURES: Final = 1000
 """Failures that a report lists."""
@@ -67,8 +67,7 @@ def case_of(
     return Case(title, result, tone, reason, tuple(differences), again, film, trajectory)
 
 
-@dataclass(frozen=True)
-class RunFailure:
+class RunFailure(NamedTuple):
     """One action that did not go as predicted, or a run that did not come to its end."""
 
     run: str
@@ -80,25 +79,21 @@ class RunFailure:
     first action that the rules allow and that did not go as predicted, or the trajectory of a demonstration."""
 
     @property
-    def result(self) -> str:
+    def result(self) -> Cell:
         """What became of it, in a word or two."""
         if self.attempt is None:
-            return "error"
-        return str(self.attempt["result"]) if self.attempt["legal"] else "not tried"
-
-    @property
-    def tone(self) -> Tone:
-        """Its colour."""
-        return Tone.MUTED if self.attempt is None else TONES[Verdict(self.attempt["result"])]
+            return Cell("error", Tone.MUTED)
+        text = self.attempt["result"] if self.attempt["legal"] else "not tried"
+        return Cell(str(text), TONES[Verdict(self.attempt["result"])])
 
     @property
     def case(self) -> Case:
         """It in detail."""
-        if self.attempt is None:
-            return case_of(self.run, self.result, self.tone, self.error)
-        what = self.attempt
+        text, tone, what = self.result.text, self.result.tone, self.attempt
+        if what is None:
+            return case_of(self.run, text, tone, self.error)
         title = f"{self.run}: tick {what['tick']}, car {what['car']} {what['action']}"
-        found = case_of(title, self.result, self.tone, what["reason"], self.kept, what["differences"])
+        found = case_of(title, text, tone, what["reason"], self.kept, what["differences"])
         if not self.kept.endswith(SUFFIX):
             return found
         again = ("craftsim", "render", Path(self.kept))
@@ -108,17 +103,12 @@ class RunFailure:
     def row(self) -> tuple[Value, ...]:
         """It as a row of :func:`failures_section`."""
         what, kept = self.attempt, self.kept or None
-        result = Cell(self.result, self.tone)
         if what is None:
-            return self.run, None, None, None, result, None, self.error, kept
+            return self.run, None, None, None, self.result, None, self.error, kept
+        known = [what[name] for name in _LENGTHS if what[name] is not None]
+        off = f"{1e3 * max(known):.2f}" if what["performed"] and known else None
         place = (self.run, str(what["tick"]), str(what["car"]), what["action"])
-        return *place, result, _off(what), what["reason"], kept
-
-
-def _off(attempt: Mapping[str, Any]) -> str | None:
-    """Return how far the car, what it set down or a bystander was off in mm, whichever is most."""
-    known = [attempt[name] for name in _LENGTHS if attempt[name] is not None]
-    return f"{1e3 * max(known):.2f}" if attempt["performed"] and known else None
+        return *place, self.result, off, what["reason"], kept
 
 
 def failures_of(records: Iterable[TrialRecord]) -> Iterator[RunFailure]:
@@ -149,14 +139,12 @@ def failures_section(
     )
     note += f" {count(more, 'more failure')}: in trials.jsonl." if more else ""
     filmed = [one.case for number, one in enumerate(listed) if not number or one.kept]
-    table = DataTable(
-        columns, [one.row for one in listed], "All failures", note, tall=True, most=_ON_TERMINAL
-    )
-    blocks: list[Block] = [Cases(filmed, unfilmed=1)]
-    blocks += [table] if listed else ["None."]
+    rows = [one.row for one in listed]
+    table = DataTable(columns, rows, "All failures", note, tall=True, most=_ON_TERMINAL)
+    blocks: list[Block] = [Cases(filmed, unfilmed=1), table if listed else "None.", *errors]
     title = f"Failures: {len(listed) + more:,}" if listed else "Failures"
     lead = "Each action that did not go as predicted, and each run that did not come to its end; the first in detail."
-    return Section("failures", title, lead, [*blocks, *errors], terminal=bool(listed))
+    return Section("failures", title, lead, blocks, terminal=bool(listed))
 
 
 def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") -> DataTable:
@@ -167,22 +155,23 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
         *(Column(unit, "number") for unit in ("s", "mm", "mrad")),
         Column("reason", "wide", terminal=False),
     )
-    rows = [
-        (
-            *(str(one.tick), str(one.car), one.action, one.predicted),
-            "same" if one.read == one.predicted else one.read,
-            Cell(_short_result(one), TONES[Verdict(one.result)]),
-            *(f"{one.duration_s:.2f}", f"{1e3 * one.car_error_m:.2f}", f"{1e3 * one.heading_error_rad:.2f}"),
-            one.reason,
+    rows = []
+    for one in attempts:
+        result = "agrees" if one.agrees else one.result if one.legal else "not tried"
+        errors = (one.duration_s, 1e3 * one.car_error_m, 1e3 * one.heading_error_rad)
+        rows.append(
+            (
+                *(str(one.tick), str(one.car), one.action, one.predicted),
+                *(
+                    "same" if one.read == one.predicted else one.read,
+                    Cell(result, TONES[Verdict(one.result)]),
+                ),
+                *(f"{error:.2f}" for error in errors),
+                one.reason,
+            )
         )
-        for one in attempts
-    ]
     note = "Predicted by the rules, read from poses: cell, heading, load, low or high on a slope; mm, mrad: of the car."
     return DataTable(columns, rows, title, note, tall=True, most=400)
-
-
-def _short_result(one: Attempt) -> str:
-    return "agrees" if one.agrees else one.result if one.legal else "not tried"
 
 
 def actions_section(runs: Iterable[tuple[str, Sequence[Attempt]]], total: int) -> Section:
@@ -192,29 +181,18 @@ def actions_section(runs: Iterable[tuple[str, Sequence[Attempt]]], total: int) -
         "What the rules predict of each action, and what was read from poses after it.",
     )
     if total == 1:
-        return Section(
-            "actions", title, lead, [actions_table(attempts) for _, attempts in runs], terminal=True
-        )
-    blocks: list[Block] = [
-        Group(name, [actions_table(attempts, "")], *_badge(attempts))
-        for name, attempts in islice(runs, MOST_PLANS)
-    ]
+        tables = [actions_table(attempts) for _, attempts in runs]
+        return Section("actions", title, lead, tables, terminal=True)
+    blocks: list[Block] = []
+    for name, attempts in islice(runs, MOST_PLANS):
+        wrong = sum(not attempt.agrees for attempt in attempts)
+        badge = (count(wrong, "failure"), Tone.CAUTION) if wrong else ("", Tone.PLAIN)
+        blocks.append(Group(name, [actions_table(attempts, "")], *badge))
     blocks += [f"{count(total - MOST_PLANS, 'more run')}: in trials.jsonl."] if total > MOST_PLANS else []
     return Section("actions", title, lead, blocks)
 
 
-def _badge(attempts: Sequence[Attempt]) -> tuple[str, Tone]:
-    wrong = sum(not attempt.agrees for attempt in attempts)
-    return ("", Tone.PLAIN) if not wrong else (count(wrong, "failure"), Tone.CAUTION)
-
-
-def attempts_of(records: Iterable[TrialRecord]) -> Iterator[tuple[str, list[Attempt]]]:
-    """Yield each run's name and attempts."""
-    return ((record["key"], [*map(Attempt.of, record["attempts"])]) for record in records)
-
-
-@dataclass(frozen=True)
-class RecordedRun:
+class RecordedRun(NamedTuple):
     """A run whose trajectory should lie beside the page."""
 
     title: str

@@ -1,51 +1,96 @@
-"""Validation of plans, lists of actions and policies in physics: the whole job in one call."""
+"""Validation of plans, lists of actions, policies and planners in physics: the whole job in one call."""
 
 from __future__ import annotations
 
 import html
+import math
 import warnings
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from craftsim.checking.attempt import Attempt
-from craftsim.discrete.files.plan import Plan
+from craftsim.checking.setup import Setup
+from craftsim.discrete.files.design import read_design
+from craftsim.discrete.files.plan import Plan, read_actions, read_plan
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.tasks import Task, as_task
 from craftsim.errors import InputError
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.durations import write_durations
-from craftsim.experiments.experiment import Experiment, Item, Progress, TrialRecord
-from craftsim.experiments.session import open_session
+from craftsim.experiments.experiment import Experiment, Item, Progress, RunOptions, TrialRecord
+from craftsim.experiments.intervals import Proportion
+from craftsim.experiments.records import Finished
+from craftsim.experiments.session import Session, open_session
 from craftsim.experiments.statistics import Figures, campaign_figures
 from craftsim.options import Physics, Rollouts, Trials, changed
+from craftsim.planning import Planned, plan_building
+from craftsim.rendering.trajectory import Trajectory
 from craftsim.skills.executor import Observer
-from craftsim.validation.forms import RUNS
-from craftsim.validation.play.play import Coverage
-from craftsim.validation.runs.choice import (
+from craftsim.validation.choice import (
     PLANNER,
     PLAY,
     World,
-    actions_pilot,
     check_starts,
     items_of,
     plan_pilot,
     policy_pilot,
     subjects_of,
 )
-from craftsim.validation.runs.policies import RANDOM
-from craftsim.validation.runs.run import Terms, do_run
-from craftsim.validation.shrinking.campaign import ShrinkProgress, Shrunk, shrink_failures
+from craftsim.validation.forms import BUILDS, RUNS
+from craftsim.validation.minimize import ShrinkProgress, Shrunk, shrink_failures
+from craftsim.validation.play import Coverage
+from craftsim.validation.policies import RANDOM
+from craftsim.validation.replanning import Replanning
+from craftsim.validation.rollout import PlanOrder, Run, Terms, do_run, roll_out
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-COMMAND: Final = "validate"
 ROLLOUTS: Final = Rollouts()
 PHYSICS: Final = Physics()
 TRIALS: Final = Trials()
 _FORMER: Final = {"against": "baseline", "shrink": "minimize"}
 """Arguments of validate that were called otherwise."""
+
+
+@dataclass(frozen=True)
+class BuildFigures:
+    """What all buildings of a campaign came to; times are medians, in simulated seconds."""
+
+    built: Proportion
+    """Of all that came to an end, however many plans they took."""
+    endings: dict[str, int]
+    """How many were built, given up, or could not be read any more."""
+    replans: int
+    """Plans after the first ones, all together."""
+    disturbed: int
+    """Buildings in which the disturbance that was asked for came about."""
+    planned_s: float | None
+    """Makespan of the first plan by the table of durations."""
+    real_s: float | None
+    """From the start of the first action to the end of the last, of what was built."""
+
+    @classmethod
+    def of(cls, records: Iterable[TrialRecord]) -> BuildFigures:
+        """Return the figures of the buildings in some records."""
+        extras = [record["extra"] for record in records if record["error"] is None]
+        endings = Counter(extra["ended"] for extra in extras)
+        times = [extra["makespan_s"] for extra in extras if extra["ended"] == "built"]
+        return cls(
+            built=Proportion.of(endings["built"], len(extras)),
+            endings=dict(sorted(endings.items())),
+            replans=sum(extra["replans"] for extra in extras),
+            disturbed=sum(bool(extra["disturbed"]) for extra in extras),
+            planned_s=median(extra["planned_s"] for extra in extras) if extras else None,
+            real_s=median(times) if times else None,
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,6 +120,13 @@ class Validation:
     """Of random play, where there was some."""
     smallest: tuple[Shrunk, ...] = ()
     """The first failure of each kind in its smallest world, where that was asked for."""
+    builds: BuildFigures | None = None
+    """Of buildings with re-planning."""
+
+    @property
+    def all_built(self) -> bool:
+        """Whether every building of a run with re-planning was built."""
+        return self.builds is not None and self.builds.endings.get("built", 0) == len(self.records)
 
     @property
     def agrees(self) -> bool:
@@ -176,9 +228,10 @@ def validate(
         )
     subjects = subjects_of(several, what.n_cars, what.n_blocks, what.max_steps)
     if plan is not None:
-        pilots = [plan_pilot(plan if isinstance(plan, Plan) else Path(plan), subjects[0], order)]
+        read = plan if isinstance(plan, Plan) else read_plan(Path(plan), subjects[0].n_cars)
+        pilots = [plan_pilot(read, order)]
     elif actions is not None:
-        pilots = [actions_pilot(Path(actions), subjects[0])]
+        pilots = [plan_pilot(read_actions(Path(actions), subjects[0].n_cars), "sequential")]
     else:
         default = PLAY if all(s.name == RANDOM for s in subjects) else PLANNER
         chosen = policy or default
@@ -202,16 +255,128 @@ def validate(
     check_starts(subjects, setup, seed)
     terms = Terms(seed, setup, None if folder is None else folder.resolve(), tuple(observers), record)
     items = list(items_of(subjects, pilots, trials, terms))
-    experiment = Experiment(COMMAND, seed, config, items, do_run, RUNS, timeout_s)
+    experiment = Experiment("validate", seed, config, items, do_run, RUNS, timeout_s)
     how = campaign.run(progress)
-    earlier = read_earlier(experiment, folder, how)
+
+    def find(session: Session, records: Sequence[TrialRecord]) -> dict[str, Any]:
+        smallest = () if minimize is None else shrink_failures(session, records, minimize)
+        return {"coverage": Coverage.of(records), "smallest": smallest}
+
+    return _run(experiment, folder, how, read_earlier(experiment, folder, how), find)
+
+
+def build_all(
+    task: Task,
+    setup: Setup,
+    asked: Replanning,
+    *,
+    trials: int,
+    seed: int,
+    out: Path,
+    options: RunOptions,
+    timeout_s: float = 600.0,
+    record: bool = False,
+) -> Validation:
+    """Build what a task with a goal asks for many times, planning again where physics went another way.
+
+    Args:
+        task: has a goal.
+        setup: configuration of the physics.
+        asked: how often is planned, and what goes wrong on purpose.
+        trials: how many times.
+        seed: decides all that is drawn.
+        out: folder for ``report.json``, ``trials.jsonl`` and bundles.
+        options: how.
+        timeout_s: after which a building counts as hanging.
+        record: write a trajectory of each.
+
+    Raises InputError where something does not fit together, and NoPlanError where there is no plan from the start.
+    """
+    subjects = subjects_of([task])
+    check_starts(subjects, setup, seed)
+    config: dict[str, Any] = {
+        "world": subjects[0].digest,
+        "trials": trials,
+        "asked": asked,
+        "record": record,
+        "setup": setup,
+        "digests": setup.digests,
+    }
+    terms = Terms(seed, setup, out.resolve(), record=record)
+    runs = [Run(f"{task.name}/{episode:04d}", task, asked, episode, terms) for episode in range(trials)]
+    items = [Item(run.key, "built", seed, run, task.name, run.episode) for run in runs]
+    experiment = Experiment("build", seed, config, items, do_run, BUILDS, timeout_s)
+    earlier = read_earlier(experiment, out, options)
+    # Whether anything can be built is said before anything is begun; it may take long to find out.
+    rng, rules = np.random.default_rng(seed), Rules(setup.rules)
+    first = task.for_episode(rng)
+    plan_building(first.draw(rng), first, rules, rounds=asked.rounds, time_s=math.inf, report=_enough)
+    return _run(
+        experiment, out, options, earlier, lambda session, records: {"builds": BuildFigures.of(records)}
+    )
+
+
+def _enough(number: int, best: Planned | None) -> None:
+    """Stop planning as soon as there is a plan."""
+    if best is not None:
+        raise KeyboardInterrupt
+
+
+def _run(
+    experiment: Experiment,
+    folder: Path | None,
+    how: RunOptions,
+    earlier: Finished | None,
+    find: Callable[[Session, Sequence[TrialRecord]], Mapping[str, Any]],
+) -> Validation:
+    """Run an experiment, and report on it with what else is found in it, by the names of Validation's fields."""
     with open_session(experiment, folder, how) as session:
         records = session.run()
-        figures, coverage = campaign_figures(records, seed), Coverage.of(records)
+        figures = campaign_figures(records, experiment.seed)
         comparison = None if earlier is None else compare_runs(earlier, session)
-        smallest = () if minimize is None else shrink_failures(session, records, minimize)
-        found = {"validation": figures, "paired": comparison, "coverage": coverage, "smallest": smallest}
-        session.write_report(found)
+        found = find(session, records)
+        session.write_report({"validation": figures, "paired": comparison, **found})
         if folder is not None:
             write_durations(folder, figures.durations)
-    return Validation(records, figures, config, seed, items, comparison, coverage, smallest)
+    config = dict(experiment.config)
+    return Validation(records, figures, config, experiment.seed, experiment.items, comparison, **found)
+
+
+def read_goal(start: str, goal: Path | None) -> Task:
+    """Return a task, whose goal is another design if a file of one is given.
+
+    Raises InputError for files that are wrong or do not fit, and for what has no goal.
+    """
+    task = as_task(start)
+    if goal is not None:
+        design = read_design(goal)
+        return replace(task, design=design, success="built")
+    if not task.has_goal:
+        raise InputError(f"{start} has no goal; give a design with --goal")
+    return task
+
+
+def record_once(
+    world: World,
+    setup: Setup,
+    seed: int,
+    *,
+    plan: Path | None = None,
+    policy: str | None = None,
+    order: PlanOrder = "concurrent",
+) -> Trajectory:
+    """Run a plan or a policy in a world once, and return what moved; the shipped plan unless one is given.
+
+    Raises InputError where there is none, and where a file is not as it should be.
+    """
+    if plan is not None and policy is not None:
+        raise InputError("plan and policy exclude each other")
+    subjects = subjects_of([world])
+    if plan is not None:
+        pilot = plan_pilot(read_plan(plan, subjects[0].n_cars), order)
+    else:
+        pilot = policy_pilot(policy or PLANNER, subjects, order, setup.rules)
+    (item,) = items_of(subjects, [pilot], 1, Terms(seed, setup))
+    trajectory = roll_out(item.job, record=True).trajectory
+    assert trajectory is not None
+    return trajectory

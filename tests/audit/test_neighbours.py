@@ -27,7 +27,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.composition import placements
-from craftsim.validation.audit.trial import Trial, try_it
+from craftsim.validation.audit import Trial, try_it
 
 SITUATIONS = {one.id: one for one in bare_situations()}
 OCCUPANTS = {one.name: one for one in occupants()}

@@ -16,7 +16,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import describe_car
 from craftsim.discrete.rules import Rules
-from craftsim.validation.audit.trial import items_of
+from craftsim.validation.audit import items_of
 
 RULES = ("published", "physical")
 BOTH = pytest.mark.parametrize("rules", RULES)

@@ -19,7 +19,7 @@ from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.errors import InputError
 from craftsim.models.sensing import EXACT
 from craftsim.storage.records import from_json, to_json
-from craftsim.validation.runs.steps import steps_of
+from craftsim.validation.rollout import steps_of
 
 RIGHT = Action.MOVE_RIGHT
 

@@ -15,11 +15,11 @@ from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions
 from craftsim.experiments.records import DATABASE, OLD, TRIALS, read_finished
 from craftsim.experiments.session import open_session, run_experiment
 from craftsim.experiments.statistics import campaign_figures
-from craftsim.validation.audit.verdicts import audit_rows
+from craftsim.validation.audit import audit_rows
 from craftsim.validation.forms import RUNS
-from craftsim.validation.play.play import Coverage
+from craftsim.validation.minimize import first_of_each_kind
+from craftsim.validation.play import Coverage
 from craftsim.validation.report import runs_table
-from craftsim.validation.shrinking.campaign import first_of_each_kind
 
 EXTRA = {
     "ticks": 2,

@@ -25,7 +25,7 @@ from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.skills.gains import load_gains
 from craftsim.training.policy import load_policy, shipped_policies
-from craftsim.validation.play.worlds import RandomWorlds
+from craftsim.validation.worlds import RandomWorlds
 
 from .golden import digest, record, text
 

@@ -11,7 +11,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import StartError
 from craftsim.models.world import PhysicsWorld
-from craftsim.validation.audit.trial import Trial, try_it
+from craftsim.validation.audit import Trial, try_it
 
 IN_THE_GEAR = draw((5, 3, 2), [(Kind.FSLOPE, (2, 1, 1), 2)], [(1, 1, 1, 0, Kind.BLOCK, 0, 0)])
 """A carried block where a folded slope has its gear."""

@@ -8,8 +8,8 @@ from craftsim.training.config import TrainConfig
 from craftsim.training.evaluation import evaluate
 from craftsim.training.policy import SHIPPED, load_policy, policy_file, shipped_policies
 from craftsim.training.trainer import Trainer
-from craftsim.validation.runs.choice import policy_pilot, subjects_of
-from craftsim.validation.runs.policies import check_policy, make_policy, policy_digest
+from craftsim.validation.choice import policy_pilot, subjects_of
+from craftsim.validation.policies import check_policy, make_policy, policy_digest
 
 
 @pytest.mark.parametrize("name", shipped_policies())

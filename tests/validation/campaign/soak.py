@@ -20,9 +20,9 @@ import cheap_work
 from craftsim.checking.setup import setup_of
 from craftsim.experiments.experiment import Experiment, Item, RunOptions, TrialRecord
 from craftsim.experiments.session import run_experiment
-from craftsim.validation.runs.choice import PLAY, items_of, policy_pilot, subjects_of
-from craftsim.validation.runs.policies import RANDOM
-from craftsim.validation.runs.run import Terms, do_run
+from craftsim.validation.choice import PLAY, items_of, policy_pilot, subjects_of
+from craftsim.validation.policies import RANDOM
+from craftsim.validation.rollout import Terms, do_run
 
 WORKERS = 2
 ALLOWED_MB = 30.0

@@ -50,36 +50,38 @@ def _refused(folder, match, resume=True):
     assert _content(folder) == before
 
 
-@pytest.mark.parametrize("resume", [False, True])
-@pytest.mark.parametrize(
-    "name", ["trials.jsonl", "report.json", "durations.csv", "worlds", "films", "smallest"]
-)
-def test_what_no_run_of_ours_wrote_is_never_overwritten(tmp_path, name, resume):
+@pytest.mark.parametrize("name", ["trials.jsonl", "report.json", "durations.csv", "worlds", "smallest"])
+def test_what_no_run_of_ours_wrote_is_never_overwritten(tmp_path, name):
     if "." in name:
         (tmp_path / name).write_text("mine\n")
     else:
         (tmp_path / name).mkdir()
         (tmp_path / name / "mine").touch()
-    _refused(tmp_path, rf"holds {name}, but no session\.db .*choose another --out", resume)
+    for resume in (False, True):
+        _refused(tmp_path, rf"holds {name}, but no session\.db .*choose another --out", resume)
 
 
-@pytest.mark.parametrize("resume", [False, True])
-def test_lines_whose_database_is_gone_are_not_lost(unfinished, resume):
+def test_lines_whose_database_is_gone_are_not_lost(unfinished):
     (unfinished / "session.db").unlink()
-    _refused(unfinished, r"holds trials\.jsonl, but no session\.db .*put session\.db back", resume)
+    for resume in (False, True):
+        _refused(unfinished, r"holds trials\.jsonl, but no session\.db .*put session\.db back", resume)
 
 
-@pytest.mark.parametrize("name", ["trials.jsonl", "session.db", "report.json", "durations.csv"])
-@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: os.symlink("/dev/zero", path)])
-def test_pipes_devices_and_folders_in_the_place_of_files_are_refused(unfinished, name, make):
+@pytest.mark.parametrize(
+    ("name", "make"),
+    [
+        ("trials.jsonl", os.mkfifo),
+        ("session.db", os.mkdir),
+        ("session.db", lambda path: os.symlink("/dev/zero", path)),
+        ("report.json", os.mkfifo),
+        ("durations.csv", os.mkdir),
+        ("bundles", Path.touch),
+    ],
+)
+def test_what_is_of_another_kind_in_the_place_of_files_and_folders_is_refused(unfinished, name, make):
     (unfinished / name).unlink(missing_ok=True)
     make(unfinished / name)
-    _refused(unfinished, rf"{name}: not a regular file; .*another --out")
-
-
-def test_a_file_in_the_place_of_a_folder_is_refused(unfinished):
-    (unfinished / "bundles").touch()
-    _refused(unfinished, "bundles: not a folder")
+    _refused(unfinished, rf"{name}: not a (regular file|folder); .*another --out")
 
 
 def _changed(**changes):
@@ -94,19 +96,13 @@ def _attempted(**changes):
 
 DAMAGED = {
     "a key is missing": (lambda r: json.dumps(r).replace("extra", "more").encode(), "extra' is missing"),
-    "a list for a key": (_changed(key=[]), "key': Input should be a valid string, not a list"),
-    "attempts of another kind": (_changed(attempts=3), "attempts': "),
-    "an attempt without a field": (_changed(attempts=[{"tick": 0}]), r"attempts\[0\]': needs 'car'"),
     "a text for a number": (_attempted(duration_s="1"), r"attempts\[0\]\.duration_s': .* number, not '1'"),
-    "no number": (_attempted(duration_s=float("nan")), "not JSON"),
     "an unknown result": (_attempted(result="fine"), r"attempts\[0\]\.result': .*not 'fine'"),
     "a huge number": (_attempted(car_error_m=10**400), "finite"),
     "a bundle elsewhere": (_changed(bundle="../mine"), "bundle': .*folder in bundles/"),
     "a wrong extra": (_changed(extra={"ticks": 1, "forbidden": 0}), "extra': needs 'makespan_s'"),
     "a failure that agrees": (_changed(error="x", attempts=[]), "does not agree"),
     "nested brackets": (lambda r: b"[" * 300_000, "recursion limit"),
-    "a long number": (lambda r: b'{"index": ' + b"1" * 5000, "not JSON"),
-    "no text": (lambda r: b'{"key": "caf\xe9"}', "not JSON"),
     "a lone surrogate": (lambda r: b'{"key": "\\ud800"}', "not JSON"),
 }  # fmt: skip
 
@@ -135,9 +131,7 @@ def test_a_line_without_an_end_is_refused_without_reading_on(unfinished):
     assert time.process_time() - begun < 10
 
 
-@pytest.mark.parametrize(
-    "change", [{"items": 10**15}, {"items": True}, {"command": 3}, {"seed": "7"}, {"keys": None}]
-)
+@pytest.mark.parametrize("change", [{"items": 10**15}, {"command": 3}, {"keys": None}])
 def test_a_damaged_manifest_is_refused(unfinished, change):
     record = (unfinished / "trials.jsonl").read_text().splitlines()[0]
     put(unfinished, 0, record, json.dumps({**manifest_of(unfinished), **change}))

@@ -42,6 +42,8 @@ def test_what_is_missing_is_done_and_the_lines_are_those_of_a_run_that_was_never
 ):
     whole = tmp_path_factory.mktemp("whole")
     records = run_experiment(EXPERIMENT, whole)
+    with pytest.raises(InputError, match=r"unfinished run \(2 of 4 trials\): go on with --resume"):
+        run_experiment(EXPERIMENT, begun)
     assert _resume(begun) == [1, 3]
     lines = (begun / "trials.jsonl").read_text().splitlines()
     assert [json.loads(line)["index"] for line in lines] == [0, 2], "the torn line is gone"
@@ -71,7 +73,7 @@ def _failing(out):
         session.run_some({0: (0, "raise")}, lambda record: None)
 
 
-@pytest.mark.parametrize("text", ["{", "[]", "3", "{}", b"\xff\xfe", b"{}", ""])
+@pytest.mark.parametrize("text", ["{", "3", b"\xff\xfe", ""])
 def test_what_is_no_record_is_named(begun, text):
     put(begun, 2, text)
     with pytest.raises(InputError, match=r"session\.db: trial 2: not a trial's record"):
@@ -130,12 +132,6 @@ def test_a_folder_of_version_0_2_is_neither_resumed_nor_overwritten_but_compared
             run_experiment(EXPERIMENT, cut, options)
     with pytest.raises(InputError, match=r"unfinished run \(2 of 4 trials\)"):
         read_finished(cut, "test")
-
-
-def test_an_unfinished_run_is_not_overwritten(begun):
-    with pytest.raises(InputError, match=r"unfinished run \(2 of 4 trials\): go on with --resume"):
-        run_experiment(EXPERIMENT, begun)
-    assert _resume(begun) == [1, 3]
 
 
 def test_a_finished_run_gives_way_to_another_with_all_that_it_left(begun):
@@ -217,10 +213,6 @@ def test_nothing_that_a_link_in_the_folder_points_to_is_changed(begun, tmp_path_
         (begun / name).unlink()
     assert (elsewhere / "precious").read_text() == "a line without an end"
     _resume(begun)
-
-
-def test_resume_begins_where_nothing_is(tmp_path):
-    assert _resume(tmp_path / "new") == [0, 1, 2, 3]
 
 
 def test_without_a_folder_all_is_tried_in_this_process(tmp_path):

@@ -14,7 +14,7 @@ import pytest
 from craftsim import cli
 from craftsim.audit.plan import audit_plan
 from craftsim.checking.episode import Recipe, Step, do, run_up
-from craftsim.checking.setup import Seed, Setup, compile_world, setup_of
+from craftsim.checking.setup import Seed, compile_world, setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
@@ -30,7 +30,7 @@ from craftsim.experiments.bundle import (
     write_bundle,
 )
 from craftsim.experiments.replay import replay
-from craftsim.validation.audit.trial import Trial, recipe_of, try_it
+from craftsim.validation.audit import Trial, recipe_of, try_it
 from craftsim.validation.recording import record_bundle
 
 
@@ -44,7 +44,7 @@ def _world() -> Grid:
     return grid
 
 
-CALM, NOISY = Setup("published"), setup_of("strong", "published", assume="mild")
+CALM, NOISY = setup_of("none", "published"), setup_of("strong", "published", assume="mild", drive="reduced")
 
 
 def _recipe(setup=CALM) -> Recipe:
@@ -103,11 +103,7 @@ def test_a_bundle_is_reproduced_bit_for_bit(folder, tmp_path, capsys):
     assert "car 0 UNFOLD: failed." in said
     assert "touched" in said
     figures = json.loads((tmp_path / "report.json").read_text())["figures"]
-    assert figures["reproduced"]
-    assert figures["differing"] == []
-
-
-def test_the_state_before_is_that_of_the_moment(folder):
+    assert (figures["reproduced"], figures["differing"]) == (True, [])
     recorded = read_bundle(folder)
     assert 0.3 < recorded.bundle.start_s < recorded.bundle.end_s
     assert recorded.before["time"] == recorded.bundle.start_s
@@ -115,14 +111,9 @@ def test_the_state_before_is_that_of_the_moment(folder):
     assert not np.array_equal(recorded.before["qpos"], recorded.after["qpos"])
 
 
-def test_what_is_read_back_is_what_was_written(tmp_path):
-    written = write_bundle(tmp_path / "b", "a key / with ünusual <signs>", _recipe())
-    assert read_bundle(tmp_path / "b").bundle == written
-
-
 def test_two_bundles_of_one_recipe_are_equal(folder, tmp_path):
     bundle = read_bundle(folder).bundle
-    write_bundle(tmp_path, bundle.key, bundle.recipe, bundle.attempts)
+    assert write_bundle(tmp_path, bundle.key, bundle.recipe, bundle.attempts) == bundle
     for path in folder.rglob("*.*"):
         assert (tmp_path / path.relative_to(folder)).read_bytes() == path.read_bytes(), path
 
@@ -149,15 +140,6 @@ def test_a_site_used_again_gives_the_numbers_of_a_fresh_one():
     assert again == [_perform(recipe) for recipe in (noisy, calm, noisy)]
 
 
-def test_another_version_is_said_and_compared_with_a_tolerance(calm, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(replaying, "versions", lambda: {"craftsim": "9.9", "mujoco": "4.2.0", "numpy": "3.0"})
-    assert _run(calm, tmp_path) == 0
-    said = capsys.readouterr().out
-    assert f"Recorded with mujoco {mujoco.__version__}, replayed with 4.2.0" in said
-    figures = json.loads((tmp_path / "report.json").read_text())["figures"]
-    assert figures["changed_versions"]["mujoco"] == [mujoco.__version__, "4.2.0"]
-
-
 def _shift(path: Path, name: str, by: float) -> None:
     with np.load(path) as archive:
         arrays = dict(archive)
@@ -174,61 +156,33 @@ def test_the_smallest_difference_is_found(copy, tmp_path, capsys, file, name):
     assert f"Not the same: {file}: {name}." in capsys.readouterr().out
 
 
-def test_with_another_version_a_small_difference_passes_and_a_large_one_does_not(copy, monkeypatch):
-    monkeypatch.setattr(replaying, "versions", lambda: {"craftsim": "9.9", "mujoco": "x", "numpy": "x"})
+def test_with_another_version_a_small_difference_passes_and_a_large_one_does_not(
+    copy, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(replaying, "versions", lambda: {"craftsim": "9.9", "mujoco": "4.2.0", "numpy": "x"})
     _shift(copy / AFTER, "qpos", 1e-6)
-    near = replay(read_bundle(copy))
-    assert near.reproduced
-    assert near.differing == (f"{AFTER}: qpos",)
+    assert _run(copy, tmp_path / "out") == 0
+    assert f"Recorded with mujoco {mujoco.__version__}, replayed with 4.2.0" in capsys.readouterr().out
+    figures = json.loads((tmp_path / "out" / "report.json").read_text())["figures"]
+    assert figures["changed_versions"]["mujoco"] == [mujoco.__version__, "4.2.0"]
+    assert (figures["reproduced"], figures["differing"]) == (True, [f"{AFTER}: qpos"])
     _shift(copy / AFTER, "qpos", 0.002)
     far = replay(read_bundle(copy))
     assert not far.reproduced
     assert far.position_m == pytest.approx(0.002 * 3**0.5, rel=0.01)
 
 
-def _edit(folder: Path, *keys: str | int, value: object) -> None:
-    document = json.loads((folder / TEXT).read_text())
-    place = document
-    for key in keys[:-1]:
-        place = place[key]
-    place[keys[-1]] = value
-    (folder / TEXT).write_text(json.dumps(document))
-
-
-@pytest.mark.parametrize(
-    ("keys", "value", "message"),
-    [
-        (["schema_version"], 99, "schema_version is 99"),
-        (["recipe", "steps"], [], "recipe.steps is empty"),
-        (["recipe", "steps", 2, "ticks", 0, 0, "action"], "UNFLOD", "did you mean 'UNFOLD'"),
-        (["recipe", "steps", 2, "ticks", 0, 0, "car"], 7, "there is no car 7"),
-        (["recipe", "steps", 2, "ticks"], [], "has one action, not 0"),
-        (["recipe", "setup", "randomization", "mass"], "much", "recipe.setup.randomization.mass"),
-        (["recipe", "setup", "simulation", "timestep_s"], -1.0, "timestep_s"),
-        (["recipe", "setup", "rules"], "mine", "recipe.setup.rules"),
-        (["recipe", "world"], "area_length: 3", "area_width"),
-        (["recipe", "world"], "block: &a [*a]", "anchors"),
-        (["attempts"], None, "attempts"),
-    ],
-    ids=str,
-)
-def test_wrong_text_is_named(copy, tmp_path, capsys, keys, value, message):
-    _edit(copy, *keys, value=value)
-    assert _run(copy, tmp_path / "out") == 2
-    assert message in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("file", [TEXT, PHYSICS, BEFORE, AFTER])
-@pytest.mark.parametrize("how", ["missing", "empty", "cut", "noise"])
-def test_a_damaged_file_is_named(copy, tmp_path, capsys, file, how):
+def test_a_damaged_file_is_named(copy, tmp_path, capsys, file):
     path = copy / file
     data = path.read_bytes()
-    path.unlink()
-    spoilt = {"empty": b"", "cut": data[: len(data) // 2], "noise": bytes(range(256)) * 8}
-    if how in spoilt:
-        path.write_bytes(spoilt[how])
-    assert _run(copy, tmp_path / "out") == 2
-    assert file in capsys.readouterr().err
+    for spoilt in (None, b"", data[: len(data) // 2], bytes(range(256)) * 8):
+        path.unlink()
+        if spoilt is not None:
+            path.write_bytes(spoilt)
+        assert _run(copy, tmp_path / "out") == 2
+        assert file in capsys.readouterr().err
+        path.touch()
 
 
 def test_arrays_of_another_world_are_refused(copy):

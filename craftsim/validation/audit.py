@@ -1,0 +1,413 @@
+"""The audit of rules: each situation is tried in physics, and every row of situations gets a verdict on its rule."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from fnmatch import fnmatchcase
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from craftsim.audit.plan import PlanRow, corrections, distribute_trials, rows_by_flag
+from craftsim.audit.situation import Situation, shipped
+from craftsim.checking.attempt import Verdict
+from craftsim.checking.episode import Recipe, do, run_up
+from craftsim.checking.setup import Seed, Setup, compile_world, set_up
+from craftsim.discrete.files.blueprint import blueprint_text
+from craftsim.discrete.rules import RuleSet
+from craftsim.errors import StartError
+from craftsim.experiments.bundle import write_bundles
+from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
+from craftsim.experiments.durations import write_durations
+from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.intervals import wilson
+from craftsim.experiments.records import select
+from craftsim.experiments.session import Session, open_session
+from craftsim.experiments.statistics import RESULTS, Figures, campaign_figures, capped_steps, retried
+from craftsim.models.world import PhysicsWorld
+from craftsim.validation.forms import TRIALS
+from craftsim.validation.minimize import ShrinkProgress, Shrunk, kind_of, shrink_failures
+
+BATCH: Final = 20
+"""Items that a worker takes at once: those of a few situations, so that each world is compiled about once."""
+TIMEOUT_S: Final = 120.0
+SOUND_SHARE: Final = 0.95
+"""A rule that allows an action is sound where at least this share of trials does what it predicts. One that forbids an
+action is conservative where, by the same bar, it could have allowed it. Set before any audit was run."""
+MIN_TRIALS: Final = 20
+"""Trials of a row from which its verdict counts as found, and is provisional with fewer: 20 of 20 put the success rate
+above 0.83 with 95 % confidence."""
+SUSPECTS: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")
+"""Hypotheses from before anything was tried: a question, and the rows that decide on it as patterns of their names."""
+_AT_ONCE: Final = "order=at-once"
+"""How the names of rows end that are evidence only."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One trial, as it goes to a worker."""
+
+    situation: Situation
+    legal: bool
+    number: int
+    """Which trial of the situation it is; with the seed it decides the physics and the noise."""
+    seed: int
+    setup: Setup
+
+    @property
+    def placed(self) -> Situation:
+        """The situation at the place on the map where all its trials are."""
+        return self.situation.placed(np.random.default_rng([self.seed, self.situation.digest]))
+
+
+def items_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> list[Item]:
+    """Return the items of an audit: at least ``trials`` for each row; one, that tries nothing, without a prediction."""
+    items = []
+    for row in rows:
+        if row.no_prediction:
+            items.append(Item(row.name, row.name, seed, None))
+            continue
+        for situation, number in distribute_trials(row, trials):
+            trial = Trial(situation, row.legal, number, seed, setup)
+            items.append(Item(f"{situation.id}#{number}", row.name, seed, trial, context=situation.id))
+    return items
+
+
+def recipe_of(trial: Trial) -> Recipe:
+    """Return what a trial does: performing it gives what :func:`try_it` judges."""
+    placed = trial.placed
+    seed = Seed((trial.seed, trial.situation.digest, trial.number))
+    return Recipe(blueprint_text(placed.grid), placed.steps(trial.legal), trial.setup, seed)
+
+
+def try_it(trial: Trial | None) -> Done:
+    """Try one action, or one tick, and judge it; nothing for no trial, and nothing in a world that does not stand."""
+    if trial is None:
+        return Done(agrees=True)
+    shared = trial.situation, trial.seed, trial.setup
+    if problems := _problems(*shared):
+        return Done(agrees=True, extra={"does_not_stand": list(problems)})
+    recipe = recipe_of(trial)
+    attempts = do(run_up(recipe, _physics(*shared)), recipe.steps[-1])
+    return Done(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
+
+
+@lru_cache(maxsize=1)
+def _physics(situation: Situation, seed: int, setup: Setup) -> PhysicsWorld:
+    """Return the PhysicsWorld of a situation, which its other trials use again."""
+    return compile_world(Trial(situation, True, 0, seed, setup).placed.grid, setup)
+
+
+@lru_cache(maxsize=1)
+def _problems(situation: Situation, seed: int, setup: Setup) -> tuple[str, ...]:
+    """Return how a situation's world, at rest and at nominal physics, differs from what was drawn; or nothing."""
+    grid = Trial(situation, True, 0, seed, setup).placed.grid
+    world = _physics(situation, seed, setup)
+    try:
+        reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
+    except StartError as error:
+        return (str(error),)
+    if reading.problems or reading.grid.same_visible(grid):
+        return reading.problems
+    return ("the world reads otherwise than it was drawn",)
+
+
+class Judgement(StrEnum):
+    """The verdict on a rule in a context."""
+
+    UNSOUND = "unsound"
+    """It allows what physics refuses."""
+    CONSERVATIVE = "conservative"
+    """It forbids what would have worked."""
+    SOUND = "sound"
+    """It allows what works."""
+    RIGHTLY_FORBIDDEN = "rightly forbidden"
+    """It forbids what does not work."""
+    NO_PREDICTION = "no prediction"
+    """It forbids what has no intended effect: there is nothing to try."""
+    NOT_TRIED = "not tried"
+    """Errors kept all trials from an end, or the solver gave up in all."""
+
+
+DISAGREEMENTS: Final = (Judgement.UNSOUND, Judgement.CONSERVATIVE)
+
+
+@dataclass(frozen=True)
+class AuditRow:
+    """All trials of one action in one context."""
+
+    action: str
+    context: str
+    legal: bool
+    has_prediction: bool
+    trials: int
+    """Those that were carried out and solved; of each, the worst result of its attempts counts."""
+    as_predicted: int
+    failed: int
+    side_effect: int
+    unsafe: int
+    wilson_low: float
+    wilson_high: float
+    """Of the share that did as predicted, at 95 % confidence."""
+    verdict: str
+    """A :class:`Judgement`."""
+    reason: str
+    """A reason of the commonest kind why trials did not do as predicted, counted where there are other kinds."""
+    bundles: tuple[str, ...]
+    """Folders that replay disagreements."""
+    numerics: int = 0
+    """Trials that were not solved: they say nothing of the rule."""
+    errors: int = 0
+    """Trials that an exception, a timeout or a lost worker kept from an end."""
+
+    @property
+    def name(self) -> str:
+        """As in the plan of the audit."""
+        return f"{self.action}/{self.context}"
+
+    @property
+    def evidence(self) -> str:
+        """How many trials did as predicted, and why others did not."""
+        did = f"{self.as_predicted} of {self.trials} as predicted"
+        return f"{did}; {self.reason}" if self.reason else did
+
+    @property
+    def provisional(self) -> bool:
+        """Whether the verdict is one of fewer than :data:`MIN_TRIALS` trials."""
+        return 0 < self.trials < MIN_TRIALS
+
+
+def verdict_counts(rows: Iterable[AuditRow]) -> dict[str, int]:
+    """Return how many rows have each verdict, in the order of :class:`Judgement`, zeros included."""
+    found = Counter(row.verdict for row in rows)
+    return {str(judgement): found[judgement] for judgement in Judgement}
+
+
+def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> Judgement:
+    """Return the verdict on a rule from its trials, by :data:`SOUND_SHARE`."""
+    if not has_prediction:
+        return Judgement.NO_PREDICTION
+    if not trials:
+        return Judgement.NOT_TRIED
+    works = as_predicted >= SOUND_SHARE * trials
+    if legal:
+        return Judgement.SOUND if works else Judgement.UNSOUND
+    return Judgement.CONSERVATIVE if works else Judgement.RIGHTLY_FORBIDDEN
+
+
+def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
+    """Return one row for each ``group`` of records, sorted by group.
+
+    A group's name is the action, a slash and the context. A row is legal when all its attempts are; one whose trials
+    have neither attempts nor errors has no prediction.
+    """
+    groups: dict[str, _Group] = {}
+    for record in records:
+        groups.setdefault(record["group"], _Group()).add(record)
+    return [group.row(name) for name, group in sorted(groups.items())]
+
+
+@dataclass
+class _Group:
+    """What is counted of the trials of one row."""
+
+    results: Counter[Verdict] = field(default_factory=Counter)
+    errors: int = 0
+    legal: bool = True
+    bundles: list[str] = field(default_factory=list)
+    reasons: dict[str, str] = field(default_factory=dict)
+    """Why trials did not do as predicted, the first reason of each kind."""
+    kinds: Counter[str] = field(default_factory=Counter)
+
+    def add(self, record: TrialRecord) -> None:
+        attempts = record["attempts"]
+        self.legal &= all(attempt["legal"] for attempt in attempts)
+        self.bundles += [record["bundle"]] if record["bundle"] else []
+        if record["error"] is not None:
+            self.errors += 1
+        elif attempts:
+            worst = max(attempts, key=lambda attempt: RESULTS.index(Verdict(attempt["result"])))
+            self.results[Verdict(worst["result"])] += 1
+            if worst["result"] != Verdict.AS_PREDICTED:
+                self.reasons.setdefault(kind_of(worst["reason"]), worst["reason"])
+                self.kinds[kind_of(worst["reason"])] += 1
+
+    def row(self, name: str) -> AuditRow:
+        action, _, context = name.partition("/")
+        good, failed, side_effect, unsafe, numerics = (self.results[result] for result in RESULTS)
+        trials = self.results.total() - numerics
+        has_prediction = bool(self.results) or bool(self.errors)
+        (commonest, n), *others = self.kinds.most_common() or [("", 0)]
+        reason = self.reasons.get(commonest, "")
+        return AuditRow(
+            *(action, context, self.legal and has_prediction, has_prediction),
+            *(trials, good, failed, side_effect, unsafe),
+            *wilson(good, trials),
+            verdict=judge(self.legal, has_prediction, trials, good).value,
+            reason=f"{reason} ({n} of {self.kinds.total()})" if others else reason,
+            bundles=tuple(self.bundles),
+            numerics=numerics,
+            errors=self.errors,
+        )
+
+
+@dataclass(frozen=True)
+class SuspectFinding:
+    """What was found on a hypothesis."""
+
+    number: int
+    question: str
+    rows: int
+    """How many were tried."""
+    trials: int
+    verdict: str
+    evidence: str
+    """The clearest row of the gravest kind, with its figures and reason."""
+
+
+def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[SuspectFinding]:
+    """Return what was found on each of :data:`SUSPECTS`; ``at_once`` are rows that count as evidence only."""
+    found = []
+    for number, suspect in enumerate(SUSPECTS, start=1):
+        mine, together = (
+            [r for r in some if r.trials and any(fnmatchcase(r.name, p) for p in suspect["rows"])]
+            for some in (rows, at_once)
+        )
+        counts = verdict_counts(mine)
+        gravest = next((verdict for verdict, n in counts.items() if n), None)
+        clearest = sorted((r for r in mine if r.verdict == gravest), key=_clarity)[:1]
+        evidence = [f"{row.name}: {row.evidence}" for row in clearest]
+        evidence += [f"begun all at once, {row.name}: {row.evidence}" for row in together]
+        verdict = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n) or "not tried"
+        trials = sum(row.trials for row in mine)
+        found.append(
+            SuspectFinding(number, suspect["question"], len(mine), trials, verdict, "; ".join(evidence))
+        )
+    return found
+
+
+def _clarity(row: AuditRow) -> tuple[int, str]:
+    """Sort first what disagrees with the rules in most trials."""
+    return row.as_predicted if row.legal else row.trials - row.as_predicted, row.name
+
+
+@dataclass(frozen=True)
+class Audit:
+    """The result of an audit."""
+
+    records: Sequence[TrialRecord]
+    rows: tuple[AuditRow, ...]
+    """Of actions as the rules have them: one after the other, or by the schedule that keeps them apart."""
+    suspects: tuple[SuspectFinding, ...]
+    figures: Figures
+    config: dict[str, Any]
+    seed: int
+    corrections: Mapping[str, Sequence[str]]
+    """The corrections that would each concern an unsound row, by its name."""
+    comparison: Comparison | None
+    smallest: tuple[Shrunk, ...] = ()
+    """The first failure of each kind in its smallest world, where that was asked for."""
+
+    @property
+    def rows_by_flag(self) -> dict[str, int]:
+        """How many unsound rows each correction concerns."""
+        return rows_by_flag(self.corrections)
+
+
+def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
+    """Return the records without those of what is begun all at once: the rules say nothing of it."""
+    return select(records, lambda record: not record["group"].endswith(_AT_ONCE))
+
+
+def corrected(
+    rows: Iterable[AuditRow], plan: Sequence[PlanRow], rules: RuleSet
+) -> dict[str, tuple[str, ...]]:
+    """Return the flags that would each correct an unsound row, by its name."""
+    unsound = {row.name for row in rows if row.verdict == Judgement.UNSOUND}
+    return corrections((row for row in plan if row.name in unsound), rules)
+
+
+def run_audit(
+    plan: Sequence[PlanRow],
+    setup: Setup,
+    trials: int,
+    seed: int,
+    out: Path,
+    *,
+    asked: Mapping[str, Any],
+    options: RunOptions,
+    batch: int = BATCH,
+    shrink: ShrinkProgress | None = None,
+) -> Audit:
+    """Try the rows of a plan in physics, and write report.json, durations.csv and replay bundles into a folder.
+
+    Args:
+        plan: the rows.
+        setup: configuration of the physics; its rules are audited.
+        trials: at least how many for each row; each of its contexts is tried at least once.
+        seed: decides the places, the physics and the noise of all trials.
+        out: the folder.
+        asked: the options that chose the rows, for the report.
+        options: how.
+        batch: trials that a worker takes at once; the default suits rows of many trials.
+        shrink: shows how the first failure of each kind is shrunk to its smallest world; unless given, none is.
+    """
+    config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
+    items = items_of(plan, trials, seed, setup)
+    experiment = Experiment("audit", seed, config, items, try_it, TRIALS, TIMEOUT_S, batch)
+    earlier = read_earlier(experiment, out, options)
+    with open_session(experiment, out, options) as session:
+        records = session.run()
+        records = records.with_bundles(_bundle_disagreements(session, records))
+        smallest = () if shrink is None else shrink_failures(session, records, shrink)
+        every = audit_rows(records)
+        together = tuple(row for row in every if row.context.endswith(_AT_ONCE))
+        rows = tuple(row for row in every if row not in together)
+        suspects, corrects = tuple(find(rows, together)), corrected(rows, plan, setup.rules)
+        figures = campaign_figures(judged_by_rules(records), seed)
+        comparison = None if earlier is None else compare_runs(earlier, session, judged_by_rules)
+        planned = {row.name: row for row in plan}
+        found = {
+            "verdicts": verdict_counts(rows),
+            "provisional": sum(row.provisional for row in rows),
+            "contexts": sum(len(row.members) for row in plan),
+            "corrections": rows_by_flag(corrects),
+            "rows": [
+                {
+                    **asdict(row),
+                    "contexts": len(planned[row.name].members),
+                    "clearance_mm": planned[row.name].clearance_mm,
+                    "corrections": corrects.get(row.name, ()),
+                }
+                for row in rows
+            ],
+            "at_once": together,
+            "suspects": suspects,
+            "capped_steps": capped_steps(records),
+            "retried": retried(records),
+        }
+        session.write_report(
+            {"audit": found, "validation": figures, "paired": comparison, "smallest": smallest}
+        )
+        write_durations(out, figures.durations)
+    return Audit(records, rows, suspects, figures, config, seed, corrects, comparison, smallest)
+
+
+def _bundle_disagreements(session: Session, records: Sequence[TrialRecord]) -> dict[int, str]:
+    """Write the replay bundle of the first disagreement of each unsound or conservative row.
+
+    Returns the folders of the bundles, relative to the run's, by the number of their record.
+    """
+    rows = [row for row in audit_rows(records) if not row.context.endswith(_AT_ONCE)]
+    shown = {row.name for row in rows if row.verdict in DISAGREEMENTS}
+    first: dict[str, int] = {}
+    for index, record in enumerate(records):
+        if record["group"] in shown and record["attempts"] and not record["agrees"]:
+            first.setdefault(record["group"], index)
+    items = session.experiment.items
+    return write_bundles(session, {index: partial(recipe_of, items[index].job) for index in first.values()})

@@ -1,0 +1,324 @@
+"""The report of an audit: which rules does physics keep?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from craftsim.experiments.bundle import TRAJECTORY
+from craftsim.experiments.intervals import CONFIDENCE
+from craftsim.experiments.sections import (
+    RESULTS,
+    comparison_notes,
+    duration_blocks,
+    error_drawing,
+    error_tables,
+    legality_table,
+    paired_sections,
+    precision_table,
+    provenance_section,
+    result_cells,
+    results_table,
+    run_notes,
+)
+from craftsim.experiments.statistics import (
+    Figures,
+    Precision,
+    capped_steps,
+    error_counts,
+    legal_attempts,
+    retried,
+)
+from craftsim.reports.plots import BAD, CAUTION, GOOD, MUTED, rows_height_in, stacked_rows
+from craftsim.reports.report import (
+    Block,
+    Case,
+    Cases,
+    Cell,
+    Column,
+    DataTable,
+    Drawing,
+    Group,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    Value,
+    count,
+    interval,
+)
+from craftsim.validation.audit import (
+    MIN_TRIALS,
+    SOUND_SHARE,
+    Audit,
+    AuditRow,
+    Judgement,
+    SuspectFinding,
+    judged_by_rules,
+    verdict_counts,
+)
+from craftsim.validation.sections import RecordedRun, case_of, recorded_section, smallest_section
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MOST_STRIKING: Final = 6
+"""Unsound rows shown before all others, of as many actions as there are."""
+_TONES: Final = {
+    Judgement.UNSOUND: Tone.BAD,
+    Judgement.CONSERVATIVE: Tone.CAUTION,
+    Judgement.SOUND: Tone.GOOD,
+    Judgement.RIGHTLY_FORBIDDEN: Tone.PLAIN,
+    Judgement.NO_PREDICTION: Tone.MUTED,
+    Judgement.NOT_TRIED: Tone.CAUTION,
+}
+_COLOURS: Final = {
+    Judgement.SOUND: GOOD,
+    Judgement.UNSOUND: BAD,
+    Judgement.CONSERVATIVE: CAUTION,
+    Judgement.RIGHTLY_FORBIDDEN: MUTED,
+}
+_OTHERS: Final = {
+    Judgement.SOUND: "The rules allow these, and they work.",
+    Judgement.RIGHTLY_FORBIDDEN: "The rules forbid these, and they do not work.",
+    Judgement.NO_PREDICTION: "The rules forbid these, and nothing is intended that could be tried.",
+    Judgement.NOT_TRIED: "Errors kept all trials of these from an end.",
+}
+"""What is listed last, and what it means."""
+_INTERVAL: Final = Column(f"{100 * CONFIDENCE:.0f} % interval", tip="of the share that did as predicted")
+
+
+def audit_report(audit: Audit, out: Path, command: str) -> Report:
+    """Return the report of an audit in the folder ``out``; ``command`` is how it can be run again."""
+    rows, figures = audit.rows, audit.figures
+    found = verdict_counts(rows)
+    unsound, conservative = (_striking_first(rows, j) for j in (Judgement.UNSOUND, Judgement.CONSERVATIVE))
+    first = {row.action: row for row in reversed(unsound)}
+    one_each = [row for row in unsound if first[row.action] is row]
+    striking = [*one_each, *(row for row in unsound if row not in one_each), *conservative]
+    recorded = [
+        RecordedRun(row.name, f"{row.bundles[0]}/{TRAJECTORY}", False) for row in striking if row.bundles
+    ]
+    flags = audit.rows_by_flag | {"no flag": sum(not flags for flags in audit.corrections.values())}
+    corrections = DataTable(
+        (Column("correction", "path"), Column("unsound rows", "number")),
+        [(flag, number) for flag, number in flags.items() if number],
+        "The rules that these come of",
+        "A correction is a difference of the physical rules from CraftEnv's; docs/rules.md says what each asks for.",
+    )
+    striking_first = corrections, Cases([_case(row) for row in one_each][:MOST_STRIKING])
+    sections = [
+        _disagreements("Unsound", unsound),
+        _disagreements("Conservative", conservative),
+        _suspects(audit.suspects),
+        _matrix(rows, figures),
+        *paired_sections(audit.comparison),
+        *smallest_section(audit.smallest),
+        *_groups(
+            rows, Judgement.UNSOUND, "The rules allow these, and physics refuses.", unsound, *striking_first
+        ),
+        *_groups(
+            rows, Judgement.CONSERVATIVE, "The rules forbid these, and they would have worked.", conservative
+        ),
+        *recorded_section(out, recorded),
+        Section(
+            "others",
+            "All other rows",
+            "The rules and physics agree on these, or there is nothing to compare.",
+            [
+                _row_table([row for row in rows if row.verdict == judgement], judgement.value, note)
+                for judgement, note in _OTHERS.items()
+                if found[judgement]
+            ],
+        ),
+        Section(
+            "errors",
+            "Errors and durations",
+            "Of what the rules allow and did as predicted.",
+            [
+                results_table("By action", "action", figures.by_verb),
+                precision_table(figures.precision),
+                error_drawing(legal_attempts(judged_by_rules(audit.records))),
+                *duration_blocks(figures.durations),
+            ],
+        ),
+        provenance_section(command, audit.seed, audit.config),
+    ]
+    named = ", ".join(f"{flag} {number}" for flag, number in audit.rows_by_flag.items())
+    notes = [
+        *([f"unsound rows by the correction that concerns them: {named}"] if named else []),
+        *run_notes(capped_steps(audit.records), retried(audit.records)),
+        *comparison_notes(audit.comparison),
+        *_precision(figures.precision),
+    ]
+    decided = (Judgement.UNSOUND, Judgement.SOUND, Judgement.CONSERVATIVE, Judgement.RIGHTLY_FORBIDDEN)
+    least = min((row.trials for row in rows if row.trials), default=0)
+    return Report(
+        "Audit of the rules",
+        f"rule set: {audit.config['rules']}",
+        _headline(audit),
+        [
+            *(KeyFigure(f"{found[judgement]:,}", judgement.value, "rows") for judgement in decided),
+            KeyFigure(f"{figures.trials:,}", "trials", f"at least {least} a row"),
+        ],
+        sections,
+        notes,
+        exit_code=int(bool(found[Judgement.UNSOUND] or error_counts(audit.records))),
+    )
+
+
+def _headline(audit: Audit) -> Headline:
+    found, errors = verdict_counts(audit.rows), sum(error_counts(audit.records).values())
+    unsound, conservative = found[Judgement.UNSOUND], found[Judgement.CONSERVATIVE]
+    allowed = unsound + found[Judgement.SOUND]
+    few = sum(row.provisional for row in audit.rows)
+    sentence = (
+        f"{audit.config['rules']}: {unsound:,} of {count(allowed, 'row')} that the rules allow are unsound; "
+        f"{conservative:,} that they forbid would have worked, {found[Judgement.RIGHTLY_FORBIDDEN]:,} are rightly "
+        "forbidden."
+    )
+    sentence += f" {count(errors, 'trial')} did not come to an end." if errors else ""
+    if few:
+        are = "row is" if few == 1 else "rows are"
+        sentence += f" {few:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."
+    if unsound:
+        return Headline("Unsound", Tone.BAD, sentence)
+    if not allowed or found[Judgement.NOT_TRIED]:
+        return Headline("Not decided", Tone.CAUTION, sentence)
+    return Headline("Sound", Tone.GOOD, sentence)
+
+
+def _precision(found: Precision) -> list[str]:
+    """Return the 99th percentiles of the errors that figures hang on."""
+    named = {
+        "cars {:.2f} mm": found.car_error_mm,
+        "{:.2f} mrad": found.heading_error_mrad,
+        "set down {:.2f} mm": found.placed_error_mm,
+        "reaching out of a cell {:.2f} mm": found.reach_mm,
+        "others {:.2f} mm from their places": found.drift_mm,
+    }
+    parts = [words.format(one.p99) for words, one in named.items() if one is not None]
+    text = f"Of what the rules allow and did as predicted, 99th percentiles: {', '.join(parts)}"
+    return [text] if found.car_error_mm else []
+
+
+def _suspects(suspects: Iterable[SuspectFinding]) -> Section:
+    columns = (
+        *(Column("suspect", "wide"), Column("verdict"), Column("evidence", "path", terminal=False)),
+        *(Column("rows", "number"), Column("trials", "number")),
+    )
+    rows = []
+    for one in suspects:
+        # Verdicts are listed the gravest first.
+        gravest = next((j for j in Judgement if one.verdict.split(", ")[0].endswith(f" {j}")), None)
+        verdict = Cell(one.verdict, _TONES[gravest] if gravest else Tone.MUTED)
+        rows.append((f"{one.number}. {one.question}", verdict, one.evidence, one.rows, one.trials))
+    table = DataTable(columns, rows, "Suspects", "Evidence is the clearest row of the gravest verdict.")
+    lead = "Rules that were under suspicion before the audit."
+    return Section("suspects", "Suspects", lead, [table], terminal=True)
+
+
+def _matrix(rows: Sequence[AuditRow], figures: Figures) -> Section:
+    actions = _by_action(rows)
+    parts = {
+        judgement.value: (
+            colour,
+            [sum(row.verdict == judgement for row in group) for group in actions.values()],
+        )
+        for judgement, colour in _COLOURS.items()
+    }
+
+    def draw(axes: Axes) -> None:
+        stacked_rows(axes, list(actions), parts)
+        axes.set_xlabel("rows")
+
+    height_in = rows_height_in(len(actions)) + 0.25
+    drawing = Drawing.of_axes(draw, height_in, "Verdicts on the rows of each action.", "verdicts by action")
+    lead = (
+        "A row is one action in situations that physics cannot tell apart. The action works there when at least "
+        f"{100 * SOUND_SHARE:.0f} % of the trials did what was predicted, and nothing else."
+    )
+    blocks: list[Block] = [legality_table(figures.matrix), drawing, *error_tables(figures.errors)]
+    return Section("matrix", "Rules against physics", lead, blocks)
+
+
+def _groups(
+    rows: Sequence[AuditRow], judgement: Judgement, lead: str, chosen: Sequence[AuditRow], *first: Block
+) -> list[Section]:
+    """Return the rows with a verdict by action, with the films of them that there are; nothing for no row."""
+    if not chosen:
+        return []
+    blocks, legal = [*first], chosen[0].legal
+    for action, group in _by_action(chosen).items():
+        tried = sum(row.action == action and row.legal == legal and row.trials > 0 for row in rows)
+        title = f"{action}: {len(group):,} of {tried:,} that are {'allowed' if legal else 'forbidden'}"
+        blocks.append(Group(title, [_row_table(group), Cases([*map(_case, group)], unfilmed=0)]))
+    if first:
+        lead += " First the most striking row of an action each, then all of them."
+    title = f"{judgement.value.capitalize()}: {count(len(chosen), 'row')}"
+    return [Section(judgement.value, title, f"{lead} Replay bundles from the folder of this page.", blocks)]
+
+
+def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
+    """Return what the terminal says of rows with a verdict, the most striking first; the page has groups of them."""
+    title = f"{verdict}: {count(len(rows), 'row')}"
+    columns = (
+        *(Column("row", "path"), Column("as predicted", "number"), _INTERVAL),
+        Column("physical reason", "wide"),
+    )
+    cells = [
+        (
+            row.name,
+            f"{row.as_predicted:,} of {row.trials:,}",
+            *(interval(row.wilson_low, row.wilson_high), row.reason),
+        )
+        for row in rows
+    ]
+    return Section(verdict.lower(), title, "", [DataTable(columns, cells, title)], terminal=True, page=False)
+
+
+def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> DataTable:
+    """Return the table of all that is known of rows; folded where all have one verdict."""
+    cells: list[tuple[Value, ...]] = []
+    for row in rows:
+        bundle = row.bundles[0] if row.bundles else ""
+        trials, *results = result_cells(row)
+        bar = (row.as_predicted / row.trials, row.wilson_low, row.wilson_high) if row.trials else None
+        cells.append(
+            (
+                *(row.name, row.reason),
+                Cell(f"{trials}, provisional", Tone.CAUTION) if row.provisional else trials,
+                *results,
+                Cell(interval(row.wilson_low, row.wilson_high), share=bar) if bar else None,
+                Cell(bundle, link=f"{bundle}/{TRAJECTORY}") if bundle else None,
+            )
+        )
+    columns = (
+        *(Column("row", "path"), Column("physical reason", "wide"), *RESULTS, _INTERVAL),
+        Column("bundle", "path", "folder of a replay bundle: craftsim replay FOLDER"),
+    )
+    title = f"{verdict.capitalize()}: {count(len(rows), 'row')}" if verdict else ""
+    return DataTable(columns, cells, title, note, folded=bool(verdict), tall=True)
+
+
+def _striking_first(rows: Sequence[AuditRow], judgement: Judgement) -> list[AuditRow]:
+    """Return the rows with a verdict: the unsafe ones first, then those that did least as predicted."""
+    return sorted(
+        (row for row in rows if row.verdict == judgement),
+        key=lambda row: (-row.unsafe / row.trials, row.as_predicted / row.trials, -row.failed / row.trials),
+    )
+
+
+def _by_action(rows: Iterable[AuditRow]) -> dict[str, list[AuditRow]]:
+    """Return rows by their action, in the order of the actions' names."""
+    groups: dict[str, list[AuditRow]] = {}
+    for row in rows:
+        groups.setdefault(row.action, []).append(row)
+    return dict(sorted(groups.items()))
+
+
+def _case(row: AuditRow) -> Case:
+    bundle = row.bundles[0] if row.bundles else ""
+    return case_of(row.name, row.verdict, _TONES[Judgement(row.verdict)], row.evidence, bundle)

@@ -1,0 +1,171 @@
+"""What a validation runs: worlds, and the plans, lists of actions or policies that say what their cars do."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from craftsim.checking.setup import Setup, check_start
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
+from craftsim.discrete.files.plan import Plan, read_plan
+from craftsim.discrete.files.shipped import shipped_plan
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
+from craftsim.errors import InputError
+from craftsim.experiments.experiment import Item
+from craftsim.models.world import PhysicsWorld
+from craftsim.skills.library import check_cars
+from craftsim.storage.paths import exists, resolved
+from craftsim.storage.writing import writable
+from craftsim.training.policy import is_shipped_policy
+from craftsim.validation.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
+from craftsim.validation.rollout import By, PlanOrder, RandomPlay, Run, Terms, steps_of
+from craftsim.validation.worlds import MAX_CARS, RandomWorlds
+
+PLAY: Final = "play"
+"""Stands for :class:`RandomPlay`."""
+SHIPPED: Final = "shipped"
+"""Stands for the digest of what belongs to a version of craftsim."""
+
+World = Task | Grid | RandomWorlds | str | Path
+"""A task, a start without a goal, or what names one: a task's name, a file, ``module:factory``, or ``random``."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A world to run in."""
+
+    name: str
+    world: Task | str | RandomWorlds
+    digest: str
+    n_cars: int
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What decides the cars' actions."""
+
+    name: str
+    digest: str
+    """Of the files that it is made of, so that a changed one is noticed."""
+    by: By
+    plans: Mapping[str, By] = field(default_factory=dict)
+    """By subject, where it has a plan of its own."""
+
+
+def subjects_of(
+    worlds: Iterable[World],
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+    max_steps: int | None = None,
+) -> list[Subject]:
+    """Return the subjects that worlds, or names of them, stand for.
+
+    ``n_cars`` and ``n_blocks`` set the numbers of what is drawn at random, ``max_steps`` the length of an episode in
+    ``random`` worlds.
+
+    Raises InputError for what names no world, and for two of one name.
+    """
+    found: dict[str, Subject] = {}
+    for world in worlds:
+        one = _subject(world, n_cars, n_blocks, max_steps)
+        if one.name in found:
+            raise InputError(
+                f"two worlds are called '{one.name}'; rename one, or run them one after the other"
+            )
+        found[one.name] = one
+    return list(found.values())
+
+
+def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None) -> Subject:
+    if isinstance(world, str) and world == RANDOM:
+        world = RandomWorlds(n_cars, n_blocks, RandomWorlds.max_steps if max_steps is None else max_steps)
+    if isinstance(world, RandomWorlds):
+        return Subject(RANDOM, world, _digest(repr(world).encode()), world.n_cars or MAX_CARS)
+    if isinstance(world, Grid):
+        world = free_play("grid", (parse_blueprint(blueprint_text(world), "grid"),))
+    if isinstance(world, str | Path) and (n_cars is not None or n_blocks is not None):
+        world = as_task(str(world), n_cars, n_blocks)
+    if isinstance(world, Task):
+        return Subject(world.name, world, world.digest, world.layout.n_cars)
+    name = str(resolved(world)) if exists(world) and world not in TASK_NAMES else str(world)
+    task = as_task(name)
+    digest = SHIPPED if name in TASK_NAMES else task.digest
+    return Subject(task.name, name, digest, task.layout.n_cars)
+
+
+def check_starts(subjects: Sequence[Subject], setup: Setup, seed: int) -> None:
+    """Raise StartError for a world of one's own in which something stands in something else, and InputError for a skill
+    for a car that it has not."""
+    for subject in subjects:
+        world = subject.world
+        if not isinstance(world, RandomWorlds):
+            check_cars(setup.skills, subject.n_cars)
+        if not isinstance(world, RandomWorlds) and world not in TASK_NAMES:
+            start = as_task(world).draw(np.random.default_rng(seed))
+            check_start(PhysicsWorld(start, setup.simulation, machines=setup.machines))
+
+
+def plan_pilot(plan: Plan, order: PlanOrder) -> Pilot:
+    """Return what carries out a plan, whatever happens."""
+    said = (plan.ticks, *plan.after.items()) if plan.after else plan.ticks
+    steps = steps_of(plan.ticks, order, plan.after)
+    return Pilot(writable(plan.path.stem), _digest(repr(said).encode()), steps)
+
+
+def policy_pilot(
+    policy: str | Policy,
+    subjects: Sequence[Subject],
+    order: PlanOrder,
+    rules: RuleSet = "physical",
+    timeout_s: float = 600.0,
+) -> Pilot:
+    """Return what does as a policy says; one of others is asked now what it does at the start of each world.
+
+    Raises InputError where there is no such policy, and where it does not answer in time with an action for each agent.
+    """
+    if not isinstance(policy, str):
+        name = getattr(policy, "__name__", type(policy).__name__)
+        return Pilot(name, _digest(name.encode()), policy)
+    if policy == PLAY:
+        return Pilot(PLAY, SHIPPED, RandomPlay(order))
+    if policy != PLANNER:
+        own = exists(policy) and not is_shipped_policy(policy)
+        place = str(resolved(policy)) if own else policy
+        for subject in subjects:
+            world = subject.world
+            task = world.task(np.random.default_rng(0)) if isinstance(world, RandomWorlds) else as_task(world)
+            check_policy(place, task, rules, timeout_s)
+        return Pilot(writable(policy), policy_digest(place), place)
+    for subject in subjects:
+        if isinstance(subject.world, RandomWorlds) or not as_task(subject.world).has_goal:
+            raise InputError(
+                f"there is no shipped plan for {subject.name}, and no goal to plan for; "
+                "give a plan with --plan, or a --policy"
+            )
+    shipped = [subject for subject in subjects if subject.world in TASK_NAMES]
+    plans = {s.name: steps_of(read_plan(shipped_plan(s.name), s.n_cars).ticks, order) for s in shipped}
+    return Pilot(PLANNER, SHIPPED, PLANNER, plans)
+
+
+def items_of(
+    subjects: Sequence[Subject], pilots: Sequence[Pilot], trials: int, terms: Terms
+) -> Iterator[Item]:
+    """Yield all runs: every pilot in every subject, so many times."""
+    for episode in range(trials):
+        for subject in subjects:
+            for pilot in pilots:
+                key = f"{subject.name}/{pilot.name}/{episode:04d}"
+                by = pilot.plans.get(subject.name, pilot.by)
+                run = Run(key, subject.world, by, episode, terms)
+                yield Item(key, pilot.name, terms.seed, run, subject.name, episode)
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

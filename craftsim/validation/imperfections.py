@@ -1,0 +1,160 @@
+"""The imperfections that can grow: every figure of a DomainRandomization and of its parts, found by itself.
+
+What stands in :data:`_SAID` has a name, a largest value or companions of its own; any other figure, one that is added
+later included, takes them from its own name and unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache, reduce
+from typing import Any, Final
+
+from craftsim.errors import InputError, suggestion
+from craftsim.models.randomization import NONE, DomainRandomization
+
+PREFERRED: Final = (
+    *(1.0, 1.12, 1.25, 1.4, 1.6, 1.8, 2.0, 2.24, 2.5, 2.8),
+    *(3.15, 3.55, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1, 8.0, 9.0),
+)
+"""The preferred numbers of ISO 3's series R20, which grow by 12 %: levels are these, times a power of ten."""
+DECADES: Final = 2
+"""From the smallest level to the largest."""
+_UNITS: Final = {
+    "_m": ("mm", 1e3, 0.02),
+    "_rad": ("mrad", 1e3, 0.1),
+    "_s": ("ms", 1e3, 0.25),
+    "_n": ("N", 1.0, 0.8),
+    "_share": ("%", 1e2, 0.8),
+    "": ("%", 1e2, 0.8),
+}
+"""By how a figure's name ends: the unit for people, how many of them make one of the figure, the largest value."""
+_SHAPES: Final = ("floor.tile_m", "floor.wavelength_m", "sensors.min_delay_s")
+"""Figures that say how another imperfection looks, and are none by themselves."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One imperfection that grows, with all else as in a base; hashable."""
+
+    name: str
+    """For people and for options, such as ``position-bias``."""
+    figure: str
+    """Of a DomainRandomization, with a dot where it is in a part, such as ``sensors.position_bias_m``."""
+    unit: str
+    scale: float
+    """How many of the unit make one of the figure."""
+    largest: float
+    """The largest value that is tried, in the figure's own unit."""
+    also: tuple[tuple[str, float | None], ...] = ()
+    """Figures that go with it: at a value of their own, or None for the same."""
+
+    @property
+    def words(self) -> str:
+        """The name as people write it."""
+        return self.name.replace("-", " ")
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The values that are tried, from the smallest to the largest."""
+        exponents = range(-12, 12)
+        every = [number * 10.0**power for power in exponents for number in PREFERRED]
+        low = self.largest / 10.0**DECADES
+        return tuple(float(f"{v:.3g}") for v in every if low * (1 - 1e-9) <= v <= self.largest * (1 + 1e-9))
+
+    def value(self, base: DomainRandomization) -> float:
+        """Return the value that a base has."""
+        return float(reduce(getattr, self.figure.split("."), base))  # type: ignore[arg-type]
+
+    def on(self, base: DomainRandomization, value: float) -> DomainRandomization:
+        """Return the base with this figure at a value. Raises InputError for a value that the figure cannot have."""
+        for figure, own in ((self.figure, value), *self.also):
+            base = _with(base, figure, value if own is None else own)
+        return base
+
+    def text(self, value: float) -> str:
+        """Return a value with its unit."""
+        return f"{self.scale * value:.3g} {self.unit}"
+
+
+_SAID: Final[dict[str, tuple[str, float, dict[str, float | None]]]] = {
+    "motor": ("motor-strength", 0, {}),
+    "tilt_rad": ("floor-tilt", 0, {}),
+    "floor.lippage_m": ("", 0.005, {}),
+    "floor.unevenness_m": ("", 0.01, {}),
+    "floor.joint_m": ("joint-width", 0, {"floor.joint_depth_m": 0.001}),
+    "floor.joint_depth_m": ("joint-depth", 0.005, {"floor.joint_m": 0.005}),
+    "making.wheel_radius_m": ("", 0.001, {}),
+    "making.wheel_place_m": ("", 0.002, {}),
+    "making.board_m": ("board-height", 0.002, {}),
+    "making.board_place_m": ("board-place", 0.005, {}),
+    "making.foot_m": ("leg-length", 0.002, {}),
+    "making.underside_m": ("underside-height", 0.002, {}),
+    "making.pocket_m": ("pocket-place", 0.005, {}),
+    "sensors.position_m": ("position-noise", 0, {}),
+    "sensors.heading_rad": ("heading-noise", 0, {}),
+    "sensors.position_drift_m": ("", 0.01, {}),
+    "sensors.heading_drift_rad": ("", 0.02, {}),
+    "sensors.max_delay_s": ("delay", 0, {"sensors.min_delay_s": None}),
+    "sensors.localisation_period_s": ("", 0.5, {}),
+    "sensors.lost_share": ("lost-localisations", 0, {}),
+    "sensors.outlier_share": ("outliers", 0.2, {"sensors.outlier_m": 0.05}),
+    "sensors.outlier_m": ("outlier-size", 0.2, {"sensors.outlier_share": 0.02}),
+    "sensors.encoder_step_rad": ("", 0.2, {}),
+    "sensors.tilt_rad": ("tilt-noise", 0, {}),
+    "sensors.board_m": ("board-height-noise", 0.001, {}),
+    "sensors.board_bias_m": ("board-height-bias", 0.002, {}),
+    "sensors.board_force_n": ("board-force-noise", 0, {}),
+    "sensors.hinge_rad": ("hinge-noise", 0, {}),
+    "sensors.undocked_share": ("lost-plug-contact", 0, {}),
+}
+"""By figure: a name, a largest value, and companions with their values, each where it has one of its own."""
+WORTH: Final = (
+    *("lippage", "unevenness", "floor-tilt", "friction", "mass", "motor-strength", "backlash", "motor-lag"),
+    *("wheel-radius", "underside-height", "pocket-place", "position-noise", "heading-noise", "position-bias"),
+    *("heading-bias", "delay", "localisation-period", "lost-localisations"),
+)
+"""The axes that are searched where nothing else is asked for."""
+ALL: Final = "all"
+
+
+@cache
+def axes() -> dict[str, Axis]:
+    """Return all axes by name, in the order of the figures."""
+    found = [_axis(figure) for figure in _figures(NONE) if figure not in _SHAPES]
+    return {axis.name: axis for axis in found}
+
+
+def axes_of(names: Sequence[str]) -> tuple[Axis, ...]:
+    """Return the axes of these names; for ``all`` every one. Raises InputError for one that there is not."""
+    known = axes()
+    for name in names:
+        if name not in known and name != ALL:
+            raise InputError(
+                f"no imperfection '{name}'{suggestion(name, known)}; there are {', '.join(known)}, {ALL}"
+            )
+    return tuple(known[name] for name in dict.fromkeys(known if ALL in names else names))
+
+
+def _axis(figure: str) -> Axis:
+    name, largest, also = _SAID.get(figure, ("", 0, {}))
+    ending = next(end for end in _UNITS if figure.endswith(end))
+    unit, scale, usual = _UNITS[ending]
+    name = name or figure.rpartition(".")[2].removesuffix(ending).replace("_", "-")
+    return Axis(name, figure, unit, scale, largest or usual, tuple(also.items()))
+
+
+def _figures(part: Any, prefix: str = "") -> Iterator[str]:
+    """Yield the names of the numbers in nested dataclasses."""
+    for one in fields(part):
+        value = getattr(part, one.name)
+        if is_dataclass(value):
+            yield from _figures(value, f"{prefix}{one.name}.")
+        else:
+            yield prefix + one.name
+
+
+def _with(base: Any, figure: str, value: float) -> Any:
+    name, _, rest = figure.partition(".")
+    return replace(base, **{name: _with(getattr(base, name), rest, value) if rest else value})

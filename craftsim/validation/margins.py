@@ -1,0 +1,558 @@
+"""By how much each imperfection of the world may grow until an action fails.
+
+Trial number i has the same draws at every level (common random numbers), so it stands low levels and, from its own
+*critical level* on, fails. Critical levels of independent trials are independent, and their order statistics bound the
+quantiles of their distribution, whatever that is (S. S. Wilks, "Determination of sample sizes for setting tolerance
+limits", 1941):
+
+- the smallest of n is stood by at least 95 % of all worlds, with confidence 1 - 0.95**n, which is 95 % for n = 59;
+- from the k-th smallest of m on more than 5 % fail, with 95 % confidence, where k or more of m would fail with a
+  probability of 5 % at most if 5 % failed: the third smallest of 16.
+
+That a trial which fails at a level fails at all higher ones is used to search, not to conclude: at the margin itself
+every trial is run.
+
+In a scenario the car gets to its place by itself, and then does what is judged: one that has just driven under a block
+stands there as well as it knows its place, which decides what it can lift. Mirror images are left out, for the machines
+are alike left and right; diagonal moves are never legal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
+from fnmatch import fnmatchcase
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Annotated, Any, Final, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from craftsim.audit.situation import SCENES, Row, Situation, shipped
+from craftsim.audit.survey import row_of, situation_of
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.episode import Recipe, do, start
+from craftsim.checking.setup import Seed, Setup, compile_world, imperfect
+from craftsim.discrete.files.blueprint import blueprint_text
+from craftsim.discrete.rules import RuleSet
+from craftsim.errors import InputError, StartError
+from craftsim.experiments.bundle import write_bundles
+from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.records import read_finished
+from craftsim.experiments.schema import STRICT, Form
+from craftsim.experiments.session import Session, open_session
+from craftsim.models.imperfection import Floor, Making
+from craftsim.models.world import PhysicsWorld
+from craftsim.storage.paths import resolved
+from craftsim.validation.forms import Judged
+from craftsim.validation.imperfections import Axis
+
+COMMAND: Final = "margins"
+TIMEOUT_S: Final = 600.0
+"""For a search, which takes seconds; or for a bundle."""
+SHARE: Final = 0.95
+"""Of all worlds that stand a margin."""
+TRIALS: Final = 59
+"""So many trials must all stand a level for 95 % confidence that 95 % of all worlds do."""
+RANKS: Final = ((16, 3), (7, 2), (1, 1))
+"""Of the first so many trials the critical level of this rank is the upper end; the first that there are trials for."""
+BASE: Final = 0
+"""Number of the level at which the imperfection is that of the base."""
+PROBES: Final = 3
+"""Trials that must come out at the largest level as they do in the base, bit for bit, for no effect at all."""
+MAP_TRIALS: Final = 20
+"""Of each pair of levels of a map, at most."""
+STRIDE: Final = 4
+"""Every fourth level of an axis is on a map: those of the preferred numbers R5, which grow by 60 %."""
+
+_Count = Annotated[int, Field(ge=0, lt=2**53)]
+Levels = Sequence[tuple[Axis, float]]
+"""Imperfections and their values."""
+Pair = tuple[Axis, Axis]
+"""The axes of a map: to the right, and up."""
+
+
+class Scenario(NamedTuple):
+    """A situation by the names that people have for it; its last action is judged."""
+
+    action: str
+    """Of the data sheet's row, such as ``lift``."""
+    where: str
+    """Such as ``a block between blocks``."""
+    row: Row
+
+    @property
+    def name(self) -> str:
+        """Both, as people say it."""
+        return f"{self.action} {self.where}"
+
+    def situation(self, rules: RuleSet) -> Situation:
+        """Return the situation. Raises CraftsimError where there is none, or the rules forbid what is done first."""
+        if self.row.scene:
+            return next(scene for scene in SCENES if scene.row == self.row)
+        return situation_of(self.row, rules)
+
+
+CHOSEN: Final = tuple(
+    Scenario(action, where, row_of(said))
+    for action, places in shipped("margins.yaml").items()
+    for where, said in places.items()
+)
+"""Those of ``craftsim/data/margins.yaml``."""
+
+
+def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
+    """Return the scenarios whose names match a pattern as of file names; quick: the first one of each action.
+
+    Raises InputError where none does.
+    """
+    first = {one.action: one for one in reversed(CHOSEN)}
+    found = tuple(
+        one for one in CHOSEN if fnmatchcase(one.name, pattern) and (not quick or one is first[one.action])
+    )
+    if not found:
+        names = ", ".join(one.name for one in CHOSEN)
+        raise InputError(f"no scenario matches '{pattern}'; there are {names}")
+    return found
+
+
+class Found(NamedTuple):
+    """The result of a search; levels by number, from :data:`BASE` to the largest."""
+
+    margin: int | None
+    """The largest level that all trials stand; None where the base itself is not stood."""
+    upper: int | None
+    """The level from which on more than 5 % of all worlds fail; None where too few trials fail at the largest."""
+    edge: tuple[int, int] | None
+    """A trial that fails at the level next to the margin, and that level; None where all stand the largest."""
+
+
+def confidence(trials: int) -> float:
+    """Return how sure it is that 95 % of all worlds stand what so many trials stand."""
+    return 1.0 - SHARE**trials
+
+
+class _BaseFailsError(Exception):
+    """A trial fails at the base: its number."""
+
+
+def search(stands: Callable[[int, int], bool], levels: int, trials: int) -> Found:
+    """Return the margin among levels 0 (the base) to ``levels``, of so many trials.
+
+    ``stands`` says whether a trial stands a level, both by their numbers; it is asked once for each.
+    """
+    known: dict[tuple[int, int], bool] = {}
+
+    def stood(trial: int, level: int) -> bool:
+        if (trial, level) not in known:
+            known[trial, level] = stands(trial, level)
+        return known[trial, level]
+
+    def critical(trial: int, most: int) -> int:
+        """Return the largest level that a trial stands, or ``most`` if it stands that."""
+        if stood(trial, most):
+            return most
+        fails, step = most, 1
+        while not stood(trial, level := max(fails - step, BASE)):
+            if level == BASE:
+                raise _BaseFailsError(trial)
+            fails, step = level, 2 * step
+        while fails - level > 1:
+            middle = (level + fails) // 2
+            level, fails = (middle, fails) if stood(trial, middle) else (level, middle)
+        return level
+
+    first, rank = next(pair for pair in RANKS if pair[0] <= trials)
+    ends: list[int] = []
+    try:
+        for trial in range(first):
+            ends.append(critical(trial, sorted(ends)[rank - 1] if len(ends) >= rank else levels))
+        lowest = min(ends)
+        for trial in range(first, trials):
+            lowest = critical(trial, lowest)
+        while (failed := next((n for n in range(trials) if not stood(n, lowest)), None)) is not None:
+            lowest = critical(failed, lowest)
+    except _BaseFailsError as error:
+        return Found(None, None, (error.args[0], BASE))
+    upper = sorted(ends)[rank - 1] + 1
+    failing = [trial for (trial, level), held in known.items() if level == lowest + 1 and not held]
+    return Found(lowest, upper if upper <= levels else None, (min(failing), lowest + 1) if failing else None)
+
+
+class End(StrEnum):
+    """How a search ended."""
+
+    EDGE = "edge"
+    """A trial fails at the level next to the margin."""
+    LARGEST = "largest"
+    """All trials stand the largest level."""
+    NO_EFFECT = "no effect"
+    """At the largest level nothing differs from the base."""
+    BASE = "base"
+    """Not even the base is stood."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A margin with its interval; values in the figure's own unit."""
+
+    __pydantic_config__ = STRICT
+    end: End
+    margin: float | None
+    """The largest value that all trials stood; None where they did not even stand the base."""
+    upper: float | None
+    """The value from which on more than 5 % fail; None where too few trials failed to say so."""
+    fails_at: float | None
+    """The value next to the margin, at which a trial failed; None where none did."""
+    trial: int | None
+    """Number of that trial, or of the one that failed in the base."""
+    reason: str
+    """Why it failed."""
+    tried: _Count
+    """How many times a trial was run."""
+
+
+@dataclass(frozen=True)
+class RowFound:
+    """What is found of one row of a map."""
+
+    __pydantic_config__ = STRICT
+    stood: tuple[_Count, ...]
+    """How many trials stand, by the level to the right."""
+    of: _Count
+    """Trials of each."""
+
+
+MARGINS: Final = Form(Judged, Limit | RowFound)
+"""What the records of a search for margins hold."""
+
+
+def limit_of(record: TrialRecord) -> Limit:
+    """Return what the record of a search says."""
+    return Limit(**{**record["extra"], "end": End(record["extra"]["end"])})
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A scenario under a base's setup, in which levels are tried; hashable."""
+
+    scenario: Scenario
+    setup: Setup
+    """Of the base."""
+    seed: int
+
+    def recipe(self, number: int, levels: Levels = ()) -> Recipe:
+        """Return what a trial does; those of one number draw the same at all levels."""
+        drawn = self.setup.randomization
+        for axis, value in levels:
+            drawn = axis.on(drawn, value)
+        situation = _situation(self.scenario, self.setup.rules)
+        placed = situation.placed(np.random.default_rng(self.seed))
+        seed = Seed((self.seed, situation.digest, number))
+        return Recipe(blueprint_text(placed.grid), placed.steps(), imperfect(self.setup, drawn), seed)
+
+    def attempt(self, number: int, levels: Levels = ()) -> tuple[tuple[Attempt, ...], str]:
+        """Perform a trial; return its attempts at the last step, whatever came before it, and why it failed if it did.
+
+        There are no attempts in a world that cannot be.
+        """
+        recipe = self.recipe(number, levels)
+        drawn = recipe.setup.randomization
+        try:
+            judge = start(recipe, _physics(self, drawn.floor, drawn.making))
+        except StartError as error:
+            return (), str(error)
+        for step in recipe.steps:
+            attempts = do(judge, step)
+        failed = next((attempt for attempt in attempts if not attempt.agrees), None)
+        return attempts, "" if failed is None else f"{failed.result}: {failed.reason}"
+
+
+@lru_cache(maxsize=2)
+def _physics(rig: Rig, floor: Floor, making: Making) -> PhysicsWorld:
+    """Return the compiled world of a rig, which all trials on the same kind of floor use again."""
+    recipe = rig.recipe(0)
+    drawn = replace(recipe.setup.randomization, floor=floor, making=making)
+    return compile_world(recipe.grid, imperfect(recipe.setup, drawn))
+
+
+@lru_cache(maxsize=2)
+def _situation(scenario: Scenario, rules: RuleSet) -> Situation:
+    return scenario.situation(rules)
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """The search of a margin along one axis, or a row of the map of two; goes to a worker."""
+
+    rig: Rig
+    axes: tuple[Axis, ...]
+    trials: int
+    up: int = 0
+    """Number of a row's level."""
+
+    @property
+    def item(self) -> Item:
+        """It, as a campaign's item."""
+        scenario, names = self.rig.scenario, " x ".join(axis.name for axis in self.axes)
+        row = f"/{self.up}" if len(self.axes) > 1 else ""
+        key = f"{scenario.name}/{names}{row}"
+        return Item(key, scenario.action, self.rig.seed, self, context=scenario.name)
+
+
+def work(job: Search) -> Done:
+    """Do one item of the campaign."""
+    return find_row(job) if len(job.axes) > 1 else find(job)
+
+
+def find(one: Search) -> Done:
+    """Search a margin."""
+    rig, (axis,) = one.rig, one.axes
+    base = axis.value(rig.setup.randomization)
+    values = [base, *(value for value in axis.levels if value > base)]
+    results: dict[tuple[int, int], tuple[tuple[Attempt, ...], str]] = {}
+
+    def result(trial: int, level: int) -> tuple[tuple[Attempt, ...], str]:
+        if (trial, level) not in results:
+            results[trial, level] = rig.attempt(trial, [(axis, values[level])] if level != BASE else [])
+        return results[trial, level]
+
+    def done(
+        end: End, margin: int | None, upper: int | None = None, edge: tuple[int, int] | None = None
+    ) -> Done:
+        attempts, reason = result(*edge) if edge else ((), "")
+        fails_at = values[edge[1]] if edge and edge[1] != BASE else None
+        limit = Limit(
+            end,
+            None if margin is None else values[margin],
+            None if upper is None else values[upper],
+            *(fails_at, edge[0] if edge else None, reason, len(results)),
+        )
+        return Done(end is not End.BASE, attempts, extra=asdict(limit) | {"end": end.value})
+
+    largest, probes = len(values) - 1, range(min(PROBES, one.trials))
+    if all(result(n, BASE) == result(n, largest) and not result(n, BASE)[1] for n in probes):
+        return done(End.NO_EFFECT, largest)
+    found = search(lambda trial, level: not result(trial, level)[1], largest, one.trials)
+    end = End.LARGEST if found.edge is None else End.BASE if found.margin is None else End.EDGE
+    return done(end, *found)
+
+
+def values_of(axis: Axis) -> tuple[float, ...]:
+    """Return the values of an axis that are on a map; 0 stands for the base's."""
+    return (0.0, *axis.levels[::-1][::STRIDE][::-1])
+
+
+def find_row(row: Search) -> Done:
+    """Try all pairs of levels of one row of a map."""
+    rig, (right, up) = row.rig, row.axes
+    base, value, stood = rig.setup.randomization, values_of(up)[row.up], []
+    for other in values_of(right):
+        levels = [(axis, v) for axis, v in ((right, other), (up, value)) if v > axis.value(base)]
+        stood.append(sum(not rig.attempt(n, levels)[1] for n in range(row.trials)))
+    return Done(agrees=True, extra=asdict(RowFound(tuple(stood), row.trials)))
+
+
+class Map(NamedTuple):
+    """How many trials of a scenario stand each pair of levels."""
+
+    scenario: str
+    pair: Pair
+    stood: tuple[tuple[int, ...], ...]
+    """By the level up, then by the level to the right."""
+    of: int
+    """Trials of each."""
+
+
+@dataclass(frozen=True)
+class Margin:
+    """The margin of a scenario along an axis."""
+
+    action: str
+    scenario: str
+    axis: Axis
+    limit: Limit
+    before: Limit | None = None
+    """That of an earlier campaign, where there is one to compare with."""
+    bundle: str = ""
+    """Folder of the replay bundle of the trial that fails next to it, relative to the campaign's; empty without one."""
+
+    @property
+    def key(self) -> str:
+        """Of its record."""
+        return f"{self.scenario}/{self.axis.name}"
+
+    @property
+    def number(self) -> str:
+        """The margin as a table has it, in the axis' unit."""
+        if self.limit.margin is None or self.limit.end is End.NO_EFFECT:
+            return "base" if self.limit.margin is None else "-"
+        return f"{'>= ' * (self.limit.end is End.LARGEST)}{self.axis.scale * self.limit.margin:.3g}"
+
+    @property
+    def text(self) -> str:
+        """The margin as a data sheet says it, such as ``1.6 mm``."""
+        words = {"base": "not even the base", "-": "no effect"}
+        return words.get(self.number, f"{self.number} {self.axis.unit}")
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """By which the weakest scenario of an action comes first."""
+        order = (End.BASE, End.EDGE, End.LARGEST, End.NO_EFFECT)
+        return order.index(self.limit.end), self.limit.margin or 0.0
+
+
+@dataclass(frozen=True)
+class Margins:
+    """The result of a search."""
+
+    records: Sequence[TrialRecord]
+    margins: tuple[Margin, ...]
+    """Of each scenario along each axis that came to an end."""
+    maps: tuple[Map, ...]
+    """Of each scenario over the pair of axes that was asked for."""
+    config: dict[str, Any]
+    seed: int
+
+    @property
+    def weakest(self) -> dict[str, dict[str, Margin]]:
+        """For each action and each axis by name the scenario that stands least."""
+        found: dict[str, dict[str, Margin]] = {one.action: {} for one in self.margins}
+        for one in sorted(self.margins, key=lambda one: one.rank):
+            found[one.action].setdefault(one.axis.name, one)
+        return found
+
+    @property
+    def telling(self) -> list[Axis]:
+        """The axes that have an effect on any action."""
+        tells = {one.axis for one in self.margins if one.limit.end is not End.NO_EFFECT}
+        ranked = sorted(self.margins, key=lambda one: -one.rank[0])
+        return [axis for axis in dict.fromkeys(one.axis for one in ranked) if axis in tells]
+
+    @property
+    def stands(self) -> bool:
+        """Whether every search came to an end, and every scenario stands the base."""
+        ended = all(record["error"] is None for record in self.records)
+        return ended and all(one.limit.end is not End.BASE for one in self.margins)
+
+
+def run_margins(
+    scenarios: Sequence[Scenario],
+    axes: Sequence[Axis],
+    setup: Setup,
+    trials: int,
+    seed: int,
+    out: Path,
+    *,
+    asked: Mapping[str, Any],
+    options: RunOptions,
+    pair: Pair | None = None,
+) -> Margins:
+    """Search the margin of each scenario along each axis, and write report.json and replay bundles into a folder.
+
+    Args:
+        scenarios: what is done where.
+        axes: the imperfections that grow, one at a time.
+        setup: of the base.
+        trials: of each scenario, all of which must stand a margin.
+        seed: decides the places and all that is drawn.
+        out: the folder.
+        asked: the options that chose all this, for the report.
+        options: how.
+        pair: two axes of which a map is drawn for each scenario, too.
+    """
+    earlier = _earlier(options.against, out)
+    config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
+    rigs = [Rig(scenario, setup, seed) for scenario in scenarios]
+    searches = [Search(rig, (axis,), trials) for rig in rigs for axis in axes]
+    ups = range(len(values_of(pair[1]))) if pair else range(0)
+    rows = [Search(rig, pair or (), min(trials, MAP_TRIALS), up) for rig in rigs for up in ups]
+    items = [job.item for job in (*searches, *rows)]
+    experiment = Experiment(COMMAND, seed, config, items, work, MARGINS, TIMEOUT_S)
+    with open_session(experiment, out, options) as session:
+        records = session.run()
+        ended = [(one, r) for one, r in zip(searches, records, strict=False) if r["error"] is None]
+        margins = [
+            Margin(r["group"], r["context"] or "", one.axes[0], limit_of(r), earlier.get(r["key"]))
+            for one, r in ended
+        ]
+        found = [records[len(searches) + number] for number in range(len(rows))]
+        maps = [_map(pair, found[at : at + len(ups)]) for at in range(0, len(rows), len(ups) or 1) if pair]
+        whole = tuple(one for one in maps if one is not None)
+        result = Margins(records, tuple(margins), whole, config, seed)
+        folders = _bundles(session, result, ended)
+        bundled = tuple(replace(one, bundle=folders.get(one.key, "")) for one in margins)
+        result = replace(result, margins=bundled)
+        session.write_report({"margins": _figures(result, trials)})
+    return result
+
+
+def _map(pair: Pair, rows: Sequence[TrialRecord]) -> Map | None:
+    """Return the map of some rows; None where one of them has an error."""
+    if any(row["error"] is not None for row in rows):
+        return None
+    stood = tuple(tuple(row["extra"]["stood"]) for row in rows)
+    return Map(rows[0]["context"] or "", pair, stood, rows[0]["extra"]["of"])
+
+
+def _earlier(folder: Path | None, out: Path) -> dict[str, Limit]:
+    """Return the margins that an earlier search found, by the keys of their records."""
+    if folder is None:
+        return {}
+    if resolved(folder) == resolved(out):
+        raise InputError(f"--against {folder} is the folder of this run; choose another --out")
+    records = read_finished(folder, COMMAND, MARGINS).records
+    return {r["key"]: limit_of(r) for r in records if r["error"] is None and "margin" in r["extra"]}
+
+
+def _bundles(
+    session: Session, result: Margins, ended: Iterable[tuple[Search, TrialRecord]]
+) -> dict[str, str]:
+    """Write the replay bundle of what fails first of each action along each axis.
+
+    Returns the folders of the bundles, relative to the run's, by the keys of their margins.
+    """
+    shown = {one.key for by_axis in result.weakest.values() for one in by_axis.values() if one.limit.reason}
+    wanted = {}
+    for one, record in ended:
+        if record["key"] in shown and record["attempts"]:
+            limit = limit_of(record)
+            levels = () if limit.fails_at is None else ((one.axes[0], limit.fails_at),)
+            assert limit.trial is not None
+            wanted[record["index"]] = partial(one.rig.recipe, limit.trial, levels)
+    folders = write_bundles(session, wanted)
+    return {session.records[index]["key"]: folder for index, folder in folders.items()}
+
+
+def _figures(result: Margins, trials: int) -> dict[str, Any]:
+    """Return what ``report.json`` holds."""
+    return {
+        "share": SHARE,
+        "confidence": confidence(trials),
+        "scenarios": [
+            {
+                "action": one.action,
+                "scenario": one.scenario,
+                "axis": one.axis.name,
+                "figure": one.axis.figure,
+            }
+            | {"bundle": one.bundle, "before": one.before, **asdict(one.limit)}
+            for one in result.margins
+        ],
+        "weakest": {
+            action: {name: {"scenario": one.scenario, "text": one.text} for name, one in by_axis.items()}
+            for action, by_axis in result.weakest.items()
+        },
+        "maps": [
+            {
+                "scenario": one.scenario,
+                "axes": [axis.name for axis in one.pair],
+                "values": [values_of(axis) for axis in one.pair],
+                "stood": one.stood,
+                "of": one.of,
+            }
+            for one in result.maps
+        ],
+    }

@@ -1,0 +1,216 @@
+"""The report of a search for margins: a data sheet of what the machines and their skills stand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from craftsim.experiments.sections import error_tables, provenance_section
+from craftsim.experiments.statistics import error_counts
+from craftsim.reports.plots import BAD, GOOD, INK
+from craftsim.reports.report import (
+    Cases,
+    Cell,
+    Column,
+    DataTable,
+    Drawing,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    Value,
+    count,
+    percent,
+)
+from craftsim.validation.imperfections import Axis
+from craftsim.validation.margins import SHARE, Map, Margin, Margins, confidence, values_of
+from craftsim.validation.sections import case_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_SIDE_IN: Final = 5.4
+
+
+def margins_report(result: Margins, command: str) -> Report:
+    """Return the report of a search; ``command`` is how it can be run again."""
+    weakest = {
+        action: [by_axis[axis.name] for axis in result.telling if axis.name in by_axis]
+        for action, by_axis in result.weakest.items()
+    }
+    compared, trials = any(one.before for one in result.margins), result.config["trials"]
+    return Report(
+        "Margins",
+        f"beyond --randomize {result.config['randomize']}, {result.config['setup'].machines.drive} drive",
+        _headline(result),
+        [
+            KeyFigure(
+                f"{len({one.scenario for one in result.margins})}", "scenarios", f"{len(weakest)} actions"
+            ),
+            KeyFigure(f"{len(result.telling)}", "imperfections that matter", "to one action or more"),
+            KeyFigure(
+                f"{trials}",
+                "trials stand each margin",
+                f"{percent(confidence(trials))} sure of {percent(SHARE)}",
+            ),
+            KeyFigure(f"{sum(one.limit.tried for one in result.margins):,}", "trials in all"),
+        ],
+        [
+            _sheet(result),
+            _first_failures(result),
+            *_maps(result.maps),
+            Section(
+                "actions",
+                "By action",
+                "The weakest scenario of each action along each axis, and what fails there first. A margin's "
+                "interval: all trials stand it, and from the value under 'over 5 % fail at' on, more than 5 % of all "
+                "worlds fail, with 95 % confidence. Replay the bundles from the folder of this page.",
+                [_limits(rows, action, compared) for action, rows in weakest.items()],
+            ),
+            Section(
+                "scenarios",
+                "By scenario",
+                "All that was searched.",
+                [_limits(result.margins, "All scenarios", compared)],
+            ),
+            provenance_section(command, result.seed, result.config),
+        ],
+        [*_notes(result)],
+        exit_code=0 if result.stands else 1,
+    )
+
+
+def _headline(result: Margins) -> Headline:
+    weak = sorted({one.scenario for one in result.margins if one.limit.margin is None})
+    if weak:
+        sentence = f"{count(len(weak), 'scenario')} not stood even in the base: {', '.join(weak)}."
+        return Headline("Fails in the base", Tone.BAD, sentence)
+    lost = sum(record["error"] is not None for record in result.records)
+    sentence = "How far each imperfection may grow, alone, until an action fails."
+    sentence += f" {count(lost, 'search', 'searches')} did not come to an end." if lost else ""
+    return Headline("Data sheet", Tone.CAUTION if lost else Tone.GOOD, sentence)
+
+
+def _sheet(result: Margins) -> Section:
+    trials = result.config["trials"]
+    note = (
+        f"Of each margin one may be {100 * confidence(trials):.1f} % sure that {100 * SHARE:.0f} % of all worlds "
+        "stand it. A sign before a number: no trial failed at the largest value that was tried. A dash: no effect. "
+        "base: not stood even without the imperfection."
+    )
+    rows = [
+        (f"{axis.words}, {axis.unit}", *(_sheet_cell(by.get(axis.name)) for by in result.weakest.values()))
+        for axis in result.telling
+    ]
+    columns = (Column("up to"), *(Column(action, "number") for action in result.weakest))
+    lead = (
+        "The largest value of each imperfection, alone, that all trials stand in the weakest scenario of each action: "
+        "by so much a machine and its floor may be worse."
+    )
+    table = DataTable(columns, rows, "Margins", note)
+    blocks = [table, *error_tables(error_counts(result.records))]
+    return Section("sheet", "Data sheet", lead, blocks, terminal=True)
+
+
+def _sheet_cell(one: Margin | None) -> Value:
+    if one is None:
+        return None
+    tone = {"-": Tone.MUTED, "base": Tone.BAD}.get(one.number, Tone.PLAIN)
+    return Cell(one.number, tone, tip=": ".join(filter(None, (one.scenario, one.limit.reason))))
+
+
+def _first_failures(result: Margins) -> Section:
+    """Return what fails first along each axis, over all actions."""
+    weakest = result.weakest.values()
+    first = [
+        min((by[axis.name] for by in weakest if axis.name in by), key=lambda one: one.rank)
+        for axis in result.telling
+    ]
+    cases = [
+        case_of(
+            f"{one.axis.words}: {one.scenario}",
+            "in the base" if one.limit.fails_at is None else f"at {one.axis.text(one.limit.fails_at)}",
+            Tone.BAD if one.limit.fails_at is None else Tone.CAUTION,
+            one.limit.reason,
+            one.bundle,
+        )
+        for one in first
+        if one.limit.reason
+    ]
+    lead = "The scenario that fails first along each axis, and at which value."
+    return Section("first", "First failures", lead, [Cases(cases, most=40)], terminal=bool(cases))
+
+
+def _maps(maps: Sequence[Map]) -> list[Section]:
+    if not maps:
+        return []
+    drawings = [
+        Drawing(
+            partial(_map, one),
+            _SIDE_IN,
+            f"{one.scenario}: {one.of} trials of each pair.",
+            f"{one.scenario}: share that stands {one.pair[0].words} and {one.pair[1].words}",
+            _SIDE_IN + 1.0,
+        )
+        for one in maps
+    ]
+    lead = "Share of trials in percent that stand two imperfections which grow together; green where all do."
+    return [Section("maps", "Two at once", lead, drawings)]
+
+
+def _map(one: Map, figure: Figure) -> None:
+    """Draw the share of trials that stand each pair of levels, and where all do."""
+    import numpy as np
+
+    axes, (right, up) = figure.subplots(), one.pair
+    share = np.array(one.stood) / one.of
+    for row, column in np.ndindex(*share.shape):
+        value = share[row, column]
+        # Flat colours of the page: a colour between two of them would not follow light and dark.
+        colour, alpha = (GOOD, 0.75) if value == 1 else (BAD, 0.15 + 0.6 * (1 - value))
+        axes.fill_between((column - 0.5, column + 0.5), row - 0.5, row + 0.5, color=colour, alpha=alpha, lw=0)
+        axes.text(column, row, f"{100 * value:.0f}", ha="center", va="center", color=INK, fontsize=7)
+    ticks = [[f"{axis.scale * value:.3g}" for value in values_of(axis)] for axis in one.pair]
+    axes.set_xticks(range(len(ticks[0])), ticks[0])
+    axes.set_yticks(range(len(ticks[1])), ticks[1])
+    axes.grid(visible=False)
+    axes.set_xlabel(f"{right.words}, {right.unit}")
+    axes.set_ylabel(f"{up.words}, {up.unit}")
+
+
+def _limits(margins: Iterable[Margin], title: str, compared: bool) -> DataTable:
+    numbers = ("margin", "fails at", "over 5 % fail at", *(("margin before",) if compared else ()))
+    columns = (
+        *(Column("scenario", "wide"), Column("imperfection")),
+        *(Column(name, "number") for name in numbers),
+        *(Column("what fails", "wide"), Column("bundle", "path")),
+    )
+    rows = [
+        (
+            *(one.scenario, one.axis.words),
+            Cell(one.text, Tone.BAD if one.limit.margin is None else Tone.PLAIN),
+            _text(one.axis, one.limit.fails_at, "none"),
+            _text(one.axis, one.limit.upper, "not known"),
+            *((_text(one.axis, one.before.margin if one.before else None, "none"),) if compared else ()),
+            *(one.limit.reason, one.bundle or None),
+        )
+        for one in margins
+    ]
+    return DataTable(columns, rows, title, folded=True, tall=True)
+
+
+def _text(axis: Axis, value: float | None, otherwise: str) -> str:
+    return otherwise if value is None else axis.text(value)
+
+
+def _notes(result: Margins) -> Iterator[str]:
+    quiet = [axis for axis in dict.fromkeys(one.axis for one in result.margins) if axis not in result.telling]
+    if quiet:
+        yield f"no effect on any action: {', '.join(axis.words for axis in quiet)}"
+    for one in result.margins:
+        if one.before is not None and one.before.margin != one.limit.margin:
+            was = "not even the base" if one.before.margin is None else one.axis.text(one.before.margin)
+            upper = "" if one.limit.upper is None else f" (over 5 % fail at {one.axis.text(one.limit.upper)})"
+            yield f"{one.scenario}, {one.axis.words}: {one.text}{upper}, was {was}"

@@ -1,0 +1,195 @@
+"""Policies by name: what decides the next actions of the cars of a task, from their observations."""
+
+from __future__ import annotations
+
+import hashlib
+import signal
+import sys
+import textwrap
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.tasks import Task
+from craftsim.envs.actions import by_agent, checked
+from craftsim.envs.options import Options
+from craftsim.envs.parallel import ParallelConstruction
+from craftsim.errors import InputError
+from craftsim.modules import import_own, place_of
+from craftsim.storage.limits import POLICY
+from craftsim.storage.paths import exists
+from craftsim.storage.reading import read_bytes
+from craftsim.training.policy import load_policy, policy_file, shipped_policies
+
+Observations = dict[str, dict[str, NDArray[Any]]]
+"""By agent, ``car_0`` and so on: ``observation`` and ``action_mask`` (docs/reference/environments.md)."""
+
+Policy = Callable[[Observations], dict[str, int]]
+"""Gives each agent one of the 15 primitive actions; may depend on nothing but the observations."""
+
+RANDOM: Final = "random"
+PLANNER: Final = "planner"
+"""The policy that carries out the shipped plan, and elsewhere plans, and plans again."""
+
+_CONTRACT: Final = (
+    "a policy takes observations by agent and returns a dictionary with a whole number from 0 to 14 for each"
+)
+_ANYTHING: Final = (Exception, SystemExit)
+"""What others' code may raise, when it is imported or called."""
+
+_WEIGHTS: Final = {
+    Action.STOP: 0.05,
+    Action.ROTATE_LEFT: 0.3,
+    Action.ROTATE_RIGHT: 0.3,
+    Action.FOLD: 0.15,
+    Action.UNFOLD: 0.15,
+    Action.LIFT: 2.0,
+    Action.DROP: 0.6,
+}
+"""How much likelier an action is drawn than a move, so that cars do not turn on the spot all the time."""
+
+
+class RandomPolicy:
+    """Draws each car one of the actions that it is offered, those that handle things more often than turns."""
+
+    def __init__(self, seed: int) -> None:
+        """Draw from a seed."""
+        self._rng = np.random.default_rng(seed)
+
+    def __call__(self, observations: Observations) -> dict[str, int]:
+        """Return one action for each agent."""
+        drawn = {}
+        for agent, seen in observations.items():
+            offered = np.flatnonzero(seen["action_mask"]).tolist()
+            weights = np.array([_WEIGHTS.get(Action(action), 1.0) for action in offered])
+            drawn[agent] = int(self._rng.choice(offered, p=weights / weights.sum()))
+        return drawn
+
+
+def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> None:
+    """Ask a policy what it does at the start of a task.
+
+    Raises InputError where there is no such policy, where it raises or takes too long, and where its answer is not one
+    of the 15 actions for each agent.
+    """
+    try:
+        with _time_limit(timeout_s):
+            policy = make_policy(name, 0, task, rules)
+        env = ParallelConstruction(task, Options("grid", rule_set=rules))
+        observations, _ = env.reset(seed=0)
+        with _time_limit(timeout_s):
+            answer = policy(observations)
+    except _Hanging:
+        raise InputError(f"policy '{name}' gave no first answer within {timeout_s:g} s") from None
+    except InputError:
+        raise
+    except _ANYTHING as error:
+        raise InputError(f"policy '{name}' raised {_said(error)}; {_CONTRACT}") from error
+    if not isinstance(answer, Mapping):
+        raise InputError(f"policy '{name}' returned {type(answer).__name__}; {_CONTRACT}")
+    try:
+        checked(by_agent(answer, env.agents), (len(env.agents),))
+    except _ANYTHING as error:
+        raise InputError(
+            f"policy '{name}' returned what is no answer: {_said(error)}; {_CONTRACT}"
+        ) from error
+
+
+def make_policy(name: str, seed: int, task: Task | None = None, rules: RuleSet | None = None) -> Policy:
+    """Return a policy.
+
+    Args:
+        name: ``random``; ``module:function``; what ``craftsim train`` wrote, a file or its folder; or a shipped one's.
+        seed: of the random policy, and of a trained one whose actions are sampled; the others draw nothing.
+        task: what it is to play; a trained policy refuses another task than its own.
+        rules: what it is to play under, without an action helper; a trained policy refuses what it was not trained for.
+
+    Raises:
+        InputError: there is no such policy, or it is one for another task, other rules, or an action helper.
+    """
+    if name == RANDOM:
+        return RandomPolicy(seed)
+    if _is_trained(name):
+        policy = load_policy(name, seed)
+        if task is not None:
+            policy.check_task(task, rules)
+        if rules is not None and policy.config.helper_depth is not None:
+            raise InputError(
+                f"policy '{name}' was trained with an action helper of depth {policy.config.helper_depth}, which cars "
+                "do without here; 'craftsim evaluate' plays it with one, on the grid"
+            )
+        return policy
+    return _function(name)
+
+
+def policy_digest(name: str) -> str:
+    """Return a digest of what a policy is made of, so that a changed one is noticed; raise InputError without one."""
+    policy = make_policy(name, 0)
+    if isinstance(policy, RandomPolicy):
+        return RANDOM
+    module = sys.modules.get(name.partition(":")[0])
+    file = policy_file(name) if _is_trained(name) else getattr(module, "__file__", None)
+    return hashlib.sha256(b"" if file is None else read_bytes(Path(file), POLICY)).hexdigest()
+
+
+def _is_trained(name: str) -> bool:
+    return exists(name) or name in shipped_policies()
+
+
+def _function(name: str) -> Policy:
+    module, colon, function = name.partition(":")
+    shipped = ", ".join(shipped_policies())
+    known = f"'{RANDOM}', '{PLANNER}', 'module:function', the path of a trained policy, or a shipped one: {shipped}"
+    if not colon:
+        raise InputError(f"no policy '{name}': there is no such file; allowed: {known}")
+    what = f"policy '{name}'"
+    if not all(part.isidentifier() for part in (*module.split("."), function)):
+        raise InputError(f"{what}: must be module:function, such as mypackage.policies:greedy")
+    try:
+        loaded = import_own(module)
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"{what}: {error}; modules are looked for in this folder too; allowed: {known}"
+        ) from error
+    except _ANYTHING as error:
+        raise InputError(f"{what}: module '{module}' cannot be imported: {_said(error)}") from error
+    found: Policy | None = getattr(loaded, function, None)
+    if found is None:
+        raise InputError(f"{what}: the module {module} ({place_of(loaded)}) has no '{function}'")
+    if not callable(found):
+        raise InputError(f"{what} is a {type(found).__name__}, not a function")
+    return found
+
+
+def _said(error: BaseException) -> str:
+    return textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
+
+
+class _Hanging(BaseException):
+    """The time is up; others' code does not catch it."""
+
+
+@contextmanager
+def _time_limit(seconds: float) -> Iterator[None]:
+    """Raise within the block when the time is up; in the main thread alone, the others cannot be interrupted."""
+
+    def stop(*_: object) -> None:
+        raise _Hanging
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)

@@ -1,0 +1,219 @@
+"""Building with re-planning: plan, act in physics, read the world from poses, and plan again from what is there."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Final, Literal
+
+import numpy as np
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.episode import Step
+from craftsim.checking.judge import Judge
+from craftsim.checking.setup import Setup
+from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.readback import PLACE_TOLERANCE_M
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import make_schedule
+from craftsim.discrete.tasks import Task
+from craftsim.planning import NoPlanError, Planned, plan_building
+from craftsim.skills.disturbances import Disturbance, DisturbedFleet
+from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
+
+Ticks = Sequence[Sequence[tuple[int, Action]]]
+
+BEGINS: Final = 0.1, 0.6
+"""A disturbance begins after a share of the first plan's makespan that is drawn between these."""
+FAILURES: Final = 2
+"""So many actions in a row must fail before a car counts as out of action; one, where it then stands between cells."""
+_HALF_M: Final = CELL_PITCH_M / 2 - PLACE_TOLERANCE_M
+"""A car is taken to reach so far from its middle: one that stands in its cell to within what can be read fills it."""
+
+
+@dataclass(frozen=True)
+class Replanning:
+    """How often, and how thoroughly, is planned, and what goes wrong on purpose."""
+
+    replans: int = 10
+    """Plans after the first one, at most."""
+    rounds: int = 60
+    """Attempts at each plan."""
+    disturb: Literal["shove", "fold", "dead-car"] | None = None
+
+
+class Replanner:
+    """Decides the steps of one building. Raises NoPlanError where there is no plan from the start."""
+
+    def __init__(self, task: Task, grid: Grid, asked: Replanning, setup: Setup, seed: int) -> None:
+        """Make the first plan of a task with a goal; ``seed`` is of the plans and of what is drawn of a disturbance."""
+        self.task, self.grid, self.asked, self.setup, self.seed = task, grid, asked, setup, seed
+        self.first = self._plan(grid, 0)
+        begin_s = float(np.random.default_rng(seed).uniform(*BEGINS)) * self.first.makespan_s
+        if asked.disturb in ("shove", "dead-car"):
+            self.setup = replace(setup, disturbance=Disturbance(asked.disturb, begin_s))
+        self.replans = 0
+        self.ended: tuple[str, str] = ("", "")
+        """How, and why."""
+        self.folded = ""
+        """Which slope was folded again on purpose, in words."""
+        self.out: set[int] = set()
+        """Cars out of action."""
+        self.failures: Counter[int] = Counter()
+        """By car, how many of its actions have failed since one succeeded."""
+        self.n_ticks = self.n_acts = 0
+
+    def steps(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+        """Yield the steps of the first plan, and of others after it; ``found`` gets the attempts of each."""
+        ticks: Ticks = self.first.ticks
+        while True:
+            yield from self._carry_out(ticks, judge, found)
+            if problem := self._problem(judge):
+                self.ended = "not readable", problem
+            elif self.task.succeeded(judge.grid):
+                self.ended = "built", ""
+            elif self.replans >= self.asked.replans:
+                self.ended = "gave up", f"not built after {self.replans} further plans"
+            if self.ended[0]:
+                return
+            self.replans += 1
+            seen, acting = without(judge, self.task, self.out)
+            try:
+                planned = self._plan(seen, self.replans)
+            except NoPlanError as error:
+                self.ended = "gave up", str(error)
+                return
+            ticks = [[(acting[car], action) for car, action in joint] for joint in planned.ticks]
+            if self.n_acts + sum(map(len, ticks)) > RECIPE_ACTIONS:
+                self.ended = "gave up", f"more than {RECIPE_ACTIONS} actions"
+                return
+
+    def end(self, judge: Judge) -> tuple[bool, bool, dict[str, str | float]]:
+        """Return whether it is built in physics and by the rules, and what :class:`Episode` says of its ending."""
+        fleet, (ended, why) = judge.executor.fleet, self.ended
+        return (
+            ended == "built",
+            True,
+            {
+                "ended": ended,
+                "why": why,
+                "replans": self.replans,
+                "planned_s": self.first.makespan_s,
+                "disturbed": fleet.happened if isinstance(fleet, DisturbedFleet) else self.folded,
+            },
+        )
+
+    def _plan(self, grid: Grid, number: int) -> Planned:
+        """Return a plan that nothing but the arguments of all this decides."""
+        rules = Rules(self.setup.rules)
+        return plan_building(
+            grid, self.task, rules, rounds=self.asked.rounds, time_s=math.inf, seed=self.seed + number
+        )
+
+    def _carry_out(self, ticks: Ticks, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+        """Yield the steps of a plan, as many as can be done."""
+        while ticks:
+            folds = self.asked.disturb == "fold" and not self.folded
+            now, ticks = _parted(ticks, folds)
+            schedule = make_schedule(judge.grid, now, judge.rules)
+            if schedule.forbidden:
+                return
+            yield from self._step(now, found)
+            if self._problem(judge) or not judge.grid.same_visible(schedule.final):
+                return
+            if folds:
+                yield from self._fold(judge, found)
+
+    def _step(self, ticks: Ticks, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+        yield Step.joint(self.n_ticks, *ticks, order="until-wrong")
+        self.n_ticks += len(ticks)
+        self.n_acts += sum(map(len, ticks))
+        for attempt in found[-1]:
+            if attempt.performed:
+                failed = attempt.skill != "succeeded"
+                self.failures[attempt.car] = self.failures[attempt.car] + 1 if failed else 0
+
+    def _fold(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+        """Let a car fold a slope that was just unfolded, which is in no plan."""
+        for car in range(judge.grid.n_cars):
+            if judge.rules.legal(judge.grid, car, Action.FOLD):
+                self.folded = f"car {car} folds a slope again at {judge.physics.time_s:.2f} s"
+                yield from self._step([[(car, Action.FOLD)]], found)
+                return
+
+    def _problem(self, judge: Judge) -> str:
+        """Find out which cars are out of action, and return what else cannot be read."""
+        self.out |= {car for car, n in self.failures.items() if n >= FAILURES}
+        for car, n in self.failures.items():
+            if n and any(text.startswith(tuple(_stuck_with(judge, [car]))) for text in judge.problems):
+                self.out.add(car)
+        excused = tuple(_stuck_with(judge, self.out))
+        return "; ".join(text for text in judge.problems if not text.startswith(excused))
+
+
+def _parted(ticks: Ticks, after_unfolding: bool) -> tuple[Ticks, Ticks]:
+    """Return what is done next of a plan, and the rest: up to a tick that unfolds, and as much as a step may hold."""
+    n_acts = 0
+    for number, joint in enumerate(ticks, 1):
+        n_acts += len(joint)
+        unfolds = any(action is Action.UNFOLD for _, action in joint)
+        following = len(ticks[number]) if number < len(ticks) else 0
+        if (after_unfolding and unfolds) or n_acts + following > STEP_ACTIONS:
+            return ticks[:number], ticks[number:]
+    return ticks, ()
+
+
+def without(judge: Judge, task: Task, out: Iterable[int]) -> tuple[Grid, tuple[int, ...]]:
+    """Return the world as it was read last with walls for cars out of action, and the numbers of the other cars.
+
+    What stands where one of them is stays if the design has it there: it bears what comes upon it.
+    """
+    real, gone = judge.grid, sorted(out)
+    acting = tuple(car for car in range(real.n_cars) if car not in gone)
+    grid = real.copy()
+    grid.cars = real.cars[list(acting)]
+    walled = {cell for car in gone for cell in _cells(judge, car)}
+    if task.design is not None:
+        # What stands in a cell only nearly, such as a slope that is half open, is not what the design has there.
+        nearly = {
+            placed.cell
+            for index, placed in enumerate(judge.reading.objects)
+            if any(text.startswith(f"{judge.poses.name(index)} ") for text in judge.problems)
+        }
+        walled -= {target.cell for target, hit in task.design.hits(real) if hit} - nearly
+    for cell in list(walled):
+        kind, yaw = real.kind[cell], int(real.yaw[cell])
+        if kind in (Kind.FSLOPE, Kind.BODY):
+            walled.add(beside(cell, yaw))
+        elif kind in (Kind.GEAR, Kind.FOOT):
+            walled.add(beside(cell, yaw + 2))
+    for cell in walled:
+        grid.kind[cell], grid.yaw[cell] = Kind.WALL, 0
+    grid.derive_marks()
+    return grid, acting
+
+
+def _stuck_with(judge: Judge, out: Iterable[int]) -> Iterator[str]:
+    """Yield how problems begin that concern cars out of action, and what they carry or stand under."""
+    for car in out:
+        yield f"car {car} "
+        cells = _cells(judge, car)
+        for index, placed in enumerate(judge.reading.objects):
+            if placed.carrier == car or placed.cell in cells:
+                yield f"{judge.poses.name(index)} "
+
+
+def _cells(judge: Judge, car: int) -> set[Cell]:
+    """Return the cells that a car reaches into."""
+    grid = judge.grid
+    length, width, height = grid.size
+    x, y, _ = judge.poses.car_positions[car]
+    z = min(int(grid.cars[car, CarField.Z]), height)
+    sides = [np.floor((at + np.array([-_HALF_M, _HALF_M])) / CELL_PITCH_M).astype(int) for at in (x, y)]
+    cells = {(int(i), int(j), z) for i, j in product(*sides)}
+    return {cell for cell in cells if 0 <= cell[0] < length and 0 <= cell[1] < width}

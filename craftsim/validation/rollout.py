@@ -1,0 +1,290 @@
+"""An episode of a plan, a list of actions, a policy, random play or a planner, in physics and by the rules alone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.episode import Episode, OnAttempts, Recipe, Step, Watch, do, unwatched
+from craftsim.checking.judge import Judge
+from craftsim.checking.setup import Seed, SetUp, Setup, set_up
+from craftsim.choices import PlanOrder as PlanOrder
+from craftsim.discrete.files.blueprint import blueprint_text, write_blueprint
+from craftsim.discrete.files.plan import write_plan
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import Constraints
+from craftsim.discrete.tasks import Task, as_task
+from craftsim.envs.options import Options
+from craftsim.envs.parallel import ParallelConstruction
+from craftsim.envs.physics_backend import PhysicsBackend
+from craftsim.envs.planner import PlannerPolicy
+from craftsim.errors import StartError
+from craftsim.experiments.bundle import write_bundle
+from craftsim.experiments.experiment import Done
+from craftsim.logs.log import Log
+from craftsim.logs.recorder import LogRecorder
+from craftsim.logs.tables import LOG_SUFFIX, write_table
+from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
+from craftsim.skills.executor import Observer
+from craftsim.storage.folders import directory_within
+from craftsim.validation.play import Play, covered, play
+from craftsim.validation.policies import PLANNER, Policy, make_policy
+from craftsim.validation.replanning import Replanner, Replanning
+from craftsim.validation.worlds import RandomWorlds
+
+BUNDLES: Final = "bundles"
+WORLDS: Final = "worlds"
+"""Folder of the random worlds and their plans."""
+
+
+@dataclass(frozen=True)
+class RandomPlay:
+    """Random play by the rules, weighted towards rare actions: a plan that each run draws for its world."""
+
+    order: PlanOrder
+
+
+By = tuple[Step, ...] | RandomPlay | Replanning | str | Policy
+"""What decides the cars' actions: the steps of a plan, random play, a planner that plans again, or a policy."""
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What all runs of a validation have in common."""
+
+    seed: int
+    setup: Setup
+    out: Path | None = None
+    """Folder of the campaign, where bundles go."""
+    observers: tuple[Observer, ...] = ()
+    """Called with each run's PhysicsWorld after every control period."""
+    record: bool = False
+    """Whether to write a trajectory and the logs of each run."""
+    set_up: SetUp = set_up
+    """How a plan's world comes about: simulated here, or that of robots elsewhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What to run; goes to a worker."""
+
+    key: str
+    world: Task | str | RandomWorlds
+    """A task, what names one, or worlds of which each episode draws its own."""
+    by: By
+    episode: int
+    """Decides, with the seed, all that is drawn; the same for all plans and policies, so that they can be compared."""
+    terms: Terms
+
+    @property
+    def file_name(self) -> str:
+        """The key as a name of a file."""
+        return re.sub(r"[^\w.-]+", "-", self.key)
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """An episode, and what was recorded of it where that was asked for."""
+
+    task: Task
+    start: Grid
+    played: Play | None
+    """The random play, where there is one."""
+    episode: Episode
+    trajectory: Trajectory | None = None
+    logs: Mapping[int, Log] = field(default_factory=dict)
+    """Of each car, by its number."""
+
+
+def steps_of(
+    ticks: Sequence[Sequence[tuple[int, Action]]], order: PlanOrder, after: Constraints | None = None
+) -> tuple[Step, ...]:
+    """Return the steps of a plan's ticks, each (car, action) in acting order, with its order constraints."""
+    after = after or {}
+    if order == "concurrent":
+        return (Step.joint(0, *ticks, after=after),)
+    numbered = [(tick, joint) for tick, joint in enumerate(ticks) if joint]
+    if order == "ticks":
+        return tuple(Step.joint(tick, joint, after=_within(after, tick, joint)) for tick, joint in numbered)
+    return tuple(Step.single(tick, *act) for tick, joint in numbered for act in joint)
+
+
+def _within(after: Constraints, tick: int, joint: Sequence[tuple[int, Action]]) -> Constraints:
+    """Return the order constraints between the actions of one tick, as those of tick 0; others hold anyway."""
+    return {
+        (0, car): [(0, other) for at, other in after.get((tick, car), ()) if at == tick] for car, _ in joint
+    }
+
+
+def do_run(run: Run) -> Done:
+    """Run in physics, and by the rules alone; write the bundle of the first disagreement, if there is one."""
+    try:
+        done = roll_out(run, run.terms.record)
+    except StartError as error:
+        if not isinstance(run.by, RandomPlay):
+            raise
+        nothing = {"ticks": 0, "forbidden": 0, "makespan_s": 0.0}
+        return Done(agrees=True, extra=nothing | {"does_not_stand": str(error)})
+    episode = done.episode
+    extra: dict[str, Any] = {
+        "ticks": episode.n_ticks,
+        "forbidden": len(episode.forbidden),
+        "makespan_s": episode.makespan_s,
+        **(episode.ending or {}),
+    }
+    if episode.reached is not None:
+        extra |= {"grid_success": episode.reached_by_rules, "physics_success": episode.reached}
+    if done.played is not None:
+        extra["coverage"] = covered(done.played, episode.attempts)
+    # What a policy asks for, and the rules forbid at the car's turn, does nothing in either world; so does what random
+    # play would have done had all before gone as predicted.
+    follows = isinstance(run.by, tuple)
+    # What is left of a plan when another one takes its place says nothing of any action.
+    unperformed = not isinstance(run.by, Replanning)
+    return Done(
+        agrees=episode.agrees and not (follows and episode.forbidden),
+        attempts=[a for a in episode.attempts if (a.legal or follows) and (unperformed or a.performed)],
+        bundle=None if run.terms.out is None else _write(run, done, run.terms.out),
+        extra=extra,
+    )
+
+
+def _write(run: Run, done: Rollout, out: Path) -> str | None:
+    """Write what was recorded, a random world, and the bundle of the first disagreement; return the latter's folder."""
+    if done.trajectory is not None:
+        folder = directory_within(out, TRAJECTORIES)
+        done.trajectory.write(folder / f"{run.file_name}{SUFFIX}")
+        write_table(folder / f"{run.file_name}{LOG_SUFFIX}", done.logs)
+    if done.played is not None and any(done.played.ticks):
+        folder = directory_within(out, WORLDS)
+        write_blueprint(done.start, folder / f"{run.file_name}.yaml")
+        write_plan(done.played.ticks, folder / f"{run.file_name}.plan")
+    number = done.episode.first_disagreement
+    if number is None:
+        return None
+    bundle = f"{BUNDLES}/{run.file_name}"
+    write_bundle(out / bundle, run.key, done.episode.until(number), done.episode.steps[number])
+    return bundle
+
+
+def roll_out(run: Run, record: bool = False, watch: Watch = unwatched) -> Rollout:
+    """Return an episode in physics, and by the rules alone; with ``record`` what moved, and what cars measured, too.
+
+    Raises StartError for a world that cannot be, and NoPlanError where a planner has no plan from the start.
+    """
+    terms, by = run.terms, run.by
+    world_seed, policy_seed = np.random.SeedSequence([terms.seed, run.episode]).spawn(2)
+    number, policy_number = (int(s.generate_state(1)[0]) for s in (world_seed, policy_seed))
+    # As an environment spawns them from the same seed.
+    start, physics = (np.random.default_rng(s) for s in np.random.SeedSequence(number).spawn(2))
+    drawn = (
+        run.world.task(np.random.default_rng(number)) if isinstance(run.world, RandomWorlds) else run.world
+    )
+    task = as_task(drawn).for_episode(start)
+    grid, played = task.draw(start), None
+    if isinstance(by, RandomPlay):
+        rng = np.random.default_rng(policy_number)
+        played = play(grid, Rules(terms.setup.rules), rng, task.max_steps + 2)
+        by = steps_of(played.ticks, by.order)
+    recorder, logs = Recorder(), list[LogRecorder]()
+
+    def begin(judge: Judge) -> OnAttempts:
+        judge.executor.observers.extend(terms.observers)
+        if played is not None and not judge.grid.same_visible(grid):
+            raise StartError("this world cannot be: it reads otherwise than it was drawn")
+        if record:
+            recorder.begin(judge)
+            logs.append(LogRecorder(judge.executor))
+        return watch(judge)
+
+    if isinstance(by, tuple | Replanning):
+        chooser = (
+            Replanner(task, grid, by, terms.setup, policy_number)
+            if isinstance(by, Replanning)
+            else _FixedPlan(task, grid, by, terms.setup)
+        )
+        episode = _carried_out(chooser, Seed.drawn(physics), terms.set_up, begin)
+    else:
+        episode = _asked(task, by, terms.setup, (number, policy_number), begin)
+    if not record:
+        return Rollout(task, grid, played, episode)
+    trajectory = recorder.trajectory(run.key, episode.recipe, episode.attempts, task.design)
+    return Rollout(task, grid, played, episode, trajectory, logs[-1].logs())
+
+
+@dataclass(frozen=True)
+class _FixedPlan:
+    """The steps of a plan, carried out as long as the world can be read."""
+
+    task: Task
+    grid: Grid
+    plan: tuple[Step, ...]
+    setup: Setup
+
+    def steps(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
+        for step in self.plan:
+            yield step
+            if judge.problems:
+                return
+
+    def end(self, judge: Judge) -> tuple[bool | None, bool | None, None]:
+        if not self.task.has_goal:
+            return None, None, None
+        reached = not judge.problems and self.task.succeeded(judge.grid)
+        grid, rules = self.grid, Rules(self.setup.rules)
+        for act in (act for step in self.plan for act in step.acts):
+            action = Action[act.action]
+            if rules.legal(grid, act.car, action):
+                grid = rules.apply(grid, act.car, action)
+        return reached, self.task.succeeded(grid), None
+
+
+def _carried_out(chooser: _FixedPlan | Replanner, seed: Seed, where: SetUp, begin: Watch) -> Episode:
+    """Carry out the steps of a plan, or those of a planner, each from what was read before it."""
+    grid, setup = chooser.grid, chooser.setup
+    recipe = Recipe(blueprint_text(grid), (), setup, seed, tuple(chooser.task.goal_cells))
+    judge = where(grid, setup, seed, recipe.goals)
+    on_attempts = begin(judge)
+    found: list[tuple[Attempt, ...]] = []
+    for step in chooser.steps(judge, found):
+        recipe = recipe.then(step)
+        found.append(do(judge, step))
+        on_attempts(found[-1])
+    reached, by_rules, ending = chooser.end(judge)
+    return Episode(recipe, tuple(found), reached, by_rules, judge.physics.time_s, judge.problems, ending)
+
+
+def _asked(task: Task, by: str | Policy, setup: Setup, seeds: tuple[int, int], begin: Watch) -> Episode:
+    """Let a policy play an episode in physics, and one by the rules alone."""
+    backend = PhysicsBackend(setup, None, task.goal_cells, watch_contacts=True)
+    reached = by_rules = None
+    for world in (backend, None) if task.has_goal else (backend,):
+        env = ParallelConstruction(task, Options("grid", rule_set=setup.rules), world)
+        policy = by
+        if isinstance(policy, str):
+            policy = PlannerPolicy(env) if policy == PLANNER else make_policy(policy, seeds[1], task)
+        observations, _ = env.reset(seed=seeds[0])
+        on_attempts = None if world is None else begin(backend.judge)
+        success = False
+        while env.agents:
+            observations, _, _, _, infos = env.step(policy(observations))
+            success = all(info["success"] for info in infos.values())
+            if on_attempts is not None:
+                on_attempts(backend.ticks[-1])
+        if world is None:
+            by_rules = success
+        elif task.has_goal:
+            reached = success
+    judge = backend.judge
+    return Episode(
+        backend.recipe, tuple(backend.ticks), reached, by_rules, judge.physics.time_s, judge.problems
+    )

@@ -1,1 +1,0 @@
-"""From a failure to the smallest world in which it still happens."""

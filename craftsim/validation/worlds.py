@@ -1,0 +1,277 @@
+"""Random legal worlds: terraces, stacks, ramps at every level, flags, walls, and cars wherever a car can be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
+from craftsim.discrete.geometry import DIRECTIONS
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.rules import has_room
+from craftsim.discrete.tasks import Task, free_play
+from craftsim.errors import BlueprintError, CraftsimError, InputError
+
+MAX_CARS: Final = 12
+LENGTHS: Final = (4, 12)
+"""Least and largest number of cells along x and along y."""
+HEIGHTS: Final = (1, 5)
+_MAX_BLOCKS: Final = 40
+"""More of them make physics slow, not the world richer."""
+_TRIES: Final = 200
+_LEVELLING: Final = 8
+"""How many blocks may be added to make room for one slope."""
+_PATCH: Final = 4
+"""Terraces are below this many cells long and wide."""
+_LOADS: Final = (Kind.BLOCK, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.FSLOPE)
+
+
+@dataclass(frozen=True)
+class RandomWorlds:
+    """A family of worlds, one drawn for every seed. Raises InputError for figures that do not fit.
+
+    Areas measure 4 x 4 to 12 x 12 cells, small ones more often, with 1 to 5 levels; up to 12 cars, at most one for
+    three columns. Walls stand on the floor and on stacks, and hang.
+    """
+
+    n_cars: int | None = None
+    """Drawn unless given."""
+    n_blocks: int | None = None
+    """Of the stacks, about; drawn unless given."""
+    max_steps: int = 14
+    """An episode has two ticks more (docs/rules.md#episode-length)."""
+
+    def __post_init__(self) -> None:
+        if self.n_cars is not None and not 1 <= self.n_cars <= MAX_CARS:
+            raise InputError(f"{self.n_cars} cars in a random world; allowed: 1 to {MAX_CARS} cars")
+        if self.n_blocks is not None and not 0 <= self.n_blocks <= _MAX_BLOCKS:
+            raise InputError(f"{self.n_blocks} blocks in a random world; allowed: 0 to {_MAX_BLOCKS}")
+        if self.max_steps < 1:
+            raise InputError(f"max_steps is {self.max_steps}; allowed: 1 or more")
+
+    def task(self, rng: np.random.Generator) -> Task:
+        """Return a task without a goal that always starts in the world that a generator draws."""
+        return free_play(
+            "random", (parse_blueprint(blueprint_text(self.grid(rng)), "random"),), self.max_steps
+        )
+
+    def grid(self, rng: np.random.Generator) -> Grid:
+        """Return the world that a generator draws: one that a blueprint may hold, with as many cars as asked for."""
+        for _ in range(_TRIES):
+            grid = _Drawing(self, rng).grid
+            if self.n_cars not in (None, grid.n_cars) or not grid.n_cars:
+                continue
+            try:
+                parse_blueprint(blueprint_text(grid), "random")
+            except BlueprintError:
+                continue
+            return grid
+        raise CraftsimError(f"no random world with {self} was found in {_TRIES} tries; ask for fewer cars")
+
+
+class _Drawing:
+    """One world in the making."""
+
+    def __init__(self, family: RandomWorlds, rng: np.random.Generator) -> None:
+        self.rng = rng
+        length, width = (int(rng.integers(LENGTHS[0], LENGTHS[1] + 1, 2).min()) for _ in range(2))
+        height = int(rng.integers(HEIGHTS[0], HEIGHTS[1] + 1))
+        drawn = 1 + int(rng.integers(min(MAX_CARS, length * width // 3)))
+        n_cars = drawn if family.n_cars is None else family.n_cars
+        self.grid = Grid.empty((length, width, height), n_cars)
+        self.tops = np.zeros((length, width), np.int64)
+        """How many blocks are in each column."""
+        self.taken: set[tuple[int, int]] = set()
+        """Columns on whose blocks something stands."""
+        budget = int(rng.integers(min(length * width, _MAX_BLOCKS) + 1))
+        self._terraces(budget if family.n_blocks is None else family.n_blocks)
+        for _ in range(int(rng.integers(5))):
+            self._slope()
+        for _ in range(int(rng.integers(3))):
+            self._stand(Kind.FLAG)
+        for _ in range(int(rng.integers(3))):
+            self._stand(Kind.WALL)
+        for _ in range(int(rng.integers(3))):
+            self._hang_wall()
+        self._cars(n_cars)
+        self.grid.derive_marks()
+
+    def _column(self) -> tuple[int, int]:
+        length, width, _ = self.grid.size
+        return int(self.rng.integers(length)), int(self.rng.integers(width))
+
+    def _stack(self, x: int, y: int, n: int) -> None:
+        for level in range(int(self.tops[x, y]) + 1, n + 1):
+            self.grid.put(Piece(Kind.BLOCK, (x, y, level)))
+        self.tops[x, y] = n
+
+    def _terraces(self, budget: int) -> None:
+        for _ in range(_TRIES):
+            if budget <= 0:
+                return
+            (x, y), top = self._column(), 1 + int(self.rng.integers(self.grid.size[2]))
+            along, across = (int(n) for n in self.rng.integers(1, _PATCH, 2))
+            for cell in np.argwhere(self.tops[x : x + along, y : y + across] < top).tolist():
+                cx, cy = x + cell[0], y + cell[1]
+                more = min(top - int(self.tops[cx, cy]), budget)
+                self._stack(cx, cy, int(self.tops[cx, cy]) + more)
+                budget -= more
+
+    def _slope(self) -> None:
+        """Put down a slope on ground made level for it, mostly with a landing and with room before its foot."""
+        for _ in range(_TRIES):
+            columns, yaw = [self._column() for _ in range(2)], int(self.rng.integers(4))
+            x, y = max(columns, key=lambda column: int(self.tops[column]))
+            dx, dy = (int(d) for d in DIRECTIONS[yaw])
+            rooms = self.rng.random(2) < (0.85, 0.9)
+            line = [(x, y), (x + dx, y + dy)] + ([(x + 2 * dx, y + 2 * dy)] if rooms[0] else [])
+            back = [(x - dx, y - dy)] if rooms[1] else []
+            if not all(self._open(column) for column in (*line, *back)):
+                continue
+            floor = max(int(self.tops[column]) for column in line)
+            wanted = {**dict.fromkeys(line, floor), **dict.fromkeys(back, floor + 1)}
+            if any(self.tops[column] > n for column, n in wanted.items()) or floor >= self.grid.size[2]:
+                continue
+            if sum(n - int(self.tops[column]) for column, n in wanted.items()) > _LEVELLING:
+                continue
+            for column, n in wanted.items():
+                self._stack(*column, n)
+            kind = Kind.FSLOPE if self.rng.random() < 0.35 else Kind.BODY
+            self.grid.put(Piece(kind, (x, y, floor + 1), yaw))
+            self.taken.update(line[:2])
+            return
+
+    def _open(self, column: tuple[int, int]) -> bool:
+        """Return whether a column is on the map, with nothing on its blocks."""
+        length, width, _ = self.grid.size
+        return 0 <= column[0] < length and 0 <= column[1] < width and column not in self.taken
+
+    def _stand(self, kind: Kind) -> None:
+        x, y = self._column()
+        level = int(self.tops[x, y]) + 1
+        if self._open((x, y)) and level <= self.grid.size[2]:
+            self.grid.put(Piece(kind, (x, y, level)))
+            self.taken.add((x, y))
+
+    def _hang_wall(self) -> None:
+        """Hang a wall anywhere in the air; what is below it may be anything."""
+        (x, y), height = self._column(), self.grid.size[2]
+        cell = (x, y, 1 + int(self.rng.integers(height)))
+        if self.grid.kind[cell] == Kind.AIR:
+            self.grid.put(Piece(Kind.WALL, cell))
+            if cell[2] == self.tops[x, y] + 1:
+                self.taken.add((x, y))
+
+    def _cars(self, n_cars: int) -> None:
+        """Put all cars down, one after the other, and let some carry something."""
+        shares = [place.share for place in _PLACES]
+        drawn = [_PLACES[i] for i in self.rng.choice(len(_PLACES), _TRIES, p=shares).tolist()]
+        # Those on ramps come first, while their ways are free.
+        wanted = sorted(drawn[:n_cars], key=lambda place: place.at_ramp, reverse=True) + drawn[n_cars:]
+        places: list[_Place] = []
+        for place in wanted:
+            if len(places) < n_cars and _put_car(self.grid, len(places), place, self.rng):
+                places.append(place)
+        self.grid.cars = self.grid.cars[: len(places)].copy()
+        for car, place in enumerate(places):
+            _put_load(self.grid, car, place, self.rng)
+
+
+class _Place(NamedTuple):
+    """Where a car starts."""
+
+    share: float
+    """How likely it starts there."""
+    loaded: float
+    """How likely it carries something there."""
+    at_ramp: bool = False
+    """Whether it is on a ramp, or before one."""
+
+
+_ON_TOP: Final = _Place(0.2, 0.4)
+"""On the ground or on top of a stack, the highest included, where it is above the top level."""
+_UNDER: Final = _Place(0.15, 0.0)
+"""Under a block or a flag, in a stack or not."""
+_UNDER_SLOPE: Final = _Place(0.1, 0.0)
+"""Under a slope, folded or not."""
+_ON_RAMP: Final = _Place(0.2, 0.5, True)
+"""On the foot or over the body of a ramp, up or down."""
+_BEFORE_RAMP: Final = _Place(0.35, 0.5, True)
+"""Before the foot or on the landing of a ramp, about to drive it."""
+_PLACES: Final = (_ON_TOP, _UNDER, _UNDER_SLOPE, _ON_RAMP, _BEFORE_RAMP)
+
+
+def _put_car(grid: Grid, car: int, place: _Place, rng: np.random.Generator) -> bool:
+    """Put a car into a drawn cell of a kind of places, after those with lower numbers; return whether there is one."""
+    taken = {tuple(row[: CarField.Z + 1]) for row in grid.cars[:car].tolist()}
+    columns = {cell[:2] for cell in taken}
+    free = [start for start in _cells(grid, place) if start.cell not in taken and not start.way & columns]
+    if not free:
+        return False
+    start = free[int(rng.integers(len(free)))]
+    yaw = start.yaws[int(rng.integers(len(start.yaws)))]
+    grid.cars[car] = (*start.cell, yaw, Kind.AIR, 0, start.slope)
+    return True
+
+
+def _put_load(grid: Grid, car: int, place: _Place, rng: np.random.Generator) -> None:
+    """Let a car carry something, if the draw says so and there is room for it."""
+    row = grid.cars[car]
+    chance, load = rng.random(), _LOADS[int(rng.integers(len(_LOADS)))]
+    cell = (int(row[CarField.X]), int(row[CarField.Y]), int(row[CarField.Z]))
+    if chance >= place.loaded or grid.kind_at(cell) not in (Kind.AIR, Kind.FOOT):
+        return
+    back = (int(row[CarField.YAW]) + 2) % 4
+    row[CarField.LOAD], row[CarField.LOAD_YAW] = load, back if load == Kind.FSLOPE else 0
+    if not has_room(grid):
+        row[CarField.LOAD], row[CarField.LOAD_YAW] = Kind.AIR, 0
+
+
+class _Start(NamedTuple):
+    cell: Cell
+    yaws: tuple[int, ...] = (0, 1, 2, 3)
+    """Those that a car can have there."""
+    slope: int = 0
+    """The half of a slope that it is on."""
+    way: frozenset[tuple[int, int]] = frozenset()
+    """Columns of a ramp, end and landing included, where no other car may be: it would block the way."""
+
+
+def _cells(grid: Grid, place: _Place) -> list[_Start]:
+    """Return the cells of a kind of places."""
+    found: list[_Start] = []
+    length, width, height = grid.size
+    for x, y, z in np.ndindex(length, width, height + 1):
+        cell = (x, y, z + 1)
+        here, below = grid.kind_at(cell), grid.kind_at((x, y, z))
+        along = int(grid.yaw[cell]) if z < height else 0
+        on_top = place is _ON_TOP and here == Kind.AIR and below in (Kind.GROUND, Kind.BLOCK)
+        if on_top or (place is _UNDER and here in (Kind.BLOCK, Kind.FLAG)):
+            found.append(_Start(cell))
+        elif place is _UNDER_SLOPE and here in (Kind.FSLOPE, Kind.BODY):
+            found.append(_Start(cell, ((along + 2) % 4,)))
+        elif place.at_ramp and here == Kind.BODY:
+            way, up, above = _way(cell, along), (along + 2) % 4, (x, y, z + 2)
+            if place is _ON_RAMP:
+                found.append(_Start(beside(cell, along), (along, up), 1, way))
+                if grid.kind_at(above) == Kind.AIR:
+                    found.append(_Start(above, (along, up), 2, way))
+                continue
+            ends = ((beside(beside(cell, along), along), up), (beside(above, up), along))
+            found += [_Start(there, (yaw,), 0, way) for there, yaw in ends if _free(grid, there)]
+    return found
+
+
+def _way(body: Cell, yaw: int) -> frozenset[tuple[int, int]]:
+    cells = (beside(body, yaw + 2), body, beside(body, yaw), beside(beside(body, yaw), yaw))
+    return frozenset(cell[:2] for cell in cells)
+
+
+def _free(grid: Grid, cell: Cell) -> bool:
+    """Return whether a cell is on the map, with something to stand on and nothing in it."""
+    (x, y, z), (length, width, height) = cell, grid.size
+    if not (0 <= x < length and 0 <= y < width and z <= height + 1) or grid.kind_at(cell) != Kind.AIR:
+        return False
+    return grid.kind_at((x, y, z - 1)) in (Kind.GROUND, Kind.BLOCK)

@@ -1,0 +1,260 @@
+"""Every trial gets one record, whatever becomes of it, at any number of workers, killed, interrupted or out of room."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from contextlib import nullcontext
+from pathlib import Path
+
+import cheap_work
+import pytest
+from sessions import cut_off, make_old, put
+
+from craftsim.errors import InputError
+from craftsim.experiments.experiment import Done, Failure, RunOptions
+from craftsim.experiments.records import read_finished
+from craftsim.experiments.session import open_session, run_experiment
+
+SCRIPT = Path(__file__).parent / "run_cheap.py"
+LIMIT = 1 << 16
+"""Bytes that a file may have on a small disk."""
+
+
+def _run(out, items, batch=1, timeout_s=60.0, **options):
+    return run_experiment(
+        cheap_work.experiment(items, batch=batch, timeout_s=timeout_s), out, RunOptions(**options)
+    )
+
+
+def test_what_goes_wrong_with_an_item_is_its_record_and_harms_no_other(tmp_path):
+    items = cheap_work.items(
+        16,
+        i3="raise",
+        i5="die",
+        i6=("die once", tmp_path / "died"),
+        i9="exit",
+        i11="hang",
+        i13="nan",
+    )
+    options = {"timeout_s": 1.0}
+    one = _run(tmp_path / "one", items, **options)
+    assert [record["key"] for record in one] == [item.key for item in items]
+    assert {record["index"]: record["error"] for record in one if record["error"]} == {
+        3: "ValueError: no 3\nin two lines",
+        5: "its worker process died, 2 times",
+        9: "SystemExit: 3",
+        11: "no answer within 1 s",
+    }
+    assert one[3]["extra"]["traceback"].startswith("Traceback")
+    assert one[6]["agrees"]
+    assert one[6]["extra"] == {"number": 6}
+    assert one[13]["attempts"] == [{"error_m": None}]
+    (tmp_path / "died").unlink()
+    assert _run(tmp_path / "two", items, workers=2, batch=2, **options) == one
+    lines = [(tmp_path / name / "trials.jsonl").read_text() for name in ("one", "two")]
+    assert lines[0] == lines[1]
+    assert [json.loads(line) for line in lines[0].splitlines()] == one
+
+
+def test_a_full_disk_in_a_worker_stops_the_campaign_and_resume_tries_again_what_had_an_error(tmp_path):
+    items = cheap_work.items(5, i1="raise", i3="disk")
+    with pytest.raises(InputError, match=r"bundles/one: No space left on device; .*--resume"):
+        _run(tmp_path, items)
+    seen = []
+    progress = lambda total: nullcontext(lambda record: seen.append(record["index"]))  # noqa: E731
+    records = _run(tmp_path, cheap_work.items(5), resume=True, progress=progress)
+    assert sorted(seen) == [0, 1, 2, 3, 4]
+    assert all(record["agrees"] for record in records)
+
+
+def _map(out, items, options=RunOptions(workers=2), **more):  # noqa: B008
+    with open_session(cheap_work.experiment(1), out, options) as session:
+        session.run()
+        return session.map("more", items, cheap_work.work, "testing", timeout_s=1.0, **more)
+
+
+def test_what_goes_wrong_is_the_answer_and_harms_no_other(tmp_path):
+    items = cheap_work.items(
+        8, i1="raise", i3="die", i4="hang", i6=("die once", tmp_path / "died"), i7="exit"
+    )
+    seen = []
+    answers = _map(tmp_path, items, on_answer=lambda number, answer: seen.append(number))
+    assert sorted(seen) == list(range(8))
+    assert {i: a.text for i, a in enumerate(answers) if isinstance(a, Failure)} == {
+        1: "ValueError: no 1\nin two lines",
+        3: "its worker process died, 2 times",
+        4: "no answer within 1 s",
+        7: "SystemExit: 3",
+    }
+    assert answers[6] == Done(True, [{"sum": 2.0}], extra={"number": 6})
+    # What was done is not done again when the run goes on.
+    again = _map(tmp_path, cheap_work.items(8, i0="die", i2="die"), RunOptions(resume=True))
+    assert [again[0], again[2]] == [answers[0], answers[2]]
+    assert again[1] == Done(True, [{"sum": 1 / 3}], extra={"number": 1})
+    with pytest.raises(InputError, match=r"bundles/one: No space left on device; .*--resume"):
+        _map(tmp_path / "full", cheap_work.items(3, i1="disk"))
+
+
+def test_nothing_to_do_starts_no_worker(tmp_path):
+    with open_session(cheap_work.experiment(0), tmp_path) as session:
+        assert session.map("more", [], cheap_work.work, "testing", timeout_s=1.0) == []
+        assert session._pool is None
+
+
+@pytest.fixture
+def finished(tmp_path):
+    """Return the folder of a finished run, and its records."""
+    items = cheap_work.items(3, i1="raise")
+    return tmp_path, run_experiment(cheap_work.experiment(items, "validate", {"trials": 3}), tmp_path)
+
+
+@pytest.mark.parametrize("old", [False, True])
+def test_it_is_read_back_whole(finished, old):
+    folder, records = finished
+    expected = list(records)
+    if old:
+        make_old(folder)
+    found = read_finished(folder, "validate")
+    assert found.records == expected
+    assert (found.manifest["seed"], found.manifest["config"]) == (7, {"trials": 3})
+
+
+def test_another_commands_and_an_unfinished_one_are_refused(finished):
+    folder, _ = finished
+    with pytest.raises(InputError, match="holds a run of 'craftsim validate'"):
+        read_finished(folder, "audit")
+    cut_off(folder, (0, 1))
+    with pytest.raises(InputError, match=r"unfinished run \(2 of 3 trials\)"):
+        read_finished(folder, "validate")
+
+
+@pytest.mark.parametrize("text", ["{", "3", '{"key": "item 0"}'])
+def test_what_is_no_record_is_named(finished, text):
+    folder, _ = finished
+    put(folder, 1, text)
+    with pytest.raises(InputError, match=r"session\.db: trial 1: not a trial's record"):
+        read_finished(folder, "validate")
+    lines = make_old(folder) / "trials.jsonl"
+    first, *rest = lines.read_text().splitlines()
+    lines.write_text("\n".join([first, text, *rest[1:]]) + "\n")
+    with pytest.raises(InputError, match=r"trials\.jsonl:2: not a trial's record"):
+        read_finished(folder, "validate")
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path):
+    with pytest.raises(InputError, match="holds no run"):
+        read_finished(tmp_path / "nowhere", "validate")
+    (tmp_path / "campaign.json").write_text("[]")
+    with pytest.raises(InputError, match="not a run's manifest"):
+        read_finished(tmp_path, "validate")
+
+
+def _start(out, *options, what="cheap", **popen):
+    words = [sys.executable, str(SCRIPT), str(out), what, *options]
+    return subprocess.Popen(words, stderr=subprocess.PIPE, text=True, **popen)
+
+
+def _finished(out):
+    path = out / "trials.jsonl"
+    return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+def _wait_for(condition, limit_s=60.0):
+    end = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end, "it did not happen in time"
+        time.sleep(0.005)
+
+
+def _children(pid):
+    found = subprocess.run(["pgrep", "-P", str(pid)], capture_output=True, text=True, check=False)
+    return [int(word) for word in found.stdout.split()]
+
+
+def _alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_a_campaign_whose_workers_or_itself_are_killed_or_interrupted_goes_on_to_the_same_result(tmp_path):
+    out = tmp_path / "out"
+    process = _start(out)
+    _wait_for(lambda: _finished(out) >= 1)
+    os.kill(_children(process.pid)[-1], signal.SIGKILL)  # is replaced
+    _wait_for(lambda: _finished(out) >= 10)
+    workers = _children(process.pid)
+    assert workers
+    process.kill()
+    process.wait()
+    _wait_for(lambda: not any(map(_alive, workers)))
+    kept = [json.loads(line)["key"] for line in (out / "trials.jsonl").read_text().splitlines()]
+    assert len(kept) == len(set(kept)) < 40
+
+    process = _start(out, "--resume", start_new_session=True)
+    _wait_for(lambda: _finished(out) >= 16)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(60) == 130
+    said = f"interrupted: {_finished(out)} of 40 trials are kept in {out}; the same command with --resume goes on"
+    assert process.stderr.read() == f"craftsim: {said}\n"
+
+    process = _start(out, "--resume")
+    assert process.wait(60) == 0, process.stderr.read()
+    items = cheap_work.items(40)
+    run_experiment(cheap_work.experiment(items, "cheap", batch=3), tmp_path / "undisturbed")
+    assert (out / "trials.jsonl").read_bytes() == (tmp_path / "undisturbed" / "trials.jsonl").read_bytes()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL, None])
+def test_no_signal_leaves_workers_behind_and_killed_ones_are_replaced(tmp_path, number):
+    process = _start(tmp_path, what="after", start_new_session=True)
+    _wait_for(lambda: list(tmp_path.glob("left-*")))
+    workers = _children(process.pid)
+    assert workers
+    if number is None:
+        os.kill(workers[-1], signal.SIGKILL)
+        assert process.wait(60) == 0, process.stderr.read()
+        assert len(list(tmp_path.glob("left-*"))) == 40
+        return
+    os.kill(process.pid, number)
+    status = process.wait(60)
+    _wait_for(lambda: not any(map(_alive, workers)))
+    if number == signal.SIGTERM:
+        assert status == 130
+        said = f"interrupted: while leaving files; all trials are kept in {tmp_path}; the same command with --resume"
+        assert process.stderr.read() == f"craftsim: {said} goes on\n"
+
+
+def test_a_disk_that_fills_up_stops_with_a_message_and_resume_goes_on(tmp_path):
+    def small_disk():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (LIMIT, LIMIT))
+
+    process = _start(tmp_path, preexec_fn=small_disk)
+    assert process.wait(60) == 2
+    assert "what was finished is kept: make room, then --resume" in process.stderr.read()
+    text = (tmp_path / "trials.jsonl").read_bytes()
+    assert 0 < len(text) < LIMIT
+    assert text.endswith(b"\n"), "nothing half-written"
+    records = run_experiment(
+        cheap_work.experiment(cheap_work.items(40), "cheap", batch=3), tmp_path, RunOptions(resume=True)
+    )
+    assert all(record["agrees"] for record in records)
+
+
+def test_a_full_file_system_stops_with_a_message(tmp_path):
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip("this user may not mount a small file system")
+    try:
+        with pytest.raises(InputError, match=r"cannot write into .* make room, then --resume"):
+            run_experiment(cheap_work.experiment(4000), tmp_path)
+        assert 0 < _finished(tmp_path) < 4000
+    finally:
+        subprocess.run(["umount", tmp_path], check=True)

@@ -1,0 +1,230 @@
+"""The audit finds known unsound rules unsound and known needless ones conservative, the same way every time."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from sessions import put
+from synthetic import attempt, audit, record
+
+from craftsim import cli
+from craftsim.audit import plan as planned
+from craftsim.audit.plan import audit_plan, corrections
+from craftsim.audit.survey import survey
+from craftsim.checking.attempt import Attempt, Thresholds, Verdict
+from craftsim.checking.setup import setup_of
+from craftsim.discrete.actions import ACTIONS, verbs
+from craftsim.errors import InputError
+from craftsim.experiments.bundle import read_bundle
+from craftsim.experiments.experiment import RunOptions
+from craftsim.experiments.replay import replay
+from craftsim.validation.audit import (
+    Judgement,
+    Trial,
+    audit_rows,
+    items_of,
+    judge,
+    run_audit,
+    try_it,
+    verdict_counts,
+)
+
+UNSOUND = {
+    "FOLD/level=1/ground=flat/own=body-back/load=none/beyond=taken/room=free": "swinging_flap",
+    "MOVE-forward/level=2+/ground=high-up/own=air/load=none/next=above-body-forward/room=free": "own_ramp",
+    "UNFOLD/scene=car in the foot's cell": "swinging_flap",
+    "ROTATE_LEFT/scene=car beside, block turns": "turning_load",
+    "MOVE/scene=behind a load that leans": "leaning_load",
+    "MOVE/scene=onto a second ramp": "second_ramp",
+}
+"""Rows of the published rules, and the flag that corrects each."""
+CONSERVATIVE = "MOVE-back/level=2+/ground=high-up/own=air/load=none/next=air/room=free"
+AT_ONCE = "MOVE+MOVE/scene=unloaded at a right angle/order=at-once"
+
+
+SETUP = setup_of("mild", "published", drive="reduced")
+
+
+def _audit(out, plan, setup=SETUP, **options):
+    return run_audit(plan, setup, 2, 0, out, asked={"randomize": "mild"}, options=RunOptions(**options))
+
+
+@pytest.fixture(scope="module")
+def plan():
+    """The rows of a small audit of the published rules."""
+    wanted = {*UNSOUND, CONSERVATIVE, AT_ONCE, "STOP/level=1/ground=flat/own=air/load=none/room=free"}
+    chosen = [row for row in audit_plan("published") if row.name in wanted]
+    assert {row.name for row in chosen} == wanted
+    return chosen
+
+
+@pytest.fixture(scope="module")
+def found(plan, tmp_path_factory):
+    """What it finds, with two workers."""
+    return _audit(tmp_path_factory.mktemp("audit"), plan, workers=2)
+
+
+def test_a_trial_alone_and_in_any_order_is_the_trial_of_the_campaign(plan, found):
+    recorded = {record["key"]: record for record in found.records}
+    assert all(record["error"] is None for record in found.records)
+    items = [item for item in items_of(plan, 2, 0, SETUP) if item.job][::-1]
+    for item in items[::3]:
+        done = try_it(item.job)
+        assert recorded[item.key]["agrees"] == done.agrees
+        assert tuple(map(Attempt.of, recorded[item.key]["attempts"])) == done.attempts
+
+
+def test_known_unsound_rules_are_found_unsound_with_a_reason(found):
+    rows = {row.name: row for row in found.rows}
+    for name in UNSOUND:
+        assert rows[name].verdict == "unsound", rows[name]
+        assert rows[name].reason
+        assert len(rows[name].bundles) == 1
+    assert rows[CONSERVATIVE].verdict == "conservative"
+    assert sum(row.verdict == "sound" for row in rows.values()) == 1
+    assert AT_ONCE not in rows, "what is begun at once is evidence only"
+    assert "begun all at once" in next(one for one in found.suspects if one.number == 3).evidence
+
+
+def test_a_bundle_that_is_there_is_not_made_again_and_one_that_comes_out_otherwise_stops_the_audit(tmp_path):
+    plan = [row for row in audit_plan("published") if row.name == "MOVE/scene=onto a second ramp"]
+    (row,) = _audit(tmp_path, plan).rows
+    kept = tmp_path / row.bundles[0] / "bundle.json"
+    kept.write_text("mine")
+    assert _audit(tmp_path, plan, resume=True).rows == (row,)
+    assert kept.read_text() == "mine"
+    kept.unlink()
+    line = json.loads((tmp_path / "trials.jsonl").read_text().splitlines()[0])
+    line["attempts"][0]["duration_s"] = 1e3
+    put(tmp_path, 0, json.dumps(line))
+    with pytest.raises(InputError, match=r"no replay bundle of .*came out otherwise.*--resume"):
+        _audit(tmp_path, plan, resume=True)
+
+
+def test_physical_forbids_each_of_them():
+    legal = {row.name: row.legal for row in audit_plan("physical")}
+    for name in UNSOUND:
+        if name != "MOVE/scene=onto a second ramp":  # only its effect was wrong
+            assert not any(allowed for row, allowed in legal.items() if row == name), name
+
+
+def test_each_of_them_is_traced_to_the_switch_that_corrects_it():
+    plan = [row for row in audit_plan("published") if row.name in UNSOUND]
+    assert corrections(plan, "published") == {name: (flag,) for name, flag in UNSOUND.items()}
+    assert corrections(plan, "physical") == dict.fromkeys(UNSOUND, ())
+
+
+def test_the_command_reports_and_bundles_each_disagreement_and_finds_physical_sound(tmp_path, capsys):
+    words = ["--situations", "MOVE/scene=on* a second ramp", "--trials", "2", "--drive", "reduced", "--out"]
+    assert cli.main(["audit", *words, str(tmp_path / "published")]) == 1
+    printed = capsys.readouterr().out
+    assert "1 of 1 row that the rules allow are unsound" in printed
+    assert "second_ramp 1" in printed
+    report = json.loads((tmp_path / "published" / "report.json").read_text())
+    (row,) = report["figures"]["audit"]["rows"]
+    assert (row["trials"], row["as_predicted"], row["contexts"]) == (2, 0, 1)
+    page = (tmp_path / "published" / "report.html").read_text()
+    assert "second ramp" in page
+    for place in (printed, page):
+        assert "1 row is judged by fewer than 20 trials: provisional." in place
+    assert report["figures"]["audit"]["provisional"] == 1
+    assert report["figures"]["audit"]["corrections"] == {"second_ramp": 1}
+    assert row["corrections"] == ["second_ramp"]
+    (bundle,) = row["bundles"]
+    assert replay(read_bundle(tmp_path / "published" / bundle)).reproduced
+    words += [str(tmp_path / "physical"), "--rules", "physical", "--baseline", str(tmp_path / "published")]
+    assert cli.main(["audit", *words]) == 0
+    printed = capsys.readouterr().out
+    assert "0 of 1 row that the rules allow are unsound" in printed
+    assert "of 2 paired trials 0 agree with the rules in both, 0 only there, 2 only here" in printed
+    paired = json.loads((tmp_path / "physical" / "report.json").read_text())["figures"]["paired"]
+    changed = ["published", "physical"]
+    assert paired["changed"] == {"config.rules": changed, "config.setup.rules": changed}
+    assert paired["trials"]["p_value"] == 0.5
+    assert "this run alone" in (tmp_path / "physical" / "report.html").read_text()
+
+
+def test_the_command_refuses_wrong_input(tmp_path, capsys):
+    assert cli.main(["audit", "--trials", "0", "--out", str(tmp_path)]) == 2
+    assert cli.main(["audit", "--situations", "nothing like it", "--out", str(tmp_path)]) == 2
+    assert "no row matches 'nothing like it'" in capsys.readouterr().err
+
+
+def test_the_files_of_the_physics_are_read_before_contexts_are_looked_for(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(planned, "audit_plan", lambda *args: pytest.fail("contexts are looked for"))
+    assert cli.main(["audit", "--gains", "gone.yaml", "--out", str(tmp_path)]) == 2
+    assert "gone.yaml: no such file" in capsys.readouterr().err
+
+
+ALLOWED = [situation for situation, legal in survey() if legal]
+
+
+def _of(verb):
+    return [situation for situation in ALLOWED if ACTIONS[situation.acts[0]].verb == verb]
+
+
+@pytest.mark.parametrize("verb", verbs())
+def test_a_sample_of_what_physical_allows_succeeds_on_rollers(verb):
+    mine, wanted = _of(verb), 6 if verb == "MOVE" else 2
+    for situation in mine[:: max(1, len(mine) // wanted)][:wanted]:
+        done = try_it(Trial(situation, True, 0, 1, setup_of("none")))
+        assert done.agrees, (situation.id, done)
+        assert done.attempts[0].agrees
+
+
+def test_an_error_beyond_its_limit_is_a_failure_with_a_reason():
+    strict = replace(SETUP, thresholds=Thresholds(car_m=-1.0))
+    done = try_it(Trial(_of("DROP")[0], True, 0, 0, strict))
+    (attempt,) = done.attempts
+    assert (done.agrees, attempt.result, attempt.finding) == (False, "failed", "agrees")
+    assert attempt.reason.startswith("the car is ")
+
+
+def test_each_trial_of_a_situation_has_its_own_noise_and_physics():
+    setup, stop = setup_of("strong", drive="reduced"), _of("STOP")[0]
+    first, second, again = (try_it(Trial(stop, True, number, 0, setup)).attempts[0] for number in (0, 1, 0))
+    assert first == again
+    assert first.car_error_m != second.car_error_m
+
+
+@pytest.mark.parametrize(
+    ("legal", "has_prediction", "trials", "good", "verdict"),
+    [
+        (True, True, 20, 19, Judgement.SOUND),
+        (True, True, 20, 18, Judgement.UNSOUND),
+        (False, True, 20, 19, Judgement.CONSERVATIVE),
+        (False, True, 20, 0, Judgement.RIGHTLY_FORBIDDEN),
+        (False, False, 0, 0, Judgement.NO_PREDICTION),
+        (True, True, 0, 0, Judgement.NOT_TRIED),
+    ],
+)
+def test_verdicts(legal, has_prediction, trials, good, verdict):
+    assert judge(legal, has_prediction, trials, good) == verdict
+
+
+def test_a_row_counts_its_trials_by_their_worst_attempt_and_tells_the_commonest_kind_of_reason():
+    failed = attempt(Verdict.FAILED, reason="block 3 was moved by 12.4 mm")
+    trials = [
+        *([attempt(), failed | {"reason": f"block {n} was moved by {n}.5 mm"}] for n in (1, 2)),
+        [attempt(Verdict.UNSAFE, reason="car 0 tipped"), failed],
+        [attempt()],
+        [attempt(Verdict.SOLVER)],
+    ]
+    records = [
+        record(f"a#{n}", *some, group="MOVE/a", bundle=f"bundles/{n}") for n, some in enumerate(trials)
+    ]
+    records.append(record("late", group="MOVE/a", error="TimeoutError", agrees=False))
+    (row,) = audit_rows(records)
+    assert (row.action, row.context, row.verdict, row.provisional) == ("MOVE", "a", "unsound", True)
+    assert (row.trials, row.as_predicted, row.failed, row.unsafe) == (4, 1, 2, 1)
+    assert (row.numerics, row.errors, len(row.bundles)) == (1, 1, 5)
+    assert row.reason == "block 1 was moved by 1.5 mm (2 of 4)"
+
+
+def test_no_record_is_lost():
+    records = audit()
+    rows = audit_rows(records)
+    counts = verdict_counts(rows)
+    assert len(rows) == sum(counts.values()) == len({r["group"] for r in records})
+    assert all(counts[verdict] for verdict in Judgement if verdict is not Judgement.NOT_TRIED)
+    assert all(not row.has_prediction for row in rows if row.verdict == Judgement.NO_PREDICTION)

@@ -1,0 +1,221 @@
+"""Margins: a search finds what all trials stand and says truly how sure that is; every figure can grow."""
+
+import json
+import shutil
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from craftsim import cli
+from craftsim.checking.attempt import Thresholds
+from craftsim.checking.setup import RANDOMIZE, Setup, imperfect, setup_of
+from craftsim.models.randomization import NONE, DomainRandomization
+from craftsim.validation.imperfections import axes, axes_of
+from craftsim.validation.margins import (
+    BASE,
+    CHOSEN,
+    RANKS,
+    SHARE,
+    TRIALS,
+    Rig,
+    Search,
+    confidence,
+    find,
+    scenarios,
+    search,
+)
+
+LEVELS = 40
+NOMINAL = setup_of("none", drive="reduced")
+
+
+@pytest.mark.parametrize("scenario", CHOSEN, ids=lambda one: one.name)
+def test_every_scenario_is_legal_and_stood_without_imperfections(scenario):
+    attempts, reason = Rig(scenario, NOMINAL, 3).attempt(0)
+    assert attempts
+    assert reason == ""
+
+
+def test_names_of_scenarios_are_their_own():
+    assert len({one.name for one in CHOSEN}) == len({one.row for one in CHOSEN}) == len(CHOSEN)
+    assert {one.action for one in scenarios(quick=True)} == {one.action for one in CHOSEN}
+
+
+def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
+    rig, (axis,) = Rig(scenarios("lift a block")[0], NOMINAL, 0), axes_of(["position-bias"])
+    found = find(Search(rig, (axis,), 7)).extra
+    assert found["end"] == "edge"
+    assert all(not rig.attempt(number, [(axis, found["margin"])])[1] for number in range(7))
+    assert rig.attempt(found["trial"], [(axis, found["fails_at"])])[1] == found["reason"]
+
+
+def test_an_imperfection_that_changes_nothing_has_no_effect():
+    rig = Rig(scenarios("move unloaded")[0], NOMINAL, 0)
+    found = find(Search(rig, axes_of(["hinge-bias"]), 7)).extra
+    assert (found["end"], found["tried"]) == ("no effect", 6)
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    out = tmp_path_factory.mktemp("margins")
+    words = ["audit", "margins", "--situations", "lift a block", "--trials", "1", "--seed", "2"]
+    words += ["--map", "position-bias", "mass", "--out", str(out)]
+    assert cli.main([*words, "--workers", "2"]) == 0
+    return out, words
+
+
+def test_a_report_holds_margins_maps_and_bundles_that_replay(searched, capsys):
+    out, _ = searched
+    figures = json.loads((out / "report.json").read_text())["figures"]["margins"]
+    bias, _ = figures["scenarios"]
+    assert 0 < bias["margin"] < bias["fails_at"] == bias["upper"]
+    (one,) = figures["maps"]
+    assert [len(values) for values in one["values"]] == [len(one["stood"][0]), len(one["stood"])]
+    # Along its edge a map shows what the search found.
+    assert one["stood"][0] == [int(value <= bias["margin"]) for value in one["values"][0]]
+    assert cli.main(["replay", str(out / bias["bundle"]), "--out", str(out / "again")]) == 0
+    page = (out / "report.html").read_text()
+    assert "position bias, mm" in page
+    assert bias["reason"] in page
+
+
+def test_a_search_finds_the_same_in_any_process(searched):
+    out, _ = searched
+    first = json.loads((out / "trials.jsonl").read_text().splitlines()[0])
+    (axis,) = axes_of(["position-bias"])
+    assert find(Search(Rig(scenarios("lift a block")[0], NOMINAL, 2), (axis,), 1)).extra == first["extra"]
+
+
+def test_a_finished_search_is_compared_with_an_earlier_one(searched, tmp_path, capsys):
+    out, words = searched
+    (shutil.copytree(out, tmp_path / "later") / "report.json").unlink()
+    assert cli.main([*words[:-1], str(tmp_path / "later"), "--resume", "--baseline", str(out)]) == 0
+    figures = json.loads((tmp_path / "later" / "report.json").read_text())["figures"]["margins"]
+    assert all(one["before"]["margin"] == one["margin"] for one in figures["scenarios"])
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["lipage"], "no imperfection 'lipage'; did you mean 'lippage'"),
+        (["--situations", "fly*"], "no scenario matches 'fly*'"),
+        (["--map", "delay", "delay"], "two different imperfections"),
+    ],
+)
+def test_wrong_input_is_named(tmp_path, capsys, words, message):
+    assert cli.main(["audit", "margins", *words, "--out", str(tmp_path)]) == 2
+    assert message in capsys.readouterr().err
+
+
+def _stands(critical):
+    return lambda trial, level: level <= critical[trial]
+
+
+def test_the_margin_is_what_the_weakest_trial_stands():
+    critical = np.random.default_rng(1).integers(5, 60, TRIALS)
+    found = search(_stands(critical), LEVELS, TRIALS)
+    assert found.margin == min(critical)
+    assert found.upper == sorted(critical[:16])[2] + 1
+    trial, level = found.edge
+    assert level == found.margin + 1
+    assert critical[trial] == found.margin
+
+
+def test_what_all_stand_has_no_edge():
+    found = search(_stands([LEVELS] * 20), LEVELS, 20)
+    assert (found.margin, found.upper, found.edge) == (LEVELS, None, None)
+
+
+def test_a_base_that_is_not_stood_ends_the_search():
+    found = search(_stands([7] * 19 + [-1]), LEVELS, 20)
+    assert found.margin is None
+    assert found.edge == (19, BASE)
+
+
+def test_at_the_margin_every_trial_stands_even_where_higher_levels_are_stood_and_lower_ones_not():
+    """Trial 0 fails at levels 3 to 6 alone; another one leads the search down to level 6."""
+    critical = [LEVELS, 6, *[LEVELS] * 5]
+
+    def stands(trial, level):
+        return not 3 <= level <= 6 if trial == 0 else level <= critical[trial]
+
+    found = search(stands, LEVELS, 7)
+    assert all(stands(trial, found.margin) for trial in range(7))
+    assert not stands(*found.edge)
+
+
+def test_a_margin_takes_few_trials():
+    tried = set()
+    critical = np.random.default_rng(2).integers(10, 50, TRIALS)
+    search(lambda trial, level: tried.add((trial, level)) or level <= critical[trial], LEVELS, TRIALS)
+    assert len(tried) < 4 * TRIALS
+
+
+def test_59_trials_make_95_percent_of_95_percent():
+    assert confidence(TRIALS) >= 0.95 > confidence(TRIALS - 1)
+
+
+@pytest.mark.parametrize(("first", "rank"), RANKS)
+def test_the_upper_end_is_one_by_the_binomial_distribution(first, rank):
+    """Were at most 5 % of all worlds to fail, so many of the first trials would with 5 % probability at most."""
+    assert binom.sf(rank - 1, first, 1 - SHARE) <= 0.05 + 1e-12
+
+
+def test_margins_of_drawn_worlds_are_stood_by_95_percent_as_often_as_claimed():
+    rng, held = np.random.default_rng(3), []
+    for _ in range(100):
+        critical = np.floor(rng.normal(20, 4, TRIALS)).astype(int)
+        found = search(_stands(critical), LEVELS, TRIALS)
+        lower = np.mean(np.floor(rng.normal(20, 4, 2000)) >= found.margin) >= 0.94
+        upper = found.upper is None or np.mean(np.floor(rng.normal(20, 4, 2000)) < found.upper) >= 0.04
+        held.append((lower, upper))
+    assert np.all(np.mean(held, axis=0) >= 0.93)
+
+
+def _numbers(part, prefix=""):
+    for field in fields(part):
+        value = getattr(part, field.name)
+        yield from (
+            _numbers(value, f"{prefix}{field.name}.")
+            if is_dataclass(value)
+            else [(prefix + field.name, value)]
+        )
+
+
+def test_every_figure_is_an_axis_or_says_how_another_one_looks():
+    figures = [name for name, _ in _numbers(NONE)]
+    missing = set(figures) - {axis.figure for axis in axes().values()}
+    assert missing == {"floor.tile_m", "floor.wavelength_m", "sensors.min_delay_s"}
+    assert len(axes()) == len(figures) - len(missing)
+
+
+def test_an_axis_changes_its_figure_and_those_that_go_with_it_alone():
+    before = dict(_numbers(NONE))
+    for axis in axes().values():
+        mine = {axis.figure, *(name for name, _ in axis.also)}
+        assert list(axis.levels) == sorted(set(axis.levels))
+        assert len(axis.levels) == 41
+        for value in (axis.levels[0], axis.levels[-1]):
+            after = dict(_numbers(axis.on(NONE, value)))
+            assert after[axis.figure] == value
+            assert {name for name in before if before[name] != after[name]} <= mine
+
+
+def test_values_are_preferred_numbers_with_units():
+    (axis,) = axes_of(["position-bias"])
+    assert [axis.text(value) for value in axis.levels[:4]] == ["0.2 mm", "0.224 mm", "0.25 mm", "0.28 mm"]
+    assert axis.text(axis.levels[-1]) == "20 mm"
+
+
+@pytest.mark.parametrize("preset", RANDOMIZE)
+def test_limits_widen_for_the_world_alone_and_not_twice(preset):
+    """The limits of a setup that is made imperfect are those of one that was so from the beginning."""
+    setup = setup_of(preset)
+    there, back = imperfect(setup, NONE), imperfect(imperfect(setup, NONE), setup.randomization)
+    assert there.thresholds.car_m == pytest.approx(RANDOMIZE[preset][0].car_m)
+    assert back.thresholds.height_m == pytest.approx(setup.thresholds.height_m)
+    (bias,) = axes_of(["position-bias"])
+    biased = imperfect(Setup(), bias.on(DomainRandomization(), 0.006))
+    assert biased.thresholds.placed_m == pytest.approx(Thresholds().placed_m + 0.006)

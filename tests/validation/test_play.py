@@ -1,0 +1,133 @@
+"""Random worlds are legal, varied and drawn from a seed; play in them is legal, prefers the rare and is judged."""
+
+import json
+
+import numpy as np
+import pytest
+
+from craftsim.checking.attempt import Attempt
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
+from craftsim.discrete.files.plan import read_plan
+from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.rules import Rules
+from craftsim.errors import InputError
+from craftsim.validation.play import play
+from craftsim.validation.validation import validate
+from craftsim.validation.worlds import RandomWorlds
+
+GRIDS = [RandomWorlds().grid(np.random.default_rng(seed)) for seed in range(80)]
+RULES = Rules("physical")
+
+
+def test_every_random_world_is_one_that_a_blueprint_may_hold():
+    for grid in GRIDS:
+        text = blueprint_text(grid)
+        assert "snapshot" not in text
+        assert parse_blueprint(text, "random").grid(np.random.default_rng(0)).same_visible(grid)
+
+
+def test_random_worlds_show_all_that_there_can_be():
+    sizes = {grid.size for grid in GRIDS}
+    assert {size[2] for size in sizes} == {1, 2, 3, 4, 5}
+    assert all(4 <= n <= 12 for size in sizes for n in size[:2])
+    cars = np.concatenate([grid.cars for grid in GRIDS])
+    assert {1, 12} <= {grid.n_cars for grid in GRIDS} <= set(range(1, 13))
+    assert set(cars[:, CarField.LOAD]) == {Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE}
+    assert set(cars[:, CarField.SLOPE]) == {0, 1, 2}
+    assert (cars[:, CarField.SLOPE].astype(bool) & (cars[:, CarField.LOAD] != Kind.AIR)).any()
+    under = {grid.kind_at(tuple(row[:3])) for grid in GRIDS for row in grid.cars.tolist()}
+    assert {Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY} <= under
+    for kind in (Kind.BODY, Kind.FSLOPE, Kind.WALL, Kind.FLAG):
+        levels = {z for grid in GRIDS for z in np.nonzero(grid.kind == kind)[2].tolist()}
+        assert {1, 2, 3} <= levels, kind
+    hanging = [
+        g for g in GRIDS for x, y, z in np.argwhere(g.kind == Kind.WALL) if g.kind[x, y, z - 1] == Kind.AIR
+    ]
+    assert hanging
+    assert any((grid.cars[:, CarField.Z] > grid.size[2]).any() for grid in GRIDS)
+
+
+def test_a_world_is_drawn_from_the_seed_and_has_the_cars_asked_for():
+    one, again, other = (RandomWorlds(n_cars=3).grid(np.random.default_rng(seed)) for seed in (0, 0, 1))
+    assert one.same_visible(again)
+    assert not one.same_visible(other)
+    assert one.n_cars == other.n_cars == 3
+
+
+@pytest.mark.parametrize("figures", [{"n_cars": 0}, {"n_cars": 13}, {"n_blocks": 99}, {"max_steps": 0}])
+def test_figures_that_do_not_fit_are_refused(figures):
+    with pytest.raises(InputError, match="allowed"):
+        RandomWorlds(**figures)
+
+
+def test_play_is_legal_in_its_turn_and_prefers_the_rare():
+    uniform = rare = 0
+    for seed, grid in enumerate(GRIDS[:20]):
+        played = play(grid, RULES, np.random.default_rng(seed), 10)
+        for joint in played.ticks:
+            grid, applied = RULES.tick(grid, joint)
+            assert applied.all()
+            assert len({car for car, _ in joint}) == len(joint)
+        done = [doing for tick in played.doings for doing in tick]
+        rare += sum(doing.on_slope or doing.verb in ("FOLD", "UNFOLD", "LIFT") for doing in done)
+        uniform += sum(doing.verb == "STOP" for doing in done)
+    assert rare > 2 * uniform
+
+
+def test_what_is_played_in_random_worlds_does_as_predicted_and_is_saved(tmp_path):
+    result = validate(
+        "random",
+        trials=2,
+        seed=4,
+        n_cars=3,
+        max_steps=4,
+        out=tmp_path,
+        randomize="none",
+        order="ticks",
+        drive="reduced",
+    )
+    assert result.agrees, result.records
+    again = {"order": "sequential", "seed": 4, "n_cars": 3, "max_steps": 4, "randomize": "none", "trials": 2}
+    other = validate("random", **again, drive="reduced", out=tmp_path / "other", baseline=tmp_path)
+    assert other.comparison.trials.both == 2, "the orders of the same play can be compared"
+    assert {attempt.car for attempt in result.attempts} == {0, 1, 2}
+    coverage = json.loads((tmp_path / "report.json").read_text())["figures"]["coverage"]
+    assert coverage["actions"] == len(result.attempts) == sum(row["all"] for row in coverage["rows"].values())
+    for record in result.records:
+        name = record["key"].replace("/", "-")
+        world = read_blueprint(tmp_path / "worlds" / f"{name}.yaml")
+        acts = [
+            act
+            for tick in read_plan(tmp_path / "worlds" / f"{name}.plan", world.n_cars).ticks
+            for act in tick
+        ]
+        assert [(a["car"], a["action"]) for a in record["attempts"]] == [
+            (car, action.name) for car, action in acts
+        ]
+
+
+def test_what_a_random_policy_does_is_legal_in_its_turn_and_each_car_acts_at_most_once_a_tick():
+    result = validate(
+        RandomWorlds(n_cars=3, max_steps=3),
+        seed=3,
+        policy="random",
+        randomize="none",
+        trials=1,
+        order="ticks",
+        drive="reduced",
+    )
+    (record,) = result.records
+    attempts = [Attempt.of(attempt) for attempt in record["attempts"]]
+    assert all(attempt.legal for attempt in attempts)
+    acts = [(attempt.tick, attempt.car) for attempt in attempts]
+    assert len(set(acts)) == len(acts)
+
+
+def test_noise_is_drawn_from_the_seed():
+    family = RandomWorlds(n_cars=2, max_steps=2)
+    noisy, again, exact = (
+        validate(family, seed=4, randomize=randomize, trials=1, order="ticks", drive="reduced").attempts
+        for randomize in ("strong", "strong", "none")
+    )
+    assert noisy == again
+    assert [a.car_error_m for a in noisy] != [a.car_error_m for a in exact]

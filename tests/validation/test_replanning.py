@@ -1,0 +1,159 @@
+"""Building with re-planning, what is planted to disturb it, and the planner as a policy."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from craftsim.checking.judge import Judge
+from craftsim.checking.setup import SEED_0, set_up, setup_of
+from craftsim.cli import main
+from craftsim.discrete.files.blueprint import write_blueprint
+from craftsim.discrete.files.design import ANY_YAW, Design
+from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.grid import CarField, Grid, Kind, Piece
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.tasks import make_task
+from craftsim.envs import parallel_env
+from craftsim.envs.planner import PlannerPolicy
+from craftsim.errors import InputError
+from craftsim.skills.disturbances import Disturbance
+from craftsim.validation import validation
+from craftsim.validation.replanning import Replanning, without
+from craftsim.validation.rollout import Run, Terms, do_run
+
+SETUP = setup_of(drive="reduced")
+STRIP = make_task("strip")
+
+
+def _world(blocks, cars, size=(5, 3, 1)):
+    grid = Grid.empty(size, len(cars))
+    for cell in blocks:
+        grid.kind[cell] = Kind.BLOCK
+    grid.cars[:, [CarField.X, CarField.Y]] = cars
+    grid.derive_marks()
+    return grid
+
+
+def _task(*cells):
+    design = Design(Path("goal.yaml"), tuple(Piece(Kind.BLOCK, cell, ANY_YAW) for cell in cells))
+    return replace(STRIP, design=design, success="built")
+
+
+def _disturbed(grid, kind, start_s=0.0) -> Judge:
+    return set_up(grid, replace(SETUP, disturbance=Disturbance(kind, start_s)))
+
+
+def test_a_shoved_block_is_pushed_over_the_floor_to_the_next_cell_and_left_there():
+    judge = _disturbed(_world([(2, 1, 1)], [(4, 2)], (5, 3, 1)), "shove")
+    places = []
+    for _ in range(150):
+        judge.executor.advance()
+        places.append(judge._poses.read().positions[0].copy())
+    way = places[-1][:2] - (np.array([2, 1]) + 0.5) * CELL_PITCH_M
+    assert np.linalg.norm(way) == pytest.approx(CELL_PITCH_M, abs=0.02)
+    # No jump: the fastest of it is what a hand does.
+    steps = np.linalg.norm(np.diff(np.array(places), axis=0), axis=1)
+    assert 0 < steps.max() < 0.03
+    assert "is shoved from (2, 1, 1)" in judge.executor.fleet.happened
+    assert not judge.physics.data.xfrc_applied.any()
+
+
+def test_a_block_is_not_shoved_while_a_car_is_near():
+    judge = _disturbed(_world([(2, 1, 1)], [(2, 0)]), "shove")
+    for _ in range(50):
+        judge.executor.advance()
+    assert not judge.executor.fleet.happened
+
+
+def test_after_a_failure_nothing_begins_any_more_if_a_plan_is_followed_until_something_is_wrong():
+    grid = _world([], [(0, 0), (0, 2)])
+    away, back = Action.MOVE_RIGHT, Action.MOVE_LEFT
+    ticks = [[(0, act), (1, act)] for act in (away, back) * 8]
+    dead = _disturbed(grid, "dead-car")
+    attempts = dead.perform_plan(ticks, "until-wrong")
+    failed = {a.car for a in attempts if a.performed and a.skill != "succeeded"}
+    (out,) = failed
+    others = [attempt for attempt in attempts if attempt.car != out]
+    assert others[0].agrees
+    assert not others[-1].performed
+
+
+@pytest.mark.parametrize(
+    ("block", "goal", "there"),
+    [
+        ((1, 1, 1), (3, 1, 1), Kind.WALL),
+        ((2, 0, 1), (3, 0, 1), Kind.WALL),
+        ((2, 0, 1), (2, 0, 1), Kind.BLOCK),
+    ],
+)
+def test_cars_out_of_action_are_walls_but_where_the_design_has_what_stands_there(block, goal, there):
+    judge = set_up(_world([block], [(2, 0), (4, 2)]), SETUP, SEED_0)
+    seen, acting = without(judge, _task(goal), [0])
+    assert seen.kind[2, 0, 1] == there
+    assert (seen.n_cars, acting) == (1, (1,)), "plans are for the cars of the real world"
+
+
+def _build(out, start, goal, *words):
+    return main(["build", str(start), "--goal", str(goal), *words, "--drive", "reduced", "--out", str(out)])
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("building")
+    write_blueprint(_world([(1, 1, 1)], [(0, 0)], (4, 2, 1)), folder / "start.yaml")
+    (folder / "goal.yaml").write_text("block:\n  - {id: 0, x: 2, y: 1, z: 1}\n")
+    (folder / "two.yaml").write_text("block:\n  - {id: 0, x: 2, y: 1, z: 1}\n  - {id: 1, x: 3, y: 1, z: 1}\n")
+    return folder
+
+
+@pytest.mark.parametrize(("disturb", "ended"), [(None, "built"), ("fold", "built"), ("shove", "built")])
+def test_a_design_is_planned_and_built(files, disturb, ended):
+    task = validation.read_goal(str(files / "start.yaml"), files / "goal.yaml")
+    done = do_run(Run("one", task, Replanning(3, 3, disturb), 0, Terms(0, SETUP)))
+    assert (done.extra["ended"], done.extra["physics_success"]) == (ended, True), done.extra
+    assert bool(done.extra["replans"]) == bool(done.extra["disturbed"])
+
+
+def test_a_building_whose_only_car_is_out_of_action_ends_as_given_up(files, tmp_path):
+    words = ("--attempts", "3", "--disturb", "dead-car", "--trials", "1")
+    assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", *words) == 1
+    (record,) = map(json.loads, (tmp_path / "trials.jsonl").read_text().splitlines())
+    assert (record["error"], record["extra"]["ended"]) == (None, "gave up")
+    assert "car 0 is out of action" in record["extra"]["disturbed"]
+    assert json.loads((tmp_path / "report.json").read_text())["figures"]["builds"]["endings"] == {
+        "gave up": 1
+    }
+    assert "Not all built" in (tmp_path / "report.html").read_text()
+
+
+def test_a_design_that_cannot_be_built_is_wrong_input(files, tmp_path, capsys):
+    assert _build(tmp_path, files / "start.yaml", files / "two.yaml", "--attempts", "3") == 2
+    assert "not enough blocks" in capsys.readouterr().err
+
+
+def test_a_run_to_compare_with_is_read_before_anything_is_planned(files, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(validation, "plan_building", lambda *args, **kwargs: pytest.fail("is planned"))
+    assert _build(tmp_path, files / "start.yaml", files / "goal.yaml", "--baseline", "gone") == 2
+    assert "gone" in capsys.readouterr().err
+
+
+def test_the_planner_plans_again_where_the_world_is_not_as_it_predicts():
+    env = parallel_env("strip", "grid")
+    policy = PlannerPolicy(env, rounds=5)
+    seen, _ = env.reset(seed=0)
+    for _ in range(3):
+        seen, *_ = env.step(policy(seen))
+    # Another world, of which nobody tells the policy.
+    seen, _ = env.reset(seed=0)
+    infos = {}
+    while env.agents:
+        seen, _, _, _, infos = env.step(policy(seen))
+    assert all(info["success"] for info in infos.values())
+
+
+def test_the_planner_refuses_a_task_without_a_goal(files):
+    with pytest.raises(InputError, match="no goal to plan for"):
+        PlannerPolicy(parallel_env(str(files / "start.yaml"), "grid"))

@@ -43,7 +43,8 @@ from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, 
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.schema import STRICT, Form
 from craftsim.experiments.session import Session, open_session
-from craftsim.models.imperfection import Floor, Making
+from craftsim.models.floor import Floor
+from craftsim.models.randomization import Making
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.paths import resolved
 from craftsim.validation.forms import Judged

@@ -33,7 +33,7 @@ from craftsim.logs.bags import read_topics
 from craftsim.logs.files import read_log
 from craftsim.logs.log import GROUPS, Log
 from craftsim.logs.tables import write_table
-from craftsim.mjcf.machine_files import load_machines
+from craftsim.mjcf.parameters import load_machines
 from craftsim.models.measuring import CarMeasurement
 from craftsim.models.randomization import load_noise
 from craftsim.rendering.camera_files import read_aim
@@ -46,8 +46,8 @@ from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
 from craftsim.training.config import TrainConfig
 from craftsim.training.settings import read_settings
 from craftsim.training.trainer import Trainer
-from craftsim.validation.runs.once import record_once
-from craftsim.validation.runs.policies import make_policy
+from craftsim.validation.policies import make_policy
+from craftsim.validation.validation import record_once
 from fuzzing import campaign_folders, replays
 
 Files = dict[str, bytes]

@@ -75,8 +75,8 @@ def render(
         return draw_figures(Path(what), run, out)
     from craftsim.cli.progress import counting
     from craftsim.cli.sources import find_trajectory
-    from craftsim.rendering.backend import choose_backend
-    from craftsim.rendering.frames import Look
+    from craftsim.rendering.film import Look
+    from craftsim.rendering.offscreen import choose_backend
     from craftsim.rendering.render import check_format
     from craftsim.rendering.render import render as render_file
     from craftsim.reports.terminal import Terminal

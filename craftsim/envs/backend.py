@@ -91,7 +91,7 @@ class GridBackend(Backend):
 
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return the levels of the world side by side."""
-        from craftsim.rendering.world_image import world_image
+        from craftsim.rendering.grid_picture import world_image
 
         return world_image(grid, goal)
 
@@ -113,7 +113,7 @@ def make_backend(task: Task, options: Options) -> Backend:
     if options.backend == "grid":
         return GridBackend()
     if options.images is not None or options.render_mode in ("rgb_array", "rgb_array_list"):
-        from craftsim.rendering.backend import choose_backend
+        from craftsim.rendering.offscreen import choose_backend
 
         choose_backend()
     from craftsim.checking.setup import Setup, nominal_gains

@@ -1,4 +1,4 @@
-"""Where on a frame each view, and the captions beside them, have their place."""
+"""Where on a frame each view, and the captions beside them, have their place, and where insets hide nothing."""
 
 from __future__ import annotations
 
@@ -6,6 +6,13 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
+
+import cv2
+import numpy as np
+
+from craftsim.models.framing import box_corners
+from craftsim.rendering.cameras import View, reached_m
+from craftsim.rendering.trajectory import Trajectory
 
 Layout = Literal["side", "main", "inset"]
 """Views of the same size side by side; the first one large and the others in a column beside it; or small ones in a
@@ -19,6 +26,8 @@ _INSETS: Final = (0.34, 0.28, 0.22)
 """Shares of the first view's sides that an inset may have."""
 _GAP: Final = 4
 """Pixels between views."""
+_MOMENTS: Final = 24
+"""Of a trajectory, at which a camera that moves is looked through."""
 
 
 @dataclass(frozen=True)
@@ -117,3 +126,23 @@ def _tiles(area: Tile, n: int, columns: int) -> list[Tile]:
         )
         for i in range(n)
     ]
+
+
+def hidden_by(trajectory: Trajectory, view: View, large: Tile) -> Callable[[Tile], int]:
+    """Return what gives the pixels of the area, as a view of a trajectory shows it in a tile, that another tile hides.
+
+    The area is taken with all the height that anything in it reaches.
+    """
+    corners = box_corners(trajectory.story.recipe.grid.size, reached_m(trajectory))
+    seen = np.zeros((large.height, large.width), np.uint8)
+    half = 0.5 * np.array(large.size)
+    for moment in np.linspace(trajectory.time[0], trajectory.time[-1], _MOMENTS):
+        places = view.aim(float(moment)).project(corners, large.width / large.height)
+        pixels = (half + half * places * [1, -1]).round().astype(np.int32)
+        cv2.fillConvexPoly(seen, cv2.convexHull(pixels), 1)
+
+    def hidden(tile: Tile) -> int:
+        top, left = tile.top - large.top, tile.left - large.left
+        return int(seen[top : top + tile.height, left : left + tile.width].sum())
+
+    return hidden

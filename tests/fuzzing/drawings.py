@@ -19,7 +19,7 @@ from craftsim.errors import InputError
 from craftsim.logs.bags import read_topics
 from craftsim.mjcf.machine_files import load_machines
 from craftsim.models.randomization import load_noise
-from craftsim.rendering.camera_files import read_aim
+from craftsim.rendering.cameras import read_aim
 from craftsim.skills.gains import load_gains
 from craftsim.studies.study import read_study
 from craftsim.training.settings import read_settings

@@ -32,7 +32,7 @@ from craftsim.experiments.session import open_session
 from craftsim.logs.files import read_logs
 from craftsim.logs.log import GROUPS, Log
 from craftsim.logs.tables import write_table
-from craftsim.rendering.camera_files import read_aim
+from craftsim.rendering.cameras import read_aim
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE
 from craftsim.training.config import TrainConfig

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from craftsim.rendering import backend
+from craftsim.rendering import offscreen as backend
 
 BROKEN = {"egl": "no EGL here", "osmesa": "no OSMesa here"}
 
@@ -53,7 +53,7 @@ def test_pictures_come_whatever_was_imported_before_the_choice():
     code = """
 import OpenGL.GL
 import mujoco
-from craftsim.rendering.renderer import make_renderer
+from craftsim.rendering.offscreen import make_renderer
 model = mujoco.MjModel.from_xml_string(
     '<mujoco><worldbody><light pos="0 0 3"/><geom type="plane" size="5 5 1"/></worldbody></mujoco>'
 )
@@ -77,7 +77,7 @@ def test_a_backend_that_cannot_load_fails_with_a_reason():
 
 def test_as_a_program_it_says_what_is_wrong():
     child = subprocess.run(
-        [sys.executable, "-m", "craftsim.rendering.backend"],
+        [sys.executable, "-m", "craftsim.rendering.offscreen"],
         env={**os.environ, "MUJOCO_GL": "no_such_backend"},
         capture_output=True,
         text=True,

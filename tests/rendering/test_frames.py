@@ -1,5 +1,6 @@
 """Films show all of a trajectory, say what happened beside the picture, and do not depend on who renders them."""
 
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,14 +18,11 @@ from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.framing import box_corners
 from craftsim.rendering.cameras import make_view, reached_m
-from craftsim.rendering.captions import Captions
-from craftsim.rendering.frames import Frames, Look
+from craftsim.rendering.film import IDLE, SPEEDS, Frames, Look, pace_of, predicted_worlds
 from craftsim.rendering.layout import arrange
-from craftsim.rendering.pacing import IDLE, SPEEDS, adapted_pace, even_pace, fitted_pace
-from craftsim.rendering.panel import PAPER
-from craftsim.rendering.prediction import Prediction
-from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.overlay import PAPER, caption_of
 from craftsim.rendering.render import render
+from craftsim.rendering.trajectory import Recorder
 
 SMALL = Look((192, 128), 5, captions=True)
 
@@ -39,7 +37,7 @@ def trajectory() -> Trajectory:
 
 def test_a_film_begins_with_the_first_sample_and_ends_with_the_last(trajectory: Trajectory) -> None:
     for fps in (1, 5, 30):
-        for pace in (even_pace(trajectory, fps, 2.0), adapted_pace(trajectory, fps)):
+        for pace in (pace_of(trajectory, Look(fps=fps, speed=2.0)), pace_of(trajectory, Look(fps=fps))):
             assert pace.times[0] == trajectory.time[0]
             assert pace.times[-1] == pytest.approx(trajectory.time[-1])
             assert (np.diff(pace.times) >= 0).all()
@@ -48,7 +46,7 @@ def test_a_film_begins_with_the_first_sample_and_ends_with_the_last(trajectory: 
 def test_an_adapted_film_is_slow_where_something_is_lifted_and_fast_where_nobody_acts(
     trajectory: Trajectory,
 ) -> None:
-    pace = adapted_pace(trajectory, 30)
+    pace = pace_of(trajectory, Look())
     _, lift = trajectory.story.attempts
     lifting = (pace.times > lift.start_s + 0.5) & (pace.times < lift.start_s + lift.duration_s - 0.5)
     resting = pace.times > lift.start_s + lift.duration_s + 0.5
@@ -63,24 +61,23 @@ def test_samples_that_are_close_to_each_other_are_not_smoothed_over_all_of_the_m
 ) -> None:
     for period_s in (1e-9, 1e-300):
         close = replace(trajectory, time=period_s * np.arange(len(trajectory)))
-        assert len(adapted_pace(close, 30).times) == 1
+        assert len(pace_of(close, Look()).times) == 1
 
 
 def test_a_fitted_film_has_its_length_and_is_never_slower_than_life(trajectory: Trajectory) -> None:
-    assert len(fitted_pace(trajectory, 30, 2.0).times) == 60
-    assert fitted_pace(trajectory, 30, 2.0).times[-1] < trajectory.time[-1] + 1e-9
-    assert fitted_pace(trajectory, 30, 100.0).factors[0] == 1.0
+    assert len(pace_of(trajectory, Look(length_s=2.0)).times) == 60
+    assert pace_of(trajectory, Look(length_s=2.0)).times[-1] < trajectory.time[-1] + 1e-9
+    assert pace_of(trajectory, Look(length_s=100.0)).factors[0] == 1.0
 
 
 def test_captions_say_what_a_car_does_and_then_what_came_of_it(trajectory: Trajectory) -> None:
-    captions = Captions(trajectory)
     move, lift = trajectory.story.attempts
-    during = captions.at(move.start_s + 0.1, 4.0)
+    during = caption_of(trajectory, None, move.start_s + 0.1, 4.0)
     assert (during.step, during.n_steps, during.cars[0].action) == (1, 2, "move right")
     assert during.cars[0].verdict == ""
-    after = captions.at(lift.start_s + 0.1, 2.0).cars[0]
+    after = caption_of(trajectory, None, lift.start_s + 0.1, 2.0).cars[0]
     assert (after.action, after.verdict, after.agrees) == ("lift", "move right: as predicted", True)
-    assert captions.at(float(trajectory.time[-1]), 12.0).cars[0].action == "waits"
+    assert caption_of(trajectory, None, float(trajectory.time[-1]), 12.0).cars[0].action == "waits"
 
 
 def test_the_prediction_follows_each_car_where_cars_act_at_once() -> None:
@@ -92,11 +89,12 @@ def test_the_prediction_follows_each_car_where_cars_act_at_once() -> None:
     judge = start(recipe)
     recorder.begin(judge)
     attempts = do(judge, step)
-    prediction = Prediction(recorder.trajectory("at once", recipe, attempts))
+    times, grids = predicted_worlds(recorder.trajectory("at once", recipe, attempts))
     ends = [attempt.start_s + attempt.duration_s for attempt in attempts]
     assert ends[0] != ends[1]
     for time_s, one in ((ends[0], 0), (ends[1], 1)):
-        before, after = prediction.at(time_s - 1e-6), prediction.at(time_s)
+        number = bisect_right(times, time_s)
+        before, after = grids[number - 2], grids[number - 1]
         changed = np.flatnonzero((before.cars != after.cars).any(axis=1))
         assert changed.tolist() == [one]
 

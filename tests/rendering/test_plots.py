@@ -17,8 +17,7 @@ from craftsim.errors import InputError
 from craftsim.rendering.plots.figures import plots_of, write_figures
 from craftsim.rendering.plots.signals import Signals, path_points, thinned
 from craftsim.rendering.plots.timeline import SIGNS, notes_of
-from craftsim.rendering.recorded import trajectory_files
-from craftsim.rendering.trajectory import GoalCell, Trajectory
+from craftsim.rendering.trajectory import GoalCell, Trajectory, trajectory_files
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.trajectory import Recorder
 
 
 def _recipe() -> Recipe:
@@ -70,7 +70,7 @@ def test_the_largest_contact_force_is_what_the_judge_found(recorded: Trajectory)
 
 
 def test_a_recording_is_no_larger_than_a_reader_takes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("craftsim.rendering.recorder.MOST_BYTES", 10_000)
+    monkeypatch.setattr("craftsim.rendering.trajectory.MOST_BYTES", 10_000)
     recipe, recorder = _recipe(), Recorder()
     judge = start(recipe)
     recorder.begin(judge)

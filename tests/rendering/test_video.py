@@ -6,7 +6,7 @@ import av
 import numpy as np
 import pytest
 
-from craftsim.rendering.video import VideoWriter
+from craftsim.rendering.encode import VideoWriter
 
 
 def _frames(count: int, height: int = 48, width: int = 64) -> list[np.ndarray]:

@@ -14,13 +14,11 @@ from craftsim import Action, Executor, Grid, LiveView, PhysicsWorld, Trajectory,
 from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.errors import InputError
-from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.stage import Stage
-from craftsim.rendering.viewer.moment import live, recorded
-from craftsim.rendering.viewer.recorded import RecordedView
-from craftsim.rendering.viewer.shapes import shapes_of
-from craftsim.rendering.viewer.transport import Transport
-from craftsim.rendering.viewer.words import car_html, list_html
+from craftsim.rendering.trajectory import Recorder
+from craftsim.rendering.viewer.moment import car_html, list_html, live, recorded
+from craftsim.rendering.viewer.recorded import RecordedView, Transport
+from craftsim.rendering.viewer.scene import shapes_of
 
 pytest.importorskip("viser", reason="needs the extra 'view'")
 
@@ -115,9 +113,9 @@ def test_the_meshes_are_where_mujoco_has_its_own(run: Trajectory):
     data.qpos[:] = run.qpos[-1]  # wheels and rollers have turned
     mujoco.mj_kinematics(model, data)
     boxes: dict[int, list] = {}
-    for shape in shapes_of(model):
-        turned = shape.mesh.vertices @ data.xmat[shape.body].reshape(3, 3).T + data.xpos[shape.body]
-        boxes.setdefault(int(model.body_rootid[shape.body]), []).append(turned)
+    for body, mesh in shapes_of(model).items():
+        turned = mesh.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+        boxes.setdefault(int(model.body_rootid[body]), []).append(turned)
     expected: dict[int, list] = {}
     for geom in np.flatnonzero((model.geom_group < 3) & (model.geom_bodyid > 0)):
         half, centre = model.geom_aabb[geom, 3:], model.geom_aabb[geom, :3]
@@ -140,8 +138,8 @@ def test_machines_have_the_colours_of_the_films(run: Trajectory):
     dressed = {stage.geom(g).name: stage.geom_rgba[g] for g in range(stage.ngeom) if stage.geom_matid[g] >= 0}
     plain = [name for name in dressed if "_visual" in name or "hub" in name]
     seen = {body: set() for body in range(run.model.nbody)}
-    for shape in shapes_of(run.model):
-        seen[shape.body] |= {tuple(colour) for colour in np.unique(shape.mesh.visual.vertex_colors, axis=0)}
+    for body, mesh in shapes_of(run.model).items():
+        seen[body] |= {tuple(colour) for colour in np.unique(mesh.visual.vertex_colors, axis=0)}
     tried = 0
     for name in plain:
         geom = run.model.geom(name)

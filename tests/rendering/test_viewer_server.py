@@ -88,7 +88,7 @@ def test_pages_of_others_are_refused(opened: LiveView):
 
 
 def test_the_name_that_it_is_asked_for_is_its_own():
-    from craftsim.rendering.viewer.guard import why_refused
+    from craftsim.rendering.viewer.server import why_refused
 
     def refused(listens: str, *headers: tuple[str, str]) -> bool:
         return bool(why_refused(listens, Headers(headers)))

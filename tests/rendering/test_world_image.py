@@ -3,11 +3,10 @@
 import numpy as np
 
 from craftsim.discrete.drawing import GOAL, KIND_COLOURS, car_colour
-from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.grid import Grid, Kind, Piece
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.composition import machine_spec
-from craftsim.rendering.shapes import Outline, Wanted, level_shapes, levels_of
-from craftsim.rendering.world_image import CELL_PX, MARGIN_PX, world_image
+from craftsim.rendering.grid_picture import CELL_PX, MARGIN_PX, Outline, level_shapes, levels_of, world_image
 
 
 def _world(size=(2, 2, 2), n_cars=1) -> Grid:
@@ -43,7 +42,7 @@ def test_levels_with_nothing_are_left_out():
     grid.kind[0, 0, 3] = Kind.BLOCK
     assert levels_of([grid]) == (1, 3)
     assert levels_of([grid], (0, 0, 2)) == (1, 2, 3)
-    assert levels_of([grid], None, [Wanted(Kind.BLOCK, (0, 0, 4), -1)]) == (1, 3, 4)
+    assert levels_of([grid], None, [Piece(Kind.BLOCK, (0, 0, 4), -1)]) == (1, 3, 4)
 
 
 def test_a_design_is_dashed_and_a_goal_is_not():
@@ -57,9 +56,9 @@ def test_a_design_is_dashed_and_a_goal_is_not():
             ]
             return sum(np.linalg.norm(np.diff(shape.points, axis=0), axis=1).sum() for shape in shapes)
 
-        whole, dashed = framed((1, 1, 1), []), framed(None, [Wanted(kind, (1, 1, 1), 0)])
+        whole, dashed = framed((1, 1, 1), []), framed(None, [Piece(kind, (1, 1, 1), 0)])
         assert 0.3 * whole < dashed < 0.7 * whole
-        assert framed((1, 1, 2), [Wanted(kind, (1, 1, 2), 0)]) == 0
+        assert framed((1, 1, 2), [Piece(kind, (1, 1, 2), 0)]) == 0
 
 
 def test_things_have_the_colours_that_films_show():

@@ -29,8 +29,7 @@ from craftsim.experiments.experiment import Done
 from craftsim.logs.log import Log
 from craftsim.logs.recorder import LogRecorder
 from craftsim.logs.tables import LOG_SUFFIX, write_table
-from craftsim.rendering.recorder import Recorder
-from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
+from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.storage.folders import directory_within
 from craftsim.validation.play.play import Play, covered, play

@@ -25,10 +25,7 @@ pytest.importorskip("viser", reason="needs the extra 'view'")
 SAMPLED = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
 
 
-# What plays.
-
-
-def test_playing_goes_on_at_its_speed_and_pauses_at_the_end():
+def test_playing_goes_on_at_its_speed_pauses_at_the_end_and_starts_over():
     playback = Transport.between(1.0, 5.0)
     playback.advance(1.0, 1.0)
     assert playback.time_s == 1.0, "it begins paused"
@@ -37,13 +34,8 @@ def test_playing_goes_on_at_its_speed_and_pauses_at_the_end():
     assert (playback.time_s, playback.playing) == (3.0, True)
     playback.advance(10.0, 1.0)
     assert (playback.time_s, playback.playing) == (5.0, False)
-
-
-def test_playing_at_the_end_starts_over():
-    playback = Transport.between(1.0, 5.0)
-    playback.seek(99.0)
     playback.toggle()
-    assert (playback.time_s, playback.playing) == (1.0, True)
+    assert (playback.time_s, playback.playing) == (1.0, True), "it starts over"
 
 
 def test_steps_lead_from_action_to_action_and_pause():
@@ -59,9 +51,6 @@ def test_steps_lead_from_action_to_action_and_pause():
         playback.step_back()
         seen.append(playback.time_s)
     assert seen[4:] == [3.0, 1.0, 0.0, 0.0]
-
-
-# What is known of a moment.
 
 
 def test_a_recorded_moment_has_the_action_the_poses_the_forces_and_the_verdict(run: Trajectory):
@@ -102,9 +91,6 @@ def test_words_name_the_verdict_and_cannot_be_code(run: Trajectory):
     assert listed.count("font-weight:600") == 1, "what runs stands out"
     nasty = [replace(attempt, action="<script>") for attempt in run.story.attempts]
     assert "<script>" not in list_html(nasty, 0.0)
-
-
-# What is drawn.
 
 
 def test_the_meshes_are_where_mujoco_has_its_own(run: Trajectory):
@@ -149,9 +135,6 @@ def test_machines_have_the_colours_of_the_films(run: Trajectory):
     assert tried >= 5
 
 
-# The page.
-
-
 def test_only_what_has_moved_is_sent(run: Trajectory, opened: LiveView):
     RecordedView(opened.page, {"one": lambda: run})
     scene = opened.page.scene
@@ -191,9 +174,6 @@ def test_a_run_that_cannot_be_read_leaves_the_one_before(run: Trajectory, opened
     assert shown.trajectory is run
 
 
-# What runs.
-
-
 def test_looking_on_changes_nothing(opened: LiveView):
     ends = []
     for observer in (None, opened):
@@ -215,13 +195,6 @@ def test_an_environment_shows_its_episodes_and_what_was_judged():
         assert len(shown.judged) == 0
 
 
-def test_each_form_of_the_environment_can_be_viewed():
-    for env in (craftsim.env("strip"), gymnasium.make("craftsim/Strip-v0", backend="physics")):
-        with view(env, port=0) as shown:
-            env.reset(seed=0)
-            assert shown.page.scene is not None
-
-
 def test_a_pause_holds_what_runs_until_somebody_lets_it_go_on(opened: LiveView):
     physics = PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1))
     opened.page.ask(opened.toggle)
@@ -234,11 +207,12 @@ def test_a_pause_holds_what_runs_until_somebody_lets_it_go_on(opened: LiveView):
     assert not thread.is_alive()
 
 
-def test_a_speed_that_there_is_not_is_an_error():
-    with pytest.raises(InputError, match="there is no speed '3 x'"):
-        LiveView(port=0, speed="3 x")
-
-
-def test_an_environment_on_the_grid_is_refused():
+def test_each_form_of_the_environment_can_be_viewed_in_physics():
+    for env in (craftsim.env("strip"), gymnasium.make("craftsim/Strip-v0", backend="physics")):
+        with view(env, port=0) as shown:
+            env.reset(seed=0)
+            assert shown.page.scene is not None
     with pytest.raises(InputError, match="backend='physics'"):
         view(parallel_env("strip", "grid"))
+    with pytest.raises(InputError, match="there is no speed '3 x'"):
+        LiveView(port=0, speed="3 x")

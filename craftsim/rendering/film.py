@@ -167,6 +167,7 @@ class Frames:
             stage.model.vis.global_.fovy = view.fovy_deg
             renderer.update_scene(data, view.camera(time_s))
             stage.finish(renderer.scene, data.qpos, ghost=self.look.ghost and view.ghost)
+            stage.shade(renderer, data)
             picture: Frame = renderer.render()
             return picture
 

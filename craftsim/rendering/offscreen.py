@@ -130,6 +130,15 @@ def make_renderer(model: mujoco.MjModel, size: tuple[int, int], shadows: bool = 
     return renderer
 
 
+def upload_texture(renderer: mujoco.Renderer, number: int) -> None:
+    """Let a renderer draw what a texture of its model is now."""
+    import mujoco
+
+    if renderer._gl_context:
+        renderer._gl_context.make_current()
+    mujoco.mjr_uploadTexture(renderer.model, renderer._mjr_context, number)
+
+
 def _use(backend: str) -> None:
     """Let MuJoCo and PyOpenGL follow a choice that comes after their imports."""
     import mujoco

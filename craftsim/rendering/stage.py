@@ -1,7 +1,7 @@
 """The stage: the model that pictures are made of. It has the positions of the physics, and what is only to be seen.
 
-Both qualities have a floor with the grid and its coordinates, and numbers on the cars. ``draft`` is quick; ``paper``
-has shadows, materials and smoother edges.
+Both qualities have a floor with the grid, its coordinates and soft shadows, and numbers on the cars. ``draft`` is
+quick; in ``paper`` machines shade each other, and have materials and smoother edges.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from craftsim.mjcf.solids import add_mesh
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.rendering.cameras import label_strip_m, reached_m
+from craftsim.rendering.offscreen import upload_texture
 from craftsim.rendering.trajectory import GoalCell, Trajectory
 
 Quality = Literal["draft", "paper"]
@@ -42,8 +43,12 @@ _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _CELL_PIXELS: Final = 160
 _MOST_PIXELS: Final = 4096
 """Of a side of a texture: what every OpenGL has."""
-_BRIGHTNESS: Final[dict[Quality, float]] = {"draft": 0.9, "paper": 1.0}
-"""Of the floor, from 0 to 1: it suits the light."""
+_UNLIT: Final = 1e-3
+"""Share of its colour that the floor takes from the light: it glows with the rest, and its texture has the shadows."""
+_SHADOW_CELL_PIXELS: Final = 80
+_SHADE: Final = ((1.0, 0.02, 0.34), (0.0, 0.14, 0.22))
+"""Of the shadows on the floor, that of the sun and that of the open sky: how far they fall to the side over how far
+things are up, in parts of the sun's slope; the width of their edges in cells; and how dark they are."""
 _AROUND_M: Final = 30.0
 """How far the floor goes on around the area: further than any camera sees."""
 _PROUD_M: Final = 0.0005
@@ -85,11 +90,7 @@ _SKY_RGB: Final = [0.97, 0.97, 0.97], [0.86, 0.86, 0.84]
 """Overhead and at the horizon, where the floor ends."""
 _SUN: Final = np.array([-0.42, -0.38, 1.0])
 """Towards the light: from the left of the overview, so that shadows fall to the right and backwards."""
-_SUNS: Final = 3
-"""Lights that make up the sun: together they blur the edges of its shadows. Each costs as much as a picture without."""
-_SUN_SPREAD: Final = 0.035
-"""How far these stand from the middle of the sun."""
-_SHADOW_PIXELS: Final = 3072
+_SHADOW_PIXELS: Final = 4096
 _SHADOW_RADII: Final = 1.4
 """Half the width of what a map of shadows covers, over the radius of the area. MuJoCo reads its maps by up to a pixel
 too far out, which speckles faces with their own shadow towards the light, in the outer half of the map."""
@@ -128,9 +129,9 @@ class Stage:
                 spec.delete(marker)  # the ghost shows them
         quads = spec.visual.quality
         quads.numslices, quads.numstacks = 14, 8  # of a roller: forty a car are most of a picture's cost
-        _lay_floor(spec, recipe.grid.size, _BRIGHTNESS[quality])
+        _lay_floor(spec, recipe.grid.size, reached_m(trajectory))
         self.shadows = quality == "paper"
-        """Whether it is meant to be drawn with shadows."""
+        """Whether machines are meant to be drawn with shadows; the floor has its own."""
         if quality == "paper":
             _light(spec, recipe.grid.size, reached_m(trajectory))
             _give_materials(spec)
@@ -142,6 +143,7 @@ class Stage:
         self._blocks = [block.qpos for block in physics.blocks]
         self._slopes = [(slope.base.qpos, slope.hinge.qpos) for slope in physics.slopes]
         self._floors = {self.model.geom(name).id for name in ("ground", "area")}
+        self._shadow = _FloorShadow(self.model)
 
     def finish(self, scene: mujoco.MjvScene, qpos: Floats, ghost: bool = True) -> None:
         """Complete a scene after ``update_scene``, which makes it anew.
@@ -169,6 +171,11 @@ class Stage:
             geom.dataid = 2 * piece.mesh
             geom.category, geom.transparent = mujoco.mjtCatBit.mjCAT_DECOR, 1
             scene.ngeom += 1
+
+    def shade(self, renderer: mujoco.Renderer, data: mujoco.MjData) -> None:
+        """Let the shadows of data of the model fall on the floor that a renderer draws."""
+        self._shadow.cast(data)
+        upload_texture(renderer, self._shadow.texture)
 
     def _stands(self, piece: _Piece, qpos: Floats) -> bool:
         if not piece.slope:
@@ -231,6 +238,56 @@ def _drawn(model: mujoco.MjModel, name: str, place: Floats, turn: Floats) -> tup
     return mesh, place + pos, mat
 
 
+class _FloorShadow:
+    """The soft shadows of all that collides on the floor, drawn into its texture: quick without a GPU, too."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model, self.texture = model, model.texture("drawn").id
+        height, width = int(model.tex_height[self.texture]), int(model.tex_width[self.texture])
+        first = int(model.tex_adr[self.texture])
+        self._shown = model.tex_data[first : first + 3 * height * width].reshape(height, width, 3)
+        self._plain = self._shown.copy()
+        area = model.geom("area")
+        self._corner = np.array([area.pos[0] - area.size[0], area.pos[1] + area.size[1]])
+        self._pixels_m = _SHADOW_CELL_PIXELS / CELL_PITCH_M
+        self._size = (2 * area.size[:2] * self._pixels_m).round().astype(int)
+        solid = [g for g in range(1, model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
+        self._points = {geom: _corners(model, geom) for geom in solid if geom != area.id}
+        self._qpos = np.full(model.nq, np.nan)
+
+    def cast(self, data: mujoco.MjData) -> None:
+        if np.array_equal(self._qpos, data.qpos):
+            return
+        self._qpos[:] = data.qpos
+        light = np.full(self._size[::-1], 1.0, np.float32)
+        places = [
+            points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+            for geom, points in self._points.items()
+        ]
+        for slope, edge, dark in _SHADE:
+            shade = np.zeros(self._size[::-1], np.uint8)
+            for place in places:
+                flat = place[:, :2] - slope * place[:, 2:] * _SUN[:2] / _SUN[2]
+                pixels = (flat - self._corner) * [self._pixels_m, -self._pixels_m]
+                hull = cv2.convexHull((16 * pixels).round().astype(np.int32))
+                cv2.fillConvexPoly(shade, hull, 255, cv2.LINE_AA, 4)
+            soft = cv2.GaussianBlur(shade, (0, 0), edge * _SHADOW_CELL_PIXELS)
+            light *= 1.0 - dark / 255 * soft.astype(np.float32)
+        large = cv2.resize((255 * light).astype(np.uint8), self._shown.shape[1::-1])
+        cv2.multiply(self._plain, cv2.cvtColor(large, cv2.COLOR_GRAY2RGB), self._shown, 1 / 255)
+
+
+def _corners(model: mujoco.MjModel, geom: int) -> Floats:
+    """Return points (n, 3) in the frame of a geom whose convex hull it is, or fits into."""
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.geom_dataid[geom]
+        first = model.mesh_vertadr[mesh]
+        points: Floats = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
+        return points
+    middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+    return middle + half * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+
 # What is added to the world.
 
 
@@ -259,14 +316,16 @@ def _number_cars(spec: mujoco.MjSpec, machines: Machines, n_cars: int) -> None:
             )
 
 
-def _lay_floor(spec: mujoco.MjSpec, size: tuple[int, ...], brightness: float) -> None:
-    """Draw the floor of an area of ``size`` cells, and bare floor around it as far as one sees."""
-    bare = spec.add_material(name="bare", rgba=[*(brightness * c / 255 for c in FLOOR_RGB), 1.0])
-    drawn = _painted(spec, "drawn", floor(*size[:2]))
-    drawn.rgba = [brightness, brightness, brightness, 1.0]
+def _lay_floor(spec: mujoco.MjSpec, size: tuple[int, ...], height_m: float) -> None:
+    """Draw the floor of an area of ``size`` cells, as far as shadows from a height fall, and bare floor around it."""
+    beyond = height_m * float(np.abs(_SUN[:2]).max()) / _SUN[2]
+    bare = spec.add_material(name="bare", rgba=[*(_UNLIT * c / 255 for c in FLOOR_RGB), 1.0])
+    drawn = _painted(spec, "drawn", floor(size[0], size[1], beyond))
+    drawn.rgba = [_UNLIT, _UNLIT, _UNLIT, 1.0]
     for material in (bare, drawn):
         material.specular = material.shininess = 0.0
-    strip = label_strip_m(*size[:2])
+        material.emission = 1 / _UNLIT
+    strip = label_strip_m(*size[:2]) + beyond
     length, width = (n * CELL_PITCH_M / 2 for n in size[:2])
     ground = spec.geom("ground")
     ground.material, ground.size = "bare", [length + _AROUND_M, width + _AROUND_M, 0.05]
@@ -291,19 +350,16 @@ def _light(spec: mujoco.MjSpec, size: tuple[int, ...], height_m: float) -> None:
     centre = np.array([size[0] * CELL_PITCH_M, size[1] * CELL_PITCH_M, height_m]) / 2
     radius = float(np.linalg.norm(centre))
     aside = _SHADOW_SHIFT * radius * np.array([*_SUN[:2], 0.0]) / float(np.hypot(*_SUN[:2]))
-    for number in range(_SUNS):
-        angle = number * math.tau / _SUNS
-        towards = _SUN + np.array([math.cos(angle), math.sin(angle), 0.0]) * _SUN_SPREAD
-        towards /= np.linalg.norm(towards)
-        spec.worldbody.add_light(
-            name=f"sun{number}",
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            pos=centre + aside + 3 * radius * towards,
-            dir=-towards,
-            diffuse=[0.42 / _SUNS] * 3,
-            specular=[0.30 / _SUNS] * 3,
-            castshadow=True,
-        )
+    towards = _SUN / np.linalg.norm(_SUN)
+    spec.worldbody.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=centre + aside + 3 * radius * towards,
+        dir=-towards,
+        diffuse=[0.42] * 3,
+        specular=[0.30] * 3,
+        castshadow=True,
+    )
     spec.visual.quality.shadowsize, spec.visual.quality.offsamples = _SHADOW_PIXELS, 8
     spec.visual.map.shadowclip, spec.visual.map.zfar = _SHADOW_RADII, _FAR_RADII
     spec.stat.extent, spec.stat.center = radius, centre
@@ -361,14 +417,16 @@ def _painted(spec: mujoco.MjSpec, name: str, pixels: Pixels) -> mujoco.MjsMateri
     return material
 
 
-def floor(length: int, width: int) -> Pixels:
+def floor(length: int, width: int, beyond_m: float = 0.0) -> Pixels:
     """Return an area of ``length`` x ``width`` cells seen from above, x to the right and y upwards.
 
     In a strip around it stand the coordinates of the cells: those along x below the area, those along y to its right.
+    So many metres beyond it are bare.
     """
-    strip_cells = label_strip_m(length, width) / CELL_PITCH_M
-    pitch = min(_CELL_PIXELS, int(_MOST_PIXELS / (max(length, width) + 2 * strip_cells)))
-    strip = round(strip_cells * pitch)
+    strip_cells, beyond_cells = label_strip_m(length, width) / CELL_PITCH_M, beyond_m / CELL_PITCH_M
+    around = 2 * (strip_cells + beyond_cells)
+    pitch = min(_CELL_PIXELS, int(_MOST_PIXELS / (max(length, width) + around)))
+    strip, beyond = round(strip_cells * pitch), round(beyond_cells * pitch)
     right, bottom = strip + length * pitch, strip + width * pitch
     picture = np.full((bottom + strip, right + strip, 3), FLOOR_RGB, np.uint8)
     picture[strip:bottom, strip:right] = _AREA_RGB
@@ -382,7 +440,9 @@ def floor(length: int, width: int) -> Pixels:
         _write(picture, str(cell), (strip + (cell + 0.5) * pitch, bottom + tall), tall, _TEXT_RGB)
     for cell in range(width):
         _write(picture, str(cell), (right + tall, bottom - (cell + 0.5) * pitch), tall, _TEXT_RGB)
-    return picture
+    bare = np.full((picture.shape[0] + 2 * beyond, picture.shape[1] + 2 * beyond, 3), FLOOR_RGB, np.uint8)
+    bare[beyond : beyond + picture.shape[0], beyond : beyond + picture.shape[1]] = picture
+    return bare
 
 
 def number_plate(number: int, rgb: Rgb) -> Pixels:

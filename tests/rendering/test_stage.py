@@ -105,15 +105,17 @@ def test_a_ghost_is_where_the_real_thing_will_be(standing):
         assert ghost.mat == pytest.approx(twin.mat, abs=2e-3)
 
 
-def test_paper_shows_shadows_on_a_light_floor_and_no_sky(rendering, standing):
-    stage, view = Stage(standing, "paper"), make_view("overview", standing, SIZE[0] / SIZE[1])
+@pytest.mark.parametrize("quality", ["draft", "paper"])
+def test_what_stands_shades_a_light_floor_and_no_sky_is_seen(rendering, standing, quality):
+    stage, view = Stage(standing, quality), make_view("overview", standing, SIZE[0] / SIZE[1])
     renderer, data = make_renderer(stage.model, SIZE), Posed(stage.model).at(standing.qpos[-1])
     stage.model.vis.global_.fovy = view.fovy_deg
     pictures = []
     for shadows in (False, True):
         renderer.update_scene(data, view.camera(0.0))
-        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
         stage.finish(renderer.scene, data.qpos)
+        if shadows:
+            stage.shade(renderer, data)
         pictures.append(renderer.render().astype(int))
     renderer.close()
     bright, shaded = pictures

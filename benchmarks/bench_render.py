@@ -30,7 +30,7 @@ def recorded():
 
 def bare(trajectory, look):
     """Render the frames with the same stage, camera, samples and size, without captions."""
-    (tile,), _ = arrange(look.size, 1, look.layout, look.captions)
+    (tile,), _ = arrange(look.size, (1.0,), look.layout, look.captions)
     stage = Stage(trajectory, look.quality)
     posed, view = Posed(stage.model), make_view("overview", trajectory, tile.size[0] / tile.size[1])
     stage.model.vis.global_.fovy = view.fovy_deg

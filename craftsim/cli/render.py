@@ -27,7 +27,7 @@ def render(
     speed: Annotated[float | None, number(FILM_SPEED)] = None,
     at: Annotated[tuple[float, ...], number(MOMENT_S, "SECONDS")] = (),
     ghost: bool = True,
-    captions: bool = True,
+    captions: bool | None = None,
     cards: bool = True,
     title: str | None = None,
     run: Annotated[str | None, Parameter(metavar="NAME")] = None,
@@ -60,7 +60,7 @@ def render(
         speed: simulated seconds in a second of film; unless given it follows what the cars do.
         at: simulated times of pictures to take, in seconds; for .png only.
         ghost: what the design still lacks, translucent.
-        captions: what the cars do and how it is judged, beside the picture.
+        captions: what the cars do and how it is judged, beside the picture; in films unless given.
         cards: a card at the start and one at the end of a film.
         title: in place of the trajectory's own.
         run: name of one of the trajectories in a run's folder.

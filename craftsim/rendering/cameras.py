@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.errors import InputError, suggestion
-from craftsim.models.framing import Aim, fitted, overview, top
+from craftsim.models.framing import Aim, box_corners, fitted, overview, top
 from craftsim.rendering.playback import Posed
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.limits import Range
@@ -115,6 +115,16 @@ def read_aim(path: Path) -> Aim:
 def label_strip_m(length: int, width: int) -> float:
     """Return the width in metres of the strip with the coordinates around an area of so many cells."""
     return CELL_PITCH_M * min(_STRIP_CELLS, _STRIP_SHARE * max(length, width))
+
+
+def aspect_of(text: str, trajectory: Trajectory) -> float:
+    """Return width over height of what a view shows, where it has a shape of its own; 4:3 of others."""
+    size = trajectory.story.recipe.grid.size
+    if text not in AREA_VIEWS:
+        return 4 / 3
+    seen = make_view(text, trajectory, 1.0).aim(float(trajectory.time[0]))
+    width, height = np.ptp(seen.project(box_corners(size, reached_m(trajectory)), 1.0), axis=0).tolist()
+    return float(width / height)
 
 
 def reached_m(trajectory: Trajectory) -> float:

@@ -22,7 +22,7 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
-from craftsim.rendering.cameras import make_view
+from craftsim.rendering.cameras import aspect_of, make_view
 from craftsim.rendering.encode import Frame
 from craftsim.rendering.grid_picture import levels_of, world_image
 from craftsim.rendering.layout import Layout, Tile, arrange, hidden_by
@@ -49,6 +49,9 @@ _ON_A_SLOPE: Final = 2.5
 _DOCKING: Final = 3.0
 """At the beginning and at the end of each folding, for :data:`_DOCKING_S`."""
 _DOCKING_S: Final = 0.6
+_FAILING: Final = 0.5
+"""About the end of an action that did not do as predicted, for :data:`_FAILING_S`."""
+_FAILING_S: Final = 0.8
 _SMOOTH_S: Final = 0.8
 """Simulated time over which a change of speed is spread."""
 _SMOOTH_SAMPLES: Final = 2000
@@ -74,7 +77,8 @@ class Look:
     """Length of the film without its cards, in place of a speed."""
     ghost: bool = True
     """Whether to draw what the design still lacks, translucent."""
-    captions: bool = True
+    captions: bool | None = None
+    """Whether a panel says what the cars do; in films alone if None."""
     cards: bool = True
     title: str | None = None
     """That of the trajectory unless given."""
@@ -111,7 +115,9 @@ class Frames:
             view = make_view(look.cameras[0], trajectory, first.width / first.height)
             return hidden_by(trajectory, view, first)
 
-        tiles, panel = arrange(look.size, len(look.cameras), look.layout, look.captions, hidden_in)
+        aspects = [_aspect(trajectory, camera) for camera in look.cameras]
+        captions = look.captions is not False
+        tiles, panel = arrange(look.size, aspects, look.layout, captions, hidden_in)
         if any(min(tile.size) < LEAST_PIXELS for tile in tiles):
             raise InputError(f"{len(tiles)} views do not fit into {look.size[0]} x {look.size[1]} pixels")
         # A copy takes a twentieth of the time.
@@ -120,6 +126,8 @@ class Frames:
         self._stage = Stage(trajectory, look.quality)
         self._posed = Posed(self._stage.model)
         self._renderers: list[mujoco.Renderer] = []
+        self._last: Frame | None = None
+        """The last picture, which cards show: the first frame of a film serves as its poster."""
         self._views: list[tuple[Tile, _Picture]] = [
             (tile, _predicted(trajectory, tile.size) if camera == GRID else self._seen(camera, tile))
             for tile, camera in zip(tiles, look.cameras, strict=True)
@@ -136,17 +144,18 @@ class Frames:
     def __getitem__(self, number: int) -> Frame:
         """Return a frame, shape (height, width, 3), uint8, RGB."""
         n_title, _ = self.look.n_cards
+        if n_title <= number < n_title + len(self.pace.times):
+            number -= n_title
+            return self.at(float(self.pace.times[number]), float(self.pace.factors[number]))
+        if self._last is None:
+            self._last = self._views[0][1](len(self.trajectory) - 1, float(self.trajectory.time[-1]))
         if number < n_title:
-            return title_card(self.trajectory, self.look.size, self.look.title)
-        number -= n_title
-        if number >= len(self.pace.times):
-            return end_card(self.trajectory, self.look.size)
-        return self.at(float(self.pace.times[number]), float(self.pace.factors[number]))
+            return title_card(self.trajectory, self.look.size, self._last, self.look.title)
+        return end_card(self.trajectory, self.look.size, self._last)
 
     def at(self, time_s: float, factor: float | None = None) -> Frame:
         """Return the picture of a moment, with its captions."""
-        frame = self._blank.copy()
-        sample = self.trajectory.at(time_s)
+        frame, sample = self._blank.copy(), self.trajectory.at(time_s)
         for tile, picture in self._views:
             frame[tile.rows, tile.columns] = picture(sample, time_s)
         if self._panel is not None:
@@ -177,6 +186,15 @@ class Frames:
         """Close the renderers."""
         for renderer in self._renderers:
             renderer.close()
+
+
+def _aspect(trajectory: Trajectory, camera: str) -> float:
+    """Return width over height of what a view shows."""
+    if camera != GRID:
+        return aspect_of(camera, trajectory)
+    _, grids = predicted_worlds(trajectory)
+    picture = world_image(grids[0], levels=levels_of(grids, design=trajectory.wanted))
+    return picture.shape[1] / picture.shape[0]
 
 
 def _predicted(trajectory: Trajectory, size: tuple[int, int]) -> _Picture:
@@ -291,3 +309,5 @@ def _slow_down(speed: NDArray[np.float64], time: NDArray[np.float64], attempt: A
         wanted[np.minimum(time - start, end - time) < _DOCKING_S] = _DOCKING
     during = (time >= start) & (time <= end)
     speed[during] = np.minimum(speed, wanted)[during]
+    if not attempt.agrees:
+        speed[np.abs(time - end) < _FAILING_S] = _FAILING

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.actions import ACTIONS
@@ -31,6 +31,8 @@ _SHOWN_S: Final = 6.0
 """Simulated time for which a verdict on an action that went well stays; others stay until the car's next one."""
 _CARS: Final = 8
 """Cars that a panel has room for."""
+_TEXT: Final = 0.44
+"""Share of a card's width for its text; of a tall card's height."""
 _REASONS: Final = 3
 """Disagreements that an end card lists."""
 
@@ -149,8 +151,8 @@ class Panel:
         return y + unit // 2
 
 
-def title_card(trajectory: Trajectory, size: tuple[int, int], title: str | None) -> Frame:
-    """Return the card that says what comes."""
+def title_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame, title: str | None) -> Frame:
+    """Return the card that says what comes, beside a picture."""
     story = trajectory.story
     recipe, setup = story.recipe, story.recipe.setup
     things = Counter(name.split()[0] for name in story.poses)
@@ -158,47 +160,61 @@ def title_card(trajectory: Trajectory, size: tuple[int, int], title: str | None)
     drawn = "nominal physics" if setup.randomization.nominal else "randomized physics"
     lines = [
         ", ".join(f"{n} {kind}{'s' * (n != 1)}" for kind, n in things.items() if n),
-        f"{sum(a.performed for a in story.attempts)} actions, predicted by the {setup.rules} rules",
+        f"{sum(a.performed for a in story.attempts)} actions by the {setup.rules} rules",
         f"{setup.machines.drive} drive, {drawn}",
         f"craftsim {story.versions.get('craftsim', '?')}, MuJoCo {story.versions.get('mujoco', '?')}",
     ]
-    return _card(size, story.title if title is None else title, lines)
+    return _card(size, picture, story.title if title is None else title, lines)
 
 
-def end_card(trajectory: Trajectory, size: tuple[int, int]) -> Frame:
-    """Return the card that says what was found."""
+def end_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) -> Frame:
+    """Return the card that says what was found, beside a picture."""
     attempts = [a for a in trajectory.story.attempts if a.performed]
     lines = [f"{trajectory.duration_s:.1f} s of simulated time"]
     if attempts:
         off = 1e3 * max(a.car_error_m for a in attempts)
         moved = 1e3 * max(a.bystander_displacement_m for a in attempts)
-        lines.append(
-            f"cars at most {off:.2g} mm off their cells' centres, bystanders moved by {moved:.2g} mm"
-        )
+        lines += [f"cars within {off:.2g} mm of cell centres", f"bystanders moved by {moved:.2g} mm"]
     wrong = [a for a in attempts if not a.agrees]
     lines += [f"car {a.car} {a.action}: {a.result}. {a.reason}" for a in wrong[:_REASONS]]
     good = f"{len(attempts) - len(wrong)} of {len(attempts)} actions as predicted"
-    return _card(size, good, lines, _BAD if wrong else _GOOD)
+    return _card(size, picture, good, lines, _BAD if wrong else _GOOD)
 
 
-def _card(size: tuple[int, int], title: str, lines: Sequence[str], colour: Colour = _INK) -> Frame:
+def label(picture: Frame, text: str) -> Frame:
+    """Return a picture with a short text in its lower left corner."""
+    labelled = Image.fromarray(picture)
+    unit = max(9, picture.shape[0] // 16)
+    place = (unit // 2, picture.shape[0] - unit // 2)
+    ImageDraw.Draw(labelled).text(place, text, _INK, _font(unit), anchor="ls")
+    return np.asarray(labelled)
+
+
+def _card(
+    size: tuple[int, int], picture: Frame, title: str, lines: Sequence[str], colour: Colour = _INK
+) -> Frame:
+    """Return a card of a size, text at its left and a picture at its right, or below where it is tall."""
     width, height = size
-    picture = Image.new("RGB", size, PAPER)
-    draw = ImageDraw.Draw(picture)
-    unit = max(9, round(min(height, 0.6 * width) / 30))
-    large, small = _font(round(2.4 * unit), "bold"), _font(round(1.25 * unit))
-    head = _wrap(draw, title, large, width - 6 * unit, 2)
-    body = [part for line in lines for part in _wrap(draw, line, small, width - 6 * unit, 3)]
-    y = (height - round(3.1 * unit) * len(head) - 2 * unit * len(body) - unit) // 2
+    wide, high = (round(_TEXT * width), height) if width >= height else (width, round(_TEXT * height))
+    found = Image.new("RGB", size, PAPER)
+    beside = (width - wide, height) if width >= height else (width, height - high)
+    shown = ImageOps.pad(Image.fromarray(picture), beside, color=tuple(picture[0, 0].tolist()))
+    found.paste(shown, (width - beside[0], height - beside[1]))
+    draw = ImageDraw.Draw(found)
+    unit = max(9, round(min(0.8 * high, wide) / 30))
+    large, small = _font(round(2.1 * unit), "bold"), _font(round(1.25 * unit))
+    head = _wrap(draw, title, large, wide - 5 * unit, 3)
+    body = [part for line in lines for part in _wrap(draw, line, small, wide - 5 * unit, 3)]
+    y = (high - round(2.8 * unit) * len(head) - 2 * unit * len(body) - unit) // 2
     for line in head:
         draw.text((3 * unit, y), line, colour, large)
-        y += round(3.1 * unit)
+        y += round(2.8 * unit)
     draw.line((3 * unit, y + unit // 4, 9 * unit, y + unit // 4), colour, max(1, unit // 6))
     y += unit
     for line in body:
         draw.text((3 * unit, y), line, _INK, small)
         y += 2 * unit
-    return np.asarray(picture)
+    return np.asarray(found)
 
 
 @lru_cache(maxsize=32)
@@ -225,6 +241,7 @@ def _wrap(
         while draw.textlength(word, face) > width and len(word) > 1:
             sizes = range(len(word) - 1, 0, -1)
             fits = next((n for n in sizes if draw.textlength(word[:n], face) <= width), 1)
+            fits = max(word.rfind(mark, 1, fits) + 1 for mark in "/_-") or fits
             lines[-1:], word = [word[:fits], ""], word[fits:]
         lines[-1] = word
     lines = [line for line in lines if line]

@@ -85,7 +85,7 @@ class PlanFilm:
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames, each of shape (height, width, 3), uint8, RGB."""
-        (tile, *_), place = arrange(SIZE, 1, "side", captions=True)
+        (tile, *_), place = arrange(SIZE, (1.0,), "side", captions=True)
         assert place is not None
         panel, steps = Panel(place.size, SIZE[1]), self._schedule.steps
         levels = levels_of([self._start, *(step.after for step in steps)], design=self._design)

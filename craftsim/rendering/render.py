@@ -10,10 +10,12 @@ from typing import Final
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from craftsim.errors import InputError
 from craftsim.rendering.encode import ANIMATIONS, FILMS, Frame, OnFrame, check_animation, encode
 from craftsim.rendering.film import Frames, Look
+from craftsim.rendering.overlay import label
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.writing import write_whole
 from craftsim.workers.pool import Pool, answered
@@ -60,6 +62,7 @@ def render(
     path, look = Path(path), look or Look()
     check_format(path, at)
     if path.suffix == ".png":
+        look = replace(look, captions=bool(look.captions))
         return _stills(trajectory, path, look, at) if at else [_sheet(trajectory, path, look)]
     n_frames = Frames.count(trajectory, look)
     if path.suffix in ANIMATIONS:
@@ -125,10 +128,14 @@ def _sheet(trajectory: Trajectory, path: Path, look: Look) -> Path:
     """Write moments of the film, at equal distances, as one picture of the look's size."""
     with closing(Frames(trajectory, look)) as frames:
         moments = np.linspace(0, len(frames.pace.times) - 1, SHEET).round().astype(int)
-        pictures = [frames.at(float(frames.pace.times[i])) for i in moments]
+        times = frames.pace.times[moments].tolist()
+        pictures = [frames.at(time_s) for time_s in times]
     columns = 3 if look.size[0] >= look.size[1] else 4
     width, height = look.size[0] // columns, look.size[1] // columns
-    small = [cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA) for picture in pictures]
+    small = [
+        label(np.asarray(Image.fromarray(picture).resize((width, height))), f"{time_s:.1f} s")
+        for picture, time_s in zip(pictures, times, strict=True)
+    ]
     rows = [np.hstack(small[i : i + columns]) for i in range(0, SHEET, columns)]
     return _write_png(path, np.vstack(rows))
 

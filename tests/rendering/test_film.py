@@ -69,6 +69,14 @@ def test_an_adapted_film_is_slow_where_something_is_lifted_and_fast_where_nobody
     assert len(pace_of(close, Look()).times) == 1, "smoothing does not take all of the memory"
 
 
+def test_an_adapted_film_shows_the_end_of_a_failed_action_in_slow_motion(trajectory):
+    attempts = [replace(attempt, result="unsafe") for attempt in trajectory.story.attempts]
+    failed = replace(trajectory, story=replace(trajectory.story, attempts=tuple(attempts)))
+    pace, plain = (pace_of(one, Look()) for one in (failed, trajectory))
+    ends_s = [attempt.start_s + attempt.duration_s for attempt in attempts]
+    assert np.interp(ends_s, pace.times, pace.factors).max() < 1.0 < plain.factors.min()
+
+
 def test_a_fitted_film_has_its_length_and_is_never_slower_than_life(trajectory):
     times = pace_of(trajectory, Look(length_s=2.0)).times
     assert (len(times), times[-1] < trajectory.time[-1] + 1e-9) == (60, True)
@@ -108,12 +116,23 @@ def test_the_prediction_follows_each_car_where_cars_act_at_once():
 @pytest.mark.parametrize("n", [1, 2, 5])
 @pytest.mark.parametrize("layout", ["side", "main"])
 def test_views_and_captions_are_in_the_frame_and_do_not_overlap(layout, n, size):
-    boxes, panel = arrange(size, n, layout, captions=True)
+    boxes, panel = arrange(size, (1.3, 2.0, 0.4, 1.3, 9.0)[:n], layout, captions=True)
     covered = np.zeros(size[::-1], int)
     for box in (*boxes, panel):
         covered[box.rows, box.columns] += 1
         assert covered[box.rows, box.columns].size == box.width * box.height
     assert (covered.max(), len(boxes)) == (1, n)
+
+
+@pytest.mark.parametrize("layout", ["side", "main"])
+def test_views_fill_the_frame_as_far_as_their_shapes_allow(layout):
+    for aspects in ((1.3, 2.0), (1.3, 1.3)):
+        boxes, _ = arrange((1280, 720), aspects, layout, captions=False)
+        shown = [
+            min(b.width, b.height * a) * min(b.height, b.width / a)
+            for b, a in zip(boxes, aspects, strict=True)
+        ]
+        assert sum(shown) > 0.5 * 1280 * 720
 
 
 @pytest.mark.parametrize("camera", ["overview", "top"])
@@ -129,12 +148,12 @@ def test_insets_hide_none_of_the_area_and_go_into_a_column_where_they_would(traj
     across = (x > inset.left) & (x < inset.left + inset.width)
     inside = across & (y > inset.top) & (y < inset.top + inset.height)
     assert inset.left >= first.left + first.width or not inside.any()
-    assert arrange(size, 2, "inset", False, lambda first: lambda tile: 1)[0][1].left > size[0] / 2
+    assert arrange(size, (1, 1), "inset", False, lambda first: lambda tile: 1)[0][1].left > size[0] / 2
 
 
 def test_the_captions_leave_the_picture_alone(trajectory, rendering):
     frames = Frames(trajectory, SMALL)
-    (box,), panel = arrange(SMALL.size, 1, "side", captions=True)
+    (box,), panel = arrange(SMALL.size, (1,), "side", captions=True)
     picture, words = frames.at(1.0), frames.at(1.0, 3.0)
     frames.close()
     assert np.array_equal(picture[box.rows, box.columns], words[box.rows, box.columns])
@@ -177,6 +196,11 @@ def test_other_formats_last_as_long(trajectory, name, tmp_path, rendering):
 
 def test_pictures_of_moments_and_a_contact_sheet(trajectory, tmp_path, rendering):
     stills = render(trajectory, tmp_path / "still.png", QUICK, at=(0.5, 1.23456, 1.234561))
+    with_panel = replace(QUICK, captions=True)
+    assert (
+        render(trajectory, tmp_path / "panel.png", with_panel, at=(0.5,))[0].read_bytes()
+        != stills[0].read_bytes()
+    )
     assert len({path.read_bytes()[:4] and path.name for path in stills}) == 3
     assert stills[0].name == "still-0.5.png"
     assert render(trajectory, tmp_path / "sheet.png", QUICK)[0].stat().st_size > 1000

@@ -4,16 +4,16 @@ import time
 from contextlib import closing
 from functools import cache
 
-import mujoco
 import pytest
 
 from craftsim.checking.setup import setup_of
 from craftsim.rendering.cameras import make_view
-from craftsim.rendering.frames import Frames, Look, pace_of
+from craftsim.rendering.encode import encode
+from craftsim.rendering.film import Frames, Look, pace_of
 from craftsim.rendering.layout import arrange
-from craftsim.rendering.playback import Playback
-from craftsim.rendering.render import encode, render_frames
-from craftsim.rendering.renderer import make_renderer
+from craftsim.rendering.offscreen import make_renderer
+from craftsim.rendering.playback import Posed
+from craftsim.rendering.render import render_frames
 from craftsim.rendering.stage import Stage
 from craftsim.validation.choice import PLANNER, items_of, policy_pilot, subjects_of
 from craftsim.validation.rollout import Terms, do_run
@@ -30,19 +30,15 @@ def recorded():
 
 def bare(trajectory, look):
     """Render the frames with the same stage, camera, samples and size, without captions."""
-    (tile,), _ = arrange(look.size, 1, look.layout, look.captions)
+    (tile,), _ = arrange(look.size, (1.0,), look.layout, look.captions)
     stage = Stage(trajectory, look.quality)
-    playback, view = (
-        Playback(stage.model, trajectory),
-        make_view("overview", trajectory, tile.size[0] / tile.size[1]),
-    )
+    posed, view = Posed(stage.model), make_view("overview", trajectory, tile.size[0] / tile.size[1])
     stage.model.vis.global_.fovy = view.fovy_deg
-    renderer = make_renderer(stage.model, tile.size)
-    renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = stage.shadows
+    renderer = make_renderer(stage.model, tile.size, stage.shadows)
 
     def loop():
         for moment in map(float, pace_of(trajectory, look).times):
-            data = playback.at(trajectory.at(moment))
+            data = posed.at(trajectory.qpos[trajectory.at(moment)])
             renderer.update_scene(data, view.camera(moment))
             stage.finish(renderer.scene, data.qpos)
             renderer.render()

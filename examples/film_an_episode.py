@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import craftsim
-from craftsim.rendering.video import VideoWriter
+from craftsim.rendering.encode import VideoWriter
 
 path = Path("out/strip.mp4")
 path.parent.mkdir(parents=True, exist_ok=True)

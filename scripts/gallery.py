@@ -20,10 +20,9 @@ from craftsim.cli import main as craftsim_command
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.experiments.bundle import read_bundle
-from craftsim.rendering.frames import Look
-from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.film import Look
 from craftsim.rendering.render import render
-from craftsim.rendering.trajectory import Trajectory
+from craftsim.rendering.trajectory import Recorder, Trajectory
 from craftsim.storage.writing import write_whole
 from craftsim.validation.minimize import DependsError, Smallest, failing_actions, shrink
 from craftsim.validation.validation import record_once

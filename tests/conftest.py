@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from craftsim.rendering.backend import RenderingUnavailable, choose_backend
+from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
 
 # What a shell runs in the background ignores Ctrl-C, and so does all that it starts; tests send it to what they start.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -3,7 +3,7 @@
 from craftsim import Action, Grid, Trajectory
 from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.discrete.files.blueprint import blueprint_text
-from craftsim.rendering.recorder import Recorder
+from craftsim.rendering.trajectory import Recorder
 
 
 def record(grid: Grid, *actions: Action, title: str = "a run", rest: int = 0) -> Trajectory:

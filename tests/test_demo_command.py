@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from craftsim.discrete.tasks import TASK_NAMES
-from craftsim.rendering.frames import Frames, Look
+from craftsim.rendering.film import Frames, Look
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.reports.json_file import SCHEMA_VERSION
 

@@ -19,7 +19,7 @@ from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
 from craftsim.models.world import PhysicsWorld
-from craftsim.rendering.video import VideoWriter
+from craftsim.rendering.encode import VideoWriter
 
 PACKAGE = Path(craftsim.__file__).parent
 FULL = "cannot be written: File too large; make room"

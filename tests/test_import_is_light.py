@@ -19,7 +19,7 @@ HEAVY = (
         "import craftsim",
         "import craftsim; dir(craftsim)",
         "import craftsim.cli; craftsim.cli.main(['--help'])",
-        "import craftsim.rendering.backend",
+        "import craftsim.rendering.offscreen",
     ],
 )
 def test_nothing_heavy_is_loaded(statement):

@@ -12,7 +12,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from test_rooms import ALLOWED
 
-from craftsim.rendering.backend import DEBIAN_PACKAGES
+from craftsim.rendering.offscreen import DEBIAN_PACKAGES
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

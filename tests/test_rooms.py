@@ -208,7 +208,7 @@ def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
         ("craftsim.discrete.grid", "from craftsim import models"),
         ("craftsim.discrete.grid", "from ..models import world"),
         ("craftsim.models.world", "import craftsim.skills.move"),
-        ("craftsim.skills.move", "from craftsim.rendering.frames import Frames"),
+        ("craftsim.skills.move", "from craftsim.rendering.film import Frames"),
         ("craftsim.reports.report", "from craftsim.discrete.grid import Grid"),
     ],
 )

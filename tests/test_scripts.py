@@ -61,7 +61,7 @@ def test_without_ensurepip_root_installs_it(run, tmp_path):
 
 
 BACKEND = """case "$2" in
-    craftsim.rendering.backend) [ -e installed ] || { echo "nothing renders" >&2; exit 1; } ;;
+    craftsim.rendering.offscreen) [ -e installed ] || { echo "nothing renders" >&2; exit 1; } ;;
     *) echo libone libtwo ;;
 esac
 """

@@ -120,8 +120,8 @@ def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) 
     for name, text in texts.items():
         say(f"{name}: {write_whole(out / f'{name}.yaml', text)}")
     if length * width * height <= PHYSICS_CELLS:
-        from craftsim.rendering.plots.blueprint import draw_blueprint
-        from craftsim.rendering.shapes import wanted_of
+        from craftsim.rendering.grid_picture import wanted_of
+        from craftsim.rendering.plots.levels import draw_blueprint
 
         say(f"picture: {draw_blueprint(out / 'design.png', grid, goal.path.stem, None, wanted_of(goal))}")
     targets = {kind.name.lower(): len(goal.of_kind(kind)) for kind in (Kind.BLOCK, Kind.BODY)}

@@ -11,7 +11,7 @@ from typing import Final
 
 from craftsim.cli.options import OptionalDir
 from craftsim.cli.text import say
-from craftsim.rendering.backend import INSTALL_COMMAND, RenderingUnavailable, choose_backend
+from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend
 from craftsim.storage.folders import owning
 
 _WRONG_MUJOCO: Final = "4.0.0"

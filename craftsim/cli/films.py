@@ -12,8 +12,8 @@ from craftsim.cli.progress import counting
 from craftsim.experiments.bundle import FILM, TRAJECTORY, Recorded, read_bundle
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.replay import Replay
-from craftsim.rendering.backend import RenderingUnavailable, choose_backend
-from craftsim.rendering.frames import Look
+from craftsim.rendering.film import Look
+from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.storage.folders import directory_within

@@ -91,8 +91,9 @@ def _is_positional(one: Argument) -> bool:
 
 
 def _names(one: Argument) -> list[str]:
-    """Return the names of an option; with "no-" only where it is on unless said otherwise."""
-    off = {name for name in one.negatives if one.field_info.default is not True}
+    """Return the names of an option; with "no-" only where it is, or may be, on unless said otherwise."""
+    on = one.field_info.default is True or one.hint == bool | None
+    off = {name for name in one.negatives if not on}
     return [name for name in one.names if name.startswith("--") and name not in off]
 
 
@@ -103,7 +104,7 @@ def _value(one: Argument) -> str:
         return f"{one.parameter.metavar}{several}"
     if choices := one.get_choices():
         return f"{{{','.join(choices)}}}{several}"
-    if bool in (one.hint, one.field_info.annotation):
+    if "bool" in f"{one.hint} {one.field_info.annotation}":
         return ""
     return (one.names[0].strip("-").upper().rstrip("S") if _is_positional(one) else "TEXT") + several
 

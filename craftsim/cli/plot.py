@@ -18,8 +18,7 @@ def draw_figures(recorded: Path, run: str | None, out: Path) -> int:
     from craftsim.cli.progress import counting
     from craftsim.rendering.plots.figures import write_figures
     from craftsim.rendering.plots.signals import Signals
-    from craftsim.rendering.recorded import trajectory_files
-    from craftsim.rendering.trajectory import Trajectory
+    from craftsim.rendering.trajectory import Trajectory, trajectory_files
     from craftsim.reports.terminal import Terminal
     from craftsim.storage.folders import directory_within, output_directory
 

@@ -27,7 +27,7 @@ def render(
     speed: Annotated[float | None, number(FILM_SPEED)] = None,
     at: Annotated[tuple[float, ...], number(MOMENT_S, "SECONDS")] = (),
     ghost: bool = True,
-    captions: bool = True,
+    captions: bool | None = None,
     cards: bool = True,
     title: str | None = None,
     run: Annotated[str | None, Parameter(metavar="NAME")] = None,
@@ -60,7 +60,7 @@ def render(
         speed: simulated seconds in a second of film; unless given it follows what the cars do.
         at: simulated times of pictures to take, in seconds; for .png only.
         ghost: what the design still lacks, translucent.
-        captions: what the cars do and how it is judged, beside the picture.
+        captions: what the cars do and how it is judged, beside the picture; in films unless given.
         cards: a card at the start and one at the end of a film.
         title: in place of the trajectory's own.
         run: name of one of the trajectories in a run's folder.
@@ -75,8 +75,8 @@ def render(
         return draw_figures(Path(what), run, out)
     from craftsim.cli.progress import counting
     from craftsim.cli.sources import find_trajectory
-    from craftsim.rendering.backend import choose_backend
-    from craftsim.rendering.frames import Look
+    from craftsim.rendering.film import Look
+    from craftsim.rendering.offscreen import choose_backend
     from craftsim.rendering.render import check_format
     from craftsim.rendering.render import render as render_file
     from craftsim.reports.terminal import Terminal

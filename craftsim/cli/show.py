@@ -103,8 +103,8 @@ def show(
     for note in drawing.notes:
         say(f"note: {note}")
     if out is not None:
-        from craftsim.rendering.plots.blueprint import draw_blueprint
-        from craftsim.rendering.shapes import wanted_of
+        from craftsim.rendering.grid_picture import wanted_of
+        from craftsim.rendering.plots.levels import draw_blueprint
         from craftsim.storage.folders import output_directory
 
         file = output_directory(out) / f"{path.stem}.png"
@@ -152,9 +152,9 @@ def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) 
     if more := len(schedule.forbidden[_NAMED:]):
         say(f"and {more} more")
     if out is not None:
+        from craftsim.rendering.grid_picture import wanted_of
         from craftsim.rendering.plan_film import film_plan
         from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
-        from craftsim.rendering.shapes import wanted_of
 
         for ending in FORMATS:
             say(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")

@@ -54,8 +54,7 @@ def find_trajectory(
 
 def _in_folder(folder: Path, run: str | None) -> Trajectory:
     from craftsim.experiments.bundle import TEXT, read_bundle
-    from craftsim.rendering.recorded import name_of, trajectory_files
-    from craftsim.rendering.trajectory import Trajectory
+    from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
     from craftsim.validation.recording import record_bundle
 
     if is_file(folder / TEXT) and run is None:

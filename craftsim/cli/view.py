@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from craftsim.cli.strangers import warn_of_strangers
 from craftsim.cli.text import say
 from craftsim.options import Physics, number
-from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
+from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
 from craftsim.storage.limits import PORTS
 from craftsim.storage.paths import is_file, is_folder
 
@@ -72,8 +72,7 @@ def view(
 def _runs(path: Path) -> Runs:
     """Return the recorded runs in a file or a folder, by name."""
     from craftsim.experiments.bundle import TEXT, read_bundle
-    from craftsim.rendering.recorded import name_of, trajectory_files
-    from craftsim.rendering.trajectory import Trajectory
+    from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
     from craftsim.validation.recording import record_bundle
 
     if is_file(path / TEXT):

@@ -153,7 +153,7 @@ class GridBackend(Backend):
 
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return the levels of the world side by side."""
-        from craftsim.rendering.world_image import world_image
+        from craftsim.rendering.grid_picture import world_image
 
         return world_image(grid, goal)
 
@@ -175,7 +175,7 @@ def make_backend(task: Task, options: Options) -> Backend:
     if options.backend == "grid":
         return GridBackend(Rules(options.rule_set), options.timing)
     if options.images is not None or options.render_mode in ("rgb_array", "rgb_array_list"):
-        from craftsim.rendering.backend import choose_backend
+        from craftsim.rendering.offscreen import choose_backend
 
         choose_backend()
     from craftsim.checking.setup import Setup, nominal_gains

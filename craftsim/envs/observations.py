@@ -22,7 +22,7 @@ from craftsim.discrete.tasks.observation import Layout, entity_rows
 from craftsim.discrete.tasks.starts import Targets, targets_of
 from craftsim.envs.actions import ActionForm
 from craftsim.errors import InputError, suggestion
-from craftsim.rendering.image_kinds import PIXELS, ImageKind, check_images
+from craftsim.rendering.images import PIXELS, ImageKind, check_images
 
 Observation = dict[str, NDArray[Any]]
 Spaces = dict[str, spaces.Space[Any]]

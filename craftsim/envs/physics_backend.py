@@ -24,7 +24,7 @@ from craftsim.envs.core import Core
 from craftsim.envs.recording import EpisodeRecords, Pictures, has_display
 from craftsim.errors import InputError
 from craftsim.rendering.images import CameraImages
-from craftsim.rendering.viewer.extra import LOOPBACK, PORT, has_viser
+from craftsim.rendering.viewer import LOOPBACK, PORT, has_viser
 from craftsim.rendering.viewer.live import LiveView
 from craftsim.rendering.viewer.page import AS_IT_GOES
 from craftsim.skills.executor import Observer

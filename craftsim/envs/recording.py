@@ -19,10 +19,9 @@ from craftsim.envs.options import MOTION_FPS
 from craftsim.errors import InputError
 from craftsim.extras import install
 from craftsim.rendering.images import camera_number
+from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.playback import SeenWorld
-from craftsim.rendering.recorder import Recorder
-from craftsim.rendering.renderer import make_renderer
-from craftsim.rendering.trajectory import SUFFIX
+from craftsim.rendering.trajectory import SUFFIX, Recorder
 from craftsim.storage.folders import output_directory
 
 if TYPE_CHECKING:

@@ -1,4 +1,7 @@
-"""Cameras for films and pictures: fitted to the area, behind a car, close to it, around the area, or from a file."""
+"""Cameras for films and pictures: fitted to the area, behind a car, close to it, around the area, or from a file.
+
+A file is YAML, as in ``{lookat: [0.65, 0.65, 0.1], distance: 2.5, azimuth: 120, elevation: -25, fovy: 30}``.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -14,18 +17,23 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.errors import InputError, suggestion
-from craftsim.models.framing import Aim, fitted, overview, top
-from craftsim.rendering.camera_files import read_aim
-from craftsim.rendering.painting import label_strip_m
-from craftsim.rendering.playback import Playback
+from craftsim.models.framing import Aim, box_corners, fitted, overview, top
+from craftsim.rendering.playback import Posed
 from craftsim.rendering.trajectory import Trajectory
+from craftsim.storage.limits import Range
+from craftsim.storage.records import record
+from craftsim.storage.yaml import read_document
 
 AREA_VIEWS: Final = ("overview", "top", "orbit")
 CAR_VIEWS: Final = ("follow", "closeup")
 """Of one car, by its number, as in ``follow:0``."""
 
+_STRIP_SHARE: Final = 0.13
+_STRIP_CELLS: Final = 0.6
+"""Of the strip with the coordinates around an area: its width over the area's longer side, and at most, in cells."""
 _ORBIT_S: Final = 60.0
 """An orbit takes the whole trajectory, and no less than this."""
+_Metres = Annotated[float, Range(-1000.0, 1000.0)]
 
 
 @dataclass(frozen=True)
@@ -66,20 +74,57 @@ def make_view(text: str, trajectory: Trajectory, aspect: float) -> View:
     """
     if Path(text).suffix in (".yaml", ".yml"):
         return _still(text, read_aim(Path(text)))
-    kind, _, car = text.partition(":")
+    kind, _, number = text.partition(":")
     size = trajectory.story.recipe.grid.size
+    cars = [str(car) for car in range(trajectory.story.recipe.grid.n_cars)]
     if text in ("overview", "top"):
         fit = {"overview": overview, "top": top}[text]
         return _still(text, fit(size, reached_m(trajectory), aspect, label_strip_m(*size[:2])))
     if text == "orbit":
         return _orbit(trajectory, size, aspect)
     if kind in CAR_VIEWS:
-        return _beside(text, trajectory, _car(text, car, trajectory), _POSTS[kind])
-    known = [*AREA_VIEWS, *(f"{view}:{number}" for view in CAR_VIEWS for number in _cars(trajectory))]
+        if number not in cars:
+            there = f"allowed: {', '.join(cars)}" if cars else "this world has no cars; try overview"
+            raise InputError(f"camera '{text[:80]}': there is no car '{number[:40]}'; {there}")
+        return _beside(text, trajectory, int(number), _POSTS[kind])
+    known = [*AREA_VIEWS, *(f"{view}:{car}" for view in CAR_VIEWS for car in cars)]
     raise InputError(
         f"unknown camera '{text[:80]}'{suggestion(text[:80], known)}; there are {', '.join(AREA_VIEWS)}, "
         "follow:CAR and closeup:CAR with the number of a car, and YAML files (name.yaml)"
     )
+
+
+@record(kw_only=True)
+class _File:
+    lookat: tuple[_Metres, _Metres, _Metres]
+    distance: Annotated[float, Range(0.05, 1000.0)]
+    azimuth: Annotated[float, Range(-360.0, 360.0)]
+    elevation: Annotated[float, Range(-90.0, 90.0)]
+    fovy: Annotated[float, Range(1.0, 120.0)] = 45.0
+
+
+def read_aim(path: Path) -> Aim:
+    """Return the camera of a YAML file: lookat (x, y, z) and distance in metres, azimuth, elevation, fovy in degrees.
+
+    Raises InputError, naming the file and line, for what is missing, unknown, no number or out of range.
+    """
+    file = read_document(path).to(_File)
+    return Aim(np.array(file.lookat), file.distance, file.azimuth, file.elevation, file.fovy)
+
+
+def label_strip_m(length: int, width: int) -> float:
+    """Return the width in metres of the strip with the coordinates around an area of so many cells."""
+    return CELL_PITCH_M * min(_STRIP_CELLS, _STRIP_SHARE * max(length, width))
+
+
+def aspect_of(text: str, trajectory: Trajectory) -> float:
+    """Return width over height of what a view shows, where it has a shape of its own; 4:3 of others."""
+    size = trajectory.story.recipe.grid.size
+    if text not in AREA_VIEWS:
+        return 4 / 3
+    seen = make_view(text, trajectory, 1.0).aim(float(trajectory.time[0]))
+    width, height = np.ptp(seen.project(box_corners(size, reached_m(trajectory)), 1.0), axis=0).tolist()
+    return float(width / height)
 
 
 def reached_m(trajectory: Trajectory) -> float:
@@ -96,18 +141,6 @@ def reached_m(trajectory: Trajectory) -> float:
     return max(tops, default=LEVEL_HEIGHT_M)
 
 
-def _cars(trajectory: Trajectory) -> range:
-    return range(trajectory.story.recipe.grid.n_cars)
-
-
-def _car(text: str, number: str, trajectory: Trajectory) -> int:
-    cars = [str(car) for car in _cars(trajectory)]
-    if number not in cars:
-        there = f"allowed: {', '.join(cars)}" if cars else "this world has no cars; try overview"
-        raise InputError(f"camera '{text[:80]}': there is no car '{number[:40]}'; {there}")
-    return int(number)
-
-
 def _still(name: str, aim: Aim) -> View:
     return View(name, aim.fovy_deg, lambda time_s: aim)
 
@@ -117,9 +150,8 @@ def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View
     length, width = size[0] * CELL_PITCH_M, size[1] * CELL_PITCH_M
     angles = np.arange(72) * (math.tau / 72)
     strip = label_strip_m(*size[:2])
-    radius = (
-        math.hypot(length + strip, width + strip) / 2 / math.cos(math.pi / 72)
-    )  # of the polygon about the circle
+    polygon = 2 * math.cos(math.pi / 72)  # about the circle
+    radius = math.hypot(length + strip, width + strip) / polygon
     rim = np.column_stack([length / 2 + radius * np.cos(angles), width / 2 + radius * np.sin(angles)])
     points = [(x, y, z) for x, y in rim for z in (0.0, reached_m(trajectory))]
     first = overview(size, 0.0, aspect)
@@ -137,8 +169,7 @@ def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View
     return View("orbit", ring.fovy_deg, aim)
 
 
-@dataclass(frozen=True)
-class _Post:
+class _Post(NamedTuple):
     """Where a camera stands beside a car."""
 
     distance_m: float
@@ -195,10 +226,10 @@ def _least_hidden(
 ) -> Callable[[float], Aim]:
     """Return the first of the aims from which nothing hides a car most often."""
     model, root = trajectory.model, trajectory.physics.cars[car].base.body
-    playback = Playback(model, trajectory)
+    posed = Posed(model)
     seen, groups, hit = [0] * len(aims), np.array([0, 0, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
     for sample in np.linspace(0, len(trajectory) - 1, _LOOKS).astype(int):
-        data = playback.at(sample)
+        data = posed.at(trajectory.qpos[sample])
         for number, aim in enumerate(aims):
             found = aim(float(trajectory.time[sample]))
             ray = found.lookat - found.position

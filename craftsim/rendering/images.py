@@ -6,21 +6,45 @@ import copy
 import math
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self, get_args
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError, suggestion
+from craftsim.mjcf.block import TABLE_NAMES
 from craftsim.models.parts import MachineNames
 from craftsim.rendering.cameras import View
-from craftsim.rendering.image_kinds import FAR_M, IMAGE_KINDS, LABELS, PIXELS, ImageKind, check_images
+from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.playback import SeenWorld
-from craftsim.rendering.renderer import make_renderer
+from craftsim.storage.limits import IMAGE_PIXELS, PHYSICS_PARTS
 
 if TYPE_CHECKING:
     from craftsim.models.world import PhysicsWorld
+
+ImageKind = Literal["rgb", "depth", "segmentation"]
+IMAGE_KINDS: Final[tuple[ImageKind, ...]] = get_args(ImageKind)
+FAR_M: Final = 100.0
+"""What is further from the image plane, or nothing at all, has this depth."""
+LABELS: Final = tuple(dict.fromkeys(("ground", "wall", "car", "block", "flag", "slope", *TABLE_NAMES)))
+"""The kinds of machines, in the order of their numbers in a segmentation."""
+
+
+class Pixels(NamedTuple):
+    """What a pixel of a kind of image holds."""
+
+    shape: tuple[int, ...]
+    dtype: Any
+    low: float
+    high: float
+
+
+PIXELS: Final[dict[ImageKind, Pixels]] = {
+    "rgb": Pixels((3,), np.uint8, 0, 255),
+    "depth": Pixels((), np.float32, 0.0, FAR_M),
+    "segmentation": Pixels((2,), np.int16, -1, PHYSICS_PARTS + 1),  # with the ground and the walls
+}
 
 Images = dict[str, NDArray[Any]]
 """By kind."""
@@ -127,7 +151,7 @@ class CameraImages:
         self._labels = np.column_stack([names.of_geom, np.array(label)[names.of_geom]]).astype(np.int16)
 
     def _plain(self, model: mujoco.MjModel) -> mujoco.MjModel:
-        """Return a copy of a model, to be drawn without anti-aliasing, whose depths are those of :meth:`_image`."""
+        """Return a copy of a model without anti-aliasing, whose depths are those of :meth:`_image`."""
         plain = copy.copy(model)
         plain.vis.quality.offsamples = 0
         plain.vis.global_.offwidth, plain.vis.global_.offheight = self.size
@@ -171,6 +195,25 @@ class CameraImages:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def check_images(size: object, kinds: Sequence[str]) -> None:
+    """Raise InputError for a size or for kinds of images that there are not."""
+    whole = isinstance(size, tuple) and len(size) == 2 and all(type(n) is int and n > 0 for n in size)
+    if not (whole and size[0] * size[1] <= IMAGE_PIXELS):  # type: ignore[index]
+        raise InputError(
+            f"an image's size is {size!r}; allowed: (width, height) in pixels, 1 and more, {IMAGE_PIXELS} at most"
+        )
+    if isinstance(kinds, str) or not kinds or len(set(kinds)) != len(kinds):
+        raise InputError(
+            f"the kinds of images are {kinds!r}; allowed: one or more of {', '.join(IMAGE_KINDS)}"
+        )
+    for kind in kinds:
+        if kind not in IMAGE_KINDS:
+            raise InputError(
+                f"unknown kind of image '{kind}'{suggestion(str(kind), IMAGE_KINDS)}; "
+                f"there are {', '.join(IMAGE_KINDS)}"
+            )
 
 
 def camera_number(model: mujoco.MjModel, camera: str) -> int:

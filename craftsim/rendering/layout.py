@@ -1,11 +1,19 @@
-"""Where on a frame each view, and the captions beside them, have their place."""
+"""Where on a frame each view, and the captions beside them, have their place, and where insets hide nothing."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, Literal
+
+import cv2
+import numpy as np
+
+from craftsim.models.framing import box_corners
+from craftsim.rendering.cameras import View, reached_m
+from craftsim.rendering.trajectory import Trajectory
 
 Layout = Literal["side", "main", "inset"]
 """Views of the same size side by side; the first one large and the others in a column beside it; or small ones in a
@@ -13,12 +21,16 @@ corner of the first one."""
 
 _PANEL: Final = 0.23
 """Share of a wide frame's width for the captions; of a tall frame's height it is a little more."""
-_COLUMN: Final = 0.34
-"""Share of the width for the smaller views."""
+_SHARES: Final = (0.5, 0.55, 0.6, 0.66, 0.72, 0.78)
+"""Shares of a side that the large view may have beside smaller ones."""
+_LEAST_SHARE: Final = 0.25
+"""Of an equal part of a side, for a view that is narrow or flat."""
 _INSETS: Final = (0.34, 0.28, 0.22)
 """Shares of the first view's sides that an inset may have."""
 _GAP: Final = 4
 """Pixels between views."""
+_MOMENTS: Final = 24
+"""Of a trajectory, at which a camera that moves is looked through."""
 
 
 @dataclass(frozen=True)
@@ -48,17 +60,19 @@ class Tile:
 
 def arrange(
     size: tuple[int, int],
-    n_views: int,
+    aspects: Sequence[float],
     layout: Layout,
     captions: bool,
     hidden_in: Callable[[Tile], Callable[[Tile], int]] = lambda first: lambda tile: 0,
 ) -> tuple[list[Tile], Tile | None]:
     """Return the tiles of the views and of the captions in a frame of ``size`` (width, height).
 
-    They do not overlap, but for insets, which lie on the first view where they hide nothing; without such a corner they
-    are beside it. ``hidden_in`` gives, for the tile of the first view, what gives the pixels that a tile on it hides.
+    Views are placed so that what they show, of their own aspects (width over height), leaves little of the frame empty.
+    Tiles do not overlap, but for insets, which lie on the first view where they hide nothing; without such a corner
+    they are beside it. ``hidden_in`` gives, for the tile of the first view, what gives the pixels that a tile on it
+    hides.
     """
-    width, height = size
+    n_views, (width, height) = len(aspects), size
     panel = None
     if captions and width >= height:
         taken = round(_PANEL * width)
@@ -75,11 +89,44 @@ def arrange(
             if not any(map(hidden, tiles)):
                 return [area, *tiles], panel
     if layout != "side" and n_views > 1:
-        column = round(_COLUMN * width)
-        first = Tile(0, 0, width - column - _GAP, height)
-        rest = Tile(width - column, 0, column, height)
-        return [first, *_tiles(rest, n_views - 1, 1)], panel
-    return _tiles(area, n_views, _columns(area, n_views)), panel
+        candidates = list(_beside(area, aspects))
+    else:
+        candidates = [
+            _row(area, aspects),
+            [_turned(tile) for tile in _row(_turned(area), [1 / aspect for aspect in aspects])],
+            *(_grid(area, n_views, columns) for columns in range(1, n_views + 1)),
+        ]
+    return max(candidates, key=lambda tiles: _filled(tiles, aspects)), panel
+
+
+def _filled(tiles: Sequence[Tile], aspects: Sequence[float]) -> float:
+    """Return the pixels of tiles that pictures of some aspects fill."""
+    pairs = zip(tiles, aspects, strict=True)
+    return sum(min(t.width, t.height * a) * min(t.height, t.width / a) for t, a in pairs)
+
+
+def _turned(tile: Tile) -> Tile:
+    return Tile(tile.top, tile.left, tile.height, tile.width)
+
+
+def _row(area: Tile, aspects: Sequence[float]) -> list[Tile]:
+    """Return tiles in one row, of widths as their aspects."""
+    least = _LEAST_SHARE * sum(aspects) / len(aspects)
+    edges = np.cumsum([0.0, *(max(aspect, least) for aspect in aspects)])
+    lefts = (edges / edges[-1] * (area.width + _GAP)).round().astype(int).tolist()
+    return [
+        Tile(area.left + left, area.top, right - left - _GAP, area.height) for left, right in pairwise(lefts)
+    ]
+
+
+def _beside(area: Tile, aspects: Sequence[float]) -> Iterator[list[Tile]]:
+    """Yield a large tile with small ones in a column at its right, or in a row below it."""
+    n = len(aspects) - 1
+    for share in _SHARES:
+        first, rest = _row(area, (share, 1 - share))
+        yield [first, *_grid(rest, n, 1)]
+        first, rest = (_turned(tile) for tile in _row(_turned(area), (share, 1 - share)))
+        yield [first, *_row(rest, aspects[1:])]
 
 
 def _corners(area: Tile, n: int) -> Iterator[list[Tile]]:
@@ -94,17 +141,7 @@ def _corners(area: Tile, n: int) -> Iterator[list[Tile]]:
                 yield [Tile(left, top, width, height) for top in tops]
 
 
-def _columns(area: Tile, n: int) -> int:
-    """Return in how many columns n tiles of an area are nearest to pictures of 4:3."""
-
-    def off(columns: int) -> float:
-        rows = math.ceil(n / columns)
-        return abs(math.log(area.width / columns / (area.height / rows) / (4 / 3)))
-
-    return min(range(1, n + 1), key=off)
-
-
-def _tiles(area: Tile, n: int, columns: int) -> list[Tile]:
+def _grid(area: Tile, n: int, columns: int) -> list[Tile]:
     rows = math.ceil(n / columns)
     width = (area.width - _GAP * (columns - 1)) // columns
     height = (area.height - _GAP * (rows - 1)) // rows
@@ -117,3 +154,23 @@ def _tiles(area: Tile, n: int, columns: int) -> list[Tile]:
         )
         for i in range(n)
     ]
+
+
+def hidden_by(trajectory: Trajectory, view: View, large: Tile) -> Callable[[Tile], int]:
+    """Return what gives the pixels of the area, as a view of a trajectory shows it in a tile, that another tile hides.
+
+    The area is taken with all the height that anything in it reaches.
+    """
+    corners = box_corners(trajectory.story.recipe.grid.size, reached_m(trajectory))
+    seen = np.zeros((large.height, large.width), np.uint8)
+    half = 0.5 * np.array(large.size)
+    for moment in np.linspace(trajectory.time[0], trajectory.time[-1], _MOMENTS):
+        places = view.aim(float(moment)).project(corners, large.width / large.height)
+        pixels = (half + half * places * [1, -1]).round().astype(np.int32)
+        cv2.fillConvexPoly(seen, cv2.convexHull(pixels), 1)
+
+    def hidden(tile: Tile) -> int:
+        top, left = tile.top - large.top, tile.left - large.left
+        return int(seen[top : top + tile.height, left : left + tile.width].sum())
+
+    return hidden

@@ -9,16 +9,15 @@ from typing import Final
 import numpy as np
 
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.grid import CarField, Grid
+from craftsim.discrete.grid import CarField, Grid, Piece
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.schedule import Schedule, ScheduledAction
-from craftsim.rendering.captions import Caption, CarCaption
-from craftsim.rendering.frames import fitted
+from craftsim.discrete.schedule import Schedule
+from craftsim.rendering.encode import Frame, encode
+from craftsim.rendering.film import fitted
+from craftsim.rendering.grid_picture import levels_of, world_image
 from craftsim.rendering.layout import arrange
-from craftsim.rendering.panel import PAPER, Frame, Panel
-from craftsim.rendering.render import Progress, encode
-from craftsim.rendering.shapes import Wanted, levels_of
-from craftsim.rendering.world_image import world_image
+from craftsim.rendering.overlay import PAPER, Caption, CarCaption, Panel
+from craftsim.rendering.render import Progress, no_progress
 
 SIZE: Final = (1280, 720)
 FPS: Final = 20
@@ -35,7 +34,7 @@ def film_plan(
     schedule: Schedule,
     rules: Rules,
     title: str,
-    design: Collection[Wanted] = (),
+    design: Collection[Piece] = (),
     progress: Progress | None = None,
 ) -> Path:
     """Write a film (``.mp4``, ``.webm``) of a schedule over its timetable.
@@ -44,24 +43,19 @@ def film_plan(
     does. Returns the path; raises InputError where the disk does not take it.
     """
     film = PlanFilm(schedule, rules, title, design)
-    if progress is None:
-        encode(path, FPS, film.frames())
-    else:
-        with progress(len(film)) as tell:
-            encode(path, FPS, film.frames(), tell)
+    with (progress or no_progress)(len(film)) as tell:
+        encode(path, FPS, film.frames(), tell)
     return path
 
 
 class PlanFilm:
     """The frames of a film of a schedule."""
 
-    def __init__(self, schedule: Schedule, rules: Rules, title: str, design: Collection[Wanted] = ()) -> None:
+    def __init__(self, schedule: Schedule, rules: Rules, title: str, design: Collection[Piece] = ()) -> None:
         """Prepare for a schedule, made with these rules."""
         self._schedule, self._rules, self._title, self._design = schedule, rules, title, design
-        self._times = schedule.times()
+        self._times, took_s = schedule.times(), schedule.makespan()
         self._start = schedule.steps[0].before if schedule.steps else schedule.final
-        self._levels = levels_of([self._start, *(step.after for step in schedule.steps)], design=design)
-        took_s = schedule.makespan()
         self.speed = max(SPEED, took_s / LONGEST_S)
         """Seconds of the plan in a second of film."""
         n = int(np.ceil(took_s / self.speed * FPS)) + 1 + round(END_S * FPS)
@@ -91,28 +85,25 @@ class PlanFilm:
 
     def frames(self) -> Iterator[Frame]:
         """Yield the frames, each of shape (height, width, 3), uint8, RGB."""
-        (tile, *_), place = arrange(SIZE, 1, "side", captions=True)
+        (tile, *_), place = arrange(SIZE, (1.0,), "side", captions=True)
         assert place is not None
         panel, steps = Panel(place.size, SIZE[1]), self._schedule.steps
+        levels = levels_of([self._start, *(step.after for step in steps)], design=self._design)
         for moment, grid, running in self.worlds():
-            shifts = {car: self._shift(steps[index], index, moment) for car, index in running.items()}
-            picture = world_image(grid, levels=self._levels, design=self._design, shifts=shifts)
+            shifts = {car: self._shift(index, moment) for car, index in running.items()}
+            picture = world_image(grid, levels=levels, design=self._design, shifts=shifts)
             frame = np.full((SIZE[1], SIZE[0], 3), PAPER, np.uint8)
             frame[tile.rows, tile.columns] = fitted(picture, tile.size)
-            cars = tuple(
-                CarCaption(
-                    car, ACTIONS[steps[running[car]].action].words if car in running else "waits", "", True
-                )
-                for car in range(grid.n_cars)
-            )
+            doing = {car: ACTIONS[steps[index].action].words for car, index in running.items()}
+            cars = tuple(CarCaption(car, doing.get(car, "waits")) for car in range(grid.n_cars))
             begun = int((self._times[:, 0] <= moment).sum())
-            caption = Caption(self._title, moment, self.speed, begun, len(steps), cars)
+            caption = Caption(self._title, begun, len(steps), cars, moment, self.speed)
             frame[place.rows, place.columns] = panel.draw(caption)
             yield frame
 
-    def _shift(self, step: ScheduledAction, index: int, moment: float) -> tuple[float, float]:
-        """Return how far a car has come from its cell, in cells along x and y."""
-        start, end = self._times[index].tolist()
+    def _shift(self, index: int, moment: float) -> tuple[float, float]:
+        """Return how far the car of a step has come from its cell, in cells along x and y."""
+        step, (start, end) = self._schedule.steps[index], self._times[index].tolist()
         way = step.after.cars[step.car] - step.before.cars[step.car]
         share = (moment - start) / (end - start)
         return share * float(way[CarField.X]), share * float(way[CarField.Y])

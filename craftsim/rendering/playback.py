@@ -1,4 +1,4 @@
-"""Positions to be drawn or measured, in data that no simulation uses: of a trajectory, sample by sample, or any."""
+"""Positions to be drawn or measured, in data that no simulation uses."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.models.world import PhysicsWorld
-from craftsim.rendering.trajectory import Trajectory
 
 
 class Posed:
@@ -48,15 +47,3 @@ class SeenWorld(Posed):
     def now(self) -> mujoco.MjData:
         """Return the data with everything where it is in the PhysicsWorld; the next call overwrites it."""
         return self.at(self._physics.data.qpos.copy())
-
-
-class Playback:
-    """Data of a model whose ``qpos`` are those of a trajectory."""
-
-    def __init__(self, model: mujoco.MjModel, trajectory: Trajectory) -> None:
-        """Prepare for a model: of the trajectory or of its stage."""
-        self._posed, self._trajectory = Posed(model), trajectory
-
-    def at(self, sample: int) -> mujoco.MjData:
-        """Return the data with everything where it was in a sample; the next call overwrites it."""
-        return self._posed.at(self._trajectory.qpos[sample], self._trajectory.time[sample])

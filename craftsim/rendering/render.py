@@ -2,40 +2,37 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from craftsim.errors import InputError
-from craftsim.rendering.animation import AnimationWriter, check_animation
-from craftsim.rendering.frames import Frames, Look
+from craftsim.rendering.encode import ANIMATIONS, FILMS, Frame, OnFrame, check_animation, encode
+from craftsim.rendering.film import Frames, Look
+from craftsim.rendering.overlay import label
 from craftsim.rendering.trajectory import Trajectory
-from craftsim.rendering.video import Frame, VideoWriter
 from craftsim.storage.writing import write_whole
 from craftsim.workers.pool import Pool, answered
 
-FORMATS: Final = (".mp4", ".webm", ".webp", ".gif", ".png")
+FORMATS: Final = (*FILMS, *ANIMATIONS, ".png")
 SHEET: Final = 12
 """Moments on a contact sheet."""
-_WAITING: Final = 16
-"""Frames that wait for the encoder at most."""
 _BATCH: Final = 8
 """Frames that a process makes at once."""
 
-OnFrame = Callable[[bool], None]
 Progress = Callable[[int], AbstractContextManager[OnFrame]]
 """Given the number of frames, opens what is called after each one."""
 
 
-class _Writer(Protocol):
-    def write(self, frame: Frame) -> None: ...
+def no_progress(total: int) -> AbstractContextManager[OnFrame]:
+    """Show nothing of what is done."""
+    return nullcontext(lambda done: None)
 
 
 def render(
@@ -45,7 +42,7 @@ def render(
     *,
     workers: int = 1,
     at: Sequence[float] = (),
-    progress: Progress = lambda total: nullcontext(lambda done: None),
+    progress: Progress = no_progress,
 ) -> list[Path]:
     """Render a trajectory into a file, and return the files that were written.
 
@@ -65,9 +62,10 @@ def render(
     path, look = Path(path), look or Look()
     check_format(path, at)
     if path.suffix == ".png":
+        look = replace(look, captions=bool(look.captions))
         return _stills(trajectory, path, look, at) if at else [_sheet(trajectory, path, look)]
     n_frames = Frames.count(trajectory, look)
-    if path.suffix in (".webp", ".gif"):
+    if path.suffix in ANIMATIONS:
         check_animation(path, n_frames, look.size, look.fps)
     with progress(n_frames) as tell:
         encode(path, look.fps, render_frames(trajectory, look, workers), tell)
@@ -116,40 +114,6 @@ class FrameMaker:
         return [self._frames[number] for number in numbers]
 
 
-def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None) -> None:
-    """Write frames into a film or an animation while the next ones are being made; ``tell`` is called after each."""
-    with (VideoWriter if path.suffix in (".mp4", ".webm") else AnimationWriter)(path, fps) as writer:
-        _write_beside(writer, frames, tell)
-
-
-def _write_beside(writer: _Writer, frames: Iterable[Frame], tell: OnFrame) -> None:
-    """Write frames in a thread of its own: encoders let go of the interpreter."""
-    waiting: queue.Queue[Frame | None] = queue.Queue(_WAITING)
-    wrong: list[BaseException] = []
-
-    def write() -> None:
-        while (frame := waiting.get()) is not None:
-            if not wrong:
-                try:
-                    writer.write(frame)
-                except BaseException as error:
-                    wrong.append(error)
-
-    thread = threading.Thread(target=write, name="encoder")
-    thread.start()
-    try:
-        for frame in frames:
-            if wrong:
-                break
-            waiting.put(frame)
-            tell(True)
-    finally:
-        waiting.put(None)
-        thread.join()
-    if wrong:
-        raise wrong[0]
-
-
 def _stills(trajectory: Trajectory, path: Path, look: Look, at: Sequence[float]) -> list[Path]:
     first, last = float(trajectory.time[0]), float(trajectory.time[-1])
     for moment in at:
@@ -164,10 +128,14 @@ def _sheet(trajectory: Trajectory, path: Path, look: Look) -> Path:
     """Write moments of the film, at equal distances, as one picture of the look's size."""
     with closing(Frames(trajectory, look)) as frames:
         moments = np.linspace(0, len(frames.pace.times) - 1, SHEET).round().astype(int)
-        pictures = [frames.at(float(frames.pace.times[i])) for i in moments]
+        times = frames.pace.times[moments].tolist()
+        pictures = [frames.at(time_s) for time_s in times]
     columns = 3 if look.size[0] >= look.size[1] else 4
     width, height = look.size[0] // columns, look.size[1] // columns
-    small = [cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA) for picture in pictures]
+    small = [
+        label(np.asarray(Image.fromarray(picture).resize((width, height))), f"{time_s:.1f} s")
+        for picture, time_s in zip(pictures, times, strict=True)
+    ]
     rows = [np.hstack(small[i : i + columns]) for i in range(0, SHEET, columns)]
     return _write_png(path, np.vstack(rows))
 

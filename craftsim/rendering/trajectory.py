@@ -1,13 +1,14 @@
-"""Trajectories: what moved in a run, sample by sample, and what was asked for and found, in one file.
+"""Trajectories: what moved in a run, sample by sample, and what was asked for and found; recorded, written and read.
 
-Films, plots and the viewer are made from trajectories, while or long after the physics ran. A trajectory file is a
-NumPy archive without pickles; docs/reference/reports.md describes its arrays.
+Films, plots and the viewer are made from them. A trajectory file is a NumPy archive without pickles;
+docs/reference/reports.md describes its arrays.
 """
 
 from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
@@ -19,12 +20,15 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, check_recipe
-from craftsim.discrete.grid import Cell, Kind
-from craftsim.errors import InputError
+from craftsim.checking.judge import Judge
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.grid import Cell, Kind, Piece
+from craftsim.errors import InputError, suggestion
+from craftsim.models.measuring import READING
 from craftsim.models.world import PhysicsWorld
-from craftsim.rendering.shapes import Wanted
 from craftsim.reports.json_file import versions
 from craftsim.storage import limits
+from craftsim.storage.paths import is_file, is_folder
 from craftsim.storage.reading import Arrays, read_arrays
 from craftsim.storage.records import Listed, from_json, to_json
 from craftsim.storage.writing import write_whole
@@ -34,8 +38,13 @@ SCHEMA_VERSION: Final = 1
 SUFFIX: Final = ".npz"
 TRAJECTORIES: Final = "trajectories"
 """The folder of a run's trajectories."""
+BUNDLE: Final = "bundle.json"
+"""What tells the folder of a replay bundle; other archives lie in it, too."""
+MOST_SAMPLES: Final = 180_000
+"""An hour of simulated time at the usual control period; what comes later is left out of a recording."""
+MOST_BYTES: Final = limits.TRAJECTORY.content_bytes // 2
+"""Of all samples together, so that a reader takes them; what comes later is left out."""
 _TEXT: Final = "story"
-
 
 GoalKind = Literal["block", "fslope", "body", "foot"]
 KINDS: Final[dict[Kind, GoalKind]] = {
@@ -166,9 +175,9 @@ class Trajectory:
         return self.qpos[:, column : column + 7]
 
     @property
-    def wanted(self) -> tuple[Wanted, ...]:
+    def wanted(self) -> tuple[Piece, ...]:
         """The design, as pictures of the grid take it."""
-        return tuple(Wanted(Kind[goal.kind.upper()], goal.cell, goal.yaw) for goal in self.story.design)
+        return tuple(Piece(Kind[goal.kind.upper()], goal.cell, goal.yaw) for goal in self.story.design)
 
     def at(self, time_s: float) -> int:
         """Return the number of the last sample that is not later than a time; the first where all are."""
@@ -183,7 +192,13 @@ class Trajectory:
         physics = PhysicsWorld(
             recipe.grid, setup.simulation, recipe.goals, reset=False, machines=setup.machines
         )
-        _check_columns(physics, self)
+        was, now = self.story.versions.get("craftsim"), versions()["craftsim"]
+        same = poses_of(physics) == self.story.poses and motors_of(physics) == self.story.motors
+        if not same or physics.model.nq != self.qpos.shape[1]:
+            raise InputError(
+                f"the trajectory '{self.story.title}' was recorded with other machines than these "
+                f"(craftsim {was}, this is {now}); record it again, or read it with that version"
+            )
         return physics
 
     @cached_property
@@ -227,6 +242,103 @@ class Trajectory:
             raise InputError(f"story.attempts names a car that there is not; the world has {n_cars}")
 
 
+class Recorder:
+    """Takes a sample of a world after every control period, and makes a trajectory of them."""
+
+    def __init__(self) -> None:
+        """Record nothing yet."""
+        self._samples: list[tuple[Any, ...]] = []
+
+    def begin(self, judge: Judge) -> None:
+        """Record a world from now on; what was recorded before is dropped."""
+        self._judge, self._samples = judge, []
+        data, n_cars = judge.physics.data, len(judge.physics.cars)
+        numbers = len(data.qpos) + len(data.ctrl) + 3 * n_cars + 2
+        self._most = min(MOST_SAMPLES, MOST_BYTES // (8 * numbers))
+        self._look(judge.physics)
+        judge.executor.observers.append(self._look)
+
+    def _look(self, physics: PhysicsWorld) -> None:
+        data, executor, log = physics.data, self._judge.executor, self._judge.log
+        # A simulation that breaks down starts its time over: what it does then is no part of the run.
+        if self._samples and (not self._samples[-1][0] < data.time or len(self._samples) == self._most):
+            return
+        motors = data.ctrl.astype(np.float32), data.actuator_force.astype(np.float32)
+        contact = np.nan if log is None else log.period_n
+        readings = executor.readings().tobytes()
+        self._samples.append((data.time, data.qpos.copy(), *motors, readings, executor.paths(), contact))
+
+    def trajectory(
+        self, title: str, recipe: Recipe, attempts: Iterable[Attempt], design: Design | None = None
+    ) -> Trajectory:
+        """Return what was recorded so far.
+
+        Args:
+            title: what it is of.
+            recipe: what was done, from the world's start.
+            attempts: what was tried since the recording began.
+            design: the building that is to be put up.
+        """
+        physics, n = self._judge.physics, len(self._samples)
+        time, qpos, ctrl, force, read, path, contact = zip(*self._samples, strict=True)
+        readings = np.frombuffer(b"".join(read), READING).reshape(n, -1)
+        targets = () if design is None else design.targets
+        return Trajectory(
+            Story(
+                SCHEMA_VERSION,
+                title,
+                versions(),
+                recipe,
+                tuple(attempts),
+                poses_of(physics),
+                motors_of(physics),
+                tuple(GoalCell(KINDS[target.kind], target.cell, target.yaw) for target in targets),
+            ),
+            np.array(time),
+            np.array(qpos),
+            np.array(ctrl),
+            np.array(force),
+            np.stack([readings[name] for name in ("x", "y", "heading")], axis=2).astype(np.float32),
+            np.array(path, np.float32),
+            np.array(contact, np.float32),
+        )
+
+
+def name_of(path: Path) -> str:
+    """Return the name of a trajectory within its run: of its file, or of the bundle that it lies in."""
+    return path.parent.name if is_file(path.parent / BUNDLE) else path.stem
+
+
+def trajectory_files(run: Path, name: str | None = None) -> list[Path]:
+    """Return the trajectory files that a path stands for, by name.
+
+    Args:
+        run: a run's folder, or a trajectory file.
+        name: of the one file of the folder that is wanted, with or without its ending.
+
+    Raises InputError where there is nothing of the kind.
+    """
+    if not is_folder(run):
+        if name is not None:
+            raise InputError(f"{run} is no folder; a trajectory's name goes with a run's folder")
+        if not is_file(run):
+            raise InputError(f"{run}: no such file or folder; allowed: a run's folder or a trajectory file")
+        return [run]
+    # What begins with a dot is what a kill left of one. An audit records in the bundles of its disagreements.
+    one, any_of = f"trajectory{SUFFIX}", f"[!.]*{SUFFIX}"
+    patterns = [one] if is_file(run / BUNDLE) else [f"{TRAJECTORIES}/{any_of}", any_of, f"bundles/*/{one}"]
+    found = next((paths for pattern in patterns if (paths := sorted(run.glob(pattern)))), [])
+    if not found:
+        raise InputError(f"{run}: no trajectories in it; run it again with --record")
+    if name is None:
+        return found
+    names = {name_of(path): path for path in found}
+    if (stem := name.removesuffix(SUFFIX)) not in names:
+        listed = ", ".join(list(names)[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+        raise InputError(f"{run}: no trajectory '{name}'{suggestion(name, names)}; there are {listed}")
+    return [names[stem]]
+
+
 def _check_version(data: bytes) -> None:
     """Raise InputError for the text of another version, before its keys are looked at."""
     try:
@@ -248,15 +360,3 @@ def poses_of(physics: PhysicsWorld) -> dict[str, int]:
 def motors_of(physics: PhysicsWorld) -> tuple[str, ...]:
     """Return the names of all motors."""
     return tuple(physics.model.actuator(i).name for i in range(physics.model.nu))
-
-
-def _check_columns(physics: PhysicsWorld, trajectory: Trajectory) -> None:
-    """Raise InputError where a PhysicsWorld's columns are not those of a trajectory."""
-    story = trajectory.story
-    same = poses_of(physics) == story.poses and motors_of(physics) == story.motors
-    if not same or physics.model.nq != trajectory.qpos.shape[1]:
-        was, now = story.versions.get("craftsim"), versions()["craftsim"]
-        raise InputError(
-            f"the trajectory '{story.title}' was recorded with other machines than these "
-            f"(craftsim {was}, this is {now}); record it again, or read it with that version"
-        )

@@ -10,8 +10,7 @@ from typing import Final
 from craftsim.checking.judge import Judge
 from craftsim.experiments.bundle import Recorded
 from craftsim.experiments.replay import Replay, replay
-from craftsim.rendering.recorder import Recorder
-from craftsim.rendering.trajectory import Trajectory
+from craftsim.rendering.trajectory import Recorder, Trajectory
 
 CLIP_S: Final = 3.0
 """Length of a film of one failure."""

@@ -11,8 +11,7 @@ from craftsim.discrete.tasks import make_task
 from craftsim.envs import parallel_env, vector_env
 from craftsim.envs.central import CentralConstruction
 from craftsim.envs.observations import Images
-from craftsim.rendering.image_kinds import IMAGE_KINDS
-from craftsim.rendering.images import take_images
+from craftsim.rendering.images import IMAGE_KINDS, take_images
 from craftsim.testing import check_api
 
 pytestmark = pytest.mark.usefixtures("rendering")

@@ -14,8 +14,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.framing import MARGIN, box_corners, overview, top
 from craftsim.models.world import PhysicsWorld
-from craftsim.rendering.cameras import make_view, reached_m
-from craftsim.rendering.painting import label_strip_m
+from craftsim.rendering.cameras import label_strip_m, make_view, reached_m
 from craftsim.rendering.playback import SeenWorld
 
 AREAS = [(1, 1), (1, 8), (20, 10), (3, 12), (4, 4)]

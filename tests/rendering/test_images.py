@@ -12,8 +12,7 @@ from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.framing import overview
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import View
-from craftsim.rendering.image_kinds import FAR_M, LABELS
-from craftsim.rendering.images import CameraImages, take_images
+from craftsim.rendering.images import FAR_M, LABELS, CameraImages, take_images
 from craftsim.rendering.playback import SeenWorld
 
 SIZE = (64, 48)

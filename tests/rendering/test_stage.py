@@ -1,4 +1,4 @@
-"""The stage has the positions of the physics, and what it adds is only to be seen."""
+"""The stage has the positions of the physics and adds what is only to be seen; the grid seen from above."""
 
 import copy
 from dataclasses import replace
@@ -9,10 +9,14 @@ import pytest
 from recorded import record
 
 from craftsim import Trajectory
-from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.drawing import GOAL, KIND_COLOURS, car_colour
+from craftsim.discrete.grid import CarField, Grid, Kind, Piece
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.composition import machine_spec
 from craftsim.rendering.cameras import make_view
-from craftsim.rendering.playback import Playback
-from craftsim.rendering.renderer import make_renderer
+from craftsim.rendering.grid_picture import CELL_PX, MARGIN_PX, Outline, level_shapes, levels_of, world_image
+from craftsim.rendering.offscreen import make_renderer
+from craftsim.rendering.playback import Posed
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import GoalCell
 
@@ -75,11 +79,10 @@ def test_a_world_is_not_changed_by_its_stage(standing):
 
 def test_the_ghost_shows_what_the_design_still_wants(standing):
     stage, rest = Stage(standing, "draft"), standing.qpos[-1]
-    names = {"block": "block", "base": "slope_base", "flap": "slope_flap"}
-    meshes = {name: 2 * stage.model.mesh(mesh).id for name, mesh in names.items()}
+    meshes = {name: 2 * stage.model.mesh(name).id for name in ("block", "slope_flap")}
     found = _ghosts(_scene(stage, standing, rest))
     # One block stands in its place, as does the base of the slope; its flap is still folded.
-    assert [ghost.dataid for ghost in found] == [meshes["block"], meshes["flap"]]
+    assert [ghost.dataid for ghost in found] == [meshes["block"], meshes["slope_flap"]]
     unfolded = rest.copy()
     unfolded[standing.physics.slopes[0].hinge.qpos] = 0.0
     assert [ghost.dataid for ghost in _ghosts(_scene(stage, standing, unfolded))] == [meshes["block"]]
@@ -102,15 +105,17 @@ def test_a_ghost_is_where_the_real_thing_will_be(standing):
         assert ghost.mat == pytest.approx(twin.mat, abs=2e-3)
 
 
-def test_paper_shows_shadows_on_a_light_floor_and_no_sky(rendering, standing):
-    stage, view = Stage(standing, "paper"), make_view("overview", standing, SIZE[0] / SIZE[1])
-    renderer, data = make_renderer(stage.model, SIZE), Playback(stage.model, standing).at(-1)
+@pytest.mark.parametrize("quality", ["draft", "paper"])
+def test_what_stands_shades_a_light_floor_and_no_sky_is_seen(rendering, standing, quality):
+    stage, view = Stage(standing, quality), make_view("overview", standing, SIZE[0] / SIZE[1])
+    renderer, data = make_renderer(stage.model, SIZE), Posed(stage.model).at(standing.qpos[-1])
     stage.model.vis.global_.fovy = view.fovy_deg
     pictures = []
     for shadows in (False, True):
         renderer.update_scene(data, view.camera(0.0))
-        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
         stage.finish(renderer.scene, data.qpos)
+        if shadows:
+            stage.shade(renderer, data)
         pictures.append(renderer.render().astype(int))
     renderer.close()
     bright, shaded = pictures
@@ -122,11 +127,57 @@ def test_paper_shows_shadows_on_a_light_floor_and_no_sky(rendering, standing):
     assert np.ptp(edge, axis=0).max() < 40
 
 
-def test_a_playback_shows_what_was_and_leaves_the_world_alone(standing):
-    before = standing.physics.data.qpos.copy()
-    data = Playback(standing.model, standing).at(0)
-    assert np.array_equal(data.qpos, standing.qpos[0])
-    assert data.time == standing.time[0]
-    body = standing.physics.cars[1].base.body
-    assert data.xpos[body] == pytest.approx(standing.pose("car 1")[0, :3])
-    assert np.array_equal(standing.physics.data.qpos, before)
+def _in_bytes(colour):
+    return tuple(round(255 * part) for part in colour)
+
+
+def test_a_tile_has_the_colour_of_what_is_there():
+    grid = Grid.empty((2, 2, 2), n_cars=1)
+    grid.kind[1, 0, 1], grid.kind[0, 1, 2] = Kind.BLOCK, Kind.BLOCK
+    image = world_image(grid)
+
+    def near_the_edge(level, x, y):
+        """A place between a block's edge and its inner line, where a car has its nose or a wheel's gap."""
+        column = MARGIN_PX + (level - 1) * (2 * CELL_PX + MARGIN_PX) + x * CELL_PX + CELL_PX // 2
+        return tuple(image[MARGIN_PX + (1 - y) * CELL_PX + round(0.1 * CELL_PX), column].tolist())
+
+    block = _in_bytes(KIND_COLOURS[Kind.BLOCK])
+    assert near_the_edge(1, 1, 0) == near_the_edge(2, 0, 1) == block
+    assert near_the_edge(1, 1, 1) == _in_bytes(KIND_COLOURS[Kind.GROUND])
+    car = image[MARGIN_PX + CELL_PX : -MARGIN_PX, MARGIN_PX : MARGIN_PX + CELL_PX].reshape(-1, 3)
+    assert (car == _in_bytes(car_colour(0))).all(axis=1).sum() > 200
+
+
+def test_levels_with_nothing_are_left_out():
+    grid = Grid.empty((2, 2, 4), n_cars=1)
+    assert levels_of([grid]) == (1,)
+    grid.kind[0, 0, 3] = Kind.BLOCK
+    assert levels_of([grid], (0, 0, 2)) == (1, 2, 3)
+    assert levels_of([grid], None, [Piece(Kind.BLOCK, (0, 0, 4), -1)]) == (1, 3, 4)
+
+
+def test_a_design_is_dashed_and_a_goal_is_not():
+    def framed(goal, design):
+        shapes = level_shapes(Grid.empty((2, 2, 2), n_cars=1), 1, goal, design)
+        lines = [one.points for one in shapes if isinstance(one, Outline) and one.line == GOAL]
+        return sum(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for points in lines)
+
+    whole, dashed = framed((1, 1, 1), []), framed(None, [Piece(Kind.BODY, (1, 1, 1), 0)])
+    assert 0.3 * whole < dashed < 0.7 * whole
+    assert framed((1, 1, 2), [Piece(Kind.BODY, (1, 1, 2), 0)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("part", "geom", "kind"),
+    [
+        ("wall", None, Kind.WALL),
+        ("block", None, Kind.BLOCK),
+        ("flag", "flag_visual", Kind.FLAG),
+        ("slope", None, Kind.BODY),
+        ("slope", "flap_visual", Kind.FOOT),
+        ("slope", "gear_left_visual", Kind.GEAR),
+    ],
+)
+def test_things_have_the_colours_that_films_show(part, geom, kind):
+    shown = [g.rgba[:3] for g in machine_spec(part, NOMINAL).geoms if geom is None or g.name == geom]
+    assert any(np.allclose(rgb, KIND_COLOURS[kind], atol=1e-4) for rgb in shown)

@@ -14,23 +14,18 @@ from craftsim import Action, Executor, Grid, LiveView, PhysicsWorld, Trajectory,
 from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.errors import InputError
-from craftsim.rendering.recorder import Recorder
 from craftsim.rendering.stage import Stage
-from craftsim.rendering.viewer.moment import live, recorded
-from craftsim.rendering.viewer.recorded import RecordedView
-from craftsim.rendering.viewer.shapes import shapes_of
-from craftsim.rendering.viewer.transport import Transport
-from craftsim.rendering.viewer.words import car_html, list_html
+from craftsim.rendering.trajectory import Recorder
+from craftsim.rendering.viewer.moment import car_html, list_html, live, recorded
+from craftsim.rendering.viewer.recorded import RecordedView, Transport
+from craftsim.rendering.viewer.scene import shapes_of
 
 pytest.importorskip("viser", reason="needs the extra 'view'")
 
 SAMPLED = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
 
 
-# What plays.
-
-
-def test_playing_goes_on_at_its_speed_and_pauses_at_the_end():
+def test_playing_goes_on_at_its_speed_pauses_at_the_end_and_starts_over():
     playback = Transport.between(1.0, 5.0)
     playback.advance(1.0, 1.0)
     assert playback.time_s == 1.0, "it begins paused"
@@ -39,13 +34,8 @@ def test_playing_goes_on_at_its_speed_and_pauses_at_the_end():
     assert (playback.time_s, playback.playing) == (3.0, True)
     playback.advance(10.0, 1.0)
     assert (playback.time_s, playback.playing) == (5.0, False)
-
-
-def test_playing_at_the_end_starts_over():
-    playback = Transport.between(1.0, 5.0)
-    playback.seek(99.0)
     playback.toggle()
-    assert (playback.time_s, playback.playing) == (1.0, True)
+    assert (playback.time_s, playback.playing) == (1.0, True), "it starts over"
 
 
 def test_steps_lead_from_action_to_action_and_pause():
@@ -61,9 +51,6 @@ def test_steps_lead_from_action_to_action_and_pause():
         playback.step_back()
         seen.append(playback.time_s)
     assert seen[4:] == [3.0, 1.0, 0.0, 0.0]
-
-
-# What is known of a moment.
 
 
 def test_a_recorded_moment_has_the_action_the_poses_the_forces_and_the_verdict(run: Trajectory):
@@ -106,18 +93,15 @@ def test_words_name_the_verdict_and_cannot_be_code(run: Trajectory):
     assert "<script>" not in list_html(nasty, 0.0)
 
 
-# What is drawn.
-
-
 def test_the_meshes_are_where_mujoco_has_its_own(run: Trajectory):
     model = run.model
     data = mujoco.MjData(model)
     data.qpos[:] = run.qpos[-1]  # wheels and rollers have turned
     mujoco.mj_kinematics(model, data)
     boxes: dict[int, list] = {}
-    for shape in shapes_of(model):
-        turned = shape.mesh.vertices @ data.xmat[shape.body].reshape(3, 3).T + data.xpos[shape.body]
-        boxes.setdefault(int(model.body_rootid[shape.body]), []).append(turned)
+    for body, mesh in shapes_of(model).items():
+        turned = mesh.vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+        boxes.setdefault(int(model.body_rootid[body]), []).append(turned)
     expected: dict[int, list] = {}
     for geom in np.flatnonzero((model.geom_group < 3) & (model.geom_bodyid > 0)):
         half, centre = model.geom_aabb[geom, 3:], model.geom_aabb[geom, :3]
@@ -140,8 +124,8 @@ def test_machines_have_the_colours_of_the_films(run: Trajectory):
     dressed = {stage.geom(g).name: stage.geom_rgba[g] for g in range(stage.ngeom) if stage.geom_matid[g] >= 0}
     plain = [name for name in dressed if "_visual" in name or "hub" in name]
     seen = {body: set() for body in range(run.model.nbody)}
-    for shape in shapes_of(run.model):
-        seen[shape.body] |= {tuple(colour) for colour in np.unique(shape.mesh.visual.vertex_colors, axis=0)}
+    for body, mesh in shapes_of(run.model).items():
+        seen[body] |= {tuple(colour) for colour in np.unique(mesh.visual.vertex_colors, axis=0)}
     tried = 0
     for name in plain:
         geom = run.model.geom(name)
@@ -149,9 +133,6 @@ def test_machines_have_the_colours_of_the_films(run: Trajectory):
             assert tuple((255 * dressed[name]).astype(np.uint8)) in seen[int(geom.bodyid[0])]
             tried += 1
     assert tried >= 5
-
-
-# The page.
 
 
 def test_only_what_has_moved_is_sent(run: Trajectory, opened: LiveView):
@@ -193,9 +174,6 @@ def test_a_run_that_cannot_be_read_leaves_the_one_before(run: Trajectory, opened
     assert shown.trajectory is run
 
 
-# What runs.
-
-
 def test_looking_on_changes_nothing(opened: LiveView):
     ends = []
     for observer in (None, opened):
@@ -217,13 +195,6 @@ def test_an_environment_shows_its_episodes_and_what_was_judged():
         assert len(shown.judged) == 0
 
 
-def test_each_form_of_the_environment_can_be_viewed():
-    for env in (craftsim.env("strip"), gymnasium.make("craftsim/Strip-v0", backend="physics")):
-        with view(env, port=0) as shown:
-            env.reset(seed=0)
-            assert shown.page.scene is not None
-
-
 def test_a_pause_holds_what_runs_until_somebody_lets_it_go_on(opened: LiveView):
     physics = PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1))
     opened.page.ask(opened.toggle)
@@ -236,11 +207,12 @@ def test_a_pause_holds_what_runs_until_somebody_lets_it_go_on(opened: LiveView):
     assert not thread.is_alive()
 
 
-def test_a_speed_that_there_is_not_is_an_error():
-    with pytest.raises(InputError, match="there is no speed '3 x'"):
-        LiveView(port=0, speed="3 x")
-
-
-def test_an_environment_on_the_grid_is_refused():
+def test_each_form_of_the_environment_can_be_viewed_in_physics():
+    for env in (craftsim.env("strip"), gymnasium.make("craftsim/Strip-v0", backend="physics")):
+        with view(env, port=0) as shown:
+            env.reset(seed=0)
+            assert shown.page.scene is not None
     with pytest.raises(InputError, match="backend='physics'"):
         view(parallel_env("strip", "grid"))
+    with pytest.raises(InputError, match="there is no speed '3 x'"):
+        LiveView(port=0, speed="3 x")

@@ -16,8 +16,7 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.experiments.experiment import Item
 from craftsim.experiments.statistics import campaign_figures
-from craftsim.rendering.recorder import Recorder
-from craftsim.rendering.trajectory import TRAJECTORIES
+from craftsim.rendering.trajectory import TRAJECTORIES, Recorder
 from craftsim.reports import html
 from craftsim.reports.html import write_html
 from craftsim.validation.audit import Audit, audit_rows

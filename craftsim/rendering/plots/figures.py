@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from craftsim.rendering.plots.loads import board_rows, contact_rows, torque_rows
-from craftsim.rendering.plots.motion import draw_paths, paths_height_in, tracking_rows
+from craftsim.rendering.plots.paths import draw_paths, paths_height_in
 from craftsim.rendering.plots.signals import Signals
 from craftsim.rendering.plots.style import WIDTH_IN, line_of, paper
-from craftsim.rendering.plots.timeline import Diagram, draw_rows, height_in
+from craftsim.rendering.plots.timeline import (
+    Diagram,
+    board_rows,
+    contact_rows,
+    draw_rows,
+    height_in,
+    torque_rows,
+    tracking_rows,
+)
 from craftsim.storage.folders import output_directory
 from craftsim.storage.writing import whole
 
@@ -26,8 +32,7 @@ _MOST_POINTS: Final = 3000
 _DPI: Final = 200
 _TITLE_IN: Final = 0.3
 
-
-_ROWS: Final[dict[str, tuple[Callable[[Signals, int], list[Diagram]], str]]] = {
+_ROWS: Final[dict[str, tuple[Callable[[Signals], list[Diagram]], str]]] = {
     "tracking": (tracking_rows, "How far each car was from its path; bands are its actions."),
     "torques": (torque_rows, "Wheel torques against their limit; gaps are where a car sleeps."),
     "boards": (board_rows, "Boards and hinges; no force is worked out while a car sleeps."),
@@ -35,8 +40,7 @@ _ROWS: Final[dict[str, tuple[Callable[[Signals, int], list[Diagram]], str]]] = {
 }
 
 
-@dataclass(frozen=True)
-class Plot:
+class Plot(NamedTuple):
     """A figure that can be drawn of a run."""
 
     name: str
@@ -47,20 +51,17 @@ class Plot:
 
 def plots_of(signals: Signals, most: int = _MOST_POINTS) -> list[Plot]:
     """Return the figures that there are of a run, their lines of about ``most`` points at most."""
-    plots = [_paths(signals)]
+    caption = "Each car's way from above, over the world as it was at the start."
+    plots = [Plot("paths", caption, paths_height_in(signals), lambda figure: draw_paths(figure, signals))]
     for name, (make, caption) in _ROWS.items():
-        if rows := make(signals, most):
-            plots.append(_over_time(name, caption, signals, rows))
+        if rows := make(signals):
+            plots.append(_over_time(name, caption, signals, rows, most))
     return plots
 
 
-def _paths(signals: Signals) -> Plot:
-    caption = "Each car's way from above, over the world as it was at the start."
-    return Plot("paths", caption, paths_height_in(signals), lambda figure: draw_paths(figure, signals))
-
-
-def _over_time(name: str, caption: str, signals: Signals, rows: Sequence[Diagram]) -> Plot:
-    return Plot(name, caption, height_in(signals, rows), lambda figure: draw_rows(figure, signals, rows))
+def _over_time(name: str, caption: str, signals: Signals, rows: Sequence[Diagram], most: int) -> Plot:
+    height = height_in(signals, rows)
+    return Plot(name, caption, height, lambda figure: draw_rows(figure, signals, rows, most))
 
 
 def write_figures(folder: Path, signals: Signals) -> Iterator[Path]:
@@ -72,18 +73,19 @@ def write_figures(folder: Path, signals: Signals) -> Iterator[Path]:
 
     output_directory(folder)
     with paper():
-        for plot in plots_of(signals):
+        plots = plots_of(signals)
+        for plot in plots:
             figure = Figure(figsize=(WIDTH_IN, plot.height_in), layout="constrained")
             plot.draw(figure)
             for ending in FORMATS:
                 yield _save(figure, folder / f"{plot.name}.{ending}")
-        rows = [row for make, _ in _ROWS.values() for row in make(signals, _MOST_POINTS)]
-        plots = [_paths(signals), _over_time(PAGE, "", signals, rows)]
-        heights = [plot.height_in for plot in plots]
+        rows = [row for make, _ in _ROWS.values() for row in make(signals)]
+        on_page = plots[0], _over_time(PAGE, "", signals, rows, _MOST_POINTS)
+        heights = [plot.height_in for plot in on_page]
         page = Figure(figsize=(WIDTH_IN, sum(heights) + _TITLE_IN), layout="constrained")
         page.suptitle(line_of(signals.trajectory.story.title), fontsize=10, weight="bold")
         parts = page.subfigures(2, 1, squeeze=False, height_ratios=heights)
-        for plot, part in zip(plots, parts[:, 0], strict=True):
+        for plot, part in zip(on_page, parts[:, 0], strict=True):
             plot.draw(part)
         yield _save(page, folder / f"{PAGE}.pdf")
 

@@ -1,18 +1,20 @@
-"""The levels of a world as matplotlib draws them, with coordinates, and what the signs mean."""
+"""The levels of a world as matplotlib draws them, with coordinates; the picture of a blueprint, with a legend."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from craftsim.discrete.drawing import GOAL, KIND_COLOURS, LINE, car_colour
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kinds import STANDING
-from craftsim.rendering.plots.style import WIDTH_IN
-from craftsim.rendering.shapes import Outline, Wanted, Word, car_shapes, level_shapes
+from craftsim.rendering.grid_picture import Outline, Word, car_shapes, level_shapes, levels_of
+from craftsim.rendering.plots.style import WIDTH_IN, line_of, paper
+from craftsim.storage.writing import whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,6 +29,10 @@ CARS: Final = 4.0
 """Place of cars in the order of drawing (zorder); that of lines is 2."""
 _POINTS: Final = 72.0
 """In an inch."""
+_DPI: Final = 200
+_LEAST_WIDTH_IN: Final = 4.2
+_HEAD_IN: Final = 0.3
+_LEGEND_IN: Final = 0.4
 
 
 class Arrangement:
@@ -50,7 +56,7 @@ def draw_levels(
     levels: Sequence[int],
     arrangement: Arrangement,
     goal: Cell | None = None,
-    design: Collection[Wanted] = (),
+    design: Collection[Piece] = (),
 ) -> dict[int, Axes]:
     """Draw levels of a world, each in a diagram of its own with the coordinates of cells; return these by level."""
     found = figure.subplots(arrangement.rows, arrangement.columns, squeeze=False).ravel()
@@ -102,12 +108,8 @@ def _draw(axes: Axes, one: Outline | Word, cell_in: float, order: float) -> None
     axes.add_patch(Polygon(one.points, facecolor=one.fill, edgecolor=edge, lw=width, zorder=order))
 
 
-def legend_of(grid: Grid, goal: Cell | None = None, design: Collection[Wanted] = ()) -> list[Patch]:
-    """Return what the signs mean that a world's picture has."""
-    return list(_legend(grid, goal, design))
-
-
-def _legend(grid: Grid, goal: Cell | None, design: Collection[Wanted]) -> Iterator[Patch]:
+def _legend(grid: Grid, goal: Cell | None, design: Collection[Piece]) -> Iterator[Patch]:
+    """Yield what the signs mean that a world's picture has."""
     from matplotlib.patches import Patch
 
     kinds = {Kind(int(kind)) for kind in np.unique(grid.kind)}
@@ -132,3 +134,36 @@ def _legend(grid: Grid, goal: Cell | None, design: Collection[Wanted]) -> Iterat
         yield Patch(facecolor="none", edgecolor=GOAL, lw=1.4, ls=(0, (2, 1)), label="to be built")
     if goal is not None:
         yield Patch(facecolor="none", edgecolor=GOAL, lw=1.6, label="goal of the flag")
+
+
+def draw_blueprint(
+    path: Path, grid: Grid, title: str, goal: Cell | None = None, design: Collection[Piece] = ()
+) -> Path:
+    """Draw a world into a PNG file, level by level, without empty levels.
+
+    Args:
+        path: of the file.
+        grid: the world.
+        title: what it is called.
+        goal: where a flag is to go.
+        design: cells of the building that is to be put up.
+
+    Returns the path; raises InputError where the disk does not take it.
+    """
+    from matplotlib.figure import Figure
+
+    levels = levels_of([grid], goal, design)
+    arrangement = Arrangement(grid.size, len(levels), WIDTH_IN)
+    legend = list(_legend(grid, goal, design))
+    width_in = max(_LEAST_WIDTH_IN, arrangement.width_in)
+    height_in = arrangement.height_in + _HEAD_IN + _LEGEND_IN * bool(legend)
+    with paper():
+        figure = Figure(figsize=(width_in, height_in), dpi=_DPI, layout="constrained")
+        figure.suptitle(line_of(title), fontsize=9, weight="bold")
+        draw_levels(figure, grid, levels, arrangement, goal, design)
+        if legend:
+            columns = min(len(legend), max(2, int(width_in / 1.5)))
+            figure.legend(handles=legend, loc="outside lower center", ncols=columns, handlelength=1.2)
+        with whole(path) as partial:
+            figure.savefig(partial, dpi=_DPI, metadata={"Software": None})
+    return path

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.contacts import impact_limit_n
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
-from craftsim.rendering.shapes import Wanted
+from craftsim.discrete.grid import Piece
 from craftsim.rendering.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -55,7 +55,7 @@ class Signals:
     contact_n: Floats
     """The largest force between any two machines; nan where contacts were not looked at."""
     impact_limit_n: float
-    design: tuple[Wanted, ...]
+    design: tuple[Piece, ...]
 
     @classmethod
     def of(cls, trajectory: Trajectory) -> Signals:

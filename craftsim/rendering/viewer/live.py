@@ -14,7 +14,7 @@ from craftsim.discrete.grid import Cell
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.errors import InputError, suggestion
 from craftsim.models.world import PhysicsWorld
-from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
+from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
 from craftsim.rendering.viewer.moment import live
 from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Controls, ViewerPage
 from craftsim.rendering.viewer.scene import MARK

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.grid import Cell
 from craftsim.models.world import PhysicsWorld
-from craftsim.rendering.viewer.moment import Moment
+from craftsim.rendering.viewer.moment import Moment, car_html, list_html, title_html
 from craftsim.rendering.viewer.scene import BrowserScene
-from craftsim.rendering.viewer.words import car_html, list_html, title_html
 
 if TYPE_CHECKING:
     from viser import ClientHandle, GuiEvent, ViserServer
@@ -157,7 +156,8 @@ class ViewerPage:
             return
         self._next_text_s = now + _TEXT_S
         with self._server.atomic():
-            _put(self.slider, "value", _within(found.time_s, self.slider.min, self.slider.max))
+            time_s = min(max(found.time_s, self.slider.min), self.slider.max)
+            _put(self.slider, "value", round(time_s, 3))
             if found.cars:
                 _put(self._state, "content", car_html(found, self.car))
             _put(self._list, "content", list_html(attempts, found.time_s))
@@ -186,7 +186,3 @@ def _put(handle: Any, name: str, value: object) -> None:
     """Set a property of a part of the panel; the same value is not sent again."""
     if getattr(handle, name) != value:
         setattr(handle, name, value)
-
-
-def _within(value: float, low: float, high: float) -> float:
-    return round(min(max(value, low), high), 3)

@@ -1,15 +1,17 @@
-"""What a level of a world looks like from above, as polygons and words: pictures and plots draw the same ones.
+"""The grid seen from above: levels as polygons and words, which plots draw too, and quick pictures of them.
 
-Lengths are in cells: the centre of cell (x, y) is at (x, y), with x to the right and y up.
+Lengths of shapes are in cells: the centre of cell (x, y) is at (x, y), with x to the right and y up.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Final
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,16 +29,23 @@ from craftsim.discrete.drawing import (
 )
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.geometry import yaw_angle
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kinds import STANDING
 
 Points = NDArray[np.float64]
 """Shape (n, 2)."""
 
-WHITE: Final[Rgb] = (1.0, 1.0, 1.0)
-FRAME: Final = 0.44
+CELL_PX: Final = 48
+MARGIN_PX: Final = 24
+"""Around each level, for coordinates and titles."""
+_WHITE: Final[Rgb] = (1.0, 1.0, 1.0)
+_FRAME: Final = 0.44
 """Half the side of the frame around a goal cell."""
-_DASH: Final = 0.11
+_DASHES: Final = 7
+"""Of a side of a frame, and the gaps between them."""
+_BITS: Final = 4
+"""Of a pixel's fraction, as OpenCV takes places."""
+_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _ROUND: Final = np.array(
     [(math.cos(a), math.sin(a)) for a in np.linspace(0, 2 * math.pi, 24, endpoint=False)]
 )
@@ -66,25 +75,13 @@ class Word:
     colour: Rgb
 
 
-@dataclass(frozen=True)
-class Wanted:
-    """A cell of a design, and what it must hold."""
-
-    kind: Kind
-    cell: Cell
-    yaw: int
-    """Of a slope, -1 where any will do."""
-
-
-def wanted_of(design: Design | None) -> tuple[Wanted, ...]:
+def wanted_of(design: Design | None) -> tuple[Piece, ...]:
     """Return the cells of a design; none of None."""
-    if design is None:
-        return ()
-    return tuple(Wanted(target.kind, target.cell, target.yaw) for target in design.targets)
+    return () if design is None else design.targets
 
 
 def levels_of(
-    grids: Iterable[Grid], goal: Cell | None = None, design: Collection[Wanted] = ()
+    grids: Iterable[Grid], goal: Cell | None = None, design: Collection[Piece] = ()
 ) -> tuple[int, ...]:
     """Return the levels on which anything is in one of the worlds, or is to be; the floor always."""
     used = {1, *(one.cell[2] for one in design), *([] if goal is None else [goal[2]])}
@@ -95,11 +92,11 @@ def levels_of(
 
 
 def level_shapes(
-    grid: Grid, z: int, goal: Cell | None = None, design: Collection[Wanted] = ()
+    grid: Grid, z: int, goal: Cell | None = None, design: Collection[Piece] = ()
 ) -> Iterator[Outline]:
     """Yield what is on a level but cars, in the order in which it is drawn: ground, things, designs."""
     length, width, _ = grid.size
-    ground = KIND_COLOURS[Kind.GROUND] if z == 1 else WHITE
+    ground = KIND_COLOURS[Kind.GROUND] if z == 1 else _WHITE
     yield Outline(_box(-0.5, -0.5, length - 0.5, width - 0.5), fill=ground)
     for x in range(length + 1):
         yield Outline(np.array([(x - 0.5, -0.5), (x - 0.5, width - 0.5)]), line=LINE)
@@ -113,7 +110,7 @@ def level_shapes(
         if one.cell[2] == z:
             yield from _wanted(one)
     if goal is not None and goal[2] == z:
-        yield Outline(_closed(_square(goal, FRAME)), line=GOAL, width=0.06)
+        yield Outline(_closed(_square(goal, _FRAME)), line=GOAL, width=0.06)
 
 
 def car_shapes(
@@ -154,8 +151,8 @@ def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline | Word]:
             yield Outline(_placed(wheel, x, y, turn), fill=TYRE)
     body = _box(-0.33, -0.2, 0.33, 0.2)
     yield Outline(_placed(body, x, y, turn), fill=car_colour(car), line=INK, width=0.015)
-    yield Outline(_placed(_NOSE, x, y, turn), fill=WHITE)
-    yield Word(x, y, str(car), 0.2, WHITE)
+    yield Outline(_placed(_NOSE, x, y, turn), fill=_WHITE)
+    yield Word(x, y, str(car), 0.2, _WHITE)
 
 
 def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
@@ -178,7 +175,7 @@ def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
             yield Outline(np.array([(x - 0.18, y + 0.32), (x - 0.18, y - 0.3)]), line=INK, width=0.05)
         case Kind.FSLOPE:
             yield Outline(_square(cell, 0.45), fill=colour, line=INK)
-            yield Outline(_placed(_CHEVRON, x, y, turn), line=WHITE, width=0.07)
+            yield Outline(_placed(_CHEVRON, x, y, turn), line=_WHITE, width=0.07)
         case Kind.GEAR:
             yield Outline(_placed(0.13 * _ROUND - np.array([0.4, 0]), x, y, turn), fill=colour, line=INK)
         case Kind.BODY:
@@ -194,25 +191,23 @@ def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
 def _treads(x: float, y: float, turn: float) -> Iterator[Outline]:
     """Yield two signs that point downhill."""
     for along in (-0.14, 0.22):
-        yield Outline(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=WHITE, width=0.07)
+        yield Outline(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=_WHITE, width=0.07)
 
 
-def _wanted(one: Wanted) -> Iterator[Outline]:
+def _wanted(one: Piece) -> Iterator[Outline]:
     x, y, _ = one.cell
-    for dash in _dashes(_square(one.cell, FRAME)):
+    for dash in _dashes(_square(one.cell, _FRAME)):
         yield Outline(dash, line=GOAL, width=0.06)
     if one.yaw >= 0:
-        tip = np.array([(FRAME - 0.14, 0.11), (FRAME, 0.0), (FRAME - 0.14, -0.11)])
+        tip = np.array([(_FRAME - 0.14, 0.11), (_FRAME, 0.0), (_FRAME - 0.14, -0.11)])
         yield Outline(_placed(tip, x, y, yaw_angle(one.yaw)), fill=GOAL)
 
 
 def _dashes(corners: Points) -> Iterator[Points]:
     """Yield pieces of a square's border, the same in each corner."""
     for first, second in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        side = float(np.linalg.norm(second - first))
-        count = 2 * round(side / _DASH / 2) - 1
-        marks = np.linspace(first, second, count + 1)
-        yield from (marks[i : i + 2] for i in range(0, count, 2))
+        marks = np.linspace(first, second, _DASHES + 1)
+        yield from (marks[i : i + 2] for i in range(0, _DASHES, 2))
 
 
 def _box(left: float, low: float, right: float, high: float) -> Points:
@@ -233,3 +228,75 @@ def _placed(points: Points, x: float, y: float, turn_rad: float = 0.0) -> Points
     """Return points turned around the origin, and moved there."""
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     return points @ np.array([(c, s), (-s, c)]) + (x, y)
+
+
+def world_image(
+    grid: Grid,
+    goal: Cell | None = None,
+    levels: Sequence[int] | None = None,
+    design: Collection[Piece] = (),
+    shifts: Mapping[int, tuple[float, float]] | None = None,
+) -> NDArray[np.uint8]:
+    """Return a picture (height, width, 3), RGB, of levels side by side, the lowest at the left.
+
+    Args:
+        grid: the world.
+        goal: a cell to be framed.
+        levels: those to be shown. All that there are and the one on top of them unless given, so that all pictures of
+            a world have one size.
+        design: cells of a building, to be framed with dashes.
+        shifts: how far cars on their way have come from their cells, along x and y.
+    """
+    length, width, height = grid.size
+    shown = range(1, height + 2) if levels is None else levels
+    pitch = length * CELL_PX + MARGIN_PX
+    image = np.full((width * CELL_PX + 2 * MARGIN_PX, len(shown) * pitch + MARGIN_PX, 3), 255, np.uint8)
+    for column, z in enumerate(shown):
+        # Views of the same bytes: OpenCV draws into them.
+        tile = image[:, column * pitch : (column + 1) * pitch + MARGIN_PX]
+        part = np.ascontiguousarray(tile)
+        for one in chain(level_shapes(grid, z, goal, design), car_shapes(grid, z, shifts)):
+            _paint(part, one, width)
+        _letter(part, MARGIN_PX + length * CELL_PX // 2, MARGIN_PX // 2, f"level {z}", 9, INK)
+        for x in range(length):
+            at = MARGIN_PX + x * CELL_PX + CELL_PX // 2
+            _letter(part, at, image.shape[0] - MARGIN_PX // 2, str(x), 8, INK)
+        for y in range(width):
+            at = MARGIN_PX + (width - 1 - y) * CELL_PX + CELL_PX // 2
+            _letter(part, MARGIN_PX // 2, at, str(y), 8, INK)
+        tile[:] = part
+    return image
+
+
+def _paint(image: NDArray[np.uint8], one: Outline | Word, width: int) -> None:
+    if isinstance(one, Word):
+        x, y = _pixels(np.array([(one.x, one.y)]), width)[0]
+        _letter(image, round(x), round(y), one.text, round(one.height * CELL_PX), one.colour)
+        return
+    points = np.round(_pixels(one.points, width) * (1 << _BITS)).astype(np.int32)
+    if one.fill is not None:
+        cv2.fillPoly(image, [points], _bytes(one.fill), cv2.LINE_AA, _BITS)
+    if one.line is not None:
+        thick = max(1, round(one.width * CELL_PX))
+        closed = one.fill is not None
+        cv2.polylines(image, [points], closed, _bytes(one.line), thick, cv2.LINE_AA, _BITS)
+
+
+def _pixels(points: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    """Return where in a level's picture places are."""
+    x = MARGIN_PX + (points[:, 0] + 0.5) * CELL_PX
+    y = MARGIN_PX + (width - 0.5 - points[:, 1]) * CELL_PX
+    return np.stack([x, y], axis=1)
+
+
+def _letter(image: NDArray[np.uint8], x: int, y: int, text: str, height_px: int, colour: Rgb) -> None:
+    """Write a text, centred."""
+    scale = cv2.getFontScaleFromHeight(_FONT, height_px)
+    (wide, high), _ = cv2.getTextSize(text, _FONT, scale, 1)
+    place = (x - wide // 2, y + high // 2)
+    cv2.putText(image, text, place, _FONT, scale, _bytes(colour), 1, cv2.LINE_AA)
+
+
+def _bytes(colour: Rgb) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * part) for part in colour)
+    return red, green, blue

@@ -1,0 +1,210 @@
+"""Frames into files: films that play in a browser (H.264 in MP4, VP9 in WebM), and animations (WebP, GIF)."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, suppress
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Self
+
+import av
+import cv2
+import numpy as np
+from av.video.reformatter import ColorRange, Colorspace
+from numpy.typing import NDArray
+from PIL import Image
+
+from craftsim.errors import InputError
+from craftsim.storage.writing import unwritten, whole
+
+Frame = NDArray[np.uint8]
+"""A picture, shape (height, width, 3), red green blue."""
+OnFrame = Callable[[bool], None]
+
+FILMS: Final = (".mp4", ".webm")
+ANIMATIONS: Final = (".webp", ".gif")
+_H264: Final = {
+    "crf": "23",
+    "preset": "veryfast",
+    # Its macroblock tree reads what lies behind small pictures: equal frames gave other bytes each time.
+    "x264-params": "mbtree=0",
+}
+_ENCODERS: Final = {
+    ".mp4": ("mp4", "libx264", _H264, {"movflags": "+faststart"}),
+    ".webm": ("webm", "libvpx-vp9", {"crf": "34", "b": "0", "deadline": "realtime", "cpu-used": "6"}, {}),
+}
+"""By the ending of the file's name: the container, the encoder, its options, and those of the container."""
+_THREADS: Final = {"threads": "2"}
+"""Encoders are deterministic at a given number of threads, so the number must not depend on the machine."""
+_ANIMATED: Final[dict[str, dict[str, Any]]] = {
+    ".webp": {"quality": 80, "method": 4, "minimize_size": False},
+    ".gif": {"optimize": False, "disposal": 1},
+}
+_ANIMATION_PIXELS: Final = 400_000_000
+"""Of all frames of an animation together: they are all in memory at its end."""
+_GIF_FPS: Final = 50
+"""More than that is shown slowly: a frame of 10 ms is taken for a mistake."""
+_WAITING: Final = 16
+"""Frames that wait for the encoder at most."""
+
+
+def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None) -> None:
+    """Write frames into a film or an animation while the next ones are being made; ``tell`` is called after each.
+
+    Encoders let go of the interpreter: they have a thread of their own.
+    """
+    waiting: queue.Queue[Frame | None] = queue.Queue(_WAITING)
+    wrong: list[BaseException] = []
+    with (VideoWriter if path.suffix in FILMS else AnimationWriter)(path, fps) as writer:
+
+        def write() -> None:
+            while (frame := waiting.get()) is not None:
+                if not wrong:
+                    try:
+                        writer.write(frame)
+                    except BaseException as error:
+                        wrong.append(error)
+
+        thread = threading.Thread(target=write, name="encoder")
+        thread.start()
+        try:
+            for frame in frames:
+                if wrong:
+                    break
+                waiting.put(frame)
+                tell(True)
+        finally:
+            waiting.put(None)
+            thread.join()
+        if wrong:
+            raise wrong[0]
+
+
+class _Abandoned(Exception):
+    """A film is given up because of an error elsewhere."""
+
+
+class VideoWriter:
+    """Context manager that encodes frames into an MP4 file (H.264, index before the pictures) or a WebM file (VP9), as
+    the ending of its name says; yuv420p both.
+
+    A file with the final name is always complete: the film gets it only when the block ends without an error. Raises
+    InputError where the disk does not take it.
+    """
+
+    def __init__(self, path: Path, fps: int) -> None:
+        """Prepare a film at ``path`` (its folder must exist) with ``fps`` frames a second."""
+        self.path, self.fps, self.frames = path, fps, 0
+        self._file = ExitStack()
+        self._container: Any = None
+        self._stream: Any = None
+
+    def __enter__(self) -> Self:
+        with ExitStack() as file:
+            partial = file.enter_context(whole(self.path))
+            form, self._encoder, self._options, options = _ENCODERS[self.path.suffix]
+            self._container = av.open(str(partial), "w", format=form, options=options)
+            self._file = file.pop_all()
+        return self
+
+    def write(self, frame: Frame, repeat: int = 1) -> None:
+        """Append a frame, ``repeat`` times.
+
+        Args:
+            frame: shape (height, width, 3), uint8, RGB; both sizes even, the same for all frames.
+            repeat: how many frame times it stays on screen.
+
+        Raises:
+            ValueError: the frame has another type or size, or an odd one.
+            InputError: the disk does not take it.
+        """
+        if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
+            raise ValueError(f"a frame is uint8 of shape (height, width, 3), not {frame.dtype} {frame.shape}")
+        height, width = frame.shape[:2]
+        if self._stream is None:
+            if height % 2 or width % 2:
+                raise ValueError(f"yuv420p needs even sizes, not {width} x {height}")
+            self._begin(width, height)
+        elif (height, width) != (self._stream.height, self._stream.width):
+            raise ValueError(
+                f"this film is {self._stream.width} x {self._stream.height}, the frame {width} x {height}"
+            )
+        planes: Any = cv2.cvtColor(frame, cv2.COLOR_RGB2YUV_I420)
+        picture = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+        try:
+            for _ in range(repeat):
+                picture.pts = self.frames
+                self._container.mux(self._stream.encode(picture))
+                self.frames += 1
+        except OSError as error:
+            raise InputError(unwritten(self.path, error)) from error
+
+    def _begin(self, width: int, height: int) -> None:
+        stream = self._container.add_stream(self._encoder, rate=self.fps, options=self._options | _THREADS)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        stream.codec_context.colorspace = Colorspace.SMPTE170M
+        stream.codec_context.color_range = ColorRange.MPEG
+        stream.codec_context.time_base = Fraction(1, self.fps)
+        self._stream = stream
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(_Abandoned), self._file:
+            if error is None and self._stream is not None:
+                self._container.mux(self._stream.encode(None))
+            self._container.close()
+            if error is not None:
+                raise _Abandoned
+            if self._stream is None:
+                raise ValueError("a film needs at least one frame")
+
+
+def check_animation(path: Path, n_frames: int, size: tuple[int, int], fps: int) -> None:
+    """Raise InputError for an animation of more pixels than fit into memory, and for a GIF too quick for its clock."""
+    if n_frames * size[0] * size[1] > _ANIMATION_PIXELS:
+        raise InputError(
+            f"{path}: {n_frames} frames of {size[0]} x {size[1]}; allowed: {_ANIMATION_PIXELS // 10**6} million "
+            "pixels in all; give a smaller --size, fewer --fps, a higher --speed, or make an mp4 or webm"
+        )
+    if path.suffix == ".gif" and fps > _GIF_FPS:
+        raise InputError(
+            f"{path}: {fps} frames a second; a GIF has {_GIF_FPS} at most, try --fps 25 or a webp"
+        )
+
+
+class AnimationWriter:
+    """Context manager that collects frames, and writes them as an animated WebP or GIF, which runs for ever."""
+
+    def __init__(self, path: Path, fps: int) -> None:
+        """Prepare an animation at ``path``, a ``.webp`` or ``.gif`` (its folder must exist)."""
+        self.path, self.fps = path, fps
+        self._gif = path.suffix == ".gif"
+        self._frames: list[Image.Image] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def write(self, frame: Frame) -> None:
+        """Append a frame, shape (height, width, 3), uint8, RGB."""
+        picture = Image.fromarray(frame)
+        # A GIF has 256 colours a frame anyway, and takes a third of the memory.
+        self._frames.append(picture.quantize(256, dither=Image.Dither.NONE) if self._gif else picture)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            return
+        # A GIF counts in hundredths of a second, of which no sum may drift.
+        tick = 10 if self._gif else 1
+        ends = [round(1000 * i / self.fps / tick) * tick for i in range(len(self._frames) + 1)]
+        shown_ms = np.diff(ends).tolist()
+        first, *rest = self._frames
+        options = _ANIMATED[self.path.suffix]
+        with whole(self.path) as partial:
+            first.save(partial, save_all=True, append_images=rest, duration=shown_ms, loop=0, **options)

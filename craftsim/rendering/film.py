@@ -1,0 +1,313 @@
+"""The frames of a film: pictures of a trajectory, captions beside them, and cards at the start and the end.
+
+Each frame is made from the trajectory and its number alone, so that any process can make any of them.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Final, NamedTuple
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from craftsim.checking.attempt import Attempt
+from craftsim.checking.episode import Act
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import Rules
+from craftsim.errors import InputError
+from craftsim.rendering.cameras import aspect_of, make_view
+from craftsim.rendering.encode import Frame
+from craftsim.rendering.grid_picture import levels_of, world_image
+from craftsim.rendering.layout import Layout, Tile, arrange, hidden_by
+from craftsim.rendering.offscreen import make_renderer
+from craftsim.rendering.overlay import PAPER, Panel, caption_of, end_card, title_card
+from craftsim.rendering.playback import Posed
+from craftsim.rendering.stage import Quality, Stage
+from craftsim.rendering.trajectory import Trajectory
+from craftsim.storage.limits import FILM_SPEED, FRAME_PIXELS, FRAME_RATE
+
+GRID: Final = "grid"
+"""The view that is not physics: what the rules predict."""
+TITLE_S: Final = 1.5
+END_S: Final = 2.5
+"""How long the cards stay."""
+LEAST_PIXELS: Final = 64
+"""Of a side of a frame, and of a view."""
+IDLE: Final = 12.0
+"""Simulated seconds in a second of film while no car does anything."""
+SPEEDS: Final = {"LIFT": 2.0, "DROP": 2.0, "MOVE": 4.0, "FOLD": 8.0, "UNFOLD": 8.0}
+"""The same while a car does this."""
+_OTHERWISE: Final = 4.0
+_ON_A_SLOPE: Final = 2.5
+_DOCKING: Final = 3.0
+"""At the beginning and at the end of each folding, for :data:`_DOCKING_S`."""
+_DOCKING_S: Final = 0.6
+_FAILING: Final = 0.5
+"""About the end of an action that did not do as predicted, for :data:`_FAILING_S`."""
+_FAILING_S: Final = 0.8
+_SMOOTH_S: Final = 0.8
+"""Simulated time over which a change of speed is spread."""
+_SMOOTH_SAMPLES: Final = 2000
+"""At most, of which a recording has 40 in that time."""
+_Picture = Callable[[int, float], Frame]
+"""Gives what a view shows at a sample and its time."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a film looks. Raises InputError for a size or a number that no film has."""
+
+    size: tuple[int, int] = (1280, 720)
+    """Width and height in pixels, even."""
+    fps: int = 30
+    cameras: tuple[str, ...] = ("overview",)
+    """The views, as of :func:`craftsim.rendering.cameras.make_view`, or ``grid`` for what the rules predict."""
+    layout: Layout = "side"
+    quality: Quality = "draft"
+    speed: float | None = None
+    """Simulated seconds in a second of film; it follows what the cars do if None."""
+    length_s: float | None = None
+    """Length of the film without its cards, in place of a speed."""
+    ghost: bool = True
+    """Whether to draw what the design still lacks, translucent."""
+    captions: bool | None = None
+    """Whether a panel says what the cars do; in films alone if None."""
+    cards: bool = True
+    title: str | None = None
+    """That of the trajectory unless given."""
+
+    def __post_init__(self) -> None:
+        width, height = self.size
+        if width % 2 or height % 2 or min(width, height) < LEAST_PIXELS or width * height > FRAME_PIXELS:
+            raise InputError(
+                f"a frame of {width} x {height} pixels; allowed: even numbers of {LEAST_PIXELS} or more, and "
+                "4096 x 2304 pixels at most"
+            )
+        FRAME_RATE.check("fps", self.fps)
+        if self.speed is not None:
+            FILM_SPEED.check("speed", self.speed)
+        if not self.cameras:
+            raise InputError("no camera; give one or more")
+
+    @property
+    def n_cards(self) -> tuple[int, int]:
+        """Frames of the card at the start, and of the one at the end."""
+        return (round(self.fps * TITLE_S), round(self.fps * END_S)) if self.cards else (0, 0)
+
+
+class Frames:
+    """The frames of a film, by their number; to be closed at the end."""
+
+    def __init__(self, trajectory: Trajectory, look: Look) -> None:
+        """Prepare; raises InputError for a camera that there is not, and RenderingUnavailable where nothing renders."""
+        self.trajectory, self.look, self.pace = trajectory, look, pace_of(trajectory, look)
+
+        def hidden_in(first: Tile) -> Callable[[Tile], int]:
+            if look.cameras[0] == GRID:
+                return lambda tile: 1  # on the prediction any hides some
+            view = make_view(look.cameras[0], trajectory, first.width / first.height)
+            return hidden_by(trajectory, view, first)
+
+        aspects = [_aspect(trajectory, camera) for camera in look.cameras]
+        captions = look.captions is not False
+        tiles, panel = arrange(look.size, aspects, look.layout, captions, hidden_in)
+        if any(min(tile.size) < LEAST_PIXELS for tile in tiles):
+            raise InputError(f"{len(tiles)} views do not fit into {look.size[0]} x {look.size[1]} pixels")
+        # A copy takes a twentieth of the time.
+        self._blank: Frame = np.full((look.size[1], look.size[0], 3), PAPER, np.uint8)
+        self._panel = None if panel is None else (panel, Panel(panel.size, look.size[1]))
+        self._stage = Stage(trajectory, look.quality)
+        self._posed = Posed(self._stage.model)
+        self._renderers: list[mujoco.Renderer] = []
+        self._last: Frame | None = None
+        """The last picture, which cards show: the first frame of a film serves as its poster."""
+        self._views: list[tuple[Tile, _Picture]] = [
+            (tile, _predicted(trajectory, tile.size) if camera == GRID else self._seen(camera, tile))
+            for tile, camera in zip(tiles, look.cameras, strict=True)
+        ]
+
+    def __len__(self) -> int:
+        return len(self.pace.times) + sum(self.look.n_cards)
+
+    @staticmethod
+    def count(trajectory: Trajectory, look: Look) -> int:
+        """Return how many frames a film has, without preparing one."""
+        return len(pace_of(trajectory, look).times) + sum(look.n_cards)
+
+    def __getitem__(self, number: int) -> Frame:
+        """Return a frame, shape (height, width, 3), uint8, RGB."""
+        n_title, _ = self.look.n_cards
+        if n_title <= number < n_title + len(self.pace.times):
+            number -= n_title
+            return self.at(float(self.pace.times[number]), float(self.pace.factors[number]))
+        if self._last is None:
+            self._last = self._views[0][1](len(self.trajectory) - 1, float(self.trajectory.time[-1]))
+        if number < n_title:
+            return title_card(self.trajectory, self.look.size, self._last, self.look.title)
+        return end_card(self.trajectory, self.look.size, self._last)
+
+    def at(self, time_s: float, factor: float | None = None) -> Frame:
+        """Return the picture of a moment, with its captions."""
+        frame, sample = self._blank.copy(), self.trajectory.at(time_s)
+        for tile, picture in self._views:
+            frame[tile.rows, tile.columns] = picture(sample, time_s)
+        if self._panel is not None:
+            tile, panel = self._panel
+            caption = caption_of(self.trajectory, self.look.title, time_s, factor)
+            frame[tile.rows, tile.columns] = panel.draw(caption)
+        return frame
+
+    def _seen(self, camera: str, tile: Tile) -> _Picture:
+        """Return what a camera sees of the stage."""
+        stage, trajectory = self._stage, self.trajectory
+        view = make_view(camera, trajectory, tile.width / tile.height)
+        renderer = make_renderer(stage.model, tile.size, stage.shadows)
+        self._renderers.append(renderer)
+
+        def draw(sample: int, time_s: float) -> Frame:
+            data = self._posed.at(trajectory.qpos[sample], trajectory.time[sample])
+            stage.model.vis.global_.fovy = view.fovy_deg
+            renderer.update_scene(data, view.camera(time_s))
+            stage.finish(renderer.scene, data.qpos, ghost=self.look.ghost and view.ghost)
+            stage.shade(renderer, data)
+            picture: Frame = renderer.render()
+            return picture
+
+        return draw
+
+    def close(self) -> None:
+        """Close the renderers."""
+        for renderer in self._renderers:
+            renderer.close()
+
+
+def _aspect(trajectory: Trajectory, camera: str) -> float:
+    """Return width over height of what a view shows."""
+    if camera != GRID:
+        return aspect_of(camera, trajectory)
+    _, grids = predicted_worlds(trajectory)
+    picture = world_image(grids[0], levels=levels_of(grids, design=trajectory.wanted))
+    return picture.shape[1] / picture.shape[0]
+
+
+def _predicted(trajectory: Trajectory, size: tuple[int, int]) -> _Picture:
+    """Return the world that the rules predict, drawn level by level into tiles of a size."""
+    times, grids = predicted_worlds(trajectory)
+    levels = levels_of(grids, design=trajectory.wanted)
+    drawn: dict[int, Frame] = {}
+
+    def draw(sample: int, time_s: float) -> Frame:
+        number = max(0, bisect_right(times, time_s) - 1)
+        if number not in drawn:
+            drawn.clear()
+            picture = world_image(grids[number], levels=levels, design=trajectory.wanted)
+            drawn[number] = fitted(picture, size)
+        return drawn[number]
+
+    return draw
+
+
+def predicted_worlds(trajectory: Trajectory) -> tuple[list[float], list[Grid]]:
+    """Return the worlds that the rules alone predict, and from when on: an action counts from its end on.
+
+    All that was done is applied to the start, in the order in which it ended where that leads to the same world.
+    """
+    story, begun = trajectory.story, float(trajectory.time[0])
+    acts = [(act, step.intended_grid) for step in story.recipe.steps for act in step.acts]
+    before = len(acts) - len(story.attempts)  # what was done before the recording
+    ends = [begun] * before + [attempt.start_s + attempt.duration_s for attempt in story.attempts]
+    rules = Rules(story.recipe.setup.rules)
+    in_order = _worlds(story.recipe.grid, acts, rules)
+    by_end = sorted(range(len(acts)), key=ends.__getitem__)
+    as_they_end = _worlds(story.recipe.grid, [acts[i] for i in by_end], rules)
+    if as_they_end[-1].same_visible(in_order[-1]):
+        return [begun, *(ends[i] for i in by_end)], as_they_end
+    # Some of them depend on each other: then each waits for those that act before it.
+    return [begun, *accumulate(ends, max)], in_order
+
+
+def _worlds(start: Grid, acts: Sequence[tuple[Act, Grid | None]], rules: Rules) -> list[Grid]:
+    """Return a start, and what follows from each action, or what it was intended to lead to."""
+    grids = [start]
+    for act, intended in acts:
+        grid, action = grids[-1], Action[act.action]
+        if intended is not None:
+            grid = intended
+        elif rules.legal(grid, act.car, action):
+            grid = rules.apply(grid, act.car, action)
+        grids.append(grid)
+    return grids
+
+
+def fitted(picture: Frame, size: tuple[int, int]) -> Frame:
+    """Return a picture in the middle of a tile of ``size`` (width, height), as large as fits."""
+    width, height = size
+    scale = min(0.96 * width / picture.shape[1], 0.96 * height / picture.shape[0])
+    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    found = np.full((height, width, 3), PAPER, np.uint8)
+    top, left = (height - small.shape[0]) // 2, (width - small.shape[1]) // 2
+    found[top : top + small.shape[0], left : left + small.shape[1]] = small
+    return found
+
+
+class Pace(NamedTuple):
+    """When each frame of a film is."""
+
+    times: NDArray[np.float64]
+    """(n,) simulated time of each frame, in seconds."""
+    factors: NDArray[np.float64]
+    """(n,) simulated seconds in a second of film."""
+
+
+def pace_of(trajectory: Trajectory, look: Look) -> Pace:
+    """Return when the frames between the cards are; the first sample and the last are among them.
+
+    A film of a given length is never slower than it happened: its last picture stays.
+    """
+    took_s = trajectory.duration_s
+    if look.length_s is not None:
+        n, speed = max(1, round(look.length_s * look.fps)), max(1.0, took_s / look.length_s)
+    elif look.speed is not None:
+        n, speed = int(np.ceil(took_s / look.speed * look.fps - 1e-6)) + 1, look.speed
+    else:
+        return _adapted_pace(trajectory, look.fps)
+    times = np.minimum(trajectory.time[0] + np.arange(n) * speed / look.fps, trajectory.time[-1])
+    return Pace(times, np.full(n, speed))
+
+
+def _adapted_pace(trajectory: Trajectory, fps: int) -> Pace:
+    """Return frames at a speed that follows what the cars do: contact and docking slowly, waits and foldings fast."""
+    time = trajectory.time
+    speed = np.full(len(time), IDLE)
+    for attempt in trajectory.story.attempts:
+        if attempt.performed:
+            _slow_down(speed, time, attempt)
+    # Film time is the integral of 1 / speed; smoothed, so that it changes gently.
+    steps = np.diff(time, prepend=time[0])
+    period = float(np.median(steps[1:])) if len(time) > 1 else 1.0
+    width = max(1, round(min(_SMOOTH_S / period, _SMOOTH_SAMPLES)))
+    padded = np.pad(1.0 / speed, (width // 2, width - 1 - width // 2), mode="edge")
+    pace = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
+    film = np.cumsum(pace * steps)
+    moments = np.arange(int(np.ceil(film[-1] * fps - 1e-6)) + 1) / fps
+    return Pace(np.interp(moments, film, time), 1.0 / np.interp(moments, film, pace))
+
+
+def _slow_down(speed: NDArray[np.float64], time: NDArray[np.float64], attempt: Attempt) -> None:
+    """Lower the speed (n,) at each sample's time (n,) to that of an action while it runs."""
+    start, end = attempt.start_s, attempt.start_s + attempt.duration_s
+    usual = SPEEDS.get(attempt.verb, _OTHERWISE)
+    wanted = np.full(len(time), min(usual, _ON_A_SLOPE) if attempt.slope else usual)
+    if attempt.verb in ("FOLD", "UNFOLD"):
+        wanted[np.minimum(time - start, end - time) < _DOCKING_S] = _DOCKING
+    during = (time >= start) & (time <= end)
+    speed[during] = np.minimum(speed, wanted)[during]
+    if not attempt.agrees:
+        speed[np.abs(time - end) < _FAILING_S] = _FAILING

@@ -1,0 +1,250 @@
+"""What a film says: captions beside its picture, and cards at its start and its end."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont, ImageOps
+
+from craftsim.checking.attempt import Attempt
+from craftsim.discrete.actions import ACTIONS
+from craftsim.discrete.drawing import CAR_COLOURS
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
+from craftsim.rendering.encode import Frame
+from craftsim.rendering.trajectory import Trajectory
+
+Colour = tuple[int, int, int]
+
+PAPER: Final[Colour] = (250, 250, 248)
+_INK: Final[Colour] = (38, 42, 48)
+_PALE: Final[Colour] = (140, 146, 154)
+_RULE: Final[Colour] = (214, 216, 218)
+_GOOD: Final[Colour] = (34, 128, 74)
+_BAD: Final[Colour] = (192, 48, 40)
+_SHOWN_S: Final = 6.0
+"""Simulated time for which a verdict on an action that went well stays; others stay until the car's next one."""
+_CARS: Final = 8
+"""Cars that a panel has room for."""
+_TEXT: Final = 0.44
+"""Share of a card's width for its text; of a tall card's height."""
+_REASONS: Final = 3
+"""Disagreements that an end card lists."""
+
+
+class CarCaption(NamedTuple):
+    """What is said of one car."""
+
+    car: int
+    action: str = "waits"
+    verdict: str = ""
+    """On its last action; empty where it is long ago, or none has ended."""
+    agrees: bool = True
+    """That verdict."""
+
+
+class Caption(NamedTuple):
+    """All that is said at one moment."""
+
+    title: str
+    step: int
+    """Actions begun so far."""
+    n_steps: int
+    cars: tuple[CarCaption, ...]
+    time_s: float
+    factor: float | None
+    """Simulated seconds in a second of film; of a picture there is none."""
+
+
+def caption_of(trajectory: Trajectory, title: str | None, time_s: float, factor: float | None) -> Caption:
+    """Return what is said of a trajectory at a simulated time, under its own title unless one is given."""
+    story = trajectory.story
+    performed = sorted((a for a in story.attempts if a.performed), key=lambda a: a.start_s)
+    begun = [a for a in performed if a.start_s <= time_s]
+    n_cars = trajectory.measured.shape[1]
+    cars = tuple(_car(car, [a for a in begun if a.car == car], time_s) for car in range(n_cars))
+    return Caption(story.title if title is None else title, len(begun), len(performed), cars, time_s, factor)
+
+
+def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:
+    """Return what is said of a car whose actions so far are ``begun``."""
+    running = [a for a in begun if time_s < a.start_s + a.duration_s]
+    action = ACTIONS[Action[running[-1].action]].words if running else "waits"
+    ended = [a for a in begun if a.start_s + a.duration_s <= time_s]
+    if not ended or (ended[-1].agrees and time_s - ended[-1].start_s - ended[-1].duration_s > _SHOWN_S):
+        return CarCaption(car, action)
+    last = ended[-1]
+    reason = f" - {last.reason}" if last.reason else ""
+    return CarCaption(
+        car, action, f"{ACTIONS[Action[last.action]].words}: {last.result}{reason}", last.agrees
+    )
+
+
+class Panel:
+    """Draws captions; what has not changed since the last one is not drawn again."""
+
+    def __init__(self, size: tuple[int, int], tall: int) -> None:
+        """Prepare for a panel of ``size`` (width, height) in pixels of a film that is ``tall`` pixels high."""
+        self.size = size
+        self._unit = max(9, round(tall / 42))
+        self._drawn: tuple[object, ...] = ()
+        self._picture = Image.new("RGB", size, PAPER)
+        self._clock_at = 0
+
+    def draw(self, caption: Caption) -> Frame:
+        """Return the panel with a caption."""
+        if caption[:4] != self._drawn:
+            self._drawn, self._picture = caption[:4], self._still(caption)
+        picture = self._picture.copy()
+        speed = "" if caption.factor is None else f"   x{caption.factor:.2g}"
+        place, face = (self._unit, self._clock_at), _font(round(1.15 * self._unit), "bold")
+        ImageDraw.Draw(picture).text(place, f"{caption.time_s:.1f} s{speed}", _INK, face)
+        return np.asarray(picture)
+
+    def _still(self, caption: Caption) -> Image.Image:
+        """Return all but the clock."""
+        picture = Image.new("RGB", self.size, PAPER)
+        draw = ImageDraw.Draw(picture)
+        unit, (width, height) = self._unit, self.size
+        inner, bold = width - 2 * unit, _font(round(1.25 * unit), "bold")
+        y = unit
+        for line in _wrap(draw, caption.title, bold, inner, 3):
+            draw.text((unit, y), line, _INK, bold)
+            y += round(1.65 * unit)
+        self._clock_at = y
+        y += round(1.8 * unit)
+        if caption.n_steps:
+            draw.text((unit, y), f"action {caption.step} of {caption.n_steps}", _PALE, _font(unit))
+            y += round(1.5 * unit)
+            done = round(inner * caption.step / caption.n_steps)
+            draw.rectangle((unit, y, unit + inner, y + unit // 4), _RULE)
+            draw.rectangle((unit, y, unit + done, y + unit // 4), _INK)
+            y += round(1.3 * unit)
+        cars = caption.cars[:_CARS]
+        room = max(2, (height - y) // (round(1.35 * unit) * max(1, len(cars))) - 2)
+        for car in cars:
+            y = self._draw_car(draw, car, y, inner, min(room, 5))
+        if len(caption.cars) > len(cars):
+            draw.text((unit, y), f"and {len(caption.cars) - len(cars)} more cars", _PALE, _font(unit))
+        return picture
+
+    def _draw_car(self, draw: ImageDraw.ImageDraw, car: CarCaption, y: int, inner: int, room: int) -> int:
+        """Draw what is said of a car from ``y`` on, with ``room`` lines for its verdict; return where it ends."""
+        unit = self._unit
+        badge = round(1.7 * unit)
+        red, green, blue = (round(255 * part) for part in CAR_COLOURS[car.car % len(CAR_COLOURS)])
+        draw.rounded_rectangle((unit, y, unit + badge, y + badge), unit // 3, (red, green, blue))
+        middle = unit + badge / 2, y + badge / 2
+        draw.text(middle, str(car.car), (255, 255, 255), _font(unit, "bold"), anchor="mm")
+        ink, face = _PALE if car.action == "waits" else _INK, _font(round(1.1 * unit))
+        draw.text((unit + badge + unit // 2, middle[1]), car.action, ink, face, anchor="lm")
+        y += round(2.1 * unit)
+        small = _font(round(0.9 * unit))
+        for line in _wrap(draw, car.verdict, small, inner, room):
+            draw.text((unit, y), line, _GOOD if car.agrees else _BAD, small)
+            y += round(1.25 * unit)
+        return y + unit // 2
+
+
+def title_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame, title: str | None) -> Frame:
+    """Return the card that says what comes, beside a picture."""
+    story = trajectory.story
+    recipe, setup = story.recipe, story.recipe.setup
+    things = Counter(name.split()[0] for name in story.poses)
+    things["wall"] = int((recipe.grid.kind == Kind.WALL).sum())
+    drawn = "nominal physics" if setup.randomization.nominal else "randomized physics"
+    lines = [
+        ", ".join(f"{n} {kind}{'s' * (n != 1)}" for kind, n in things.items() if n),
+        f"{sum(a.performed for a in story.attempts)} actions by the {setup.rules} rules",
+        f"{setup.machines.drive} drive, {drawn}",
+        f"craftsim {story.versions.get('craftsim', '?')}, MuJoCo {story.versions.get('mujoco', '?')}",
+    ]
+    return _card(size, picture, story.title if title is None else title, lines)
+
+
+def end_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) -> Frame:
+    """Return the card that says what was found, beside a picture."""
+    attempts = [a for a in trajectory.story.attempts if a.performed]
+    lines = [f"{trajectory.duration_s:.1f} s of simulated time"]
+    if attempts:
+        off = 1e3 * max(a.car_error_m for a in attempts)
+        moved = 1e3 * max(a.bystander_displacement_m for a in attempts)
+        lines += [f"cars within {off:.2g} mm of cell centres", f"bystanders moved by {moved:.2g} mm"]
+    wrong = [a for a in attempts if not a.agrees]
+    lines += [f"car {a.car} {a.action}: {a.result}. {a.reason}" for a in wrong[:_REASONS]]
+    good = f"{len(attempts) - len(wrong)} of {len(attempts)} actions as predicted"
+    return _card(size, picture, good, lines, _BAD if wrong else _GOOD)
+
+
+def label(picture: Frame, text: str) -> Frame:
+    """Return a picture with a short text in its lower left corner."""
+    labelled = Image.fromarray(picture)
+    unit = max(9, picture.shape[0] // 16)
+    place = (unit // 2, picture.shape[0] - unit // 2)
+    ImageDraw.Draw(labelled).text(place, text, _INK, _font(unit), anchor="ls")
+    return np.asarray(labelled)
+
+
+def _card(
+    size: tuple[int, int], picture: Frame, title: str, lines: Sequence[str], colour: Colour = _INK
+) -> Frame:
+    """Return a card of a size, text at its left and a picture at its right, or below where it is tall."""
+    width, height = size
+    wide, high = (round(_TEXT * width), height) if width >= height else (width, round(_TEXT * height))
+    found = Image.new("RGB", size, PAPER)
+    beside = (width - wide, height) if width >= height else (width, height - high)
+    shown = ImageOps.pad(Image.fromarray(picture), beside, color=tuple(picture[0, 0].tolist()))
+    found.paste(shown, (width - beside[0], height - beside[1]))
+    draw = ImageDraw.Draw(found)
+    unit = max(9, round(min(0.8 * high, wide) / 30))
+    large, small = _font(round(2.1 * unit), "bold"), _font(round(1.25 * unit))
+    head = _wrap(draw, title, large, wide - 5 * unit, 3)
+    body = [part for line in lines for part in _wrap(draw, line, small, wide - 5 * unit, 3)]
+    y = (high - round(2.8 * unit) * len(head) - 2 * unit * len(body) - unit) // 2
+    for line in head:
+        draw.text((3 * unit, y), line, colour, large)
+        y += round(2.8 * unit)
+    draw.line((3 * unit, y + unit // 4, 9 * unit, y + unit // 4), colour, max(1, unit // 6))
+    y += unit
+    for line in body:
+        draw.text((3 * unit, y), line, _INK, small)
+        y += 2 * unit
+    return np.asarray(found)
+
+
+@lru_cache(maxsize=32)
+def _font(size: int, weight: Literal["regular", "bold"] = "regular") -> ImageFont.FreeTypeFont:
+    """Return DejaVu Sans, which comes with Matplotlib, ``size`` pixels high."""
+    import matplotlib  # here, since most of what imports this module draws no text
+
+    name = "DejaVuSans-Bold.ttf" if weight == "bold" else "DejaVuSans.ttf"
+    return ImageFont.truetype(Path(matplotlib.get_data_path(), "fonts", "ttf", name), size)
+
+
+def _wrap(
+    draw: ImageDraw.ImageDraw, text: str, face: ImageFont.FreeTypeFont, width: int, most: int
+) -> list[str]:
+    """Return a text in lines that fit into a width in pixels, ``most`` of them at most; what is left out shows as an
+    ellipsis, and a word that is too long is broken."""
+    lines = [""]
+    for word in text.split():
+        joined = f"{lines[-1]} {word}".strip()
+        if draw.textlength(joined, face) <= width:
+            lines[-1] = joined
+            continue
+        lines += [""] if lines[-1] else []
+        while draw.textlength(word, face) > width and len(word) > 1:
+            sizes = range(len(word) - 1, 0, -1)
+            fits = next((n for n in sizes if draw.textlength(word[:n], face) <= width), 1)
+            fits = max(word.rfind(mark, 1, fits) + 1 for mark in "/_-") or fits
+            lines[-1:], word = [word[:fits], ""], word[fits:]
+        lines[-1] = word
+    lines = [line for line in lines if line]
+    if len(lines) > most:
+        lines = [*lines[: most - 1], lines[most - 1] + "\N{HORIZONTAL ELLIPSIS}"]
+    return lines

@@ -14,7 +14,7 @@ from craftsim.cli.options import Dir, File
 from craftsim.cli.strangers import warn_of_strangers
 from craftsim.cli.text import complain, say
 from craftsim.options import Physics, number
-from craftsim.robots.extra import LOOPBACK, PORT, need_network
+from craftsim.robots import LOOPBACK, PORT, need_network
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import DELAY_MS, PACE, PATIENCE_S, PORTS, SHARE
 
@@ -62,9 +62,8 @@ def serve(
     from craftsim.discrete.files.blueprint import read_blueprint
     from craftsim.discrete.tasks import as_task, free_play
     from craftsim.reports.json_file import write_report
-    from craftsim.robots.channel import Network
     from craftsim.robots.connecting import world_digest
-    from craftsim.robots.serving import Server
+    from craftsim.robots.server import Network, Server
     from craftsim.robots.simulated import serve_simulated
     from craftsim.robots.sockets import Host
     from craftsim.skills.fleet import PhysicsFleet
@@ -80,9 +79,8 @@ def serve(
         assert isinstance(world, PhysicsFleet)
         rngs = np.random.default_rng(seeds[2]), np.random.default_rng(seeds[3])
         service = serve_simulated(world, world_digest(grid), sockets, network, rngs, lockstep, complain)
-        station = service.station
         server = Server(service, sockets, pace, timeout)
-        say(f"{len(station.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
+        say(f"{len(service.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
         sys.stdout.flush()
         warn_of_strangers(host, "drive these robots")
         with contextlib.suppress(KeyboardInterrupt):
@@ -90,10 +88,10 @@ def serve(
         server.end()
     figures: dict[str, Any] = {
         "simulated_s": round(service.now_s, 6),
-        "commands_dropped": station.inbox.dropped,
+        "commands_dropped": service.inbox.dropped,
         "messages_malformed": service.malformed,
-        "heard_at_s": station.heard_at_s,
-        "stopped_at_s": station.stopped_at_s,
+        "heard_at_s": service.heard_at_s,
+        "stopped_at_s": service.stopped_at_s,
     }
     config: dict[str, Any] = {"setup": setup, "network": network, "pace": pace, "lockstep": lockstep}
     config |= {"task": found.name, "digests": setup.digests}
@@ -101,7 +99,7 @@ def serve(
     report = write_report(out, figures, command="robot", seed=physics.seed, config=config, wall=wall)
     say(
         f"{service.now_s:.1f} s of the robots' time, {server.behind_s:.2f} s behind the clock; for want of commands "
-        f"they stopped {station.inbox.stops} times."
+        f"they stopped {service.inbox.stops} times."
     )
     say(f"Report: {report}")
     return 0

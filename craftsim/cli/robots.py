@@ -11,7 +11,7 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.models.sensing import NOISY
 from craftsim.models.world import PhysicsWorld
-from craftsim.robots.extra import need_network
+from craftsim.robots import need_network
 
 
 @contextmanager

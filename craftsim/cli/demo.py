@@ -57,7 +57,7 @@ def demo(
     from craftsim.cli.progress import counting
     from craftsim.cli.robots import robots_at
     from craftsim.discrete.tasks import TASK_NAMES
-    from craftsim.logs.tables import LOG_SUFFIX, write_table
+    from craftsim.logs.files import LOG_SUFFIX, write_table
     from craftsim.rendering.render import render
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.reports.json_file import document

@@ -38,7 +38,7 @@ def excite(
     import numpy as np
 
     from craftsim.checking.setup import Seed
-    from craftsim.logs.tables import write_commands, write_table
+    from craftsim.logs.files import write_commands, write_table
     from craftsim.reports.json_file import write_report
     from craftsim.tuning.driving_log import drive, free_area
     from craftsim.tuning.excitation import Area, excitation

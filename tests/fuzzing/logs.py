@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 from bags import loose_bag, write_bag
 
-from craftsim.logs.files import read_log
+from craftsim.logs.files import read_log, write_table
 from craftsim.logs.log import GROUPS, Log
-from craftsim.logs.tables import write_table
 from fuzzing.mutations import mutated_bytes
 
 ROWS = 12

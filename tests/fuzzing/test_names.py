@@ -29,9 +29,8 @@ from craftsim.experiments.durations import read_durations
 from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.records import DATABASE, OLD, TRIALS, read_finished
 from craftsim.experiments.session import open_session
-from craftsim.logs.files import read_logs
+from craftsim.logs.files import read_logs, write_table
 from craftsim.logs.log import GROUPS, Log
-from craftsim.logs.tables import write_table
 from craftsim.rendering.camera_files import read_aim
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE

@@ -7,7 +7,7 @@ Python function of the same name, and a key of ``config.yaml``.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_type_hints
 
 from cyclopts import Group, Parameter
 
@@ -50,6 +50,16 @@ class InRange:
         for number in value if isinstance(value, tuple) else (value,):
             if number is not None and number not in self.allowed:
                 raise ValueError(f"allowed: {self.allowed}")
+
+
+RESULTS: Final = Group("Results", sort_key=20)
+"""The heading of what is written where."""
+Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS)]
+OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS)]
+File = Annotated[Path | None, Parameter(metavar="FILE")]
+Name = Annotated[str | None, Parameter(metavar="NAME")]
+Record = Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS)]
+Shown = Annotated[bool, Parameter(group=RESULTS)]
 
 
 def number(allowed: Range, metavar: str = "N", **more: Any) -> Parameter:

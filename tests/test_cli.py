@@ -15,10 +15,10 @@ import pytest
 import craftsim
 from craftsim import cli
 from craftsim.cli import app as cli_app
-from craftsim.cli import doctor as doctor_module
+from craftsim.cli import bench as doctor_module
 from craftsim.cli import former
+from craftsim.cli.bench import Check
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, HEADINGS
-from craftsim.cli.doctor import Check
 from craftsim.cli.help import REFERRED, _default, _heading
 from craftsim.errors import InputError
 from craftsim.options import Physics, range_of

@@ -13,10 +13,10 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from craftsim.choices import PlanOrder
-from craftsim.cli.again import command_again
-from craftsim.cli.options import Dir, File, Shown
+from craftsim.cli.app import command_again
+from craftsim.cli.progress import counting
 from craftsim.errors import InputError
-from craftsim.options import Physics, number
+from craftsim.options import Dir, File, Physics, Shown, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S
 
@@ -54,19 +54,16 @@ def demo(
     """
     from craftsim.checking.setup import set_up
     from craftsim.cli.films import rendering_works
-    from craftsim.cli.progress import counting
-    from craftsim.cli.robots import robots_at
+    from craftsim.cli.robot import robots_at
     from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.logs.files import LOG_SUFFIX, write_table
     from craftsim.rendering.render import render
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.reports.json_file import document
-    from craftsim.reports.terminal import Terminal
     from craftsim.validation.building import Building, read_building
     from craftsim.validation.report import demo_report
 
     started = time.perf_counter()
-    console = Terminal()
     if task == "all" and (start or plan or goal):
         raise InputError("--task all builds the shipped tasks; files of your own go with a single task")
     if task == "all" and robot is not None:
@@ -74,13 +71,13 @@ def demo(
     setup = physics.setup()
     names = TASK_NAMES if task == "all" else (task,)
     buildings = [read_building(name, start, plan, goal) for name in names]
-    filming = video and rendering_works(console)
+    filming = video and rendering_works()
     films: dict[str, Path] = {}
     done: list[Building] = []
     for building in buildings:
         with (
             nullcontext(set_up) if robot is None else robots_at(robot, timeout) as where,
-            counting(console, building.name, building.n_actions, attrgetter("agrees")) as tell,
+            counting(building.name, attrgetter("agrees"))(building.n_actions) as tell,
         ):
             one = building.run(setup, physics.seed, order, _telling(tell), where)
         assert one.trajectory is not None
@@ -88,7 +85,7 @@ def demo(
         write_table(out / f"{one.name}{LOG_SUFFIX}", one.logs)
         if filming:
             path = out / f"{one.name}.mp4"
-            render(one.trajectory, path, progress=lambda total: counting(console, "frames", total, bool))
+            render(one.trajectory, path, progress=counting("frames", bool))
             films[one.name] = path
         done.append(replace(one, trajectory=None, logs={}))
     config: dict[str, Any] = {"setup": setup, "order": order, "rules": physics.rules}
@@ -107,7 +104,7 @@ def demo(
     wall = {"total_s": time.perf_counter() - started}
     written = document(figures, command="demo", seed=physics.seed, config=config, wall=wall)
     about = (physics.seed, config)
-    return demo_report(done, command_again(), about, written, films).publish(out, console)
+    return demo_report(done, command_again(), about, written, films).publish(out)
 
 
 def _telling(tell: Callable[[Any], None]) -> Callable[[Any], Callable[[Iterable[Any]], None]]:

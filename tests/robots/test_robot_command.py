@@ -13,7 +13,7 @@ import pytest
 
 from craftsim.checking.setup import Seed, setup_of
 from craftsim.cli import main
-from craftsim.cli.robots import robots_at
+from craftsim.cli.robot import robots_at
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.skills.outcome import Reason
@@ -25,7 +25,7 @@ import os, signal
 import numpy as np
 from craftsim.checking.setup import setup_of
 from craftsim.checking.setup import Seed
-from craftsim.cli.robots import robots_at
+from craftsim.cli.robot import robots_at
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 with robots_at("{address}", 30.0) as where:

@@ -156,8 +156,8 @@ def test_there_are_few_options():
         if words == ("validate",) or _heading(one) not in REFERRED
     ]
     assert sum(map(len, every.values())) <= 260, "groups counted for each command that has them"
-    assert len(listed) <= 185, "groups counted once"
-    assert len({name for its in every.values() for one in its for name in one.names[:1]}) <= 110, (
+    assert len(listed) <= 160, "groups counted once"
+    assert len({name for its in every.values() for one in its for name in one.names[:1]}) <= 96, (
         "different ones"
     )
 
@@ -323,12 +323,20 @@ def test_a_former_name_works_and_says_what_it_is_called_now(old, new, capsys):
             "validate strip --record trajectory --baseline d",
         ),
         (
+            "show --machine wall --mjcf a.xml --urdf b.urdf",
+            "show wall --export a.xml --export b.urdf",
+        ),
+        (
+            "render run --no-ghost --cards --no-captions",
+            "render run --hide ghost --hide captions",
+        ),
+        (
             "replay b --shrink",
             "replay b --minimize",
         ),
         (
             "demo --blueprint b --timeout-s 2",
-            "demo --start b --timeout 2",
+            "demo --task b --timeout 2",
         ),
     ],
 )

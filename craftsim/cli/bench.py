@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from craftsim.choices import RuleSet
 from craftsim.cli.text import say
-from craftsim.options import OptionalDir, number
+from craftsim.options import OptionalDir, Seeded, number
 from craftsim.rendering.backend import INSTALL_COMMAND, RenderingUnavailable, choose_backend
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
 from craftsim.storage.folders import output_directory, owning
-from craftsim.storage.limits import BATCH, BENCH_S, SEED
+from craftsim.storage.limits import BATCH, BENCH_S
 from craftsim.storage.writing import write_whole
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def bench(
     rules: RuleSet = "published",
     worlds: Annotated[int, number(BATCH)] = 1000,
     seconds: Annotated[float, number(BENCH_S)] = 2.0,
-    seed: Annotated[int, number(SEED)] = 0,
+    chance: Seeded = Seeded(),  # noqa: B008
     out: OptionalDir = None,
 ) -> int:
     """Measure how fast the grid rules, the environments or the physics are on this machine.
@@ -64,12 +64,12 @@ def bench(
         rules: the rule set to run; rules only.
         worlds: how many worlds a batch has; rules and env only.
         seconds: how long each measurement runs.
-        seed: decides starts and actions.
         out: folder for report.json, and for the table in Markdown.
     """
     from craftsim.cli.calibration import COLUMNS, measure
     from craftsim.reports.json_file import document
 
+    seed = chance.seed
     rates: dict[str, dict[str, Any]] = {task: {} for task in TASKS}
     rows = []
     for task in TASKS:

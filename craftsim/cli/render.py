@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
-from craftsim.choices import PlanOrder
 from craftsim.cli.progress import counting
 from craftsim.cli.text import say, warn_of_strangers
 from craftsim.errors import InputError
-from craftsim.options import File, Physics, number
+from craftsim.options import Physics, Planned, number
 from craftsim.rendering.viewer.extra import LOOPBACK, PORT, need_viser
 from craftsim.storage.limits import FILM_SPEED, FRAME_RATE, MOMENT_S, PORTS, WORKERS
 from craftsim.storage.paths import is_file, is_folder
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from craftsim.validation.building import Building
 
     Runs = dict[str, Callable[[], Trajectory]]
-    from craftsim.choices import PlanOrder
     from craftsim.options import Physics
 
 
@@ -41,14 +39,11 @@ def render(
     fps: Annotated[int, number(FRAME_RATE)] = 30,
     speed: Annotated[float | None, number(FILM_SPEED)] = None,
     at: Annotated[tuple[float, ...], number(MOMENT_S, "SECONDS")] = (),
-    ghost: bool = True,
-    captions: bool = True,
-    cards: bool = True,
+    hide: tuple[Literal["ghost", "captions", "cards"], ...] = (),
     title: str | None = None,
     run: Annotated[str | None, Parameter(metavar="NAME")] = None,
-    plan: File = None,
+    carried: Planned = Planned(),  # noqa: B008
     policy: Annotated[str | None, Parameter(metavar="NAME")] = None,
-    order: PlanOrder = "concurrent",
     workers: Annotated[int, number(WORKERS)] = 1,
     physics: Physics = Physics(),  # noqa: B008
 ) -> int:
@@ -74,14 +69,11 @@ def render(
         fps: frames a second.
         speed: simulated seconds in a second of film; unless given it follows what the cars do.
         at: simulated times of pictures to take, in seconds; for .png only.
-        ghost: what the design still lacks, translucent.
-        captions: what the cars do and how it is judged, beside the picture.
-        cards: a card at the start and one at the end of a film.
+        hide: what the design still lacks, translucent; what the cars do and how it is judged, beside the picture; the
+            cards at the start and at the end of a film.
         title: in place of the trajectory's own.
         run: name of one of the trajectories in a run's folder.
-        plan: plan file for a blueprint or task, 'tick car ACTION' a line.
         policy: in place of a plan, as of 'craftsim validate'.
-        order: how a plan is carried out.
         workers: processes to share the work; the pictures do not depend on it.
     """
     if out.suffix == "":
@@ -92,11 +84,12 @@ def render(
     from craftsim.rendering.render import render as render_file
     from craftsim.storage.folders import output_directory
 
-    look = Look(_pixels(size), fps, camera, layout, quality, speed, None, ghost, captions, cards, title)
+    shown = ("ghost" not in hide, "captions" not in hide, "cards" not in hide)
+    look = Look(_pixels(size), fps, camera, layout, quality, speed, None, *shown, title)
     check_format(out, at)
     choose_backend()
     output_directory(out.parent)
-    trajectory = _find_trajectory(what, out, run, physics, plan, policy, order)
+    trajectory = _find_trajectory(what, out, run, physics, carried, policy)
     for path in render_file(trajectory, out, look, workers=workers, at=at, progress=counting("frames", bool)):
         say(f"Written: {path}")
     return 0
@@ -210,9 +203,8 @@ def _find_trajectory(
     out: Path,
     run: str | None,
     physics: Physics,
-    plan: Path | None,
+    carried: Planned,
     policy: str | None,
-    order: PlanOrder,
 ) -> Trajectory:
     """Return the trajectory that a word on the command line stands for.
 
@@ -226,7 +218,7 @@ def _find_trajectory(
 
     path = Path(what)
     recorded = what not in TASK_NAMES and (path.suffix == SUFFIX or is_folder(path))
-    if recorded and (plan or policy):
+    if recorded and (carried.plan or policy):
         raise InputError(f"{what} is recorded already; leave --plan and --policy out")
     if recorded and is_folder(path):
         return _in_folder(path, run)
@@ -234,7 +226,9 @@ def _find_trajectory(
         raise InputError(f"--run chooses from a folder of a run, and {what} is none")
     if recorded:
         return Trajectory.read(path)
-    trajectory = record_once(what, physics.setup(), physics.seed, plan=plan, policy=policy, order=order)
+    trajectory = record_once(
+        what, physics.setup(), physics.seed, plan=carried.plan_file, policy=policy, order=carried.order
+    )
     say(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
     return trajectory
 

@@ -12,10 +12,9 @@ from cyclopts import Parameter
 
 from craftsim.cli.progress import counting
 from craftsim.errors import InputError
-from craftsim.options import Dir, number
+from craftsim.options import Dir, Seeded
 from craftsim.reports.report import Block, Headline, KeyFigure, Report, Section, Tone
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import SEED
 from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
@@ -183,23 +182,23 @@ def compare(
     run: Path,
     other: Path,
     *,
-    seed: Annotated[int, number(SEED)] = 0,
+    chance: Seeded = Seeded(),  # noqa: B008
     out: Dir = Path("out/compare"),
 ) -> int:
     """Compare a simulation with reality, or any two runs of the same plans: outcomes, durations, errors and ranks.
 
-    Trials are paired by their names: worlds, plans or policies, and numbers. Exit status 0 when no difference in how
+    Trials are paired by their names: worlds, plans or policies, and numbers. The seed decides the bootstrap of the
+    correlations' intervals. Exit status 0 when no difference in how
     many trials agree with the rules shows at 5 %, 1 when one does, 2 for runs that cannot be compared.
 
     Args:
         run: folder of 'craftsim validate' or 'craftsim audit'.
         other: folder of the other run of the same trials.
-        seed: decides the bootstrap of the correlations' intervals.
         out: folder for report.json.
     """
     from craftsim.experiments.compare import compare_with_reality
     from craftsim.experiments.gap_report import gap_report
     from craftsim.validation.forms import read_run
 
-    gap = compare_with_reality(read_run(run), read_run(other), seed)
-    return gap_report(gap, run, other, seed).publish(out)
+    gap = compare_with_reality(read_run(run), read_run(other), chance.seed)
+    return gap_report(gap, run, other, chance.seed).publish(out)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from craftsim.cli.text import complain, say, warn_of_strangers
-from craftsim.options import Dir, File, Physics, number
+from craftsim.options import Dir, Physics, number
 from craftsim.robots import LOOPBACK, PORT, need_network
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import DELAY_MS, PACE, PATIENCE_S, PORTS, SHARE
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 def serve(
     task: str = "simple_two_story",
     *,
-    start: File = None,
     host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
     port: Annotated[int, number(PORTS)] = PORT,
     delay_ms: Annotated[float, number(DELAY_MS, "MS")] = 0.0,
@@ -46,8 +45,7 @@ def serve(
     It says at which address they are reached, and serves them until Ctrl-C. Exit status 0 then, and 2 for wrong input.
 
     Args:
-        task: whose start is their world: a shipped task's name, a file or 'module:factory'.
-        start: a start file of your own, in place of the task's.
+        task: whose start is their world: a shipped task's name, a start or task file, or 'module:factory'.
         host: address to listen on. Only this machine reaches the usual one; there is no password.
         port: 0 takes one that is free.
         delay_ms: how long the network takes for a message, in each direction; drawn from the seed, as the two below.
@@ -64,8 +62,7 @@ def serve(
     import numpy as np
 
     from craftsim.checking.setup import Seed, set_up
-    from craftsim.discrete.files.blueprint import read_blueprint
-    from craftsim.discrete.tasks import as_task, free_play
+    from craftsim.discrete.tasks import as_task
     from craftsim.reports.json_file import write_report
     from craftsim.robots.connecting import world_digest
     from craftsim.robots.server import Network, Server
@@ -75,7 +72,7 @@ def serve(
 
     network = Network(delay_ms / 1e3, jitter_ms / 1e3, loss)
     setup = physics.setup()
-    found = as_task(task) if start is None else free_play(start.stem, (read_blueprint(start),))
+    found = as_task(task)
     seeds = np.random.SeedSequence(physics.seed).spawn(4)
     grid = found.draw(np.random.default_rng(seeds[0]))
     started = time.perf_counter()

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
 from craftsim.choices import Drive
 from craftsim.cli.text import say
 from craftsim.errors import InputError
-from craftsim.options import RESULTS, Dir, File, OptionalDir, Shown, number
+from craftsim.options import RESULTS, Dir, File, Goal, OptionalDir, Seeded, Shown, number
 from craftsim.planning.objective import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import (
@@ -25,7 +25,6 @@ from craftsim.storage.limits import (
     PHYSICS_CELLS,
     PLAN_ROUNDS,
     PLAN_TIME_S,
-    SEED,
     SHARE,
 )
 
@@ -40,21 +39,19 @@ if TYPE_CHECKING:
     from craftsim.planning import Planned
 
 
-Machine = Literal["smartcar", "block", "flag", "wall", "slope"]
+MACHINES: Final = ("smartcar", "block", "flag", "wall", "slope")
 _NAMED: Final = 12
 """Forbidden actions that are named."""
 
 
 def show(
-    start: Annotated[Path | None, Parameter(metavar="TASK|FILE")] = None,
+    start: Annotated[Path, Parameter(metavar="TASK|FILE|MACHINE")],
     *,
-    seed: Annotated[int, number(SEED)] = 0,
-    goal: File = None,
+    chance: Seeded = Seeded(),  # noqa: B008
+    design: Goal = Goal(),  # noqa: B008
     plan: File = None,
     out: OptionalDir = None,
-    mjcf: File = None,
-    urdf: File = None,
-    machine: Machine | None = None,
+    export: Annotated[tuple[Path, ...], Parameter(metavar="FILE")] = (),
     drive: Drive = "rollers",
 ) -> int:
     """Print the world that a blueprint describes, level by level; with --out draw it as a PNG.
@@ -65,25 +62,21 @@ def show(
 
     Args:
         start: start file, or the name of a shipped one such as simple_two_story, or of a task that varies, such as
-            random_strip.
-        seed: decides what is left to chance.
-        goal: goal file whose cells are marked in the picture; that of a shipped task unless given.
+            random_strip; or a machine alone, for --export: smartcar, block, flag, wall or slope.
         plan: plan file, or the name of a shipped plan such as simple_two_story; judged by the physical rules.
         out: folder for the picture, which is named after the blueprint, and those of the plan.
-        mjcf: file for the world's start, or the machine, as MJCF that opens alone in MuJoCo's viewer.
-        urdf: file for the same as URDF, its meshes in a folder beside it, for RViz, Gazebo or Isaac: links, inertias,
+        export: files for the world's start, or the machine: as MJCF that opens alone in MuJoCo's viewer, or where the
+            name ends in .urdf as URDF, its meshes in a folder beside it, for RViz, Gazebo or Isaac: links, inertias,
             shapes and joints; without contacts, motors besides their limits, and gears that lock themselves.
-        machine: writes one machine alone, in place of a blueprint.
         drive: of the cars that are written.
     """
-    if (start is None) == (machine is None):
-        raise InputError("give a world, or a --machine with --mjcf or --urdf, and not both")
-    if machine is not None and mjcf is None and urdf is None:
-        raise InputError("--machine is written with --mjcf, --urdf or both")
-    if start is None:
+    name = str(start)
+    if name in MACHINES:
         from craftsim.models.composition import machine_spec
 
-        _export(lambda machines: machine_spec(str(machine), machines), mjcf, urdf, drive)
+        if not export:
+            raise InputError(f"{name} is a machine, which is written with --export FILE")
+        _export(lambda machines: machine_spec(name, machines), export, drive)
         return 0
     import numpy as np
 
@@ -96,16 +89,16 @@ def show(
     from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, as_task
     from craftsim.reports.terminal import Terminal
 
-    name, rng = str(start), np.random.default_rng(seed)
+    rng, goal = np.random.default_rng(chance.seed), design.goal
     shipped, varied = name in TASK_NAMES, name.partition("@")[0] in VARIED_NAMES
     path = shipped_blueprint(name) if shipped else start
     task = as_task(name).for_episode(rng) if shipped or varied else None
     drawing = read_blueprint(path) if task is None else task.starts[0]
-    design = task.design if task is not None else None
+    wanted = task.design if task is not None else None
     if goal is not None:
-        design = read_design(goal)
-    if design is not None:
-        design.check_fits(drawing.size)
+        wanted = read_design(goal)
+    if wanted is not None:
+        wanted.check_fits(drawing.size)
     grid = drawing.grid(rng) if task is None else task.draw(rng)
     read = None if plan is None else read_plan(plan, grid.n_cars)
     Terminal(highlight=False).print(world_text(grid, drawing.goal))
@@ -122,17 +115,15 @@ def show(
         from craftsim.storage.folders import output_directory
 
         file = output_directory(out) / f"{path.stem}.png"
-        say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(design))}")
-    if mjcf is not None or urdf is not None:
+        say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(wanted))}")
+    if export:
         from craftsim.models.composition import WorldSpec
         from craftsim.models.config import SimulationConfig
         from craftsim.models.extent import check_extent
 
         check_extent(grid)
-        _export(
-            lambda machines: WorldSpec(grid, SimulationConfig.of(drive), machines).spec(), mjcf, urdf, drive
-        )
-    return 0 if read is None else _show_plan(read, grid, design, out)
+        _export(lambda machines: WorldSpec(grid, SimulationConfig.of(drive), machines).spec(), export, drive)
+    return 0 if read is None else _show_plan(read, grid, wanted, out)
 
 
 def _say_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
@@ -142,20 +133,19 @@ def _say_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
     )
 
 
-def _export(
-    spec_of: Callable[[Machines], MjSpec], mjcf: Path | None, urdf: Path | None, drive: Drive
-) -> None:
-    """Write a machine or a world with a drive as MJCF, as URDF, or both."""
+def _export(spec_of: Callable[[Machines], MjSpec], files: Iterable[Path], drive: Drive) -> None:
+    """Write a machine or a world with a drive as MJCF or as URDF, which the names' endings say."""
     from craftsim.mjcf.parameters import NOMINAL
     from craftsim.models.exporting import write_mjcf
     from craftsim.models.urdf import LACKS, write_urdf
 
     machines = replace(NOMINAL, drive=drive)
-    if mjcf is not None:
-        say(f"MJCF: {write_mjcf(mjcf, spec_of(machines))}")
-    if urdf is not None:
-        say(f"URDF: {write_urdf(urdf, spec_of(machines))}")
-        say(LACKS)
+    for file in files:
+        if file.suffix == ".urdf":
+            say(f"URDF: {write_urdf(file, spec_of(machines))}")
+            say(LACKS)
+        else:
+            say(f"MJCF: {write_mjcf(file, spec_of(machines))}")
 
 
 def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) -> int:
@@ -192,7 +182,7 @@ def design(
     spare_slopes: Annotated[int | None, number(BLOCKS)] = None,
     barrier: bool = False,
     names: Annotated[bool, Parameter(name="--list")] = False,
-    seed: Annotated[int, number(SEED)] = 0,
+    chance: Seeded = Seeded(),  # noqa: B008
     out: Dir = Path("out/design"),
 ) -> int:
     """Write a design as goal.yaml, and as start.yaml a world with what it takes; print and draw them.
@@ -211,7 +201,6 @@ def design(
         spare_slopes: slopes beyond those of the design; one for each upper level without one of its own unless given.
         barrier: put walls from side to side across the middle of the design.
         names: print the names of the library with their sizes, and write nothing.
-        seed: random seed of the design and of where pieces lie.
         out: folder for goal.yaml, start.yaml, design.png and report.json.
     """
     import numpy as np
@@ -224,6 +213,7 @@ def design(
     if names:
         say(listing())
         return 0
+    seed = chance.seed
     rng = np.random.default_rng(seed)
     spare: dict[str, Any] = {"spare_blocks": spare_blocks, "spare_slopes": spare_slopes, "barrier": barrier}
     if what == (RANDOM,):
@@ -282,27 +272,25 @@ _ENDING: Final = ".plan"
 def plan(
     start: str,
     *,
-    goal: File = None,
+    design: Goal = Goal(),  # noqa: B008
     objective: Objective = "makespan",
     time_limit: Annotated[float, number(PLAN_TIME_S, "SECONDS")] = DEFAULT_TIME_S,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = DEFAULT_ROUNDS,
-    seed: Annotated[int, number(SEED)] = 0,
+    chance: Seeded = Seeded(),  # noqa: B008
     video: Shown = False,
     out: Annotated[Path, Parameter(metavar="DIR|FILE", group=RESULTS)] = Path("out/plan"),
 ) -> int:
     """Find a plan for a building: what goes where in which order, which car does it, and every move.
 
     Better plans come with time; Ctrl-C keeps the best so far. The plan obeys the physical rules, and says which action
-    waits for which. Exit status 0, or 2 for wrong input and where there is no plan, which says why.
+    waits for which. Without a goal the flag goes to the goal of the start file, or all blocks become one platform.
+    Exit status 0, or 2 for wrong input and where there is no plan, which says why.
 
     Args:
         start: start file, or the name of a task such as simple_two_story.
-        goal: goal file; that of a task unless given. Without one the flag goes to the goal of the start file, or all
-            blocks become one platform.
         objective: what is to be small: the time until all is done, or the sum of all actions' durations.
         time_limit: no attempt begins after so many seconds, once there is a plan.
         attempts: attempts at most; with the same seed and enough time, the same plan.
-        seed: of what is decided by chance, and of what the start file leaves open.
         video: film the plan on the grid, too.
         out: file for the plan that ends with .plan, or folder for plan, report and Gantt chart.
     """
@@ -314,8 +302,9 @@ def plan(
     from craftsim.storage.folders import owned
     from craftsim.validation.builds import read_goal
 
+    seed = chance.seed
     rng = np.random.default_rng(seed)
-    task = read_goal(start, goal).for_episode(rng)
+    task = read_goal(start, design.goal).for_episode(rng)
     grid = task.draw(rng)
     begun = time.monotonic()
     best = np.inf

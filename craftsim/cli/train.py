@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from craftsim.choices import AlgoName, Backend, Engine, PresetName
+from craftsim.choices import AlgoName, Backend, PresetName
 from craftsim.cli.app import FOLDER
 from craftsim.cli.progress import counting
 from craftsim.cli.text import say
 from craftsim.errors import InputError, suggestion
-from craftsim.options import Dir, OptionalDir, Record, Shown, number
+from craftsim.options import Dir, OptionalDir, Record, Seeded, Shown, Work, number
 from craftsim.reports.report import (
     Column,
     DataTable,
@@ -31,7 +31,7 @@ from craftsim.reports.report import (
     count,
 )
 from craftsim.storage.folders import owned, owning
-from craftsim.storage.limits import SEED, SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS, WORKERS
+from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS, WORKERS
 from craftsim.training.extra import need_torch
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def train(
     task: Annotated[str, Parameter(metavar="TASK")] = "strip",
     *,
     algo: AlgoName = "ippo",
-    seed: Annotated[int, number(SEED)] = 0,
+    chance: Seeded = Seeded(),  # noqa: B008
     steps: Annotated[int | None, number(TRAIN_STEPS)] = None,
     until: Annotated[float | None, number(SHARE)] = None,
     backend: Backend = "grid",
@@ -90,7 +90,6 @@ def train(
         task: one of the paper's six, one that varies such as random_strip, or a task of one's own: a registered name, a
             file, or module:factory.
         algo: independent or multi-agent PPO, COMA, QMIX, QTRAN, VDN, independent Q-learning, or PQN-VDN.
-        seed: random seed.
         steps: ticks to play at most, all worlds together; 3,000,000 unless given, or what the preset says.
         until: end when this success rate is reached in an evaluation; 0.99 unless given, with a preset never.
         backend: where it is trained and evaluated.
@@ -122,7 +121,7 @@ def train(
     run = _protocol(preset, task, algo)
     steps = run.steps if steps is None else steps
     until = run.until if until is None else until
-    config = _config(given, besides, run, task=task, algo=algo, seed=seed, backend=backend)
+    config = _config(given, besides, run, task=task, algo=algo, seed=chance.seed, backend=backend)
     learnt = as_task(task, cars, blocks)
     if not learnt.has_goal:
         raise InputError(
@@ -352,10 +351,8 @@ def _curve_section(curve: Sequence[Point]) -> Section:
 def study(
     what: Annotated[str, Parameter(metavar="NAME|FILE")],
     *,
-    workers: Annotated[int, number(WORKERS)] = 1,
-    engine: Engine = "local",
+    work: Work = Work(),  # noqa: B008
     timeout: Annotated[float, number(TIMEOUT_S, "SECONDS")] = 7200.0,
-    resume: bool = False,
     out: Dir = Path("out/study"),
 ) -> int:
     """Train on every task of a study by every algorithm with every seed, evaluate, and say what may be concluded.
@@ -367,14 +364,10 @@ def study(
 
     Args:
         what: a YAML file, or a shipped study such as paper or quick.
-        workers: processes to share the runs; results do not depend on it.
-        engine: processes of this machine, or an existing Ray cluster to which the output folder is shared.
         timeout: seconds after which a run counts as hanging.
-        resume: go on with what an interrupted study has left in the output folder.
         out: folder for report.json, study.md, curves.png, profiles.png, trials.jsonl and a folder of each run.
     """
     need_torch()
-    from craftsim.experiments.experiment import RunOptions
     from craftsim.reports.json_file import document
     from craftsim.studies.report import study_report, write_markdown
     from craftsim.studies.results import figures_of, plot_results
@@ -382,8 +375,7 @@ def study(
     from craftsim.studies.study import read_study
 
     asked, begun = read_study(what), time.perf_counter()
-    options = RunOptions(workers, engine, resume, progress=lambda total: watching(asked, out, total))
-    records = run_study(asked, out, options, timeout)
+    records = run_study(asked, out, work.run(lambda total: watching(asked, out, total)), timeout)
     figures = figures_of(asked, records)
     write_markdown(out / "study.md", asked, figures)
     pictures = plot_results(out, asked, figures)

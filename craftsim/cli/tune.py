@@ -12,9 +12,9 @@ from craftsim.choices import Drive
 from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, without_error
 from craftsim.cli.text import say
-from craftsim.options import Dir, File, Physics, number
+from craftsim.options import Dir, File, Physics, Work, number
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import EXCITE_M, EXCITE_S, LOGGED_CARS, TRIAL_COUNT, WORKERS
+from craftsim.storage.limits import EXCITE_M, EXCITE_S, LOGGED_CARS, TRIAL_COUNT
 
 _Objective = Literal["time", "error", "margin", "energy", "force"]
 
@@ -36,8 +36,7 @@ def tune(
     evaluations: Annotated[int, number(TRIAL_COUNT)] = 400,
     trials: Annotated[int, number(TRIAL_COUNT)] = 2,
     physics: TunedPhysics = TunedPhysics(),
-    workers: Annotated[int, number(WORKERS)] = 1,
-    resume: bool = False,
+    work: Work = Work(),  # noqa: B008
     out: Dir = Path("out/tune"),
 ) -> int:
     """Tune the gains of skills in random physics, and write a file of them that --gains takes.
@@ -56,11 +55,8 @@ def tune(
         choose: the point of the front that is taken: its knee, or the best by an objective.
         evaluations: candidates that the search tries.
         trials: of each situation, for every candidate.
-        workers: processes to share the work; results do not depend on it.
-        resume: go on with what an interrupted run has left in the output folder.
         out: folder for gains.yaml, report.html, report.json and trials.jsonl.
     """
-    from craftsim.experiments.experiment import RunOptions
     from craftsim.tuning.gains.goal import Goal
     from craftsim.tuning.gains.report import tune_report
     from craftsim.tuning.gains.tune import tune as run
@@ -75,11 +71,11 @@ def tune(
         evaluations=evaluations,
         trials=trials,
         seed=physics.seed,
-        options=RunOptions(workers, resume=resume, progress=counting("evaluations", without_error)),
+        options=work.run(counting("evaluations", without_error)),
     )
     command = command_again()
     gains = write_gains(out, tuned, command)
-    return tune_report(tuned, gains, command, workers).publish(out)
+    return tune_report(tuned, gains, command, work.workers).publish(out)
 
 
 @owning

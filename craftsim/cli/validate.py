@@ -14,7 +14,7 @@ from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, counting_kinds
 from craftsim.cli.text import say
 from craftsim.errors import InputError
-from craftsim.options import RESULTS, Dir, File, Name, Physics, Rollouts, Shown, Trials, number
+from craftsim.options import RESULTS, Dir, Goal, Name, Physics, Rollouts, Shown, Trials, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
 
@@ -36,10 +36,10 @@ def validate(
     what: Rollouts = Rollouts(),  # noqa: B008
     physics: Physics = Physics(),  # noqa: B008
     campaign: Trials = Trials(),  # noqa: B008
+    design: Goal = Goal(),  # noqa: B008
     *,
     backend: Backend = "physics",
     area: Annotated[tuple[int, ...], number(DESIGN_SIDE)] = (),
-    goal: File = None,
     replans: Annotated[int, number(REPLANS)] = 10,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = 60,
     disturb: Literal["shove", "fold", "dead-car"] | None = None,
@@ -65,7 +65,6 @@ def validate(
             all six tasks unless given.
         backend: contact physics, or the grid by its rules for trained policies and datasets.
         area: length, width and height of another area, of tasks that vary, on the grid.
-        goal: design to build with --plan auto, in place of the task's goal.
         replans: plans after the first one with --plan auto, at most.
         attempts: attempts at each plan with --plan auto, of which the best is taken.
         disturb: what goes wrong on purpose with --plan auto: a block is shoved by one cell, a slope is folded again, or
@@ -89,8 +88,8 @@ def validate(
         world = _only(worlds, "--plan auto")
         filmed = video == "all" or (video == "failures" and record == "trajectory")
         asked = replans, attempts, disturb
-        return _build(world, goal, asked, what.timeout_s, physics, campaign, filmed, out)
-    for option, given in (("--goal", goal), ("--disturb", disturb)):
+        return _build(world, design.goal, asked, what.timeout_s, physics, campaign, filmed, out)
+    for option, given in (("--goal", design.goal), ("--disturb", disturb)):
         if given is not None:
             raise InputError(f"{option} goes with --plan auto")
     from craftsim.cli.films import film_runs, record_failures, rendering_works
@@ -273,7 +272,7 @@ def _write_dataset(
     need_minari()
     if len(what.policy) > 1 or what.actions is not None:
         raise InputError("a dataset is of one --plan or one --policy")
-    plan = None if what.plan is None else Path(str(what.plan))
+    plan = what.plan_file
     policy = str(what.policy[0]) if what.policy else _PLANNER
     episodes, seed, rules = campaign.trials, physics.seed, physics.rules
     task = as_task(world)

@@ -7,7 +7,7 @@ Python function of the same name, and a key of ``config.yaml``.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_type_hints
 
 from cyclopts import Group, Parameter
 
@@ -52,6 +52,19 @@ class InRange:
                 raise ValueError(f"allowed: {self.allowed}")
 
 
+RUN: Final = Group("What is run", sort_key=9)
+PHYSICS: Final = Group("Physics", sort_key=10)
+TRIALS: Final = Group("Trials", sort_key=11)
+RESULTS: Final = Group("Results", sort_key=20)
+"""The headings of the help; those of groups are explained by the help of validate alone."""
+Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS)]
+OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS)]
+File = Annotated[Path | None, Parameter(metavar="FILE")]
+Name = Annotated[str | None, Parameter(metavar="NAME")]
+Record = Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS)]
+Shown = Annotated[bool, Parameter(group=RESULTS)]
+
+
 def number(allowed: Range, metavar: str = "N", **more: Any) -> Parameter:
     """Return the annotation of an option that is a number, or several, within a range."""
     return Parameter(validator=InRange(allowed), metavar=metavar, **more)
@@ -79,9 +92,16 @@ def option_ranges(options: Any) -> Iterator[tuple[str, Range]]:
                 yield option_name(part, name), allowed
 
 
-@Parameter(name="*", group=Group("Physics", sort_key=10))
+@Parameter(name="*", group=PHYSICS)
 @dataclass(frozen=True, kw_only=True)
-class Physics:
+class Seeded:
+    """What decides all that is drawn at random."""
+
+    seed: Annotated[int, number(SEED, help="random seed")] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Physics(Seeded):
     """What decides a world in physics besides its start."""
 
     randomize: Annotated[Randomize, Parameter(alias="--level", metavar="LEVEL|NAME|FILE")] = "mild"
@@ -103,8 +123,6 @@ class Physics:
     """Skills of your own in place of built-in ones: a mapping from actions, or from cars to such mappings."""
     rules: RuleSet = "physical"
     """The rule set that predicts: CraftEnv's own, or the one that physics supports."""
-    seed: Annotated[int, number(SEED)] = 0
-    """Random seed."""
 
     def __post_init__(self) -> None:
         if isinstance(self.randomize, str):
@@ -120,47 +138,85 @@ class Physics:
         )
 
 
-@Parameter(name="*", group=Group("Trials", sort_key=11))
-@dataclass(frozen=True, kw_only=True)
-class Trials:
-    """How many trials are run and where."""
+_WORKERS: Final = "processes to share the work; results do not depend on it"
+_ENGINE: Final = "processes of this machine, or an existing Ray cluster to which the output folder is shared"
+_RESUME: Final = "go on with what an interrupted run has left in the output folder"
 
-    trials: Annotated[int, number(TRIAL_COUNT)] = 10
-    """How many of each."""
-    workers: Annotated[int, number(WORKERS)] = 1
-    """Processes to share the work; results do not depend on it."""
-    engine: Engine = "local"
-    """Processes of this machine, or an existing Ray cluster to which the output folder is shared."""
-    baseline: Annotated[Folder | None, Parameter(metavar="DIR")] = None
-    """Folder of an earlier run under other settings, to compare trial by trial."""
-    resume: bool = False
-    """Go on with what an interrupted run has left in the output folder."""
+
+@Parameter(name="*", group=TRIALS)
+@dataclass(frozen=True, kw_only=True)
+class Work:
+    """Where trials are run, which decides no result."""
+
+    workers: Annotated[int, number(WORKERS, help=_WORKERS)] = 1
+    engine: Annotated[Engine, Parameter(help=_ENGINE)] = "local"
+    resume: Annotated[bool, Parameter(help=_RESUME)] = False
 
     def run(self, progress: "Progress") -> "RunOptions":
         """Return how an experiment is run, and what shows how far it is."""
         from craftsim.experiments.experiment import RunOptions
 
-        baseline = None if self.baseline is None else Path(self.baseline)
-        return RunOptions(self.workers, self.engine, self.resume, baseline, progress)
+        return RunOptions(self.workers, self.engine, self.resume, progress=progress)
 
 
-@Parameter(name="*", group=Group("What is run", sort_key=9))
 @dataclass(frozen=True, kw_only=True)
-class Rollouts:
+class Trials(Work):
+    """How many trials are run and where."""
+
+    trials: Annotated[int, number(TRIAL_COUNT)] = 10
+    """How many of each."""
+    baseline: Annotated[Folder | None, Parameter(metavar="DIR")] = None
+    """Folder of an earlier run under other settings, to compare trial by trial."""
+
+    def run(self, progress: "Progress") -> "RunOptions":
+        """Return how an experiment is run, and what shows how far it is."""
+        return replace(super().run(progress), against=None if self.baseline is None else Path(self.baseline))
+
+
+_PLAN: Final = (
+    "plan to carry out, a file of 'tick car ACTION' lines; auto plans, acts, reads the world, and plans again from "
+    "what is there where something went wrong"
+)
+_ORDER: Final = (
+    "how plans are carried out: one action after the other; tick after tick, the cars of one at the same time; or "
+    "each action as early as those that it depends on have ended"
+)
+
+
+@Parameter(name="*", group=RUN)
+@dataclass(frozen=True, kw_only=True)
+class Planned:
+    """The plan that is carried out, and how."""
+
+    plan: Annotated[PlanChoice | None, Parameter(metavar="FILE|auto", help=_PLAN)] = None
+    order: Annotated[PlanOrder, Parameter(help=_ORDER)] = "concurrent"
+
+    @property
+    def plan_file(self) -> Path | None:
+        """The plan where it is a file."""
+        return None if self.plan is None else Path(str(self.plan))
+
+
+@Parameter(name="*", group=RUN)
+@dataclass(frozen=True, kw_only=True)
+class Goal:
+    """The design to build, where it is not a task's own."""
+
+    goal: Annotated[
+        Path | None, Parameter(metavar="FILE", help="design to build, in place of the task's goal")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rollouts(Planned):
     """What is run in a world, and for how long."""
 
-    plan: Annotated[PlanChoice | None, Parameter(metavar="FILE|auto")] = None
-    """Plan to carry out, a file of 'tick car ACTION' lines; auto plans, acts, reads the world, and plans again from
-    what is there where something went wrong."""
     actions: Annotated[ActionsFile | None, Parameter(metavar="FILE")] = None
     """File with one 'car ACTION' a line, tried one after the other."""
     policy: Annotated[PolicyChoice, Parameter(metavar="NAME")] = ()
     """planner (the shipped plan, or where there is none a plan made then, and again where physics disagrees), random,
     play (random play by the rules, weighted towards rare actions), module:function, or what 'craftsim train' wrote;
     several are compared with each other. The planner unless given, in random worlds play."""
-    order: PlanOrder = "concurrent"
-    """How plans are carried out: one action after the other; tick after tick, the cars of one at the same time; or each
-    action as early as those that it depends on have ended."""
     n_cars: Annotated[int | None, number(CARS, name="--cars")] = None
     """Other than a world's number of cars; those that its start does not list are drawn at random. Random worlds have 1
     to 12."""

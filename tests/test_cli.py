@@ -1,6 +1,7 @@
 """The command line: help without heavy imports, one message and exit 2 for wrong input."""
 
 import inspect
+import itertools
 import json
 import os
 import re
@@ -15,10 +16,10 @@ import pytest
 import craftsim
 from craftsim import cli
 from craftsim.cli import app as cli_app
-from craftsim.cli import doctor as doctor_module
+from craftsim.cli import bench as doctor_module
 from craftsim.cli import former
+from craftsim.cli.bench import Check
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, HEADINGS
-from craftsim.cli.doctor import Check
 from craftsim.cli.help import REFERRED, _default, _heading
 from craftsim.errors import InputError
 from craftsim.options import Physics, range_of
@@ -43,12 +44,6 @@ def _needed(words):
     """Return arguments that a command does not do without."""
     choices = {"tune": ["drive"], "bench": ["rules"]}
     return choices.get(words[0]) or ["x" for one in _arguments(words) if one.required]
-
-
-def _run(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "craftsim", *words], capture_output=True, text=True, check=False
-    )
 
 
 @pytest.fixture
@@ -82,69 +77,66 @@ def test_no_command_is_a_usage_error(capsys):
     assert "usage: craftsim" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", EVERY, ids=" ".join)
-def test_help_shows_every_option_with_its_values_range_and_default(words, capsys, monkeypatch):
+def test_help_shows_every_option_with_its_values_range_and_default(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    assert cli.main([*words, "--help"]) == 0
-    text = capsys.readouterr().out
-    assert text.startswith(f"usage: craftsim {' '.join(words)}")
-    assert max(map(len, text.splitlines())) <= 80
-    assert not re.search(r"\bNone\b|\(\)|\bSTR\b|\bPATH\b|\bINT\b|\bTEXT \.\.\.", text)
-    flat = " ".join(text.split())
-    for one in _arguments(words):
-        name = next(name for name in one.names if name.startswith("--"))
-        default, whole = one.field_info.default, words == ["validate"]
-        if one.index is None:
-            assert name in flat
-        if _heading(one) in REFERRED and not whole:
-            assert default in (None, (), False) or f"{name} [{_default(one)}]" in flat
-            continue
-        assert one.parameter.help, f"{name} is not explained"
-        assert not (allowed := range_of(one.parameter)) or f"[{allowed}]" in flat
-        assert default in (None, (), False, inspect.Parameter.empty) or f"[default {_default(one)}]" in flat
-        assert all(choice in flat for choice in one.get_choices() or ())
+    for words in EVERY:
+        assert cli.main([*words, "--help"]) == 0
+        text = capsys.readouterr().out
+        assert text.startswith(f"usage: craftsim {' '.join(words)}")
+        assert max(map(len, text.splitlines())) <= 80
+        assert not re.search(r"\bNone\b|\(\)|\bSTR\b|\bPATH\b|\bINT\b|\bTEXT \.\.\.", text)
+        flat = " ".join(text.split())
+        for one in _arguments(words):
+            name = next(name for name in one.names if name.startswith("--"))
+            default = one.field_info.default
+            assert one.index is not None or name in flat
+            if _heading(one) in REFERRED and words != ["validate"]:
+                assert default in (None, (), False) or f"{name} [{_default(one)}]" in flat
+                continue
+            assert one.parameter.help, f"{words}: {name} is not explained"
+            assert not (allowed := range_of(one.parameter)) or f"[{allowed}]" in flat
+            assert (
+                default in (None, (), False, inspect.Parameter.empty) or f"[default {_default(one)}]" in flat
+            )
+            assert all(choice in flat for choice in one.get_choices() or ())
 
 
-@pytest.mark.parametrize("words", EVERY, ids=" ".join)
-def test_an_unknown_option_is_refused_with_a_suggestion(words, capsys):
-    names = [name for one in _arguments(words) for name in one.names if name.startswith("--")]
-    assert cli.main([*words, *_needed(words), f"{names[-1]}x", "1"]) == 2
+def _refused(words, capsys):
+    """Return the one line in which words are refused."""
+    assert cli.main(words) == 2, words
     printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.count("\n") == 1
-    assert f"Unknown option: {names[-1]}x. Did you mean {names[-1]}?" in printed.err
-    assert cli.main([*words, *_needed(words), "--qqqq", "1"]) == 2
-    assert f"Allowed: {names[0]}" in capsys.readouterr().err
+    assert (printed.out, printed.err.count("\n")) == ("", 1)
+    return printed.err
 
 
-@pytest.mark.parametrize("words", EVERY, ids=" ".join)
-def test_a_number_has_a_range_and_one_outside_is_refused_before_anything_is_done(words, capsys, tmp_path):
-    for one in _arguments(words):
-        numbers = {int, float} & {one.hint, *get_args(one.hint)}
-        allowed = range_of(one.parameter)
-        assert bool(numbers) == (allowed is not None), one.names
-        if allowed is None:
-            continue
-        for outside in (str(allowed.low - 1), "9" * 40, "nan", "-inf", "x"):
-            given = [f"{one.names[0]}={outside}"]
-            out = ["--out", str(tmp_path / "out")] if words != ["view"] else []
-            assert cli.main([*words, *_needed(words), *given, *out]) == 2, given
-            printed = capsys.readouterr()
-            assert (printed.out, printed.err.count("\n")) == ("", 1)
-            assert one.names[0] in printed.err
-            assert f"; allowed: {allowed}\n" in printed.err or "unable to convert" in printed.err
+def test_an_unknown_option_is_refused_with_a_suggestion(capsys):
+    for words in EVERY:
+        names = [name for one in _arguments(words) for name in one.names if name.startswith("--")]
+        error = _refused([*words, *_needed(words), f"{names[-1]}x", "1"], capsys)
+        assert f"Unknown option: {names[-1]}x. Did you mean {names[-1]}?" in error
+        assert f"Allowed: {names[0]}" in _refused([*words, *_needed(words), "--qqqq", "1"], capsys)
+
+
+def test_a_number_outside_of_its_range_or_no_choice_is_refused_before_anything_is_done(capsys, tmp_path):
+    outside, seen = itertools.cycle(("{0}", "9" * 40, "nan", "-inf", "x")), set()
+    for words in EVERY:
+        out = ["--out", str(tmp_path / "out")] if words != ["view"] else []
+        for one in _arguments(words):
+            allowed, choices = range_of(one.parameter), one.get_choices() or ()
+            numbers = {int, float} & {one.hint, *get_args(one.hint)}
+            assert bool(numbers) == (allowed is not None), one.names
+            if (one.names[0], str(allowed), choices) in seen or (choices and one.index is not None):
+                continue
+            seen.add((one.names[0], str(allowed), choices))
+            if allowed is not None:
+                value = next(outside).format(allowed.low - 1)
+                error = _refused([*words, *_needed(words), f"{one.names[0]}={value}", *out], capsys)
+                assert one.names[0] in error
+                assert f"; allowed: {allowed}\n" in error or "unable to convert" in error
+            elif choices:
+                error = _refused([*words, *_needed(words), one.names[0], f"{choices[0]}x"], capsys)
+                assert all(f'"{choice}"' in error for choice in choices)
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("words", EVERY, ids=" ".join)
-def test_a_word_that_is_no_choice_is_refused_with_those_that_are(words, capsys):
-    for one in _arguments(words):
-        choices = one.get_choices() or ()
-        if choices and one.index is None:
-            assert cli.main([*words, *_needed(words), one.names[0], f"{choices[0]}x"]) == 2
-            error = capsys.readouterr().err
-            assert all(f'"{choice}"' in error for choice in choices)
-            assert error.count("\n") == 1
 
 
 def test_there_are_few_options():
@@ -156,34 +148,27 @@ def test_there_are_few_options():
         if words == ("validate",) or _heading(one) not in REFERRED
     ]
     assert sum(map(len, every.values())) <= 260, "groups counted for each command that has them"
-    assert len(listed) <= 185, "groups counted once"
-    assert len({name for its in every.values() for one in its for name in one.names[:1]}) <= 110, (
+    assert len(listed) <= 160, "groups counted once"
+    assert len({name for its in every.values() for one in its for name in one.names[:1]}) <= 96, (
         "different ones"
     )
 
 
 def test_python_runs_the_package_as_the_command():
-    result = _run("--version")
-    assert (result.returncode, result.stdout) == (0, f"craftsim {craftsim.__version__}\n")
-
-
-def test_version(capsys):
-    assert cli.main(["--version"]) == 0
-    assert capsys.readouterr().out == f"craftsim {craftsim.__version__}\n"
+    for words, status, said in (
+        (["--version"], 0, f"craftsim {craftsim.__version__}\n"),
+        (["doctor", "--no-such-option"], 2, ""),
+    ):
+        result = subprocess.run(
+            [sys.executable, "-m", "craftsim", *words], capture_output=True, text=True, check=False
+        )
+        assert (result.returncode, result.stdout) == (status, said)
+        assert "Traceback" not in result.stderr
+    assert "--no-such-option" in result.stderr
 
 
 def test_a_misspelt_command_gets_a_suggestion(capsys):
-    assert cli.main(["docter"]) == 2
-    error = capsys.readouterr().err
-    assert "no command 'docter'; did you mean 'doctor'?" in error
-    assert error.count("\n") == 1
-
-
-def test_an_unknown_option_is_a_usage_error():
-    result = _run("doctor", "--no-such-option")
-    assert result.returncode == 2
-    assert "--no-such-option" in result.stderr
-    assert "Traceback" not in result.stderr
+    assert "no command 'docter'; did you mean 'doctor'?" in _refused(["docter"], capsys)
 
 
 def test_our_errors_become_one_message_and_exit_2(command, capsys):
@@ -191,8 +176,7 @@ def test_our_errors_become_one_message_and_exit_2(command, capsys):
         raise InputError("scene.yaml:3: no such key")
 
     command(probe)
-    assert cli.main(["probe"]) == 2
-    assert capsys.readouterr().err == "craftsim: scene.yaml:3: no such key\n"
+    assert _refused(["probe"], capsys) == "craftsim: scene.yaml:3: no such key\n"
 
 
 def test_an_interrupt_exits_with_130(command):
@@ -215,21 +199,13 @@ def test_an_interrupt_that_an_extension_module_hides_exits_with_130(command, cap
     assert capsys.readouterr().err == "craftsim: interrupted\n"
 
 
-def test_what_cannot_be_imported_is_no_interrupt(command):
+@pytest.mark.parametrize("error", [ImportError("no such module"), ZeroDivisionError("a bug")])
+def test_a_bug_is_not_hidden(command, error):
     def probe() -> int:
-        raise ImportError("no such module")
+        raise error
 
     command(probe)
-    with pytest.raises(ImportError, match="no such module"):
-        cli.main(["probe"])
-
-
-def test_a_bug_is_not_hidden(command):
-    def probe() -> int:
-        raise ZeroDivisionError
-
-    command(probe)
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(type(error), match=str(error)):
         cli.main(["probe"])
 
 
@@ -254,109 +230,66 @@ def test_a_number_of_too_many_digits_is_a_usage_error(capsys):
     assert "--seed" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("old", "new"), former.COMMANDS.items())
-def test_a_former_name_works_and_says_what_it_is_called_now(old, new, capsys):
-    assert cli.main([old, "--help"]) == 0
-    was = capsys.readouterr()
-    assert was.err == f"craftsim: '{old}' is called '{' '.join(new)}' now; the old name goes away in 0.4\n"
-    assert cli.main([*new, "--help"]) == 0
-    assert capsys.readouterr().out == was.out
+FORMER = """
+build strip --rounds 3 -> validate --plan auto strip --attempts 3 --trials 1 --out out/build
+evaluate a b --task c --episodes 5 -> validate --backend grid c --policy a b --trials 5 --out out/evaluate
+export strip --backend physics -> validate --record minari strip --backend physics --trials 100 --out out/minari
+margins --axes delay lippage --pair a b -> audit margins delay lippage --map a b
+audit --contexts=* --shrink -> audit --situations * --minimize
+plot run --out figures -> render run --out figures
+robot --task strip --patience-s 3 -> robot serve --task strip --timeout 3
+excite --time 20 -> robot excite --duration 20
+identify log.csv --parameters p -> robot identify log.csv --machines p
+study quick -> train study quick
+plan strip --time 3 --rounds 2 -> plan strip --time-limit 3 --attempts 2
+train --width 64 --stages a b --tensorboard -> train --set width=64 --set stages=a,b --set tensorboard=true
+train --drive rollers --record -> train --set drive=rollers --record trajectory
+validate strip --record --against d -> validate strip --record trajectory --baseline d
+show --machine wall --mjcf a.xml --urdf b.urdf -> show wall --export a.xml --export b.urdf
+render run --no-ghost --cards --no-captions -> render run --hide ghost --hide captions
+replay b --shrink -> replay b --minimize
+demo --blueprint b --timeout-s 2 -> demo --task b --timeout 2
+"""
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        (
-            "build strip --rounds 3",
-            "validate --plan auto strip --attempts 3 --trials 1 --out out/build",
-        ),
-        (
-            "evaluate a b --task c --episodes 5",
-            "validate --backend grid c --policy a b --trials 5 --out out/evaluate",
-        ),
-        (
-            "export strip --backend physics",
-            "validate --record minari strip --backend physics --trials 100 --out out/minari",
-        ),
-        (
-            "margins --axes delay lippage --pair a b",
-            "audit margins delay lippage --map a b",
-        ),
-        (
-            "audit --contexts=* --shrink",
-            "audit --situations * --minimize",
-        ),
-        (
-            "plot run --out figures",
-            "render run --out figures",
-        ),
-        (
-            "robot --task strip --patience-s 3",
-            "robot serve --task strip --timeout 3",
-        ),
-        (
-            "excite --time 20",
-            "robot excite --duration 20",
-        ),
-        (
-            "identify log.csv --parameters p",
-            "robot identify log.csv --machines p",
-        ),
-        (
-            "study quick",
-            "train study quick",
-        ),
-        (
-            "plan strip --time 3 --rounds 2",
-            "plan strip --time-limit 3 --attempts 2",
-        ),
-        (
-            "train --width 64 --stages a b --tensorboard",
-            "train --set width=64 --set stages=a,b --set tensorboard=true",
-        ),
-        (
-            "train --drive rollers --record",
-            "train --set drive=rollers --record trajectory",
-        ),
-        (
-            "validate strip --record --against d",
-            "validate strip --record trajectory --baseline d",
-        ),
-        (
-            "replay b --shrink",
-            "replay b --minimize",
-        ),
-        (
-            "demo --blueprint b --timeout-s 2",
-            "demo --start b --timeout 2",
-        ),
-    ],
-)
-def test_former_words_mean_the_same_as_the_present_ones(old, new, capsys):
-    old, new = old.split(), new.split()
+@pytest.mark.parametrize("line", FORMER.strip().splitlines())
+def test_former_words_mean_the_same_as_the_present_ones(line, capsys):
+    old, new = (
+        words.split()
+        for words in re.split(r" = (?=validate|audit|render|robot|train|plan|replay|demo|show)", line)
+    )
     assert former.current(old) == new
     assert "now; the old name goes away in 0.4" in capsys.readouterr().err
     (found, was), (present, now) = cli_app.bind(former.current(old)), cli_app.bind(new)
     assert (found.__name__, was.arguments) == (present.__name__, now.arguments)
 
 
-@pytest.mark.parametrize("words", EVERY, ids=" ".join)
-def test_present_words_are_left_as_they_are(words, capsys):
-    given = [*words, *_needed(words), "--out", "here"]
-    assert former.current(given) == given
-    assert capsys.readouterr().err == ""
+def test_present_words_are_left_as_they_are_and_former_commands_say_what_they_are_now(capsys):
+    for words in EVERY:
+        given = [*words, *_needed(words), "--out", "here"]
+        assert former.current(given) == given
+        assert capsys.readouterr().err == ""
+    for old, new in former.COMMANDS.items():
+        assert cli.main([old, "--help"]) == 0
+        was = capsys.readouterr()
+        assert (
+            was.err == f"craftsim: '{old}' is called '{' '.join(new)}' now; the old name goes away in 0.4\n"
+        )
+        assert was.out.startswith(f"usage: craftsim {new[0]}")
 
 
 def test_a_configuration_repeats_a_run(tmp_path, capsys):
     out = tmp_path / "first"
-    words = ["validate", "strip", "--level", "0", "--drive", "reduced", "--trials", "1", "--seed", "5"]
-    assert cli.main([*words, "--video", "none", "--out", str(out)]) == 0
-    config = str(out / "config.yaml")
-    assert cli.main(["validate", "--config", config, "--out", str(tmp_path / "again")]) == 0
+    config = out / "config.yaml"
+    assert cli.main(["design", "random", "--difficulty", "0.2", "--seed", "5", "--out", str(out)]) == 0
+    assert cli.main(["design", "--config", str(config), "--out", str(tmp_path / "again")]) == 0
     first, again = (json.loads((tmp_path / name / "report.json").read_text()) for name in ("first", "again"))
     assert first | {"wall": {}} == again | {"wall": {}}
-    assert (out / "config.yaml").read_text() == (tmp_path / "again" / "config.yaml").read_text()
-    assert cli.main(["validate", f"--config={config}", "--seed", "6", "--out", str(tmp_path / "other")]) == 0
+    assert config.read_text() == (tmp_path / "again" / "config.yaml").read_text()
+    config.write_text(re.sub("mujoco: .*", "mujoco: 1.2.3", config.read_text()))
+    words = ["design", f"--config={config}", "--seed", "6", "--out", str(tmp_path / "other")]
+    assert cli.main(words) == 0
+    assert "is of mujoco 1.2.3; here is" in capsys.readouterr().err
     assert json.loads((tmp_path / "other" / "report.json").read_text())["seed"] == 6
 
 
@@ -378,17 +311,15 @@ def test_every_option_of_a_command_comes_back_from_its_configuration(tmp_path):
         assert differing - {"out"} == set(), words
 
 
-def test_a_run_of_training_writes_its_configuration_into_the_folder_that_it_names(
-    tmp_path, monkeypatch, capsys
-):
+def test_a_run_of_training_writes_its_configuration_into_the_folder_that_it_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["train", "strip", "--steps", "1", "--episodes", "5", "--set", "width=8"]) == 0
+    words = ["train", "strip", "--steps", "1", "--episodes", "5", "--set", "width=8", "worlds=2"]
+    assert cli.main(words) == 0
     config = tmp_path / "out" / "train" / "strip-ippo" / "config.yaml"
-    text = config.read_text(encoding="utf-8")
-    config.write_text(re.sub("mujoco: .*", "mujoco: 1.2.3", text), encoding="utf-8")
-    assert cli.main(["train", "--config", str(config), "--out", "again"]) == 0
-    assert "is of mujoco 1.2.3; here is" in capsys.readouterr().err
-    assert (tmp_path / "again" / "config.yaml").read_text(encoding="utf-8") == text
+    again, first = (cli_app.bind(one)[1] for one in (["train", "--config", str(config)], words))
+    again.apply_defaults()
+    first.apply_defaults()
+    assert again == first
 
 
 @pytest.mark.parametrize(
@@ -487,17 +418,14 @@ def test_an_output_that_nobody_takes_ends_without_a_traceback(output, status, er
         os.close(reader)
     else:
         writer = os.open(output, os.O_WRONLY)
-    words = [sys.executable, "-m", "craftsim", "show", "strip"]
+    words = [sys.executable, "-m", "craftsim", "--help"]
     child = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
     os.close(writer)
     assert (child.returncode, child.stderr) == (status, error)
 
 
-@pytest.mark.parametrize(
-    "variables",
-    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}],
-)
-def test_a_terminal_without_the_letters_gets_others(variables, tmp_path):
+def test_a_terminal_without_the_letters_gets_others(tmp_path):
+    variables = {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     name = os.fsdecode(b"caf\xe9.yaml")
     (tmp_path / name).write_text(
         "area_length: 1\narea_width: 1\narea_height: 1\nblock_num: 0\nslope_num: 0\nsmartcar_num: 1\n"
@@ -515,51 +443,28 @@ def test_a_terminal_without_the_letters_gets_others(variables, tmp_path):
     assert (tmp_path / os.fsdecode(b"caf\xe9.png")).is_file()
 
 
-@pytest.mark.parametrize(
-    "words", [["show"], ["conformance"], ["validate"], ["demo", "--plan", "p", "--start"]]
-)
-def test_a_name_that_no_file_can_have_is_refused(words, capsys, tmp_path):
-    out = [] if words[0] in ("show", "conformance") else ["--out", str(tmp_path / "out")]
-    assert cli.main([*words, "x" * 300 + ".yaml", *out]) == 2
-    assert "too long" in capsys.readouterr().err.lower()
-
-
-LONG = "x" * 300
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        *(
-            ["compare", LONG, LONG],
-            ["render", LONG],
-            ["render", f"{LONG}.npz"],
-            ["view", LONG],
-        ),
-        *(
-            ["compare", "loop", "loop"],
-            ["render", "loop"],
-            ["view", "loop"],
-            ["replay", "loop"],
-        ),
-        *(["validate", "--baseline", "loop"], ["audit", "margins", "--baseline", "loop"]),
-    ],
-)
-def test_what_no_path_can_be_is_refused_with_its_reason(words, capsys, tmp_path, monkeypatch):
+def test_what_no_path_can_be_is_refused_with_its_reason(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "loop").symlink_to("loop")
-    assert cli.main(words) == 2
-    error = capsys.readouterr().err
-    assert "File name too long" in error or "Too many levels of symbolic links" in error
+    long = "x" * 300
+    for line in (
+        *(f"show {long}.yaml", f"conformance {long}.yaml", f"validate {long}.yaml"),
+        f"demo --plan p --task {long}.yaml",
+        *(f"compare {long} {long}", f"render {long}", f"render {long}.npz", f"view {long}"),
+        *("compare loop loop", "render loop", "view loop", "replay loop"),
+        *("validate --baseline loop", "audit margins --baseline loop"),
+    ):  # fmt: skip
+        assert cli.main(line.split()) == 2
+        error = capsys.readouterr().err
+        assert "name too long" in error.lower() or "Too many levels of symbolic links" in error
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_folder_that_is_gone_is_named_as_the_reason(name, capsys, tmp_path, monkeypatch):
+def test_a_folder_that_is_gone_is_named_as_the_reason(capsys, tmp_path, monkeypatch):
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
-    assert cli.main([name]) == 2
-    assert "the current folder is gone" in capsys.readouterr().err
+    for name in COMMANDS:
+        assert "the current folder is gone" in _refused([name], capsys)
 
 
 @pytest.mark.parametrize("words", [["conformance", "missing.jsonl.gz"], ["bench", "rules"]])

@@ -4,8 +4,7 @@ import shlex
 
 import pytest
 
-from craftsim.cli.again import ASKED, command_again
-from craftsim.cli.app import bind
+from craftsim.cli.app import ASKED, bind, command_again
 
 EVERYTHING = {
     "validate": "'a world.yaml' strip --plan a.plan --actions b.txt --policy play random --order ticks --cars 3 "

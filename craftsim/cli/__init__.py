@@ -1,7 +1,7 @@
 """The command line: ``craftsim COMMAND``.
 
-A command is one function of the command's name in ``craftsim/cli/NAME.py``; its typed parameters become options and
-its integer result the exit status. It is imported only when it is called.
+A command is one function of the command's name, in the module of its name or that of ``commands.MODULES``; its typed
+parameters become options and its integer result the exit status. It is imported only when it is called.
 """
 
 from __future__ import annotations
@@ -110,8 +110,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 def _run(words: list[str]) -> int:
     from craftsim.cli import former
-    from craftsim.cli.again import ASKED, FOLDER
-    from craftsim.cli.app import bind, help_of, write_config
+    from craftsim.cli.app import ASKED, FOLDER, bind, help_of, write_config
 
     if words[0] not in {**COMMANDS, **former.COMMANDS}:
         known = ", ".join(COMMANDS)

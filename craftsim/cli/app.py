@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
@@ -24,6 +26,10 @@ CONFIG: Final = "config.yaml"
 """What every run writes into its output folder, and ``--config`` reads."""
 NO_MATTER: Final = ("out", "workers", "engine", "resume")
 """Options that say where the work is done and where results go, which decide none of them."""
+ASKED: Final[ContextVar[tuple[str, ...]]] = ContextVar("ASKED", default=())
+"""The words of the command line that is being answered, under their present names."""
+FOLDER: Final[ContextVar[Path | None]] = ContextVar("FOLDER", default=None)
+"""The output folder of a command that names it itself where none is given."""
 
 
 def make_app() -> App:
@@ -36,7 +42,7 @@ def make_app() -> App:
         result_action="return_value",
     )
     for name, text in COMMANDS.items():
-        where = f"craftsim.cli.{name}:{name}"
+        where = f"craftsim.cli.{MODULES.get(name, name)}:{name}"
         if name not in BELOW:
             app.command(where, name=name, help=text)
             continue
@@ -54,7 +60,7 @@ def _command(app: App, words: Sequence[str]) -> tuple[App, list[str]]:
     if len(words) > 1 and words[1] in BELOW.get(name, ()):
         return found[words[1]], [name, words[1]]
     if name in BELOW and name not in ALONE:
-        found.default(getattr(import_module(f"craftsim.cli.{name}"), name))
+        found.default(getattr(import_module(f"craftsim.cli.{MODULES.get(name, name)}"), name))
     return found, [name]
 
 
@@ -193,3 +199,16 @@ def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_plain(one) for one in value]
     return str(value) if isinstance(value, Path) else value
+
+
+def command_again() -> str:
+    """Return the line that asks for the results of this command again, wherever they go and however many work."""
+    kept, leaving = list[str](), False
+    for word in ASKED.get():
+        option = word.partition("=")[0].removeprefix("--").removeprefix("no-") if word[:2] == "--" else None
+        if option is not None:
+            leaving = option in NO_MATTER
+        if not leaving:
+            kept.append(word)
+        leaving = leaving and option != "resume" and "=" not in word
+    return shlex.join(["craftsim", *kept])

@@ -1,15 +1,22 @@
-"""Measure how fast the rules, the environments and the physics are here, beside an estimate of CraftEnv's speed."""
+"""This machine: ``craftsim doctor`` and ``bench``."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import requires
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from craftsim.choices import RuleSet
-from craftsim.cli.options import OptionalDir
-from craftsim.options import number
+from craftsim.cli.text import say
+from craftsim.options import OptionalDir, Seeded, number
+from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend
+from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
 from craftsim.storage.folders import output_directory, owning
-from craftsim.storage.limits import BATCH, BENCH_S, DESIGNS, SEED, WORKERS
+from craftsim.storage.limits import BATCH, BENCH_S
 from craftsim.storage.writing import write_whole
 
 if TYPE_CHECKING:
@@ -17,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from craftsim.envs.parallel import ParallelConstruction
+
 
 TASKS: Final = ("simple_two_story", "complex_two_story")
 """Those with two and with four cars."""
@@ -30,19 +38,17 @@ Case = tuple[str, int, bool, Step]
 
 @owning
 def bench(
-    what: Literal["rules", "env", "physics", "execution"],
+    what: Literal["rules", "env", "physics"],
     *,
     rules: RuleSet = "published",
     worlds: Annotated[int, number(BATCH)] = 1000,
     seconds: Annotated[float, number(BENCH_S)] = 2.0,
-    designs: Annotated[int, number(DESIGNS)] = 0,
-    workers: Annotated[int, number(WORKERS)] = 1,
-    seed: Annotated[int, number(SEED)] = 0,
+    chance: Seeded = Seeded(),  # noqa: B008
     out: OptionalDir = None,
 ) -> int:
-    """Measure how fast the grid rules, the environments or the physics are on this machine, or how plans are executed.
+    """Measure how fast the grid rules, the environments or the physics are on this machine.
 
-    Speeds are steps a CPU second of masked random play, resets included; a step is one tick of one world, with the
+    All figures are steps a CPU second of masked random play, resets included; a step is one tick of one world, with the
     masks of all cars for the next one. A calibration in plain Python is timed in turns with each: "CraftEnv" is an
     estimate from it of what CraftEnv would do here and now, "times" the ratio. The repository has more benchmarks:
     `make bench`.
@@ -53,94 +59,64 @@ def bench(
 
     physics: joint steps through PettingZoo on either drive.
 
-    execution: makespans of plans in physics, of the six tasks and of random designs: one action after the other, tick
-    after tick, and each action as early as those that it depends on have ended, beside the predicted makespans. Reduced
-    drive, mild randomization, paired starts.
-
     Args:
         what: what to measure.
         rules: the rule set to run; rules only.
         worlds: how many worlds a batch has; rules and env only.
         seconds: how long each measurement runs.
-        designs: how many random designs are planned and built besides the six tasks; execution only.
-        workers: processes to share the work; execution only.
-        seed: decides starts and actions.
         out: folder for report.json, and for the table in Markdown.
     """
     from craftsim.cli.calibration import COLUMNS, measure
     from craftsim.reports.json_file import document
-    from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
-    from craftsim.reports.terminal import Terminal
 
-    if what == "execution":
-        from craftsim.checking.setup import setup_of
-        from craftsim.cli.execution import execution_report
-
-        setup = setup_of("mild", drive="reduced")
-        terms = {"what": what, "designs": designs, "setup": setup}
-        return execution_report(designs, seed, setup, workers, terms).publish(out, Terminal())
-    cases = {
-        "rules": lambda task: rule_cases(task, rules, worlds, seed),
-        "env": lambda task: grid_cases(task, worlds, seed),
-        "physics": lambda task: physics_cases(task, seed),
-    }[what]
-    rates: dict[str, dict[str, Any]] = {}
+    seed = chance.seed
+    rates: dict[str, dict[str, Any]] = {task: {} for task in TASKS}
     rows = []
     for task in TASKS:
-        rates[task] = {}
-        for name, n, helper, step in cases(task):
+        for name, n, helper, step in _cases(what, task, rules, worlds, seed):
             rate = measure(step, n, seconds, task, helper)
             rates[task][name] = rate.as_dict()
             rows.append((task, name, *rate.cells()))
     columns = (Column("task"), Column("case"), *(Column(name, "number") for name in COLUMNS))
     table = DataTable(columns, rows, f"Steps a CPU second, {what}")
     config = {"what": what, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
-    report = Report(
-        "Speed",
-        f"{what}, on this machine",
-        Headline(
-            "Measured", Tone.PLAIN, "CraftEnv's steps are estimated from the calibration, not measured."
-        ),
-        sections=[Section("speed", "Speed", "In CPU seconds, resets included.", [table], terminal=True)],
-        document=document({}, command="bench", seed=seed, config=config, wall={"rates": rates}),
-    )
     if out is not None:
         write_whole(output_directory(out) / f"{what}.md", f"{table.as_markdown()}\n")
-    return report.publish(out, Terminal())
+    estimated = "CraftEnv's steps are estimated from the calibration, not measured."
+    return Report(
+        "Speed",
+        f"{what}, on this machine",
+        Headline("Measured", Tone.PLAIN, estimated),
+        sections=[Section("speed", "Speed", "In CPU seconds, resets included.", [table], terminal=True)],
+        document=document({}, command="bench", seed=seed, config=config, wall={"rates": rates}),
+    ).publish(out)
 
 
-def rule_cases(task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[Case]:
-    """Yield what is timed of the rules alone."""
+def _cases(what: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[Case]:
+    """Yield what is timed of a task: of the rules alone, of environments on the grid, or of those in physics."""
     import numpy as np
 
     from craftsim.discrete.tasks import make_task
     from craftsim.discrete.tasks.episodes import Episodes
-
-    made = make_task(task, reward="published_code")
-    for depth, n in ((None, worlds), (DEPTH, worlds), (DEPTH, 1)):
-        rng = np.random.default_rng(seed)
-        name = f"{'primitive' if depth is None else 'helper'}, {n} world{'s' if n > 1 else ''}"
-        yield name, n, depth is not None, _rule_step(Episodes(made, rng, n, rules, depth), rng)
-
-
-def grid_cases(task: str, worlds: int, seed: int) -> Iterator[Case]:
-    """Yield what is timed of the environments on the grid."""
     from craftsim.envs import parallel_env, vector_env
-
-    for depth in (DEPTH, None):
-        helper = f"helper {'no' if depth is None else 'yes'}"
-        yield f"PettingZoo, {helper}", 1, True, play(parallel_env(task, "grid", helper_depth=depth), seed)
-        envs = vector_env(task, worlds, helper_depth=depth)
-        yield f"vector, {worlds} worlds, {helper}", worlds, True, play_worlds(envs, seed)
-
-
-def physics_cases(task: str, seed: int) -> Iterator[Case]:
-    """Yield what is timed of the environments in physics."""
-    from craftsim.envs import parallel_env
     from craftsim.mjcf.parameters import DRIVES
 
-    for drive in DRIVES:
-        yield drive, 1, True, play(parallel_env(task, "physics", drive=drive), seed)
+    if what == "rules":
+        made = make_task(task, reward="published_code")
+        for depth, n in ((None, worlds), (DEPTH, worlds), (DEPTH, 1)):
+            rng = np.random.default_rng(seed)
+            name = f"{'primitive' if depth is None else 'helper'}, {n} world{'s' if n > 1 else ''}"
+            yield name, n, depth is not None, _rule_step(Episodes(made, rng, n, rules, depth), rng)
+    elif what == "env":
+        for depth in (DEPTH, None):
+            helper = f"helper {'no' if depth is None else 'yes'}"
+            env = parallel_env(task, "grid", helper_depth=depth)
+            yield f"PettingZoo, {helper}", 1, True, _env_step(env, seed)
+            envs = vector_env(task, worlds, helper_depth=depth)
+            yield f"vector, {worlds} worlds, {helper}", worlds, True, _worlds_step(envs, seed)
+    else:
+        for drive in DRIVES:
+            yield drive, 1, True, _env_step(parallel_env(task, "physics", drive=drive), seed)
 
 
 def pick(rng: np.random.Generator, mask: NDArray[Any]) -> NDArray[np.int64]:
@@ -166,7 +142,7 @@ def _rule_step(episodes: Any, rng: np.random.Generator) -> Step:
     return step
 
 
-def play(env: ParallelConstruction, seed: int) -> Step:
+def _env_step(env: ParallelConstruction, seed: int) -> Step:
     """Return a function that takes one step of masked random play, resets included."""
     import numpy as np
 
@@ -184,7 +160,7 @@ def play(env: ParallelConstruction, seed: int) -> Step:
     return step
 
 
-def play_worlds(envs: Any, seed: int) -> Step:
+def _worlds_step(envs: Any, seed: int) -> Step:
     """Return a function that takes one step of masked random play in all worlds of a vector environment."""
     import numpy as np
 
@@ -196,3 +172,121 @@ def play_worlds(envs: Any, seed: int) -> Step:
         observations = envs.step(pick(rng, observations["action_mask"]))[0]
 
     return step
+
+
+_WRONG_MUJOCO: Final = "4.0.0"
+"""Its solver tilts and sinks stacked blocks (google-deepmind/mujoco issue 3767, fixed in 4.0.1)."""
+
+_FALLING_BALL: Final = """
+import mujoco
+model = mujoco.MjModel.from_xml_string(
+    '<mujoco><worldbody><geom type="plane" size="1 1 1"/>'
+    '<body pos="0 0 0.2"><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
+)
+data = mujoco.MjData(model)
+while data.time < 1:
+    mujoco.mj_step(model, data)
+if abs(data.qpos[2] - 0.1) > 0.001:
+    raise SystemExit(f"a ball of radius 0.1 m came to rest at {data.qpos[2]:.4f} m")
+"""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was tried."""
+
+    what: str
+    """What it is for."""
+    works: bool
+    """Whether it does."""
+    found: str
+    """What was found, or why it fails."""
+    remedy: str = ""
+    """The command that fixes it."""
+
+
+@owning
+def doctor(*, out: OptionalDir = None) -> int:
+    """Say what works on this machine, and the command that fixes what does not.
+
+    Physics and rendering are really tried, each in a process of its own. Exit status 0 when physics runs, even if
+    films cannot be made, 2 when it does not.
+
+    Args:
+        out: folder for report.json.
+    """
+    from rich.table import Table
+
+    from craftsim.reports.json_file import versions, write_report
+    from craftsim.reports.terminal import Terminal, cell
+
+    physics = _physics()
+    films = [_rendering(), _encoder()]
+    checks = [physics, *films]
+    table = Table(title="craftsim doctor")
+    for heading in ("", "what", "found"):
+        table.add_column(heading, overflow="fold")
+    for name, found in {**versions(), "processors": str(_processors())}.items():
+        table.add_row("", name, found)
+    table.add_section()
+    for check in checks:
+        table.add_row("[green]ok[/]" if check.works else "[red]no[/]", check.what, cell(check.found))
+    Terminal().print(table)
+    for check in checks:
+        if check.remedy:
+            say(f"{check.what}: run this to fix it:\n    {check.remedy}")
+    if out is not None:
+        figures = {"checks": checks, "processors": _processors()}
+        say(f"Report: {write_report(out, figures, command='doctor')}")
+    if not physics.works:
+        say("Physics does not run.")
+        return 2
+    say("All well." if all(check.works for check in films) else "Physics runs; films cannot be made yet.")
+    return 0
+
+
+def _physics() -> Check:
+    what = "physics (MuJoCo)"
+    wanted = next(line for line in requires("craftsim") or [] if line.startswith("mujoco"))
+    install = f"{sys.executable} -m pip install '{wanted}'"
+    from craftsim.reports.json_file import versions
+
+    found = versions()["mujoco"]
+    if found == _WRONG_MUJOCO:
+        return Check(what, False, f"version {found} gives wrong contact physics", install)
+    command = [sys.executable, "-P", "-c", _FALLING_BALL]
+    child = subprocess.run(command, capture_output=True, text=True, check=False)
+    if child.returncode == 0:
+        return Check(what, True, f"{found}, a dropped ball comes to rest")
+    reason = (child.stderr.strip().splitlines() or [f"exit status {child.returncode}"])[-1]
+    # A backend that cannot load makes the import of MuJoCo itself fail.
+    return Check(what, False, reason, _unset_backend_or(install))
+
+
+def _rendering() -> Check:
+    what = "off-screen rendering"
+    try:
+        return Check(what, True, f"{choose_backend()}, renders a frame")
+    except RenderingUnavailable as error:
+        return Check(what, False, str(error), _unset_backend_or(INSTALL_COMMAND))
+
+
+def _unset_backend_or(remedy: str) -> str:
+    return "unset MUJOCO_GL" if os.environ.get("MUJOCO_GL") else remedy
+
+
+def _encoder() -> Check:
+    import av
+
+    what = "film encoder (H.264)"
+    install = f"{sys.executable} -m pip install --force-reinstall --only-binary av av"
+    try:
+        av.Codec("libx264", "w")
+    except ValueError:
+        return Check(what, False, f"PyAV {av.__version__} has no libx264", install)
+    return Check(what, True, f"libx264 in PyAV {av.__version__}")
+
+
+def _processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0))

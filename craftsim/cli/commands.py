@@ -54,7 +54,20 @@ BELOW: Final[dict[str, dict[str, str]]] = {
 """Commands below a command."""
 ALONE: Final = ("robot",)
 """Commands that do nothing without one below them."""
-MODULES: Final = {"serve": "robot"}
+MODULES: Final = {
+    "compare": "replay",
+    "margins": "audit",
+    "clearance": "audit",
+    "conformance": "audit",
+    "plan": "show",
+    "design": "show",
+    "view": "render",
+    "study": "train",
+    "serve": "robot",
+    "excite": "tune",
+    "identify": "tune",
+    "doctor": "bench",
+}
 """Where a command stands, if not in the module of its name."""
 
 

@@ -12,11 +12,10 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from craftsim.choices import PlanOrder
-from craftsim.cli.again import command_again
-from craftsim.cli.options import Dir, File, Shown
+from craftsim.cli.app import command_again
+from craftsim.cli.progress import counting
 from craftsim.errors import InputError
-from craftsim.options import Physics, number
+from craftsim.options import Dir, Goal, Physics, Planned, Shown, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S
 
@@ -25,10 +24,8 @@ from craftsim.storage.limits import TIMEOUT_S
 def demo(
     task: str = "simple_two_story",
     *,
-    order: PlanOrder = "concurrent",
-    start: File = None,
-    plan: File = None,
-    goal: File = None,
+    carried: Planned = Planned(),  # noqa: B008
+    design: Goal = Goal(),  # noqa: B008
     robot: Annotated[str | None, Parameter(metavar="HOST:PORT")] = None,
     timeout: Annotated[float, number(TIMEOUT_S, "SECONDS")] = 1.0,
     physics: Physics = Physics(),  # noqa: B008
@@ -41,12 +38,8 @@ def demo(
     did what the rules predict, within all limits, and each goal is reached, 1 when not, 2 for wrong input.
 
     Args:
-        task: what to build: a shipped task's name, a file or 'module:factory' (then with --plan); all builds the six.
-        order: one action after the other; tick after tick, the cars of one at the same time; or each action as
-            early as those that it depends on have ended.
-        start: start file of your own, in place of the task's; needs --plan.
-        plan: plan file of your own, one 'tick car ACTION' a line.
-        goal: goal file of your own; a blueprint of your own needs none.
+        task: what to build: a shipped task's name; a start or task file of your own or 'module:factory', then with
+            --plan; all builds the six.
         robot: address of robots elsewhere that are driven in place of simulated ones, such as those of craftsim robot.
         timeout: seconds; without a message from these robots for so long they count as lost.
         video: make a film of each task; without a rendering backend the demo goes on without.
@@ -54,44 +47,41 @@ def demo(
     """
     from craftsim.checking.setup import set_up
     from craftsim.cli.films import rendering_works
-    from craftsim.cli.progress import counting
-    from craftsim.cli.robots import robots_at
+    from craftsim.cli.robot import robots_at
     from craftsim.discrete.tasks import TASK_NAMES
-    from craftsim.logs.tables import LOG_SUFFIX, write_table
+    from craftsim.logs.files import LOG_SUFFIX, write_table
     from craftsim.rendering.render import render
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.reports.json_file import document
-    from craftsim.reports.terminal import Terminal
     from craftsim.validation.building import Building, read_building
     from craftsim.validation.report import demo_report
 
     started = time.perf_counter()
-    console = Terminal()
-    if task == "all" and (start or plan or goal):
+    if task == "all" and (carried.plan or design.goal):
         raise InputError("--task all builds the shipped tasks; files of your own go with a single task")
     if task == "all" and robot is not None:
         raise InputError("robots stand in one world; --robot goes with a single task")
     setup = physics.setup()
     names = TASK_NAMES if task == "all" else (task,)
-    buildings = [read_building(name, start, plan, goal) for name in names]
-    filming = video and rendering_works(console)
+    buildings = [read_building(name, None, carried.plan_file, design.goal) for name in names]
+    filming = video and rendering_works()
     films: dict[str, Path] = {}
     done: list[Building] = []
     for building in buildings:
         with (
             nullcontext(set_up) if robot is None else robots_at(robot, timeout) as where,
-            counting(console, building.name, building.n_actions, attrgetter("agrees")) as tell,
+            counting(building.name, attrgetter("agrees"))(building.n_actions) as tell,
         ):
-            one = building.run(setup, physics.seed, order, _telling(tell), where)
+            one = building.run(setup, physics.seed, carried.order, _telling(tell), where)
         assert one.trajectory is not None
         one.trajectory.write(out / f"{one.name}{SUFFIX}")
         write_table(out / f"{one.name}{LOG_SUFFIX}", one.logs)
         if filming:
             path = out / f"{one.name}.mp4"
-            render(one.trajectory, path, progress=lambda total: counting(console, "frames", total, bool))
+            render(one.trajectory, path, progress=counting("frames", bool))
             films[one.name] = path
         done.append(replace(one, trajectory=None, logs={}))
-    config: dict[str, Any] = {"setup": setup, "order": order, "rules": physics.rules}
+    config: dict[str, Any] = {"setup": setup, "order": carried.order, "rules": physics.rules}
     config |= {"robot": robot, "randomize": physics.randomize, "digests": setup.digests}
     if task == "all":
         figures: dict[str, Any] = {
@@ -107,7 +97,7 @@ def demo(
     wall = {"total_s": time.perf_counter() - started}
     written = document(figures, command="demo", seed=physics.seed, config=config, wall=wall)
     about = (physics.seed, config)
-    return demo_report(done, command_again(), about, written, films).publish(out, console)
+    return demo_report(done, command_again(), about, written, films).publish(out)
 
 
 def _telling(tell: Callable[[Any], None]) -> Callable[[Any], Callable[[Iterable[Any]], None]]:

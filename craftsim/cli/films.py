@@ -1,14 +1,13 @@
-"""Films of replay bundles and of recorded runs, where they can be made."""
+"""Films of replay bundles, of recorded runs and of plans, where they can be made."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Final, TypeVar
-
-from rich.console import Console
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from craftsim.cli.progress import counting
+from craftsim.cli.text import say
 from craftsim.experiments.bundle import FILM, TRAJECTORY, Recorded, read_bundle
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.replay import Replay
@@ -16,9 +15,14 @@ from craftsim.rendering.film import Look
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
+from craftsim.reports.terminal import Terminal
 from craftsim.storage.folders import directory_within
 from craftsim.validation.recording import CLIP_S, record_bundle
 from craftsim.workers.pool import Pool, answered
+
+if TYPE_CHECKING:
+    from craftsim.discrete.files.design import Design
+    from craftsim.discrete.schedule import Schedule
 
 Job = TypeVar("Job")
 
@@ -27,12 +31,12 @@ SIZE: Final = (640, 360)
 """Of the films of a campaign, in pixels."""
 
 
-def rendering_works(console: Console) -> bool:
+def rendering_works() -> bool:
     """Return whether films can be made here; say why not."""
     try:
         choose_backend()
     except RenderingUnavailable as error:
-        console.print(f"No film: {error}", style="yellow", soft_wrap=True, markup=False)
+        Terminal().say(f"No film: {error}", style="yellow")
         return False
     return True
 
@@ -50,32 +54,45 @@ def _clip(trajectory: Trajectory) -> Look:
     return Look(SIZE, cameras=(f"follow:{car}",), length_s=CLIP_S, cards=False)
 
 
-def record_failures(
-    console: Console, out: Path, records: Iterable[TrialRecord], workers: int = 1, films: bool = True
-) -> None:
+def record_failures(out: Path, records: Iterable[TrialRecord], workers: int = 1, films: bool = True) -> None:
     """Write the trajectories of the bundles that have none yet, and films of them unless none are wanted."""
     folders = (out / record["bundle"] for record in records if record["bundle"])
     last = FILM if films else TRAJECTORY
     missing = [(folder, films) for folder in folders if not (folder / last).exists()]
-    with counting(console, "films" if films else "trajectories", len(missing), bool) as tell:
-        for _ in _done(_record_folder, missing, workers):
-            tell(True)
+    _do_all("films" if films else "trajectories", _record_folder, missing, workers)
 
 
-def film_runs(console: Console, out: Path, workers: int = 1) -> None:
+def film_runs(out: Path, workers: int = 1) -> None:
     """Film the recorded runs that have no film yet, from their start to their end."""
     folder = directory_within(out, FILMS)
     paths = [
         (path, folder / f"{path.stem}.mp4") for path in sorted((out / TRAJECTORIES).glob(f"[!.]*{SUFFIX}"))
     ]
-    missing = [pair for pair in paths if not pair[1].exists()]
-    with counting(console, "films", len(missing), bool) as tell:
-        for _ in _done(_film_trajectory, missing, workers):
+    _do_all("films", _film_trajectory, [pair for pair in paths if not pair[1].exists()], workers)
+
+
+def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Design | None = None) -> None:
+    """Draw the Gantt chart of a plan by the physical rules, and film it on the grid if that is wanted."""
+    from craftsim.discrete.rules import Rules
+    from craftsim.rendering.plan_film import film_plan
+    from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
+    from craftsim.rendering.grid_picture import wanted_of
+
+    for ending in FORMATS:
+        say(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")
+    if film:
+        path, frames = out / f"{name}-plan.mp4", counting("frames", bool)
+        say(f"film: {film_plan(path, schedule, Rules('physical'), name, wanted_of(design), progress=frames)}")
+
+
+def _do_all(what: str, function: Callable[[Job], None], jobs: Sequence[Job], workers: int) -> None:
+    """Call a function for each job, in this process where one is enough."""
+    with counting(what, bool)(len(jobs)) as tell:
+        for _ in _done(function, jobs, workers):
             tell(True)
 
 
 def _done(function: Callable[[Job], None], jobs: Sequence[Job], workers: int) -> Iterator[None]:
-    """Call a function for each job, in this process where one is enough; yield as each is done, in no order."""
     if workers == 1 or len(jobs) < 2:
         yield from map(function, jobs)
         return

@@ -1,4 +1,4 @@
-"""Names of 0.2, which work until 0.4: each says what it is called now."""
+"""Former names, which work until 0.4: each says what it is called now."""
 
 from __future__ import annotations
 
@@ -30,17 +30,19 @@ OPTIONS: Final[dict[str, dict[str, str]]] = {
     "": {"--against": "--baseline", "--shrink": "--minimize", "--parameters": "--machines"},
     "build": {"--rounds": "--attempts"},
     "plan": {"--rounds": "--attempts", "--time": "--time-limit"},
-    "demo": {"--timeout-s": "--timeout", "--blueprint": "--start"},
+    "demo": {"--timeout-s": "--timeout", "--blueprint": "--task", "--start": "--task"},
     "evaluate": {"--episodes": "--trials", "--task": ""},
     "export": {"--episodes": "--trials", "--name": "--dataset"},
     "audit": {"--contexts": "--situations"},
     "margins": {"--axes": "", "--scenarios": "--situations", "--pair": "--map"},
-    "robot": {"--patience-s": "--timeout", "--blueprint": "--start"},
+    "robot": {"--patience-s": "--timeout", "--blueprint": "--task", "--start": "--task"},
     "excite": {"--time": "--duration"},
-    "show": {"--blueprint": ""},
+    "show": {"--blueprint": "", "--machine": "", "--mjcf": "--export", "--urdf": "--export"},
 }
 """What the former options of former commands are now; those of "" in all of them. An option without a name is an
 argument."""
+HIDDEN: Final = ("ghost", "captions", "cards")
+"""Former flags of render, which --hide takes now."""
 SET: Final = (
     *("worlds", "width", "network", "novelty", "explore", "imitate", "shown-share", "pretrained", "stages"),
     *("stage-steps", "acting", "drive", "randomize", "rules", "helper-depth", "cars", "blocks", "starts"),
@@ -63,6 +65,8 @@ def current(words: list[str]) -> list[str]:
         options |= {f"--{option}": "--set" for option in SET}
     if name in ("validate", "audit", "train"):
         given = _record_flag(given)
+    if name in ("render", "plot"):
+        given = _hidden(given)
     if name == "evaluate":
         given = _policies_first(given)
     positional, given = _renamed(given, options)
@@ -123,6 +127,19 @@ def _record_flag(given: list[str]) -> list[str]:
         if word == "--record" and alone:
             _tell("--record", "--record trajectory")
             words.append("trajectory")
+    return words
+
+
+def _hidden(given: list[str]) -> list[str]:
+    """Return words in which what a film does not show follows an option."""
+    words = list[str]()
+    for word in given:
+        flag = word.removeprefix("--no-").removeprefix("--")
+        if flag not in HIDDEN or word == flag:
+            words.append(word)
+            continue
+        _tell(word, f"--hide {flag}" if word.startswith("--no-") else "the default")
+        words += ["--hide", flag] if word.startswith("--no-") else []
     return words
 
 

@@ -4,35 +4,47 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final
-
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from typing import Any, Final
 
 from craftsim.reports.text import clean
-
-if TYPE_CHECKING:
-    from craftsim.validation.minimize import ShrinkProgress
 
 LINE_EVERY_S: Final = 20.0
 """Without a terminal, a line says how far things are so often."""
 
+Progress = Callable[[int], AbstractContextManager[Callable[[Any], None]]]
 
-@contextmanager
-def counting(
-    console: Console, what: str, total: int, good: Callable[[Any], bool] = itemgetter("agrees")
-) -> Iterator[Callable[[Any], None]]:
-    """Count ``total`` pieces of work; the function that is given is called with each one's result.
+
+def counting(what: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> Progress:
+    """Return what, given the number of pieces of work, opens what is called with each one's result.
 
     Args:
-        console: where progress shows: as a bar, or as a line now and then where it is no terminal.
         what: what the pieces are called.
-        total: how many there are.
         good: whether a result counts as a success.
     """
+    return partial(_count, what, good)
+
+
+def without_error(record: Any) -> bool:
+    """Return whether a trial came to an end."""
+    return record["error"] is None
+
+
+def counting_kinds() -> Progress:
+    """Return what shows how far the minimization of the failures of a run is."""
+    return counting("kinds of failure shrunk", lambda shrunk: shrunk.folder is not None)
+
+
+@contextmanager
+def _count(what: str, good: Callable[[Any], bool], total: int) -> Iterator[Callable[[Any], None]]:
+    from rich.markup import escape
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from craftsim.reports.terminal import Terminal
+
+    console = Terminal()
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -60,10 +72,3 @@ def counting(
                 console.print(f"{what}: {done} of {total}, {failed} failed, about {left:.0f} s left")
 
         yield on_result
-
-
-def shrinking(console: Console) -> ShrinkProgress:
-    """Return what shows how far the shrinking of the failures of a campaign is."""
-    return lambda total: counting(
-        console, "kinds of failure shrunk", total, lambda shrunk: shrunk.folder is not None
-    )

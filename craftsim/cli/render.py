@@ -1,18 +1,31 @@
-"""``craftsim render``: films and pictures of what happened in physics."""
+"""Look at what happened: ``craftsim render`` and ``view``."""
 
 from __future__ import annotations
 
+import math
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
-from craftsim.choices import PlanOrder
-from craftsim.cli.options import File
-from craftsim.cli.text import say
+from craftsim.cli.progress import counting
+from craftsim.cli.text import say, warn_of_strangers
 from craftsim.errors import InputError
-from craftsim.options import Physics, number
-from craftsim.storage.limits import FILM_SPEED, FRAME_RATE, MOMENT_S, WORKERS
+from craftsim.options import Physics, Planned, number
+from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
+from craftsim.storage.limits import FILM_SPEED, FRAME_RATE, MOMENT_S, PORTS, WORKERS
+from craftsim.storage.paths import is_file, is_folder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from craftsim.rendering.trajectory import Trajectory
+    from craftsim.rendering.viewer.live import LiveView
+    from craftsim.validation.building import Building
+
+    Runs = dict[str, Callable[[], Trajectory]]
+    from craftsim.options import Physics
 
 
 def render(
@@ -26,14 +39,11 @@ def render(
     fps: Annotated[int, number(FRAME_RATE)] = 30,
     speed: Annotated[float | None, number(FILM_SPEED)] = None,
     at: Annotated[tuple[float, ...], number(MOMENT_S, "SECONDS")] = (),
-    ghost: bool = True,
-    captions: bool | None = None,
-    cards: bool = True,
+    hide: tuple[Literal["ghost", "captions", "cards"], ...] = (),
     title: str | None = None,
     run: Annotated[str | None, Parameter(metavar="NAME")] = None,
-    plan: File = None,
+    carried: Planned = Planned(),  # noqa: B008
     policy: Annotated[str | None, Parameter(metavar="NAME")] = None,
-    order: PlanOrder = "concurrent",
     workers: Annotated[int, number(WORKERS)] = 1,
     physics: Physics = Physics(),  # noqa: B008
 ) -> int:
@@ -59,44 +69,28 @@ def render(
         fps: frames a second.
         speed: simulated seconds in a second of film; unless given it follows what the cars do.
         at: simulated times of pictures to take, in seconds; for .png only.
-        ghost: what the design still lacks, translucent.
-        captions: what the cars do and how it is judged, beside the picture; in films unless given.
-        cards: a card at the start and one at the end of a film.
+        hide: what the design still lacks, translucent; what the cars do and how it is judged, beside the picture; the
+            cards at the start and at the end of a film.
         title: in place of the trajectory's own.
         run: name of one of the trajectories in a run's folder.
-        plan: plan file for a blueprint or task, 'tick car ACTION' a line.
         policy: in place of a plan, as of 'craftsim validate'.
-        order: how a plan is carried out.
         workers: processes to share the work; the pictures do not depend on it.
     """
     if out.suffix == "":
-        from craftsim.cli.plot import draw_figures
-
-        return draw_figures(Path(what), run, out)
-    from craftsim.cli.progress import counting
-    from craftsim.cli.sources import find_trajectory
-    from craftsim.rendering.film import Look
+        return _draw_figures(Path(what), run, out)
     from craftsim.rendering.offscreen import choose_backend
+    from craftsim.rendering.film import Look
     from craftsim.rendering.render import check_format
     from craftsim.rendering.render import render as render_file
-    from craftsim.reports.terminal import Terminal
     from craftsim.storage.folders import output_directory
 
-    look = Look(_pixels(size), fps, camera, layout, quality, speed, None, ghost, captions, cards, title)
+    shown = ("ghost" not in hide, "captions" not in hide, "cards" not in hide)
+    look = Look(_pixels(size), fps, camera, layout, quality, speed, None, *shown, title)
     check_format(out, at)
     choose_backend()
     output_directory(out.parent)
-    trajectory = find_trajectory(what, out, run, physics, plan, policy, order)
-    console = Terminal()
-    written = render_file(
-        trajectory,
-        out,
-        look,
-        workers=workers,
-        at=at,
-        progress=lambda total: counting(console, "frames", total, bool),
-    )
-    for path in written:
+    trajectory = _find_trajectory(what, out, run, physics, carried, policy)
+    for path in render_file(trajectory, out, look, workers=workers, at=at, progress=counting("frames", bool)):
         say(f"Written: {path}")
     return 0
 
@@ -107,3 +101,149 @@ def _pixels(text: str) -> tuple[int, int]:
     if not (sign and width.isdecimal() and height.isdecimal() and len(text) < 12):
         raise InputError(f"--size is '{text}'; allowed: width and height in pixels, such as 1280x720")
     return int(width), int(height)
+
+
+def _draw_figures(recorded: Path, run: str | None, out: Path) -> int:
+    """Draw figures of a recorded run, or all of a folder; each trajectory gets a folder of its own in ``out``."""
+    from craftsim.rendering.plots.figures import write_figures
+    from craftsim.rendering.plots.signals import Signals
+    from craftsim.rendering.trajectory import trajectory_files
+    from craftsim.rendering.trajectory import Trajectory
+    from craftsim.storage.folders import directory_within, output_directory
+
+    files = trajectory_files(recorded, run)
+    output_directory(out)
+    with counting("trajectories", bool)(len(files)) as on_trajectory:
+        for file in files:
+            written = list(write_figures(directory_within(out, file.stem), Signals.of(Trajectory.read(file))))
+            on_trajectory(written)
+            say(f"{file.stem}: {len(written)} files in {out / file.stem}")
+    return 0
+
+
+def view(
+    what: Annotated[str, Parameter(metavar="RUN|FILE|TASK")],
+    *,
+    host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
+    port: Annotated[int, number(PORTS)] = PORT,
+) -> int:
+    """Watch a run in the browser: play, pause, go from action to action, and look at what each car does and feels.
+
+    It says which address to open, and serves it until Ctrl-C. Exit status 0 then, and 2 for wrong input.
+
+    Args:
+        what: a trajectory, the folder of a run that was recorded, that of a replay bundle, or a task, whose plan is
+            then carried out while one looks on.
+        host: address to listen on. Only this machine reaches the usual one; there is no password.
+        port: 0 takes one that is free.
+    """
+    need_viser()
+    from craftsim.discrete.tasks import TASK_NAMES
+    from craftsim.rendering.trajectory import SUFFIX
+    from craftsim.rendering.viewer.live import LiveView
+    from craftsim.rendering.viewer.page import REAL_TIME
+    from craftsim.rendering.viewer.recorded import RecordedView
+    from craftsim.validation.building import read_building
+
+    path = Path(what)
+    recorded = what not in TASK_NAMES and (is_folder(path) or path.suffix == SUFFIX)
+    building = None if recorded else read_building(what)
+    runs = _runs(path) if building is None else {}
+    with LiveView(host, port, REAL_TIME) as live:
+        try:
+            say(f"Watch at {live.address} (Ctrl-C ends it)")
+            warn_of_strangers(host, "look on and press the buttons")
+            if building is not None:
+                done = _carry_out(building, live)
+                runs[building.name] = lambda: done
+            shown = RecordedView(live.page, runs)
+            if building is not None:
+                live.page.ask(lambda: shown.seek(math.inf))  # where it has just ended
+            shown.serve()
+        except KeyboardInterrupt:
+            return 0
+
+
+def _runs(path: Path) -> Runs:
+    """Return the recorded runs in a file or a folder, by name."""
+    from craftsim.experiments.bundle import TEXT, read_bundle
+    from craftsim.rendering.trajectory import name_of, trajectory_files
+    from craftsim.rendering.trajectory import Trajectory
+    from craftsim.validation.recording import record_bundle
+
+    if is_file(path / TEXT):
+        return {path.name: lambda: record_bundle(read_bundle(path))[1]}
+    return {name_of(file): partial(Trajectory.read, file) for file in trajectory_files(path)}
+
+
+def _carry_out(building: Building, live: LiveView) -> Trajectory:
+    """Carry out a plan while people look on, and return what happened."""
+    from craftsim.checking.attempt import Attempt
+    from craftsim.checking.episode import OnAttempts
+    from craftsim.checking.judge import Judge
+
+    attempts, task = list[Attempt](), building.task
+
+    def watch(judge: Judge) -> OnAttempts:
+        live.follow(judge, building.name, task.goal_cells, lambda: attempts)
+        return attempts.extend
+
+    setup = Physics(randomize="none").setup()
+    done = building.run(setup, 0, "concurrent", watch)
+    assert done.trajectory is not None
+    return done.trajectory
+
+
+_NAMED: Final = 12
+"""Trajectories of a folder that an error names."""
+
+
+def _find_trajectory(
+    what: str,
+    out: Path,
+    run: str | None,
+    physics: Physics,
+    carried: Planned,
+    policy: str | None,
+) -> Trajectory:
+    """Return the trajectory that a word on the command line stands for.
+
+    What is not recorded yet is run now, and written beside ``out``, under its name with the ending ``.npz``.
+
+    Raises InputError for a word that stands for none.
+    """
+    from craftsim.discrete.tasks import TASK_NAMES
+    from craftsim.rendering.trajectory import SUFFIX, Trajectory
+    from craftsim.validation.validation import record_once
+
+    path = Path(what)
+    recorded = what not in TASK_NAMES and (path.suffix == SUFFIX or is_folder(path))
+    if recorded and (carried.plan or policy):
+        raise InputError(f"{what} is recorded already; leave --plan and --policy out")
+    if recorded and is_folder(path):
+        return _in_folder(path, run)
+    if run is not None:
+        raise InputError(f"--run chooses from a folder of a run, and {what} is none")
+    if recorded:
+        return Trajectory.read(path)
+    trajectory = record_once(
+        what, physics.setup(), physics.seed, plan=carried.plan_file, policy=policy, order=carried.order
+    )
+    say(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
+    return trajectory
+
+
+def _in_folder(folder: Path, run: str | None) -> Trajectory:
+    from craftsim.experiments.bundle import TEXT, read_bundle
+    from craftsim.rendering.trajectory import name_of, trajectory_files
+    from craftsim.rendering.trajectory import Trajectory
+    from craftsim.validation.recording import record_bundle
+
+    if is_file(folder / TEXT) and run is None:
+        return record_bundle(read_bundle(folder))[1]
+    first, *others = trajectory_files(folder, run)
+    if others:
+        names = [name_of(path) for path in (first, *others[: _NAMED - 1])]
+        more = f" and {len(others) + 1 - _NAMED} more" if len(others) >= _NAMED else ""
+        raise InputError(f"{folder}: choose one with --run; there are {', '.join(names)}{more}")
+    return Trajectory.read(first)

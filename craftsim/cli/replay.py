@@ -1,4 +1,4 @@
-"""``craftsim replay``: re-run a recorded failure bit for bit, and check that it is the same."""
+"""Recorded runs again: ``craftsim replay`` and ``compare``."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from craftsim.cli.options import Dir
+from craftsim.cli.progress import counting
 from craftsim.errors import InputError
+from craftsim.options import Dir, Seeded
 from craftsim.reports.report import Block, Headline, KeyFigure, Report, Section, Tone
 from craftsim.storage.folders import owning
 from craftsim.storage.paths import resolved
@@ -59,19 +60,15 @@ def replay(
     if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("--view needs a display, and there is none here; try --video")
     from craftsim.cli.films import film_bundle, rendering_works
-    from craftsim.reports.terminal import Terminal
-
-    filming = video and rendering_works(Terminal())
-
     from craftsim.experiments import replay as again
     from craftsim.experiments.bundle import read_bundle
+    from craftsim.reports.json_file import document
 
+    filming = video and rendering_works()
     recorded = read_bundle(bundle)
     film = out / f"{resolved(bundle).name}.mp4"
     watch = _viewer if view else again.unwatched
     result = film_bundle(recorded, film) if filming else again.replay(recorded, watch)
-    from craftsim.reports.json_file import document
-
     figures = {"bundle": bundle.name, **_figures(recorded, result)}
     written = document(figures, command="replay", config={"view": view})
     files = {"Film": film} if filming else {}
@@ -80,16 +77,14 @@ def replay(
 
 def _shrink(folder: Path, out: Path) -> int:
     """Shrink what a bundle shows; exit status 0 when it fails from a fresh start, too."""
-    from craftsim.cli.progress import counting
     from craftsim.experiments.bundle import read_bundle
     from craftsim.reports.json_file import document
-    from craftsim.reports.terminal import Terminal
-    from craftsim.validation.minimize import MOST_TRIALS, shrink_bundle
     from craftsim.validation.sections import smallest_section
+    from craftsim.validation.minimize import shrink_bundle
+    from craftsim.validation.minimize import MOST_TRIALS
 
-    console = Terminal()
     bundle = read_bundle(folder).bundle
-    with counting(console, "trials", MOST_TRIALS, lambda fails: fails) as on_trial:
+    with counting("trials", bool)(MOST_TRIALS) as on_trial:
         found = shrink_bundle(bundle, out, ".", on_trial)
     written = document({"bundle": folder.name, "smallest": found}, command="replay", config={"shrink": True})
     made = found.folder is not None
@@ -105,7 +100,7 @@ def _shrink(folder: Path, out: Path) -> int:
         sections=smallest_section([found]),
         document=written,
         exit_code=0 if made else 1,
-    ).publish(out, console)
+    ).publish(out)
 
 
 def _figures(recorded: Recorded, result: Replay) -> dict[str, object]:
@@ -180,3 +175,30 @@ def _viewer(judge: Judge) -> Iterator[Observer]:
         yield watch
         while viewer.is_running():
             time.sleep(0.05)
+
+
+@owning
+def compare(
+    run: Path,
+    other: Path,
+    *,
+    chance: Seeded = Seeded(),  # noqa: B008
+    out: Dir = Path("out/compare"),
+) -> int:
+    """Compare a simulation with reality, or any two runs of the same plans: outcomes, durations, errors and ranks.
+
+    Trials are paired by their names: worlds, plans or policies, and numbers. The seed decides the bootstrap of the
+    correlations' intervals. Exit status 0 when no difference in how
+    many trials agree with the rules shows at 5 %, 1 when one does, 2 for runs that cannot be compared.
+
+    Args:
+        run: folder of 'craftsim validate' or 'craftsim audit'.
+        other: folder of the other run of the same trials.
+        out: folder for report.json.
+    """
+    from craftsim.experiments.compare import compare_with_reality
+    from craftsim.experiments.gap_report import gap_report
+    from craftsim.validation.forms import read_run
+
+    gap = compare_with_reality(read_run(run), read_run(other), chance.seed)
+    return gap_report(gap, run, other, chance.seed).publish(out)

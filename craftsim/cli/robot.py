@@ -1,29 +1,33 @@
-"""``craftsim robot serve``: simulated robots on a network, for skills in another process to drive."""
+"""Robots on a network: ``craftsim robot serve``, and the worlds of ``demo --robot``."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from craftsim.cli.options import Dir, File
-from craftsim.cli.strangers import warn_of_strangers
-from craftsim.cli.text import complain, say
-from craftsim.options import Physics, number
-from craftsim.robots.extra import LOOPBACK, PORT, need_network
+from craftsim.cli.text import complain, say, warn_of_strangers
+from craftsim.options import Dir, Physics, number
+from craftsim.robots import LOOPBACK, PORT, need_network
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import DELAY_MS, PACE, PATIENCE_S, PORTS, SHARE
+
+if TYPE_CHECKING:
+    from craftsim.checking.judge import Judge
+    from craftsim.checking.setup import Seed, SetUp, Setup
+    from craftsim.discrete.grid import Cell, Grid
 
 
 @owning
 def serve(
     task: str = "simple_two_story",
     *,
-    start: File = None,
     host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
     port: Annotated[int, number(PORTS)] = PORT,
     delay_ms: Annotated[float, number(DELAY_MS, "MS")] = 0.0,
@@ -41,8 +45,7 @@ def serve(
     It says at which address they are reached, and serves them until Ctrl-C. Exit status 0 then, and 2 for wrong input.
 
     Args:
-        task: whose start is their world: a shipped task's name, a file or 'module:factory'.
-        start: a start file of your own, in place of the task's.
+        task: whose start is their world: a shipped task's name, a start or task file, or 'module:factory'.
         host: address to listen on. Only this machine reaches the usual one; there is no password.
         port: 0 takes one that is free.
         delay_ms: how long the network takes for a message, in each direction; drawn from the seed, as the two below.
@@ -59,19 +62,17 @@ def serve(
     import numpy as np
 
     from craftsim.checking.setup import Seed, set_up
-    from craftsim.discrete.files.blueprint import read_blueprint
-    from craftsim.discrete.tasks import as_task, free_play
+    from craftsim.discrete.tasks import as_task
     from craftsim.reports.json_file import write_report
-    from craftsim.robots.channel import Network
     from craftsim.robots.connecting import world_digest
-    from craftsim.robots.serving import Server
+    from craftsim.robots.server import Network, Server
     from craftsim.robots.simulated import serve_simulated
     from craftsim.robots.sockets import Host
     from craftsim.skills.fleet import PhysicsFleet
 
     network = Network(delay_ms / 1e3, jitter_ms / 1e3, loss)
     setup = physics.setup()
-    found = as_task(task) if start is None else free_play(start.stem, (read_blueprint(start),))
+    found = as_task(task)
     seeds = np.random.SeedSequence(physics.seed).spawn(4)
     grid = found.draw(np.random.default_rng(seeds[0]))
     started = time.perf_counter()
@@ -80,9 +81,8 @@ def serve(
         assert isinstance(world, PhysicsFleet)
         rngs = np.random.default_rng(seeds[2]), np.random.default_rng(seeds[3])
         service = serve_simulated(world, world_digest(grid), sockets, network, rngs, lockstep, complain)
-        station = service.station
         server = Server(service, sockets, pace, timeout)
-        say(f"{len(station.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
+        say(f"{len(service.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
         sys.stdout.flush()
         warn_of_strangers(host, "drive these robots")
         with contextlib.suppress(KeyboardInterrupt):
@@ -90,10 +90,10 @@ def serve(
         server.end()
     figures: dict[str, Any] = {
         "simulated_s": round(service.now_s, 6),
-        "commands_dropped": station.inbox.dropped,
+        "commands_dropped": service.inbox.dropped,
         "messages_malformed": service.malformed,
-        "heard_at_s": station.heard_at_s,
-        "stopped_at_s": station.stopped_at_s,
+        "heard_at_s": service.heard_at_s,
+        "stopped_at_s": service.stopped_at_s,
     }
     config: dict[str, Any] = {"setup": setup, "network": network, "pace": pace, "lockstep": lockstep}
     config |= {"task": found.name, "digests": setup.digests}
@@ -101,7 +101,40 @@ def serve(
     report = write_report(out, figures, command="robot", seed=physics.seed, config=config, wall=wall)
     say(
         f"{service.now_s:.1f} s of the robots' time, {server.behind_s:.2f} s behind the clock; for want of commands "
-        f"they stopped {station.inbox.stops} times."
+        f"they stopped {service.inbox.stops} times."
     )
     say(f"Report: {report}")
     return 0
+
+
+@contextmanager
+def robots_at(address: str, timeout_s: float) -> Iterator[SetUp]:
+    """Yield what sets up a world by connecting to the robots in it; let go of them at the end.
+
+    Args:
+        address: of the robots.
+        timeout_s: without a message from them for so long they count as lost.
+
+    Raises InputError where what it takes is not installed; and so does what is yielded, where no robots answer.
+    """
+    need_network()
+    from craftsim.checking.setup import Setup, judge_on
+    from craftsim.discrete.grid import Grid
+    from craftsim.discrete.kinds import Action
+    from craftsim.models.sensing import NOISY
+    from craftsim.models.world import PhysicsWorld
+    from craftsim.robots.connecting import Connection
+
+    # What is compiled at its first use is compiled now: robots do not wait for it.
+    judge = judge_on(PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1)), Setup(assumed=NOISY))
+    judge.executor.paths()
+    judge.perform(0, Action.MOVE_RIGHT)
+    with ExitStack() as open_links:
+
+        def connect(grid: Grid, setup: Setup, seed: Seed, goals: Sequence[Cell]) -> Judge:
+            connection = Connection(address, grid, setup.machines, setup.simulation, goals, timeout_s)
+            open_links.enter_context(connection)
+            # Contacts are not seen from outside.
+            return judge_on(connection.physics, setup, watch_contacts=False, fleet=connection.link)
+
+        yield connect

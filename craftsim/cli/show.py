@@ -1,44 +1,57 @@
-"""Show a blueprint as coloured text and as a picture."""
+"""Worlds, designs and plans: ``craftsim show``, ``design`` and ``plan``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
 from craftsim.choices import Drive
-from craftsim.cli.options import File, OptionalDir
 from craftsim.cli.text import say
 from craftsim.errors import InputError
-from craftsim.options import number
-from craftsim.storage.limits import SEED
+from craftsim.options import RESULTS, Dir, File, Goal, OptionalDir, Seeded, Shown, number
+from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
+from craftsim.storage.folders import owning
+from craftsim.storage.limits import (
+    BLOCKS,
+    CARS,
+    DESIGN_SIDE,
+    PHYSICS_CELLS,
+    PLAN_ROUNDS,
+    PLAN_TIME_S,
+    SHARE,
+)
 
 if TYPE_CHECKING:
     from mujoco import MjSpec
 
+    from craftsim.designs.starts import DesignStart
     from craftsim.discrete.files.design import Design
     from craftsim.discrete.files.plan import Plan
     from craftsim.discrete.grid import Grid
     from craftsim.mjcf.parameters import Machines
+    from craftsim.planning import Planned
 
-Machine = Literal["smartcar", "block", "flag", "wall", "slope"]
+
+MACHINES: Final = ("smartcar", "block", "flag", "wall", "slope")
 _NAMED: Final = 12
 """Forbidden actions that are named."""
 
 
 def show(
-    start: Annotated[Path | None, Parameter(metavar="TASK|FILE")] = None,
+    start: Annotated[Path, Parameter(metavar="TASK|FILE|MACHINE")],
     *,
-    seed: Annotated[int, number(SEED)] = 0,
-    goal: File = None,
+    chance: Seeded = Seeded(),  # noqa: B008
+    design: Goal = Goal(),  # noqa: B008
     plan: File = None,
     out: OptionalDir = None,
-    mjcf: File = None,
-    urdf: File = None,
-    machine: Machine | None = None,
+    export: Annotated[tuple[Path, ...], Parameter(metavar="FILE")] = (),
     drive: Drive = "rollers",
 ) -> int:
     """Print the world that a blueprint describes, level by level; with --out draw it as a PNG.
@@ -49,25 +62,21 @@ def show(
 
     Args:
         start: start file, or the name of a shipped one such as simple_two_story, or of a task that varies, such as
-            random_strip.
-        seed: decides what is left to chance.
-        goal: goal file whose cells are marked in the picture; that of a shipped task unless given.
+            random_strip; or a machine alone, for --export: smartcar, block, flag, wall or slope.
         plan: plan file, or the name of a shipped plan such as simple_two_story; judged by the physical rules.
         out: folder for the picture, which is named after the blueprint, and those of the plan.
-        mjcf: file for the world's start, or the machine, as MJCF that opens alone in MuJoCo's viewer.
-        urdf: file for the same as URDF, its meshes in a folder beside it, for RViz, Gazebo or Isaac: links, inertias,
+        export: files for the world's start, or the machine: as MJCF that opens alone in MuJoCo's viewer, or where the
+            name ends in .urdf as URDF, its meshes in a folder beside it, for RViz, Gazebo or Isaac: links, inertias,
             shapes and joints; without contacts, motors besides their limits, and gears that lock themselves.
-        machine: writes one machine alone, in place of a blueprint.
         drive: of the cars that are written.
     """
-    if (start is None) == (machine is None):
-        raise InputError("give a world, or a --machine with --mjcf or --urdf, and not both")
-    if machine is not None and mjcf is None and urdf is None:
-        raise InputError("--machine is written with --mjcf, --urdf or both")
-    if start is None:
+    name = str(start)
+    if name in MACHINES:
         from craftsim.models.composition import machine_spec
 
-        _export(lambda machines: machine_spec(str(machine), machines), mjcf, urdf, drive)
+        if not export:
+            raise InputError(f"{name} is a machine, which is written with --export FILE")
+        _export(lambda machines: machine_spec(name, machines), export, drive)
         return 0
     import numpy as np
 
@@ -80,67 +89,69 @@ def show(
     from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, as_task
     from craftsim.reports.terminal import Terminal
 
-    name, rng = str(start), np.random.default_rng(seed)
+    rng, goal = np.random.default_rng(chance.seed), design.goal
     shipped, varied = name in TASK_NAMES, name.partition("@")[0] in VARIED_NAMES
     path = shipped_blueprint(name) if shipped else start
     task = as_task(name).for_episode(rng) if shipped or varied else None
     drawing = read_blueprint(path) if task is None else task.starts[0]
-    design = task.design if task is not None else None
+    wanted = task.design if task is not None else None
     if goal is not None:
-        design = read_design(goal)
-    if design is not None:
-        design.check_fits(drawing.size)
+        wanted = read_design(goal)
+    if wanted is not None:
+        wanted.check_fits(drawing.size)
     grid = drawing.grid(rng) if task is None else task.draw(rng)
     read = None if plan is None else read_plan(plan, grid.n_cars)
     Terminal(highlight=False).print(world_text(grid, drawing.goal))
     say(LEGEND)
-    length, width, height = drawing.size
     blocks, slopes = drawing.n_blocks, drawing.n_slopes
     if varied:
         blocks, slopes = (int((grid.kind == kind).sum()) for kind in (Kind.BLOCK, Kind.FSLOPE))
-    counts = f"{drawing.n_cars} cars, {blocks} blocks, {slopes} slopes"
-    say(f"{length} x {width} cells, {height} levels: {counts}")
+    _say_size(drawing.size, {"cars": drawing.n_cars, "blocks": blocks, "slopes": slopes})
     for note in drawing.notes:
         say(f"note: {note}")
     if out is not None:
-        from craftsim.rendering.grid_picture import wanted_of
         from craftsim.rendering.plots.levels import draw_blueprint
+        from craftsim.rendering.grid_picture import wanted_of
         from craftsim.storage.folders import output_directory
 
         file = output_directory(out) / f"{path.stem}.png"
-        say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(design))}")
-    if mjcf is not None or urdf is not None:
-        from craftsim.models.composition import WorldSpec, check_extent
+        say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(wanted))}")
+    if export:
+        from craftsim.models.composition import WorldSpec
         from craftsim.models.config import SimulationConfig
+        from craftsim.models.composition import check_extent
 
         check_extent(grid)
-        _export(
-            lambda machines: WorldSpec(grid, SimulationConfig.of(drive), machines).spec(), mjcf, urdf, drive
-        )
-    return 0 if read is None else _show_plan(read, grid, design, out)
+        _export(lambda machines: WorldSpec(grid, SimulationConfig.of(drive), machines).spec(), export, drive)
+    return 0 if read is None else _show_plan(read, grid, wanted, out)
 
 
-def _export(
-    spec_of: Callable[[Machines], MjSpec], mjcf: Path | None, urdf: Path | None, drive: Drive
-) -> None:
-    """Write a machine or a world with a drive as MJCF, as URDF, or both."""
+def _say_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
+    length, width, height = size
+    say(
+        f"{length} x {width} cells, {height} levels: {', '.join(f'{n} {what}' for what, n in counts.items())}"
+    )
+
+
+def _export(spec_of: Callable[[Machines], MjSpec], files: Iterable[Path], drive: Drive) -> None:
+    """Write a machine or a world with a drive as MJCF or as URDF, which the names' endings say."""
     from craftsim.mjcf.parameters import NOMINAL
-    from craftsim.models.exporting import LACKS, write_mjcf, write_urdf
+    from craftsim.models.exporting import write_mjcf
+    from craftsim.models.exporting import LACKS, write_urdf
 
     machines = replace(NOMINAL, drive=drive)
-    if mjcf is not None:
-        say(f"MJCF: {write_mjcf(mjcf, spec_of(machines))}")
-    if urdf is not None:
-        say(f"URDF: {write_urdf(urdf, spec_of(machines))}")
-        say(LACKS)
+    for file in files:
+        if file.suffix == ".urdf":
+            say(f"URDF: {write_urdf(file, spec_of(machines))}")
+            say(LACKS)
+        else:
+            say(f"MJCF: {write_mjcf(file, spec_of(machines))}")
 
 
 def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) -> int:
     """Say how long a plan takes and what of it is forbidden, draw and film it; return the exit status."""
-    from craftsim.cli.progress import counting
     from craftsim.discrete.rules import Rules
     from craftsim.discrete.schedule import make_schedule
-    from craftsim.reports.terminal import Terminal
 
     rules = Rules("physical")
     schedule = make_schedule(grid, plan.ticks, rules, after=plan.after)
@@ -152,16 +163,190 @@ def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) 
     if more := len(schedule.forbidden[_NAMED:]):
         say(f"and {more} more")
     if out is not None:
-        from craftsim.rendering.grid_picture import wanted_of
-        from craftsim.rendering.plan_film import film_plan
-        from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
+        from craftsim.cli.films import draw_plan
 
-        for ending in FORMATS:
-            say(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")
-        console = Terminal()
-        film = film_plan(
-            *(out / f"{name}-plan.mp4", schedule, rules, name, wanted_of(design)),
-            progress=lambda total: counting(console, "frames", total, bool),
-        )
-        say(f"film: {film}")
+        draw_plan(out, schedule, name, True, design)
     return int(bool(schedule.forbidden))
+
+
+@owning
+def design(
+    what: Annotated[tuple[str, ...], Parameter(metavar="NAME|FILE")] = (),
+    *,
+    size: Annotated[tuple[int, ...], number(DESIGN_SIDE)] = (),
+    text: str | None = None,
+    difficulty: Annotated[float, number(SHARE)] = 0.5,
+    area: Annotated[tuple[int, ...], number(DESIGN_SIDE)] = (),
+    cars: Annotated[int | None, number(CARS)] = None,
+    spare_blocks: Annotated[int, number(BLOCKS)] = 0,
+    spare_slopes: Annotated[int | None, number(BLOCKS)] = None,
+    barrier: bool = False,
+    names: Annotated[bool, Parameter(name="--list")] = False,
+    chance: Seeded = Seeded(),  # noqa: B008
+    out: Dir = Path("out/design"),
+) -> int:
+    """Write a design as goal.yaml, and as start.yaml a world with what it takes; print and draw them.
+
+    WHAT is a building of the library, PNG files of a level each from the floor up, a mesh (.obj or .stl), or random.
+    Exit status 0, or 2 for wrong input.
+
+    Args:
+        what: name of a building, files, or random.
+        size: sizes of the building in cells, in the order of --list; of a mesh the cells of its longer side.
+        text: what letters say.
+        difficulty: of a random design, 0 to 1: sets area, blocks, levels, ramps and cars.
+        area: length, width and height in cells; as large as the pieces need unless given.
+        cars: 2 unless given, or as many as the random design draws.
+        spare_blocks: blocks beyond those of the design, such as for a scaffold.
+        spare_slopes: slopes beyond those of the design; one for each upper level without one of its own unless given.
+        barrier: put walls from side to side across the middle of the design.
+        names: print the names of the library with their sizes, and write nothing.
+        out: folder for goal.yaml, start.yaml, design.png and report.json.
+    """
+    import numpy as np
+
+    from craftsim.designs.drawn import random_start
+    from craftsim.designs.finding import RANDOM, find_design, listing
+    from craftsim.designs.starts import make_start
+    from craftsim.errors import InputError
+
+    if names:
+        say(listing())
+        return 0
+    seed = chance.seed
+    rng = np.random.default_rng(seed)
+    spare: dict[str, Any] = {"spare_blocks": spare_blocks, "spare_slopes": spare_slopes, "barrier": barrier}
+    if what == (RANDOM,):
+        if size or area or text or spare_blocks or spare_slopes is not None or barrier:
+            raise InputError(f"{RANDOM} takes --difficulty, --cars, --seed and --out alone")
+        start: DesignStart = random_start(rng, difficulty, cars)
+    else:
+        if len(area) not in (0, 3):
+            raise InputError(
+                f"--area has {len(area)} numbers; allowed: three, length, width and height in cells"
+            )
+        extent = (area[0], area[1], area[2]) if area else None
+        n_cars = 2 if cars is None else cars
+        start = make_start(find_design(what, size, text), n_cars, rng, extent, **spare)
+    config = {"what": what, "size": size, "text": text, "difficulty": difficulty, "area": area, "cars": cars}
+    _write(start, out, seed, config | spare)
+    return 0
+
+
+def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) -> None:
+    from craftsim.discrete.drawing import LEGEND, world_text
+    from craftsim.discrete.files.blueprint import blueprint_text
+    from craftsim.discrete.files.design import design_text
+    from craftsim.discrete.kinds import Kind
+    from craftsim.reports.json_file import write_report
+    from craftsim.reports.terminal import Terminal
+    from craftsim.storage.writing import write_whole
+
+    grid, goal = start.grid, start.design
+    console = Terminal(highlight=False)
+    console.print(world_text(goal.finished(grid.size)), soft_wrap=True)
+    console.print("start", style="bold")
+    console.print(world_text(grid), soft_wrap=True)
+    say(LEGEND)
+    counts = {
+        "cars": grid.n_cars,
+        "blocks": int((grid.kind == Kind.BLOCK).sum()),
+        "slopes": int((grid.kind == Kind.FSLOPE).sum()),
+    }
+    _say_size(grid.size, counts)
+    for name, text in (("goal", design_text(goal)), ("start", blueprint_text(grid))):
+        say(f"{name}: {write_whole(out / f'{name}.yaml', text)}")
+    if math.prod(grid.size) <= PHYSICS_CELLS:
+        from craftsim.rendering.plots.levels import draw_blueprint
+        from craftsim.rendering.grid_picture import wanted_of
+
+        say(f"picture: {draw_blueprint(out / 'design.png', grid, goal.path.stem, None, wanted_of(goal))}")
+    targets = {kind.name.lower(): len(goal.of_kind(kind)) for kind in (Kind.BLOCK, Kind.BODY)}
+    figures = {"size": grid.size, "design": targets, **counts}
+    say(f"report: {write_report(out, figures, command='design', seed=seed, config=config)}")
+
+
+_ENDING: Final = ".plan"
+
+
+def plan(
+    start: str,
+    *,
+    design: Goal = Goal(),  # noqa: B008
+    objective: Objective = "makespan",
+    time_limit: Annotated[float, number(PLAN_TIME_S, "SECONDS")] = DEFAULT_TIME_S,
+    attempts: Annotated[int, number(PLAN_ROUNDS)] = DEFAULT_ROUNDS,
+    chance: Seeded = Seeded(),  # noqa: B008
+    video: Shown = False,
+    out: Annotated[Path, Parameter(metavar="DIR|FILE", group=RESULTS)] = Path("out/plan"),
+) -> int:
+    """Find a plan for a building: what goes where in which order, which car does it, and every move.
+
+    Better plans come with time; Ctrl-C keeps the best so far. The plan obeys the physical rules, and says which action
+    waits for which. Without a goal the flag goes to the goal of the start file, or all blocks become one platform.
+    Exit status 0, or 2 for wrong input and where there is no plan, which says why.
+
+    Args:
+        start: start file, or the name of a task such as simple_two_story.
+        objective: what is to be small: the time until all is done, or the sum of all actions' durations.
+        time_limit: no attempt begins after so many seconds, once there is a plan.
+        attempts: attempts at most; with the same seed and enough time, the same plan.
+        video: film the plan on the grid, too.
+        out: file for the plan that ends with .plan, or folder for plan, report and Gantt chart.
+    """
+    import numpy as np
+
+    from craftsim.discrete.files.plan import write_plan
+    from craftsim.planning import plan_building
+    from craftsim.reports.json_file import write_report
+    from craftsim.storage.folders import owned
+    from craftsim.validation.validation import read_goal
+
+    seed = chance.seed
+    rng = np.random.default_rng(seed)
+    task = read_goal(start, design.goal).for_episode(rng)
+    grid = task.draw(rng)
+    begun = time.monotonic()
+    best = np.inf
+
+    def report(number: int, planned: Planned | None) -> None:
+        nonlocal best
+        if planned is not None and planned.cost(objective)[0] < best - 1e-9:
+            best = planned.cost(objective)[0]
+            say(f"{time.monotonic() - begun:6.1f} s  attempt {number}: {_figures(planned)}")
+
+    file = out if out.suffix == _ENDING else out / f"{task.name}{_ENDING}"
+    with nullcontext() if file is out else owned(out):
+        planned = plan_building(
+            grid, task, objective=objective, rounds=attempts, time_s=time_limit, seed=seed, report=report
+        )
+        if not planned.ticks:
+            say("the goal is reached already; there is nothing to do")
+            return 0
+        known = (
+            "proved to be the best" if planned.optimal else f"none can take less than {planned.bound_s:.1f} s"
+        )
+        say(f"best: {_figures(planned)}; {known}")
+        if file is not out:
+            from craftsim.cli.films import draw_plan
+
+            draw_plan(out, planned.schedule, task.name, video)
+            figures = {
+                "makespan_s": planned.makespan_s,
+                "work_s": planned.work_s,
+                "bound_s": planned.bound_s,
+                "actions": len(planned.schedule.steps),
+                "found_in_attempt": planned.rounds,
+            }
+            config = {"start": task.name, "objective": objective, "rounds": attempts, "rules": "physical"}
+            wall = {"planning_s": time.monotonic() - begun}
+            written = write_report(out, figures, command="plan", seed=seed, config=config, wall=wall)
+            say(f"report: {written}")
+        write_plan(planned.ticks, file, planned.schedule)
+        say(f"plan: {file}")
+        return 0
+
+
+def _figures(planned: Planned) -> str:
+    n_actions = len(planned.schedule.steps)
+    return f"makespan {planned.makespan_s:.1f} s, work {planned.work_s:.1f} s, {n_actions} actions"

@@ -1,23 +1,24 @@
-"""``craftsim train``: cars learn a task on the grid, or in contact physics."""
+"""Train a policy, or over tasks, algorithms and seeds: ``craftsim train`` and ``train study``."""
 
 from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, closing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
 from craftsim.choices import AlgoName, Backend, PresetName
-from craftsim.cli.again import FOLDER
-from craftsim.cli.options import RESULTS, OptionalDir, Settings, Shown, settings_of
+from craftsim.cli.app import FOLDER
+from craftsim.cli.progress import counting
 from craftsim.cli.text import say
 from craftsim.errors import InputError, suggestion
-from craftsim.options import number
+from craftsim.options import Dir, OptionalDir, Record, Seeded, Shown, Work, number
 from craftsim.reports.report import (
     Column,
     DataTable,
@@ -29,22 +30,25 @@ from craftsim.reports.report import (
     Tone,
     count,
 )
-from craftsim.storage.folders import owned
-from craftsim.storage.limits import SEED, SHARE, TRAIN_EPISODES, TRAIN_STEPS, WORKERS
+from craftsim.storage.folders import owned, owning
+from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS, WORKERS
+from craftsim.training.extra import need_torch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from rich.console import Console
 
     from craftsim.discrete.tasks import Task
+    from craftsim.experiments.experiment import TrialRecord
+    from craftsim.studies.study import Study, StudyRun
     from craftsim.training.config import Protocol, TrainConfig
     from craftsim.training.curve import Point
-    from craftsim.training.tensorboard_log import TensorboardLog
     from craftsim.training.trainer import Trainer
 
 INTERRUPTED: Final = 130
 LINE_EVERY_S: Final = 15.0
 """How often a run says how far it is where there is no terminal for a bar."""
+EVERY_S: Final = 20.0
+"""How often a study says how far its runs are, if there is anything new."""
 _BESIDES: Final[tuple[str, ...]] = ("cars", "blocks", "starts", "settings", "workers", "tensorboard")
 """What --set takes besides fields of the configuration and the algorithm's hyperparameters."""
 
@@ -53,14 +57,14 @@ def train(
     task: Annotated[str, Parameter(metavar="TASK")] = "strip",
     *,
     algo: AlgoName = "ippo",
-    seed: Annotated[int, number(SEED)] = 0,
+    chance: Seeded = Seeded(),  # noqa: B008
     steps: Annotated[int | None, number(TRAIN_STEPS)] = None,
     until: Annotated[float | None, number(SHARE)] = None,
     backend: Backend = "grid",
     preset: PresetName | None = None,
-    settings: Annotated[Settings, Parameter(name="--set")] = (),
+    settings: Annotated[tuple[str, ...], Parameter(name="--set", metavar="NAME=VALUE")] = (),
     episodes: Annotated[int, number(TRAIN_EPISODES)] = 1000,
-    record: Annotated[Literal["none", "trajectory"], Parameter(group=RESULTS)] = "none",
+    record: Record = "none",
     resume: Shown = False,
     out: OptionalDir = None,
 ) -> int:
@@ -86,7 +90,6 @@ def train(
         task: one of the paper's six, one that varies such as random_strip, or a task of one's own: a registered name, a
             file, or module:factory.
         algo: independent or multi-agent PPO, COMA, QMIX, QTRAN, VDN, independent Q-learning, or PQN-VDN.
-        seed: random seed.
         steps: ticks to play at most, all worlds together; 3,000,000 unless given, or what the preset says.
         until: end when this success rate is reached in an evaluation; 0.99 unless given, with a preset never.
         backend: where it is trained and evaluated.
@@ -101,26 +104,24 @@ def train(
         out: folder for policy.safetensors, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not
             given.
     """
-    from craftsim.training.extra import need_torch
-
     need_torch()
     from craftsim.discrete.tasks import as_task
     from craftsim.rendering.trajectory import TRAJECTORIES
-    from craftsim.reports.terminal import Terminal
 
-    given = settings_of(settings)
+    given = _settings_of(settings)
     besides: dict[str, Any] = {name: given.pop(name) for name in _BESIDES if name in given}
-    workers, starts = besides.get("workers"), besides.get("starts")
-    cars, blocks = besides.get("cars"), besides.get("blocks")
+    workers, cars, blocks = (besides.get(name) for name in ("workers", "cars", "blocks"))
     if workers is not None:
         WORKERS.check("workers", workers)
     if backend == "grid":
         physical = {"workers": workers, "drive": given.get("drive"), "randomize": given.get("randomize")}
-        _only_in_physics({**physical, "record": None if record == "none" else record})
+        for name, value in {**physical, "record": None if record == "none" else record}.items():
+            if value is not None:
+                raise InputError(f"{name} is for physics; on the grid nothing moves: leave it out")
     run = _protocol(preset, task, algo)
     steps = run.steps if steps is None else steps
     until = run.until if until is None else until
-    config = _config(given, besides, run, task=task, algo=algo, seed=seed, backend=backend)
+    config = _config(given, besides, run, task=task, algo=algo, seed=chance.seed, backend=backend)
     learnt = as_task(task, cars, blocks)
     if not learnt.has_goal:
         raise InputError(
@@ -129,23 +130,21 @@ def train(
         )
     staged = [as_task(name, cars, blocks) for name in config.stages]
     folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}")
-    reached = None if starts is None else Path(str(starts))
+    reached = Path(str(besides["starts"])) if "starts" in besides else None
     FOLDER.set(folder)
 
     import torch
 
     # One thread adds numbers up in one order, so that a run can be repeated bit for bit.
     torch.set_num_threads(1)
-    console = Terminal()
     begun = time.perf_counter()
     with (
         owned(folder),
         closing(_trainer(config, learnt, staged, reached, folder, resume, workers)) as trainer,
     ):
-        log = _log(folder, trainer) if besides.get("tensorboard") in (True, "true") else None
         _ = trainer.guidance  # shows progress of its own
         try:
-            _run(trainer, console, steps, until, folder, log)
+            _run(trainer, steps, until, folder, besides.get("tensorboard") in (True, "true"))
         except KeyboardInterrupt:
             trainer.save(folder)
             say(f"Interrupted; --resume goes on. Policy: {folder / 'policy.safetensors'}")
@@ -155,14 +154,23 @@ def train(
         asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
         asked["pretrained_digest"] = trainer.pretrained
         place = folder / TRAJECTORIES if record == "trajectory" else None
-        _report(trainer, folder, asked, time.perf_counter() - begun, place)
-    return 0
+        return _evaluate(trainer, folder, asked, time.perf_counter() - begun, place)
 
 
-def _only_in_physics(given: dict[str, Any]) -> None:
-    for name, value in given.items():
-        if value is not None:
-            raise InputError(f"{name} is for physics; on the grid nothing moves: leave it out")
+def _settings_of(words: Iterable[str]) -> dict[str, Any]:
+    """Return the values that words such as ``width=128`` set, by name; several are divided by commas.
+
+    Raises InputError for a word without "=", and for a name that is set twice.
+    """
+    from craftsim.storage.yaml import parse_document
+
+    found = dict[str, Any]()
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not equals or not name or name in found:
+            raise InputError(f"--set is '{word}'; allowed: NAME=VALUE, each name once")
+        found[name] = parse_document(f"value: {value}\n", Path("--set")).plain["value"]
+    return found
 
 
 def _protocol(preset: PresetName | None, task: str, algo: AlgoName) -> Protocol:
@@ -215,15 +223,11 @@ def _trainer(
     resume: bool,
     workers: int | None,
 ) -> Trainer:
-    from craftsim.cli.progress import counting
-    from craftsim.reports.terminal import Terminal
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
-    def progress(total: int) -> AbstractContextManager[Callable[[bool], None]]:
-        return counting(Terminal(), "plans", total, bool)
-
+    progress = counting("plans", bool)
     other = with_starts(task, starts, config.rules) if starts else None
     begun = (folder / RUN_FILE).exists()
     if begun and resume:
@@ -236,23 +240,19 @@ def _trainer(
     return Trainer(config, other, task, workers, progress, stages)
 
 
-def _log(folder: Path, trainer: Trainer) -> TensorboardLog:
-    from craftsim.training.tensorboard_log import TensorboardLog
-
-    return TensorboardLog(folder, trainer.curve)
-
-
-def _run(
-    trainer: Trainer, console: Console, steps: int, until: float, folder: Path, log: TensorboardLog | None
-) -> None:
+def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: bool) -> None:
+    """Train, show how it goes, and save after each evaluation."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+    from craftsim.reports.terminal import Terminal
+    from craftsim.training.tensorboard_log import TensorboardLog
+
+    log = TensorboardLog(folder, trainer.curve) if tensorboard else None
+    console = Terminal()
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn(
-            "success {task.fields[success]}, return {task.fields[earned]}, {task.fields[rate]:,.0f} steps/s"
-        ),
+        TextColumn("{task.fields[how]}"),
         TimeElapsedColumn(),
         TextColumn("at most"),
         TimeRemainingColumn(),
@@ -261,7 +261,7 @@ def _run(
     begun = printed = time.perf_counter()
     before, success, earned = trainer.steps, "-", "-"
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        row = bar.add_task(what, total=steps, completed=before, success=success, earned=earned, rate=0.0)
+        row = bar.add_task(what, total=steps, completed=before, how="")
         for evaluated in trainer.run(steps, until):
             now = time.perf_counter()
             rate = (trainer.steps - before) / (now - begun)
@@ -271,27 +271,27 @@ def _run(
                 trainer.save(folder)
                 if log is not None:
                     log.write(point)
-            bar.update(row, completed=trainer.steps, rate=rate, success=success, earned=earned)
+            how = f"success {success}, return {earned}, {rate:,.0f} steps/s"
+            bar.update(row, completed=trainer.steps, how=how)
             if not console.is_terminal and now - printed >= LINE_EVERY_S:
                 printed = now
-                console.print(
-                    f"{what}: {trainer.steps:,} of at most {steps:,} steps, success {success}, return {earned}, "
-                    f"{rate:,.0f} steps/s",
-                    soft_wrap=True,
-                )
+                line = f"{what}: {trainer.steps:,} of at most {steps:,} steps, {how}"
+                console.print(line, soft_wrap=True)
 
 
-def _report(
+def _evaluate(
     trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: float, record: Path | None
-) -> None:
+) -> int:
+    """Evaluate what was learned on fresh episodes, and report it."""
     from craftsim.reports.json_file import document
     from craftsim.training.config import LEARNED
     from craftsim.training.curve import last_fifth, plot_curve
     from craftsim.training.trainer import training_versions
 
     config, curve = trainer.config, trainer.curve
+    what = f"{trainer.task.name}, {config.algo}"
     played = trainer.evaluate(asked["episodes"], record=record)
-    plot_curve(folder / "curve.png", f"{trainer.task.name}, {config.algo}, seed {config.seed}", curve)
+    plot_curve(folder / "curve.png", f"{what}, seed {config.seed}", curve)
     figures: dict[str, Any] = {
         "steps": trainer.steps,
         **played.as_figures(),
@@ -300,27 +300,25 @@ def _report(
         "training_versions": training_versions(),
     }
     wall = {"training_s": trainer.wall_s, "this_call_s": seconds}
-    files = {"Policy": folder / "policy.safetensors"}
-    written = document(figures, command="train", seed=config.seed, config=asked, wall=wall)
     sentence = (
-        f"{trainer.task.name}, {config.algo}: {played.in_words}, {played.mean_ticks:.1f} ticks, after "
-        f"{trainer.steps:,} steps in {trainer.wall_s:.0f} s."
+        f"{what}: {played.in_words}, {played.mean_ticks:.1f} ticks, after {trainer.steps:,} steps in "
+        f"{trainer.wall_s:.0f} s."
     )
     reached = played.success >= min(asked["until"], LEARNED)
-    headline = Headline(*(("Learned", Tone.GOOD) if reached else ("Not learned", Tone.CAUTION)), sentence)
     starts = f"{played.solved:,} of {count(played.starts, 'different start')} solved"
     Report(
         "Training",
-        f"{trainer.task.name}, {config.algo}, seed {config.seed}",
-        headline,
+        f"{what}, seed {config.seed}",
+        Headline(*(("Learned", Tone.GOOD) if reached else ("Not learned", Tone.CAUTION)), sentence),
         [
             KeyFigure(f"{played.success:.3f}", "success", starts),
             KeyFigure(f"{trainer.steps:,}", "steps", f"{trainer.wall_s:.0f} s"),
         ],
         [_curve_section(curve)] if curve else [],
-        files=files,
-        document=written,
+        files={"Policy": folder / "policy.safetensors"},
+        document=document(figures, command="train", seed=config.seed, config=asked, wall=wall),
     ).publish(folder)
+    return 0
 
 
 def _curve_section(curve: Sequence[Point]) -> Section:
@@ -347,3 +345,110 @@ def _curve_section(curve: Sequence[Point]) -> Section:
         tall=True,
     )
     return Section("curve", "Learning curve", "Evaluations on fresh episodes.", [drawing, table])
+
+
+@owning
+def study(
+    what: Annotated[str, Parameter(metavar="NAME|FILE")],
+    *,
+    work: Work = Work(),  # noqa: B008
+    timeout: Annotated[float, number(TIMEOUT_S, "SECONDS")] = 7200.0,
+    out: Dir = Path("out/study"),
+) -> int:
+    """Train on every task of a study by every algorithm with every seed, evaluate, and say what may be concluded.
+
+    Results are over training runs, each of another seed: the interquartile mean with its stratified bootstrap interval,
+    learning curves and performance profiles. What is evaluated counts once where it repeats itself. Ctrl-C keeps what
+    is finished, and --resume goes on, within a run too. Exit status 0 when all runs reached the study's success rate, 1
+    when not, 2 for wrong input.
+
+    Args:
+        what: a YAML file, or a shipped study such as paper or quick.
+        timeout: seconds after which a run counts as hanging.
+        out: folder for report.json, study.md, curves.png, profiles.png, trials.jsonl and a folder of each run.
+    """
+    need_torch()
+    from craftsim.reports.json_file import document
+    from craftsim.studies.report import study_report, write_markdown
+    from craftsim.studies.results import figures_of, plot_results
+    from craftsim.studies.runs import run_study
+    from craftsim.studies.study import read_study
+
+    asked, begun = read_study(what), time.perf_counter()
+    records = run_study(asked, out, work.run(lambda total: watching(asked, out, total)), timeout)
+    figures = figures_of(asked, records)
+    write_markdown(out / "study.md", asked, figures)
+    pictures = plot_results(out, asked, figures)
+    wall = {
+        "this_call_s": time.perf_counter() - begun,
+        "cpu_s": {record["key"]: record["extra"].get("cpu_s") for record in records},
+    }
+    config = {"study": asked, "what": what}
+    written = document(figures, command="study", seed=0, config=config, wall=wall)
+    reached = sum(record["agrees"] for record in records)
+    return study_report(asked, reached, written, pictures).publish(out)
+
+
+@contextmanager
+def watching(study: Study, out: Path, total: int) -> Iterator[Callable[[TrialRecord], None]]:
+    """Show how many runs of a study are done, and how far those under way are, by the curves in their folders.
+
+    It shows lines that change, or one now and then where there is no terminal. The function that is given is called
+    with each run's record.
+    """
+    from rich.live import Live
+    from rich.text import Text
+
+    from craftsim.reports.terminal import Terminal
+    from craftsim.reports.text import clean
+    from craftsim.studies.runs import RUNS
+
+    console = Terminal()
+    left = {run.key: run for run in study.runs}
+    reached = 0
+
+    def on_record(record: TrialRecord) -> None:
+        nonlocal reached
+        reached += record["agrees"]
+        left.pop(record["key"], None)
+
+    def lines() -> list[str]:
+        done = f"{total - len(left)} of {total} runs done, {reached} reached {study.goal:g}"
+        begun = [(run, out / RUNS / run.key) for run in list(left.values())]
+        return [done, *(_how_far(run, folder) for run, folder in begun if folder.is_dir())]
+
+    if console.is_terminal:
+        with Live(
+            get_renderable=lambda: Text(clean("\n".join(lines()))),
+            console=console,
+            refresh_per_second=1,
+            transient=True,
+        ):
+            yield on_record
+        return
+    ended = Event()
+
+    def tell() -> None:
+        said = ""
+        with suppress(OSError):  # nobody reads any more, which the results will show
+            while not ended.wait(EVERY_S):
+                if (now := "; ".join(lines())) != said:
+                    console.print(said := now, soft_wrap=True, markup=False, highlight=False)
+
+    teller = Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield on_record
+    finally:
+        ended.set()
+        teller.join()
+
+
+def _how_far(run: StudyRun, folder: Path) -> str:
+    from craftsim.training.curve import CURVE_FILE, read_last
+
+    last = read_last(folder / CURVE_FILE)
+    if last is None:
+        return f"{run.key}: no evaluation yet"
+    steps, success = last
+    return f"{run.key}: {steps:,} of at most {run.steps:,} steps, success {success:.2f}"

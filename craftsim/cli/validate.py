@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import re
+import time
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
 
 from craftsim.choices import Backend
-from craftsim.cli.again import command_again
-from craftsim.cli.options import RESULTS, Dir, File, Films, Name, Shown
+from craftsim.cli.app import command_again
+from craftsim.cli.progress import counting, counting_kinds
+from craftsim.cli.text import say
 from craftsim.errors import InputError
-from craftsim.options import Physics, Rollouts, Trials, number
+from craftsim.options import RESULTS, Dir, Goal, Name, Physics, Rollouts, Shown, Trials, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
 
+if TYPE_CHECKING:
+    from craftsim.discrete.tasks import Task
+    from craftsim.envs.datasets import MakeAct
+    from craftsim.envs.parallel import ParallelConstruction
+    from craftsim.training.config import Acting
+    from craftsim.training.policy import TrainedPolicy
+
 AUTO: Final = "auto"
 """The plan that is made, and made again."""
+_PLANNER: Final = "planner"
 
 
 @owning
@@ -25,17 +36,17 @@ def validate(
     what: Rollouts = Rollouts(),  # noqa: B008
     physics: Physics = Physics(),  # noqa: B008
     campaign: Trials = Trials(),  # noqa: B008
+    design: Goal = Goal(),  # noqa: B008
     *,
     backend: Backend = "physics",
     area: Annotated[tuple[int, ...], number(DESIGN_SIDE)] = (),
-    goal: File = None,
     replans: Annotated[int, number(REPLANS)] = 10,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = 60,
     disturb: Literal["shove", "fold", "dead-car"] | None = None,
     acting: Literal["greedy", "sampled"] | None = None,
     record: Annotated[Literal["none", "trajectory", "minari"], Parameter(group=RESULTS)] = "none",
     dataset: Annotated[Name, Parameter(group=RESULTS)] = None,
-    video: Films = "failures",
+    video: Annotated[Literal["none", "failures", "all"], Parameter(group=RESULTS)] = "failures",
     minimize: Shown = False,
     out: Dir = Path("out/validate"),
 ) -> int:
@@ -54,7 +65,6 @@ def validate(
             all six tasks unless given.
         backend: contact physics, or the grid by its rules for trained policies and datasets.
         area: length, width and height of another area, of tasks that vary, on the grid.
-        goal: design to build with --plan auto, in place of the task's goal.
         replans: plans after the first one with --plan auto, at most.
         attempts: attempts at each plan with --plan auto, of which the best is taken.
         disturb: what goes wrong on purpose with --plan auto: a block is shoved by one cell, a slope is folded again, or
@@ -70,27 +80,39 @@ def validate(
             disagreements, and of random play the worlds and plans.
     """
     if record == "minari":
-        from craftsim.cli.datasets import write_episodes
-
-        return write_episodes(
-            _only(worlds, "--record minari"), what, physics, campaign, backend, dataset, out
-        )
+        world = _only(worlds, "--record minari")
+        return _write_dataset(world, what, physics, campaign, backend, dataset, out)
     if backend == "grid":
-        from craftsim.cli.evaluation import play_policies
-
-        return play_policies(worlds, what, physics, campaign, area, acting, out)
+        return _play_policies(worlds, what, physics, campaign, area, acting, out)
     if str(what.plan) == AUTO:
-        from craftsim.cli.building import build
-
-        asked = replans, attempts, disturb
+        world = _only(worlds, "--plan auto")
         filmed = video == "all" or (video == "failures" and record == "trajectory")
-        return build(
-            _only(worlds, "--plan auto"), goal, asked, what.timeout_s, physics, campaign, filmed, out
-        )
-    for option, given in (("--goal", goal), ("--disturb", disturb)):
+        asked = replans, attempts, disturb
+        return _build(world, design.goal, asked, what.timeout_s, physics, campaign, filmed, out)
+    for option, given in (("--goal", design.goal), ("--disturb", disturb)):
         if given is not None:
             raise InputError(f"{option} goes with --plan auto")
-    return _validate(worlds, what, physics, campaign, record == "trajectory", video, minimize, out)
+    from craftsim.cli.films import film_runs, record_failures, rendering_works
+    from craftsim.discrete.tasks import TASK_NAMES
+    from craftsim.validation import validation
+    from craftsim.validation.report import validation_report
+
+    worlds, recording = worlds or TASK_NAMES, record == "trajectory"
+    n_runs = campaign.trials * len(worlds) * max(1, len(what.policy))
+    RUNS.check("--trials times worlds and policies", n_runs)
+    filming = video != "none" and rendering_works()
+    result = validation.validate(
+        *(worlds, what, physics, campaign),
+        out=out,
+        progress=counting("runs"),
+        minimize=counting_kinds() if minimize else None,
+        record=recording or video == "all",
+    )
+    if filming or recording:
+        record_failures(out, result.records, campaign.workers, filming)
+    if filming and video == "all":
+        film_runs(out, campaign.workers)
+    return validation_report(result, out, command_again()).publish(out)
 
 
 def _only(worlds: tuple[str, ...], option: str) -> str:
@@ -101,41 +123,197 @@ def _only(worlds: tuple[str, ...], option: str) -> str:
     return worlds[0]
 
 
-def _validate(
-    worlds: tuple[str, ...],
+def _build(
+    start: str,
+    goal: Path | None,
+    asked: tuple[int, int, Any],
+    timeout_s: float,
+    physics: Physics,
+    campaign: Trials,
+    video: bool,
+    out: Path,
+) -> int:
+    """Plan a building, build it in physics, and plan again from what is there where it went wrong: --plan auto."""
+    from craftsim.cli.films import film_runs, rendering_works
+    from craftsim.validation.validation import build_all, read_goal
+    from craftsim.validation.report import validation_report
+    from craftsim.validation.replanning import Replanning
+
+    task, setup = read_goal(start, goal), physics.setup()
+    filming = video and rendering_works()
+    result = build_all(
+        *(task, setup, Replanning(*asked)),
+        trials=campaign.trials,
+        seed=physics.seed,
+        out=out,
+        options=campaign.run(counting("buildings", lambda record: record["extra"].get("ended") == "built")),
+        timeout_s=timeout_s,
+        record=video,
+    )
+    if filming:
+        film_runs(out, campaign.workers)
+    return validation_report(result, out, command_again()).publish(out)
+
+
+def _play_policies(
+    tasks: tuple[str, ...],
     what: Rollouts,
     physics: Physics,
     campaign: Trials,
-    record: bool,
-    video: str,
-    minimize: bool,
+    area: tuple[int, ...],
+    acting: Acting | None,
     out: Path,
 ) -> int:
-    from craftsim.cli.films import film_runs, record_failures, rendering_works
-    from craftsim.cli.progress import counting, shrinking
-    from craftsim.discrete.tasks import TASK_NAMES
-    from craftsim.reports.terminal import Terminal
-    from craftsim.validation import validation
-    from craftsim.validation.report import validation_report
+    """Play trained policies on the grid, and count what differs: --backend grid.
 
-    RUNS.check(
-        "--trials times worlds and policies",
-        campaign.trials * len(worlds or TASK_NAMES) * max(1, len(what.policy)),
+    A deterministic policy plays one start alike each time: what is repeated counts once, and only different starts have
+    an interval. Tasks may start otherwise than those of training, but are of the same size, and have as many cars and
+    things unless the network looks from a car.
+    """
+    from craftsim.reports.json_file import document
+    from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, count
+    from craftsim.training.extra import need_torch
+
+    policies = [str(policy) for policy in what.policy]
+    cars, blocks = what.n_cars, what.n_blocks
+    episodes, seed = campaign.trials, physics.seed
+    if not policies or what.plan is not None or what.actions is not None:
+        raise InputError(
+            "on the grid trained policies are played; name one or more with --policy: what 'craftsim train' wrote, a "
+            "file or a folder"
+        )
+    need_torch()
+    from craftsim.training.evaluation import evaluate
+    from craftsim.training.policy import load_policy
+    from craftsim.training.shape import Shape
+
+    games = []
+    for path in policies:
+        policy = load_policy(path)
+        for asked in _tasks_of(path, policy, tasks, (cars, blocks, area or None)):
+            shape = Shape.of(asked, policy.shape.width, policy.shape.network)
+            if not policy.shape.fits(shape):
+                raise InputError(
+                    f"{path}: its network is for {policy.shape}, task '{asked.name}' is of {shape}; a network serves "
+                    "areas of one size, and unless it is relative, one number of cars and things"
+                )
+            games.append((path, policy, asked))
+    rows: list[dict[str, Any]] = []
+    lines: list[tuple[str, ...]] = []
+    for path, policy, asked in games:
+        how = (policy.config.rules, policy.config.helper_depth, acting or policy.config.acting)
+        played = evaluate(policy.net, asked, episodes, seed, *how)
+        rows.append({"policy": path, "task": asked.name, "acting": how[-1], **played.as_figures()})
+        low, high = played.interval or (None, None)
+        interval = "one start" if low is None else f"{low:.3f}-{high:.3f}"
+        solved = f"{played.solved} of {played.starts}"
+        figures = (solved, interval, str(played.trajectories), f"{played.mean_ticks:.1f}")
+        lines.append((Path(path).name, asked.name, f"{played.success:.3f}", *figures))
+    config = {"policies": policies, "task": list(tasks), "episodes": episodes}
+    config |= {"cars": cars, "blocks": blocks, "area": list(area)}
+    numbers = ("success", "starts solved", "at 95 %", "ways", "ticks")
+    columns = (Column("policy"), Column("task"), *(Column(name, "number") for name in numbers))
+    table = DataTable(columns, lines, f"{episodes} episodes each; ways are different trajectories")
+    lead = "What repeats itself counts once: only different starts have an interval."
+    evaluated = (
+        f"{count(len(rows), 'evaluation')} of {count(len(policies), 'policy', 'policies')} on the grid."
     )
-    console = Terminal()
-    filming = video != "none" and rendering_works(console)
-    result = validation.validate(
-        worlds or TASK_NAMES,
-        what,
-        physics,
-        campaign,
-        out=out,
-        progress=lambda total: counting(console, "runs", total),
-        minimize=shrinking(console) if minimize else None,
-        record=record or video == "all",
-    )
-    if filming or record:
-        record_failures(console, out, result.records, campaign.workers, filming)
-    if filming and video == "all":
-        film_runs(console, out, campaign.workers)
-    return validation_report(result, out, command_again()).publish(out, console)
+    return Report(
+        "Evaluation of policies",
+        ", ".join(dict.fromkeys(row["task"] for row in rows)),
+        Headline("Evaluated", Tone.PLAIN, evaluated),
+        sections=[Section("evaluations", "Evaluations", lead, [table], terminal=True)],
+        document=document({"evaluations": rows}, command="evaluate", seed=seed, config=config),
+    ).publish(out)
+
+
+def _tasks_of(
+    path: str,
+    policy: TrainedPolicy,
+    tasks: tuple[str, ...],
+    given: tuple[int | None, int | None, tuple[int, ...] | None],
+) -> list[Task]:
+    """Return the tasks that are asked for with these numbers of cars and blocks and this area, or a policy's own.
+
+    Names on the command line may be of code. The name in a policy's file may be from anybody.
+    """
+    from craftsim.discrete.tasks import as_task, known_task
+
+    if tasks:
+        return [as_task(name, *given) for name in tasks]
+    (cars, blocks, area), own = given, policy.config
+    try:
+        return [known_task(own.task, n_cars=cars or own.n_cars, n_blocks=blocks or own.n_blocks, area=area)]
+    except InputError as error:
+        raise InputError(
+            f"{path}: the task that it was trained on is not there: {error}; name one with --task"
+        ) from error
+
+
+def _write_dataset(
+    world: str,
+    what: Rollouts,
+    physics: Physics,
+    campaign: Trials,
+    backend: Backend,
+    name: str | None,
+    out: Path,
+) -> int:
+    """Play episodes and write them as a dataset for offline learning, which minari.load_dataset reads.
+
+    Episode i has the seed i after the first, and is the same whatever else is exported. Physics is nominal.
+    """
+    from craftsim.discrete.tasks import as_task
+    from craftsim.envs import parallel_env
+    from craftsim.envs.datasets import need_minari, write_dataset
+    from craftsim.experiments.intervals import Proportion
+    from craftsim.reports.json_file import write_report
+
+    need_minari()
+    if len(what.policy) > 1 or what.actions is not None:
+        raise InputError("a dataset is of one --plan or one --policy")
+    plan = what.plan_file
+    policy = str(what.policy[0]) if what.policy else _PLANNER
+    episodes, seed, rules = campaign.trials, physics.seed, physics.rules
+    task = as_task(world)
+    env = parallel_env(task, backend, rule_set=rules)
+    player = policy if plan is None else "plan"
+    if plan is not None and what.policy:
+        raise InputError("--plan and --policy both say what is played; give one of them")
+    make_act = _player(env, policy, plan)
+    name = name or f"craftsim/{_word(task.name)}/{_word(Path(player).name)}-v0"
+    begun = time.perf_counter()
+    with counting("episodes", bool)(episodes) as tell:
+        written = write_dataset(env, make_act, out, name, episodes, seed, player, tell)
+    env.close()
+    success = Proportion.of(written.successes, written.episodes)
+    figures = {"episodes": written.episodes, "steps": written.steps, "success": success}
+    config = {"task": world, "policy": policy, "plan": plan, "episodes": episodes, "backend": backend}
+    config |= {"rules": rules, "name": name, "task_digest": task.digest}
+    wall = {"playing_s": time.perf_counter() - begun}
+    report = write_report(written.path, figures, command="export", seed=seed, config=config, wall=wall)
+    say(f"{name}: {written.episodes} episodes, {written.steps} steps, {written.successes} reach the goal.")
+    say(f"Report: {report}")
+    say(f"To load it: MINARI_DATASETS_PATH={out.resolve()}, then minari.load_dataset('{name}')")
+    return 0
+
+
+def _player(env: ParallelConstruction, policy: str, plan: Path | None) -> MakeAct:
+    """Return what makes the policy of each episode; raise InputError where there is none, or not for this task."""
+    from craftsim.discrete.files.plan import read_plan
+    from craftsim.envs.planner import PlannerPolicy, PlanPolicy
+    from craftsim.validation.policies import make_policy
+
+    if plan is not None:
+        read = read_plan(plan, env.core.n_cars)
+        return lambda seed: PlanPolicy(env, read)
+    if policy == _PLANNER:
+        PlannerPolicy(env)  # refuses a task without a goal before anything is written
+        return lambda seed: PlannerPolicy(env)
+    make_policy(policy, 0, env.core.task)  # refuses one of another task before anything is written
+    return lambda seed: make_policy(policy, seed, env.core.task)
+
+
+def _word(text: str) -> str:
+    """Return a text with a dash for whatever a dataset's name cannot hold."""
+    return re.sub(r"[^\w-]+", "-", text) or "policy"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -18,8 +18,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from craftsim.errors import InputError
-from craftsim.logs.bag_messages import JOINTS, NUMBERS, ODOMETRY, POSE, decoder
-from craftsim.logs.bag_records import BagChannel, BagFile
+from craftsim.logs.bag_records import JOINTS, NUMBERS, ODOMETRY, POSE, BagChannel, BagFile, decoder
 from craftsim.logs.log import GROUPS, LONGEST_GAP, TIME, Floats, Log, interpolated
 from craftsim.mjcf.car import WHEELS
 from craftsim.storage.limits import BAG, BAG_MESSAGES
@@ -29,11 +28,10 @@ from craftsim.storage.yaml import read_document
 
 Series = dict[str, "array[float]"]
 """Times and values by column of a log, in turns."""
-Take = Callable[[float, Any], None]
-"""Takes the time and the content of a message."""
-SHOWN_TOPICS = 10
-"""In a message."""
-
+Values = Iterable[tuple[str, float]]
+"""Values by column of a log."""
+_SHOWN_TOPICS: Final = 10
+"""In an error."""
 
 _Name = Annotated[str, Field(min_length=1)]
 _JOINTS: Final = (*WHEELS, "board", "hinge")
@@ -62,6 +60,12 @@ class Topics:
     """What the bag calls the joints."""
 
 
+Take = Callable[[Any, Topics], Values]
+"""Takes what a message holds."""
+Takers = dict[str, Take]
+"""By the message's type."""
+
+
 def read_topics(path: Path) -> Topics:
     """Return the topics that a YAML file names; raise InputError, with file and line, for one that it should not."""
     return read_document(path).over({"joint_names": Topics().joint_names}).to(Topics)
@@ -86,13 +90,15 @@ def read_bag(path: Path, topics: Path | None = None) -> Log:
 def _collect(bag: BagFile, names: Topics) -> Series:
     """Return what the wanted topics hold."""
     series: Series = {name: array("d") for columns in GROUPS.values() for name in columns}
-    takers: dict[int, tuple[Callable[[bytes], Any], Take]] = {}
     channels = bag.channels()
-    pose = names.pose or _pose_topic(channels)
+    wanted = {names.pose or _pose_topic(channels): _POSES, names.joints: _MEASURED, names.commands: _COMMANDS}
+    takers: dict[int, tuple[Callable[[bytes], Any], Take]] = {}
     for number, channel in channels.items():
-        if channel.topic in (names.commands, names.joints, pose):
-            take = _taker(channel, series, names)
-            takers[number] = (decoder(channel.type, channel.encoding), take)
+        if channel.topic in wanted:
+            takes = wanted[channel.topic]
+            if channel.type not in takes:
+                raise InputError(f"{channel.topic} holds {channel.type}; allowed: {', '.join(takes)}")
+            takers[number] = decoder(channel.type, channel.encoding), takes[channel.type]
     n_read = Counter[str]()
     for number, time, content in bag.messages(takers) if takers else ():
         topic = channels[number].topic
@@ -100,7 +106,8 @@ def _collect(bag: BagFile, names: Topics) -> Series:
         if n_read[topic] > BAG_MESSAGES:
             raise InputError(f"{topic} has more than the {BAG_MESSAGES} messages that are allowed")
         decode, take = takers[number]
-        take(time, decode(content))
+        for column, value in take(decode(content), names):
+            series[column].extend((time, value))
     return series
 
 
@@ -108,75 +115,58 @@ def _pose_topic(channels: dict[int, BagChannel]) -> str | None:
     """Return the one topic with poses, if any."""
     found = sorted({channel.topic for channel in channels.values() if channel.type in (ODOMETRY, POSE)})
     if len(found) > 1:
-        some = ", ".join(found[:SHOWN_TOPICS]) + ", ..." * (len(found) > SHOWN_TOPICS)
+        some = ", ".join(found[:_SHOWN_TOPICS]) + ", ..." * (len(found) > _SHOWN_TOPICS)
         raise InputError(f"several topics hold poses: {some}; name one with --topics, key 'pose'")
     return found[0] if found else None
 
 
-def _taker(channel: BagChannel, series: Series, names: Topics) -> Take:
-    """Return what takes the messages of a channel; raise InputError for one of another type than its topic's."""
-    takers: dict[str, Callable[[Series, float, Any, Topics], None]]
-    if channel.topic == names.commands:
-        takers = {JOINTS: _take_named_commands, NUMBERS: _take_numbers}
-    elif channel.topic == names.joints:
-        takers = {JOINTS: _take_joints}
-    else:
-        takers = {ODOMETRY: _take_odometry, POSE: _take_pose}
-    if channel.type not in takers:
-        raise InputError(f"{channel.topic} holds {channel.type}; allowed: {', '.join(takers)}")
-    take = takers[channel.type]
-    return lambda time, content: take(series, time, content, names)
-
-
-def _take_numbers(series: Series, time: float, content: Any, names: Topics) -> None:
-    values, columns = content.data, GROUPS["commands"]
-    if not 4 <= len(values) <= len(columns):
-        raise InputError(f"{names.commands} has {len(values)} numbers; allowed: four wheels, board and hinge")
-    _take_commands(series, time, dict(zip(columns, values, strict=False)))
-
-
-def _take_named_commands(series: Series, time: float, content: Any, names: Topics) -> None:
-    by_joint = dict(zip(content.name, content.velocity, strict=False))
-    joints = (names.joint_names[name] for name in (*WHEELS, "board", "hinge"))
+def _numbers(content: Any, names: Topics) -> Values:
     columns = GROUPS["commands"]
-    _take_commands(
-        series, time, {c: by_joint[j] for c, j in zip(columns, joints, strict=True) if j in by_joint}
-    )
+    if not 4 <= len(content.data) <= len(columns):
+        raise InputError(
+            f"{names.commands} has {len(content.data)} numbers; allowed: four wheels, board and hinge"
+        )
+    given = dict(zip(columns, content.data, strict=False))
+    return [(column, given.get(column, 0.0)) for column in columns]
 
 
-def _take_commands(series: Series, time: float, given: dict[str, float]) -> None:
-    for column in GROUPS["commands"]:
-        series[column].extend((time, given.get(column, 0.0)))
+def _named_commands(content: Any, names: Topics) -> Values:
+    given = dict(zip(content.name, content.velocity, strict=False))
+    return [
+        (column, given.get(names.joint_names[joint], 0.0))
+        for column, joint in zip(GROUPS["commands"], _JOINTS, strict=True)
+    ]
 
 
-def _take_odometry(series: Series, time: float, content: Any, names: Topics) -> None:
-    _take_pose(series, time, content.pose, names)
-
-
-def _take_pose(series: Series, time: float, content: Any, names: Topics) -> None:
-    del names
+def _pose(content: Any, _: Topics) -> Values:
     q, p = content.pose.orientation, content.pose.position
     heading = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
     pitch = -math.asin(max(-1.0, min(1.0, 2 * (q.w * q.y - q.z * q.x))))
     roll = math.atan2(2 * (q.w * q.x + q.y * q.z), 1 - 2 * (q.x**2 + q.y**2))
-    columns = (*GROUPS["pose"], *GROUPS["tilt"])
-    for column, value in zip(columns, (p.x, p.y, heading, pitch, roll), strict=True):
-        series[column].extend((time, value))
+    return zip((*GROUPS["pose"], *GROUPS["tilt"]), (p.x, p.y, heading, pitch, roll), strict=True)
 
 
-def _take_joints(series: Series, time: float, content: Any, names: Topics) -> None:
+def _odometry(content: Any, names: Topics) -> Values:
+    return _pose(content.pose, names)
+
+
+def _joints(content: Any, names: Topics) -> Values:
     place = {name: k for k, name in enumerate(content.name)}
-
-    def take(column: str, joint: str, values: Any) -> None:
-        k = place.get(names.joint_names[joint])
+    wheels = zip(GROUPS["wheel_speeds"], WHEELS, ["velocity"] * 4, strict=True)
+    for column, joint, what in (*wheels, *_OTHER_JOINTS):
+        k, values = place.get(names.joint_names[joint]), getattr(content, what)
         if k is not None and k < len(values):
-            series[column].extend((time, values[k]))
+            yield column, values[k]
 
-    for column, wheel in zip(GROUPS["wheel_speeds"], WHEELS, strict=True):
-        take(column, wheel, content.velocity)
-    take("board_m", "board", content.position)
-    take("board_force_n", "board", content.effort)
-    take("hinge_rad", "hinge", content.position)
+
+_OTHER_JOINTS: Final = (
+    ("board_m", "board", "position"),
+    ("board_force_n", "board", "effort"),
+    ("hinge_rad", "hinge", "position"),
+)
+_COMMANDS: Final[Takers] = {JOINTS: _named_commands, NUMBERS: _numbers}
+_MEASURED: Final[Takers] = {JOINTS: _joints}
+_POSES: Final[Takers] = {ODOMETRY: _odometry, POSE: _pose}
 
 
 def _log(series: Series, names: Topics) -> Log:

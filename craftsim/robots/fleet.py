@@ -1,15 +1,106 @@
-"""Robots of this process as a fleet that an executor drives."""
+"""Robots of this process as a fleet that an executor drives. Whoever has a machine implements Robot and Clock."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
-from craftsim.models.measuring import Records
-from craftsim.robots.robot import Clock, Robot
-from craftsim.robots.wires import Harness
+import numpy as np
+
+from craftsim.discrete.kernel.jit import records
+from craftsim.models.measuring import READING, UNDERSIDE, WIRING, CarMeasurement, Records, write_reading
+from craftsim.skills.fleet import Wires
+from craftsim.skills.skill import Command
+
+_MOTORS = 5
+"""Of a car: four wheels and the board."""
 
 
-class RobotFleet:
+class Robot(Protocol):
+    """One car."""
+
+    def measure(self) -> CarMeasurement:
+        """Return what it measures now, at once; ``time_s`` is its own clock, and all robots of a fleet share it."""
+
+    def command(self, command: Command) -> None:
+        """Give its motors these speeds, until the next command comes; ``Command()`` stops them, and they hold."""
+
+
+class Clock(Protocol):
+    """The time of all robots of a fleet."""
+
+    def wait(self) -> None:
+        """Return when one more control period has passed."""
+
+
+class RealClock:
+    """The time of the world: each control period ends that long after the one before, however long it was used."""
+
+    def __init__(
+        self,
+        period_s: float,
+        now: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """Begin the first period now; ``now`` and ``sleep`` are in seconds."""
+        self._period_s, self._now, self._sleep = period_s, now, sleep
+        self._end_s = now() + period_s
+        self.overruns = 0
+        """Periods that were over before they were waited for; they are not made up for."""
+
+    def wait(self) -> None:
+        """Sleep until the period is over."""
+        left_s = self._end_s - self._now()
+        if left_s > 0:
+            self._sleep(left_s)
+        else:
+            self.overruns += 1
+            self._end_s -= left_s
+        self._end_s += self._period_s
+
+
+class Harness:
+    """Records and arrays through which compiled laws measure and command n cars, and the hinges of some slopes."""
+
+    def __init__(self, n_cars: int, n_slopes: int) -> None:
+        """Lay the wires; nothing is commanded."""
+        cars, plugs = records(n_cars, WIRING), records(n_slopes, UNDERSIDE)
+        motors = np.arange(_MOTORS * n_cars).reshape(n_cars, _MOTORS)
+        cars["wheel_motors"], cars["board_motor"] = motors[:, :4], motors[:, 4]
+        plugs["motor"] = range(_MOTORS * n_cars, _MOTORS * n_cars + n_slopes)
+        ctrl = np.zeros(_MOTORS * n_cars + n_slopes)
+        self.wires = Wires(cars, plugs, np.zeros((n_cars, 4)), np.ones(1), ctrl)
+        self.readings: Records = records(n_cars, READING)
+        """(n,) READING: what was measured last."""
+
+    def measured(self, measurements: Sequence[CarMeasurement]) -> None:
+        """Take a measurement of each car. Raises ValueError for other slopes than there are."""
+        n_slopes = len(self.wires.plugs)
+        for car, now in enumerate(measurements):
+            if now.slope is not None and not 0 <= now.slope < n_slopes:
+                raise ValueError(f"car {car} is docked to slope {now.slope}, and there are {n_slopes}")
+            write_reading(now, self.readings[car : car + 1])
+
+    def commands(self) -> tuple[Command, ...]:
+        """Return what stands on the wires, for each car; a hinge's is that of the car that is docked to its slope."""
+        ctrl, found = self.wires.ctrl.tolist(), []
+        hinges = ctrl[_MOTORS * len(self.readings) :]
+        for car, slope in enumerate(self.readings["slope"].tolist()):
+            fl, fr, rl, rr, board = ctrl[_MOTORS * car : _MOTORS * (car + 1)]
+            found.append(Command((fl, fr, rl, rr), board, hinges[slope] if slope >= 0 else 0.0))
+        return tuple(found)
+
+    def stop(self, car: int, slope: int) -> None:
+        """Command a car's motors to zero, and the hinge of a slope, -1 for none."""
+        wires = self.wires
+        wires.speeds[car] = 0.0
+        wires.ctrl[_MOTORS * car : _MOTORS * (car + 1)] = 0.0
+        if slope >= 0:
+            wires.ctrl[wires.plugs[slope]["motor"]] = 0.0
+
+
+class RobotFleet(Harness):
     """Some robots with a common clock, each control period measured at its start and commanded at once."""
 
     lost = ""
@@ -17,26 +108,21 @@ class RobotFleet:
 
     def __init__(self, robots: Sequence[Robot], clock: Clock, n_slopes: int = 0) -> None:
         """Drive these robots, in the order of their cars' ids, in a world with so many slopes."""
+        super().__init__(len(robots), n_slopes)
         self._robots, self._clock = tuple(robots), clock
-        self._harness = Harness(len(self._robots), n_slopes)
-        self.wires = self._harness.wires
         self.attend()
 
     def read(self) -> Records:
         """Return the newest readings of all cars."""
-        return self._harness.readings
+        return self.readings
 
     def attend(self) -> None:
         """Measure anew: the robots' time has gone on."""
-        self._harness.measured([robot.measure() for robot in self._robots])
+        self.measured([robot.measure() for robot in self._robots])
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Command the robots, wait until the control period is over, and measure; there are no physics steps."""
-        for robot, command in zip(self._robots, self._harness.commands(), strict=True):
+        for robot, command in zip(self._robots, self.commands(), strict=True):
             robot.command(command)
         self._clock.wait()
         self.attend()
-
-    def stop(self, car: int, slope: int) -> None:
-        """Command a car's motors to zero, and the hinge of a slope."""
-        self._harness.stop(car, slope)

@@ -13,10 +13,13 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final, Protocol
 
+from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
+from craftsim.discrete.grid import Cell
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.measuring import Records
 from craftsim.robots.extrapolation import Extrapolation
+from craftsim.robots.fleet import Harness
 from craftsim.robots.messages import (
     COPIES,
     Ack,
@@ -31,8 +34,6 @@ from craftsim.robots.messages import (
     pack,
     unpack,
 )
-from craftsim.robots.surroundings import Surroundings
-from craftsim.robots.wires import Harness
 from craftsim.skills.skill import Command
 
 TIMEOUT_S: Final = 1.0
@@ -52,7 +53,9 @@ _MOST_BEHIND_S: Final = 1.0
 """By how much the robots' clock may be ahead of who drives them during an action: their watchdog is quicker."""
 _AT_ONCE: Final = 4096
 """Messages that are taken at once: more than wait in a connection."""
-_EPSILON_S: Final = 1e-6
+EPSILON_S: Final = 1e-6
+_AROUND_M: Final = 10.0
+"""Around a world: what is further off was not measured there, however badly."""
 
 
 class Messenger(Protocol):
@@ -68,15 +71,20 @@ class Messenger(Protocol):
         """
 
 
-class Follower(Protocol):
-    """Who looks on while robots act."""
+def inside(size: Cell, x: float, y: float, z: float) -> bool:
+    """Return whether a car, or what it handles, can be at a position in metres in a world of a size in cells.
 
-    def follow(self, measured: Measurements, timeout_s: float) -> str:
-        """Look at how things stood when something was measured; return why that was not seen in time, or nothing."""
+    Example:
+        >>> inside((3, 1, 1), 0.2, -5.0, 0.1), inside((3, 1, 1), 40.0, 0.0, 0.1)
+        (True, False)
+    """
+    nx, ny, nz = size
+    ends = zip((x, y, z), (nx * CELL_PITCH_M, ny * CELL_PITCH_M, nz * LEVEL_HEIGHT_M), strict=True)
+    return all(-_AROUND_M <= place <= end + _AROUND_M for place, end in ends)
 
 
-class Link:
-    """A connection to robots."""
+class Link(Harness):
+    """A connection to robots: what stands on its wires is sent to them, and what they will measure is read."""
 
     def __init__(
         self,
@@ -85,32 +93,31 @@ class Link:
         machines: Machines,
         world: str = "",
         timeout_s: float = TIMEOUT_S,
-        surroundings: Surroundings | None = None,
+        size: Cell | None = None,
     ) -> None:
         """Say hello to the robots, and listen for half a second how long messages take.
 
         Args:
             transport: reaches them.
             n_cars: how many there should be.
-            machines: their figures.
+            machines: their parameters.
             world: digest of the world in which they should stand.
             timeout_s: without a message of use for so long they count as lost.
-            surroundings: where they can be, if that is known.
+            size: of the world in cells, if that is known: no car is far outside.
 
         Raises InputError where nobody answers, or they refuse.
         """
         self._transport, self._timeout_s = transport, timeout_s
-        self._follower: Follower | None = None
+        self._follow: Callable[[Measurements, float], str] = lambda measured, timeout_s: ""
         self.lost, self._dead = "", False
         self.dropped = 0
         """Messages that were none, or said what cannot be."""
         self._why_dropped = ""
         """Of the last of these, in brackets."""
-        self._surroundings = surroundings
+        self._size = size
         self.welcome = self._greet(n_cars, world)
         period_s = self.period_s = self.welcome.period_s
-        self._harness = Harness(n_cars, self.welcome.slopes)
-        self.wires = self._harness.wires
+        super().__init__(n_cars, self.welcome.slopes)
         self._cars = [Extrapolation(machines.car(car), machines, period_s) for car in range(n_cars)]
         self._sent: deque[tuple[float, Commands]] = deque(
             maxlen=round(2 * _MOST_LEAD_S / period_s) + _REMEMBERED
@@ -135,7 +142,7 @@ class Link:
 
     def read(self) -> Records:
         """Return what the cars will measure when the next command begins, shape (n,) of READING."""
-        return self._harness.readings
+        return self.readings
 
     def attend(self) -> None:
         """Take up with the robots' clock, which has gone on."""
@@ -143,9 +150,9 @@ class Link:
             return
         self.lost, self._first = "", self._number + 1
         takes_s = max(self._takes, default=0.0)
-        if takes_s > _EPSILON_S:
+        if takes_s > EPSILON_S:
             takes_s += _SPARE_S
-        lead_s = math.ceil(takes_s / self.period_s - _EPSILON_S) * self.period_s
+        lead_s = math.ceil(takes_s / self.period_s - EPSILON_S) * self.period_s
         self._lead_s = min(max(lead_s, 0.0), _MOST_LEAD_S)
         self._take_all()
         self._listen_until(self._newest.time_s + self.period_s)
@@ -157,7 +164,7 @@ class Link:
         if self.lost:
             return
         self._number += 1
-        message = Commands(self._number, self._due_s + self._lead_s, self._harness.commands())
+        message = Commands(self._number, self._due_s + self._lead_s, self.commands())
         for _ in range(COPIES):
             self._transport.send(pack(message))
         self._sent.append((self._lead_s, message))
@@ -177,26 +184,28 @@ class Link:
 
     def stop(self, car: int, slope: int) -> None:
         """Command a car's motors to zero, and the hinge of a slope; tell the robots at once."""
-        self._harness.stop(car, slope)
+        super().stop(car, slope)
         self._number += 1
-        self._transport.send(pack(Commands(self._number, 0.0, self._harness.commands())))
+        self._transport.send(pack(Commands(self._number, 0.0, self.commands())))
 
     def close(self) -> None:
         """Let go of the robots."""
         self._transport.send(pack(Bye()))
 
-    def let_follow(self, follower: Follower) -> None:
-        """Let somebody look on from now on, such as a mirror. Raises InputError where it sees nothing."""
-        self._follower = follower
+    def let_follow(self, follow: Callable[[Measurements, float], str]) -> None:
+        """Let somebody look on from now on, such as a mirror. Raises InputError where it sees nothing.
+
+        It is called with measurements and a time limit in seconds, and returns why it did not see in time how things
+        stood when they were made, or nothing.
+        """
+        self._follow = follow
         self._look_on()
         if self.lost:
             raise InputError(self.lost)
 
     def _look_on(self) -> None:
-        if self._follower is not None and not self.lost:
-            why = self._follower.follow(self._newest, self._timeout_s)
-            if why:
-                self._lose(why)
+        if not self.lost and (why := self._follow(self._newest, self._timeout_s)):
+            self._lose(why)
 
     def _greet(self, n_cars: int, world: str) -> Welcome:
         self._transport.send(pack(Hello(n_cars, world)))
@@ -228,14 +237,14 @@ class Link:
                 raise InputError(self.lost)
             if isinstance(message, Measurements) and self._fits(message, -math.inf):
                 self._owed.append(message.number)
-                self._harness.measured(message.cars)
+                self.measured(message.cars)
                 return message
         raise InputError(f"the robots measure nothing for {self._timeout_s:g} s{self._why_dropped}")
 
     def _listen_until(self, time_s: float) -> None:
         """Take messages until there is a measurement of a time, or later, by the robots' clock; or lose them."""
         deadline = time.monotonic() + self._timeout_s
-        while not self.lost and self._newest.time_s < time_s - _EPSILON_S:
+        while not self.lost and self._newest.time_s < time_s - EPSILON_S:
             for number in self._owed:
                 self._transport.send(pack(Ack(number)))
             self._owed.clear()
@@ -273,7 +282,7 @@ class Link:
         for car, now in enumerate(message.cars):
             if now.slope is not None and now.slope >= self.welcome.slopes:
                 why = f"car {car} docked to slope {now.slope}; there are {self.welcome.slopes}"
-            elif self._surroundings is not None and not self._surroundings.holds(now.x, now.y, now.z):
+            elif self._size is not None and not inside(self._size, now.x, now.y, now.z):
                 why = f"car {car} at ({now.x:g}, {now.y:g}, {now.z:g}) m, outside the world"
         if why:
             self._drop(why)
@@ -315,7 +324,7 @@ class Link:
         begins_s = self._due_s + self._lead_s
         periods = max(0, round((begins_s - now.time_s) / period_s))
         to_act = [self._acting(now.time_s + n * period_s) for n in range(periods)]
-        self._harness.measured(
+        self.measured(
             [
                 car.after(measured, [commands[i] for commands in to_act])
                 for i, (car, measured) in enumerate(zip(self._cars, now.cars, strict=True))
@@ -325,6 +334,6 @@ class Link:
     def _acting(self, time_s: float) -> tuple[Command, ...]:
         """Return what the cars do, or have done, in the control period that begins at a time."""
         for _, message in reversed(self._sent):
-            if message.at_s <= time_s + _EPSILON_S:
+            if message.at_s <= time_s + EPSILON_S:
                 return message.cars
         return (Command(),) * self.welcome.cars

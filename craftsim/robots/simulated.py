@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from craftsim.models.measuring import CarMeasurement, PoseReader
 from craftsim.models.world import PhysicsWorld
-from craftsim.robots.channel import Channel, Network
+from craftsim.robots.fleet import Robot
 from craftsim.robots.messages import Measurements, TruePoses
-from craftsim.robots.robot import Robot
-from craftsim.robots.service import Service
+from craftsim.robots.server import Channel, Network, Service
 from craftsim.robots.sockets import Host
-from craftsim.robots.station import Station
 from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.skill import Command
 
@@ -61,16 +58,12 @@ def simulated_robots(world: PhysicsFleet) -> tuple[Robot, ...]:
     return tuple(SimulatedRobot(world, car) for car in range(len(world.physics.cars)))
 
 
-class SimulatedReferee:
-    """Knows where everything on a PhysicsWorld truly is."""
+def simulated_referee(physics: PhysicsWorld) -> Callable[[Measurements], TruePoses]:
+    """Return what says where everything in a PhysicsWorld truly is, at the time of some measurements."""
+    reader, n_slopes = PoseReader(physics), len(physics.slopes)
 
-    def __init__(self, physics: PhysicsWorld) -> None:
-        """Look at a PhysicsWorld."""
-        self._physics, self._poses = physics, PoseReader(physics)
-
-    def __call__(self, measured: Measurements) -> TruePoses:
-        """Return where everything is, at the time at which the robots have measured."""
-        poses, n_slopes = self._poses.read(), len(self._physics.slopes)
+    def see(measured: Measurements) -> TruePoses:
+        poses = reader.read()
         cars = np.hstack([poses.car_positions, poses.car_quaternions])
         things = np.hstack([poses.positions, poses.quaternions])
         return TruePoses(
@@ -79,8 +72,10 @@ class SimulatedReferee:
             tuple(map(tuple, cars.tolist())),
             tuple(map(tuple, things.tolist())),
             tuple(poses.hinges[len(poses.hinges) - n_slopes :].tolist()),
-            self._physics.capped_steps,
+            physics.capped_steps,
         )
+
+    return see
 
 
 def serve_simulated(
@@ -92,19 +87,20 @@ def serve_simulated(
     waits: bool,
     tell: Callable[[str], None],
 ) -> Service:
-    """Return the service of the cars of a PhysicsWorld.
+    """Return the service of the cars of a PhysicsWorld, whose digest is given.
 
-    Args:
-        world: the cars.
-        digest: of their world.
-        sockets: where they are reached.
-        network: what is between them and who drives them.
-        rngs: draw what becomes of commands, and of measurements.
-        waits: whether their time stands still until each measurement has been answered.
-        tell: as of the service.
+    ``rngs`` draw what becomes of commands, and of measurements, in the network; the rest is as for Service.
     """
     physics = world.physics
-    robots = simulated_robots(world)
-    station = Station(robots, len(physics.slopes), physics.config.control_period_s, digest, True, waits)
-    up, down = (Channel[Any](network, rng) for rng in rngs)
-    return Service(station, SimulatedClock(world), up, down, sockets.send, SimulatedReferee(physics), tell)
+    return Service(
+        simulated_robots(world),
+        SimulatedClock(world),
+        (Channel(network, rngs[0]), Channel(network, rngs[1])),
+        sockets.send,
+        physics.config.control_period_s,
+        len(physics.slopes),
+        digest,
+        simulated_referee(physics),
+        waits,
+        tell,
+    )

@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from craftsim.errors import InputError
-from craftsim.robots.extra import LOOPBACK, PORT
+from craftsim.robots import LOOPBACK, PORT
 from craftsim.storage.limits import MESSAGE_BYTES, ROBOT_CONNECTIONS
 
 _HEAD_BYTES: Final = 4

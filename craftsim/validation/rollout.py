@@ -31,8 +31,8 @@ from craftsim.experiments.bundle import write_bundle
 from craftsim.experiments.experiment import Done
 from craftsim.logs.log import Log
 from craftsim.logs.recorder import LogRecorder
-from craftsim.logs.tables import LOG_SUFFIX, write_table
-from craftsim.rendering.recorder import Recorder
+from craftsim.logs.files import LOG_SUFFIX, write_table
+from craftsim.rendering.trajectory import Recorder
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.storage.folders import directory_within

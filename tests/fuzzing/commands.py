@@ -30,21 +30,21 @@ HANGS_S = 300.0
 
 PHYSICS = ("--randomize @.yaml", "--noise @.yaml", "--assume @.yaml", "--gains @.yaml", "--machines @.yaml")
 _ENDING = {
-    "demo": "demo --start gone.yaml",
+    "demo": "demo --task gone.yaml",
     "validate": "validate strip --baseline gone",
     "build": "validate --plan auto strip --baseline gone",
     "audit": "audit --quick --baseline gone",
     "margins": "audit margins --baseline gone",
     "tune": "tune --weights gone=1",
     "render": "render gone.yaml --out film.png",
-    "robot": "robot serve --start gone.yaml",
+    "robot": "robot serve --task gone.yaml",
 }
 """Commands that take physics, with something that ends them once its files are read."""
 
 SLOTS = (
     *(f"{words} {option}" for words in _ENDING.values() for option in PHYSICS),
     *(f"{words} --out @" for words in _ENDING.values() if "--out" not in words),
-    *("demo --task @", "demo --start @.yaml --no-video", "demo --plan @.plan", "demo --goal @.yaml"),
+    *("demo --task @", "demo --task @.yaml --no-video", "demo --plan @.plan", "demo --goal @.yaml"),
     *("demo --robot @",),
     *("validate @.yaml --baseline gone", "validate @ --baseline gone"),
     *("validate strip --plan @.plan --baseline gone",),
@@ -76,7 +76,7 @@ SLOTS = (
     *("robot identify @", "robot identify gone.csv --held-out @.csv"),
     *("robot identify run.mcap --topics @.yaml", "robot identify gone.csv --machines @.yaml"),
     *("robot identify gone.csv --out @",),
-    *("robot serve --task @ --host 256.1.1.1", "robot serve --start @.yaml --host 256.1.1.1", "robot serve --host @"),
+    *("robot serve --task @ --host 256.1.1.1", "robot serve --task @.yaml --host 256.1.1.1", "robot serve --host @"),
     *("train --task @.yaml --set settings=gone.yaml", "train --task @ --set settings=gone.yaml"),
     *("train --set settings=gone.yaml --out @", "train --set settings=@.yaml --task gone"),
     *("train --set pretrained=@ --set settings=gone.yaml", "train --set stages=@ --set settings=gone.yaml"),
@@ -93,7 +93,7 @@ SLOTS = (
     *("bench @ --out out", "bench gone --out @"),
     *("design @.png", "design @.stl", "design @.obj", "design @", "design letters --text @", "design gone --out @"),
     *("show @.yaml", "show @", "show strip --goal @.yaml", "show strip --plan @.plan", "show gone --out @"),
-    *("show --machine wall --mjcf @", "show --machine wall --urdf @"),
+    *("show wall --export @", "show wall --export @.urdf"),
     *("doctor --out @",),
 )  # fmt: skip
 """Words of commands with an ``@`` where the hostile thing stands: with the ending that its file should have, and in

@@ -32,11 +32,11 @@ from craftsim.experiments.durations import Duration, read_durations, write_durat
 from craftsim.logs.bags import read_topics
 from craftsim.logs.files import read_log
 from craftsim.logs.log import GROUPS, Log
-from craftsim.logs.tables import write_table
+from craftsim.logs.files import write_table
 from craftsim.mjcf.parameters import load_machines
 from craftsim.models.measuring import CarMeasurement
 from craftsim.models.randomization import load_noise
-from craftsim.rendering.camera_files import read_aim
+from craftsim.rendering.cameras import read_aim
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.robots.messages import Commands, Measurements, MessageError, TruePoses, pack, unpack
 from craftsim.skills.gains import load_gains

@@ -17,7 +17,7 @@ from mcap.records import Channel, Message
 from mcap_ros2.decoder import DecoderFactory
 
 from craftsim.errors import InputError
-from craftsim.logs import bag_messages, bag_records, bags
+from craftsim.logs import bag_records, bags
 from craftsim.logs.files import read_log
 from craftsim.logs.log import GROUPS, Log
 from craftsim.storage.limits import BAG_MESSAGE_BYTES, MIB
@@ -138,7 +138,7 @@ def test_many_channels_of_one_topic_share_a_decoder(bag, tmp_path, monkeypatch):
     path, made = tmp_path / "channels.mcap", []
     build = DecoderFactory.decoder_for
     monkeypatch.setattr(DecoderFactory, "decoder_for", lambda *args: made.append(args) or build(*args))
-    bag_messages.decoder.cache_clear()
+    bag_records.decoder.cache_clear()
     path.write_bytes(flooded(bag, 1000, "/localisation"))
     assert len(read_log(path)) == 20
     assert len(made) == 2  # poses, and joints for commands and measurements

@@ -18,10 +18,9 @@ from craftsim import (
     validate,
 )
 from craftsim.errors import InputError
-from craftsim.logs.files import read_log, read_logs
+from craftsim.logs.files import COLUMNS, read_log, read_logs, write_commands, write_table
 from craftsim.logs.log import GROUPS, Log
 from craftsim.logs.recorder import LogRecorder
-from craftsim.logs.tables import COLUMNS, write_commands, write_table
 from craftsim.models.measuring import Motors
 
 

@@ -74,9 +74,9 @@ def test_limits_are_those_of_the_motors_and_the_file_says_what_it_lacks(tmp_path
 
 
 def test_show_writes_a_machine_or_a_world(tmp_path, capsys):
-    files = ["--mjcf", str(tmp_path / "own.xml"), "--urdf", str(tmp_path / "own.urdf")]
+    files = ["--export", str(tmp_path / "own.xml"), str(tmp_path / "own.urdf")]
     for words, names in (
-        (["--machine", "slope"], {"slope", "flap"}),
+        (["slope"], {"slope", "flap"}),
         (["strip"], {"car0/smartcar", "car1/board"}),
     ):
         assert main(["show", *words, *files, "--drive", "reduced"]) == 0
@@ -84,5 +84,5 @@ def test_show_writes_a_machine_or_a_world(tmp_path, capsys):
         model = mujoco.MjModel.from_xml_path(str(tmp_path / "own.xml"))
         assert names <= {model.body(i).name for i in range(model.nbody)}
         assert mujoco.MjModel.from_xml_path(str(tmp_path / "own.urdf")).nbody == model.nbody
-    for words in ([], ["strip", "--machine", "slope"], ["--machine", "slope"]):
+    for words in ([], ["slope"]):
         assert main(["show", *words]) == 2

@@ -10,12 +10,10 @@ from drawn import draw
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import judge_on, set_up, setup_of
 from craftsim.models.world import PhysicsWorld
-from craftsim.robots.channel import Channel, Network
+from craftsim.robots.connecting import Mirror
 from craftsim.robots.link import Link
-from craftsim.robots.mirror import Mirror
-from craftsim.robots.service import Service
-from craftsim.robots.simulated import SimulatedClock, SimulatedReferee, simulated_robots
-from craftsim.robots.station import Station
+from craftsim.robots.server import Channel, Network, Service
+from craftsim.robots.simulated import SimulatedClock, simulated_referee, simulated_robots
 
 
 class Caller:
@@ -46,6 +44,7 @@ class Robots:
     """Their own world."""
     service: Service
     link: Link
+    mirror: Mirror
     driver: Caller
     judge: Judge
 
@@ -69,18 +68,20 @@ def make_robots():
             Channel(network or Network(), np.random.default_rng(s))
             for s in np.random.SeedSequence(seed).spawn(2)
         )
-        station = Station(simulated_robots(fleet), len(physics.slopes), 0.02, referee=True, waits=True)
         service = Service(
-            *(station, SimulatedClock(fleet), up, down),
-            lambda receiver, data: callers[receiver].inbox.append(data),
-            SimulatedReferee(physics),
+            *(simulated_robots(fleet), SimulatedClock(fleet), (up, down)),
+            *(lambda receiver, data: callers[receiver].inbox.append(data), 0.02, len(physics.slopes)),
+            referee=simulated_referee(physics),
+            waits=True,
         )
         made.append(service)
         for name in (b"driver", b"judge"):
             callers[name] = Caller(name, made)
         link = Link(callers[b"driver"], len(cars), setup.machines)
         seen = PhysicsWorld(grid, setup.simulation, reset=False, machines=setup.machines)
-        link.let_follow(Mirror(seen, callers[b"judge"]))
-        return Robots(physics, service, link, callers[b"driver"], judge_on(seen, setup, None, False, link))
+        mirror = Mirror(seen, callers[b"judge"])
+        link.let_follow(mirror.follow)
+        judge = judge_on(seen, setup, None, False, link)
+        return Robots(physics, service, link, mirror, callers[b"driver"], judge)
 
     return make

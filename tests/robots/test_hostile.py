@@ -17,15 +17,11 @@ from craftsim.cli import main
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.measuring import CarMeasurement
-from craftsim.robots.channel import Channel, Network
 from craftsim.robots.link import Link
 from craftsim.robots.messages import Ack, Bye, Commands, Follow, Hello, Measurements, Welcome, pack, unpack
-from craftsim.robots.service import Service
-from craftsim.robots.serving import Server
-from craftsim.robots.simulated import SimulatedClock, SimulatedReferee, simulated_robots
+from craftsim.robots.server import Channel, Network, Server, Service
+from craftsim.robots.simulated import SimulatedClock, simulated_referee, simulated_robots
 from craftsim.robots.sockets import Host
-from craftsim.robots.station import Station
-from craftsim.robots.surroundings import Surroundings
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command
 
@@ -109,7 +105,7 @@ def test_robots_that_say_what_cannot_be_are_lost_in_words(make_robots, clock, li
     robots = make_robots(SIZE, CARS)
     robots.judge.executor.begin(0, Action.MOVE_RIGHT)
     robots.judge.executor.advance()
-    robots.link._surroundings = Surroundings(SIZE)
+    robots.link._size = SIZE
     robots.link._transport = Lying(robots.driver, lie, clock)
     ended = {}
     for _ in range(3000):
@@ -122,7 +118,7 @@ def test_robots_that_say_what_cannot_be_are_lost_in_words(make_robots, clock, li
 @pytest.mark.parametrize("lie", [measured(x=math.nan), clock_shows(lambda time_s: 1e9 - time_s)])
 def test_robots_that_say_what_cannot_be_at_first_are_refused(make_robots, clock, lie):
     robots = make_robots(SIZE, CARS)
-    robots.service.station.leave()
+    robots.service.leave()
     robots.driver.inbox.clear()
     with pytest.raises(InputError, match="dropped: "):
         Link(Lying(robots.driver, lie, clock), 1, setup_of(drive="reduced").machines)
@@ -178,7 +174,7 @@ POSE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 def test_a_referee_that_says_what_cannot_be_is_lost_in_words(make_robots, clock, lie, why):
     robots = make_robots(SIZE, CARS)
     robots.judge.executor.begin(0, Action.MOVE_RIGHT)
-    mirror = robots.link._follower
+    mirror = robots.mirror
     mirror._referee = Lying(mirror._referee, lie, clock)
     ended = {}
     for _ in range(100):
@@ -218,11 +214,13 @@ class Wire:
 def serve(waits: bool, patience_s: float = 60.0):
     """Return a server of a robot, its service and its sockets."""
     fleet = set_up(draw(SIZE, (), CARS), setup_of(drive="reduced"), watch_contacts=False).executor.fleet
-    station = Station(simulated_robots(fleet), 0, 0.02, referee=True, waits=waits)
     wire, told = Wire(), []
     up, down = (Channel(Network(), np.random.default_rng(0)) for _ in range(2))
     service = Service(
-        *(station, SimulatedClock(fleet), up, down, wire.send, SimulatedReferee(fleet.physics), told.append)
+        *(simulated_robots(fleet), SimulatedClock(fleet), (up, down), wire.send, 0.02),
+        referee=simulated_referee(fleet.physics),
+        waits=waits,
+        tell=told.append,
     )
     return Server(service, wire, 1.0, patience_s, wire.now), service, wire, told
 
@@ -255,12 +253,12 @@ def test_robots_in_lock_step_leave_a_driver_that_is_silent(flood):
     looks = wire.looks
     while wire.looks < looks + 90_000 and service.now_s < 2.5:
         run(server, wire, 100)
-        if service.station.driver == b"stranger":
+        if service.driver == b"stranger":
             break
     wire.flood = None
     wire.waiting.append((b"other", pack(Hello(1))))
     run(server, wire, 3)
-    assert service.station.driver in (b"other", b"stranger")
+    assert service.driver in (b"other", b"stranger")
     assert sum("refused" in line or "dropped" in line for line in told) <= 10
 
 
@@ -285,11 +283,11 @@ def test_robots_in_lock_step_obey_the_next_one_once_their_driver_is_gone():
     service.arrive(b"driver", pack(Commands(1, 0.0, (Command((5.0,) * 4),))), service.now_s)
     wire.waiting.append((b"driver", None))
     run(server, wire, 100)
-    assert len(service.station.stopped_at_s) == 1  # the watchdog is what stops them
-    assert (service.station.driver, service.farewells) == (None, 1)
+    assert len(service.stopped_at_s) == 1  # the watchdog is what stops them
+    assert (service.driver, service.farewells) == (None, 1)
     wire.waiting.append((b"other", pack(Hello(1))))
     run(server, wire, 2)
-    assert service.station.driver == b"other"
+    assert service.driver == b"other"
     assert service.unseen  # and their time waits for it
 
 
@@ -301,8 +299,8 @@ def test_what_a_driver_has_sent_before_is_none_of_the_next_ones(monkeypatch):
     wire.waiting.append((b"driver", pack(Bye())))
     wire.waiting.append((b"other", pack(Hello(1))))
     run(server, wire, 10)
-    assert service.station.driver == b"other"
-    assert service.station.inbox.heard == 0
+    assert service.driver == b"other"
+    assert service.inbox.heard == 0
 
 
 def test_nobody_takes_the_referee_from_the_driver():

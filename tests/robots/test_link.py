@@ -9,12 +9,21 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.robots.channel import Network
 from craftsim.robots.fleet import RobotFleet
 from craftsim.robots.link import Link
-from craftsim.robots.messages import Bye, Commands, Hello, Refused, TruePoses, Welcome, pack, unpack
+from craftsim.robots.messages import (
+    Bye,
+    Commands,
+    Hello,
+    MessageError,
+    Refused,
+    TruePoses,
+    Welcome,
+    pack,
+    unpack,
+)
+from craftsim.robots.server import LEASE_S, Network
 from craftsim.robots.simulated import SimulatedClock, simulated_robots
-from craftsim.robots.station import LEASE_S
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command
@@ -66,7 +75,7 @@ def test_actions_agree_through_delay_jitter_and_loss_and_are_the_same_again(make
 
 def test_the_skills_see_nothing_of_what_the_referee_says(make_robots):
     robots = make_robots(SIZE, CARS, OBJECTS)
-    mirror = robots.link._follower
+    mirror = robots.mirror
     take = mirror._take
 
     def lie(data: bytes) -> None:
@@ -96,9 +105,9 @@ def test_robots_that_hear_nothing_stop_by_themselves(make_robots):
     assert fastest_m_s(robots) > 0.3
     robots.driver.cut = True
     robots.pass_time(0.06)
-    heard_s = robots.service.station.inbox.heard_s
+    heard_s = robots.service.inbox.heard_s
     robots.pass_time(heard_s + 0.15 - robots.service.now_s)
-    (stopped_s,) = robots.service.station.stopped_at_s
+    (stopped_s,) = robots.service.stopped_at_s
     assert 0.1 <= stopped_s - heard_s < 0.12 + 1e-6
     motors = robots.physics.data.ctrl[np.concatenate([car.wheel_actuators for car in robots.physics.cars])]
     assert not motors.any()
@@ -147,19 +156,19 @@ def test_a_slope_folds_and_is_held_through_a_network(make_robots):
 
 def test_robots_refuse_whom_they_do_not_fit_and_obey_one_at_a_time(make_robots):
     robots = make_robots(SIZE, CARS, OBJECTS)
-    station = robots.service.station
-    station.world = "a"
+    service = robots.service
+    service.world = "a"
 
     def ask(hello: Hello, now_s: float = robots.service.now_s):
-        return station.receive(b"other", hello, now_s)
+        return service.greet(b"other", hello, now_s)
 
     assert ask(Hello(2, "a")) == Refused("the robots obey somebody else; try again when that has ended", True)
     late_s = robots.service.now_s + LEASE_S + 0.1
     assert ask(Hello(3, "a"), late_s) == Refused("there are 2 robots, not 3")
     assert isinstance(ask(Hello(2, "b"), late_s), Refused)
     assert isinstance(ask(Hello(2, "a"), late_s), Welcome)
-    with pytest.raises(ValueError, match="does not drive"):
-        station.check(b"driver", Commands(1, 0.0, (Command(), Command())))
+    with pytest.raises(MessageError, match="does not drive"):
+        service.check(b"driver", Commands(1, 0.0, (Command(), Command())))
 
 
 def test_nobody_there_is_said_in_words():

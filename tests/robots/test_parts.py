@@ -6,11 +6,10 @@ import pytest
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.sensing import CarMeasurement
-from craftsim.robots.channel import Channel, Network
 from craftsim.robots.extrapolation import Extrapolation
-from craftsim.robots.inbox import Inbox
+from craftsim.robots.fleet import RealClock
 from craftsim.robots.messages import Commands
-from craftsim.robots.robot import RealClock
+from craftsim.robots.server import Channel, Inbox, Network
 from craftsim.skills.skill import Command
 
 

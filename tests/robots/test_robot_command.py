@@ -13,7 +13,7 @@ import pytest
 
 from craftsim.checking.setup import Seed, setup_of
 from craftsim.cli import main
-from craftsim.cli.robots import robots_at
+from craftsim.cli.robot import robots_at
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.skills.outcome import Reason
@@ -25,7 +25,7 @@ import os, signal
 import numpy as np
 from craftsim.checking.setup import setup_of
 from craftsim.checking.setup import Seed
-from craftsim.cli.robots import robots_at
+from craftsim.cli.robot import robots_at
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 with robots_at("{address}", 30.0) as where:
@@ -111,7 +111,7 @@ def test_robots_and_who_drives_them_outlive_each_other(tmp_path, start):
 
 @pytest.mark.parametrize(("host", "warns"), [("0.0.0.0", True), ("127.0.0.1", False)])
 def test_robots_that_other_machines_reach_say_so(tmp_path, capsys, monkeypatch, host, warns):
-    monkeypatch.setattr("craftsim.robots.serving.Server.run", lambda self, ended: None)
+    monkeypatch.setattr("craftsim.robots.server.Server.run", lambda self, ended: None)
     words = ["robot", "--task", "strip", "--host", host, "--port", "0", "--out", str(tmp_path)]
     assert main(words) == 0
     assert ("warning: from other machines" in capsys.readouterr().err) == warns

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +12,10 @@ import pytest
 from owner import owner
 from sessions import cut_off
 
-from craftsim.cli import main, study_progress
+from craftsim.cli import main
+from craftsim.cli import train as train_command
 from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
-from craftsim.reports.terminal import Terminal
 from craftsim.studies.report import conclusions, runs_table
 from craftsim.studies.runs import RUNS, train_and_evaluate
 from craftsim.studies.study import SHIPPED, Study, read_study
@@ -66,11 +67,13 @@ def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
 
 
 def test_progress_says_how_far_each_run_is(tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr(study_progress, "EVERY_S", 0.01)
+    monkeypatch.setattr(train_command, "EVERY_S", 0.01)
     said = io.StringIO()
-    console, study = Terminal(file=said, width=200), read_study(str(tiny))
+    monkeypatch.setattr(sys, "stdout", said)
+    monkeypatch.setenv("COLUMNS", "200")
+    study = read_study(str(tiny))
     first, second = study.runs
-    with study_progress.watching(console, study, tmp_path) as on_record:
+    with train_command.watching(study, tmp_path, 2) as on_record:
         (tmp_path / "runs" / first.key).mkdir(parents=True)
         _wait_for("0 of 2 runs done, 0 reached 0.99; strip/ippo/0: no evaluation yet", said)
         write_curve(tmp_path / "runs" / first.key / CURVE_FILE, [Point(20, 5, 0.0, 1.0, 1, 0, 1, steps=1200)])

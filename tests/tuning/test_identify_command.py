@@ -6,8 +6,7 @@ import pytest
 from tuning_cars import HIDDEN
 
 from craftsim import cli, load_machines
-from craftsim.logs.files import read_log
-from craftsim.logs.tables import write_table
+from craftsim.logs.files import read_log, write_table
 from craftsim.models.randomization import load_noise
 from craftsim.tuning import identification
 

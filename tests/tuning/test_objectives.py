@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.tuning.gains.goal import Goal
+from craftsim.tuning.goal import Goal
 from craftsim.tuning.gains.objectives import (
     DEFAULT_WEIGHTS,
     LEAST_SHARE,

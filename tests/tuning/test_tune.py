@@ -17,7 +17,7 @@ from craftsim.reports.html import write_html
 from craftsim.skills.gains import load_gains
 from craftsim.tuning.gains import phases
 from craftsim.tuning.gains import tune as module
-from craftsim.tuning.gains.goal import Goal
+from craftsim.tuning.goal import Goal
 from craftsim.tuning.gains.phases import FINAL_BLOCKS, HELD_OUT_BLOCKS
 from craftsim.tuning.gains.report import convergence, tune_report
 from craftsim.tuning.gains.situations import situations

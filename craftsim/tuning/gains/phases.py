@@ -14,7 +14,7 @@ from craftsim.checking.setup import Setup
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Item, TrialRecord
 from craftsim.skills.gains import load_gains
-from craftsim.tuning.gains.goal import Goal
+from craftsim.tuning.goal import Goal
 from craftsim.tuning.gains.knobs import Knob, Subject, knobs_of, turned, values_at
 from craftsim.tuning.gains.objectives import Score, spread, undominated
 from craftsim.tuning.gains.search import FIRST_STEP, NEXT_STEP, Search, population

@@ -13,7 +13,7 @@ from craftsim.checking.setup import Setup
 from craftsim.experiments.experiment import Experiment, RunOptions
 from craftsim.experiments.session import open_session
 from craftsim.skills.gains import Gains
-from craftsim.tuning.gains.goal import Goal
+from craftsim.tuning.goal import Goal
 from craftsim.tuning.gains.knobs import Knob, Subject, turned
 from craftsim.tuning.gains.phases import Candidate, Effect, Phases, TuningPlan
 from craftsim.tuning.gains.search import need_cma

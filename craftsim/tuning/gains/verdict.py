@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from craftsim.experiments.experiment import TrialRecord
-from craftsim.tuning.gains.goal import Goal
+from craftsim.tuning.goal import Goal
 from craftsim.tuning.gains.objectives import Objective, Score
 
 

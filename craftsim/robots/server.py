@@ -1,0 +1,496 @@
+"""Robots behind a simulated network, and their server: in real time, at a share of it, or in lock-step."""
+
+from __future__ import annotations
+
+import heapq
+import math
+import secrets
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from craftsim.errors import InputError
+from craftsim.robots.fleet import Clock, Robot
+from craftsim.robots.messages import (
+    COPIES,
+    Ack,
+    Bye,
+    Commands,
+    Follow,
+    Hello,
+    Measurements,
+    Message,
+    MessageError,
+    Refused,
+    TruePoses,
+    Welcome,
+    pack,
+    unpack,
+)
+from craftsim.skills.skill import Command
+
+WATCHDOG_S: Final = 0.1
+"""Without a command for so long robots stop by themselves: five control periods."""
+LEASE_S: Final = 2.0
+"""After so long without a message from its driver somebody else may drive the robots."""
+PATIENCE_S: Final = 60.0
+"""How long robots in lock-step wait for an answer, by this machine's clock; then their time goes on without."""
+_MOST: Final = 10_000
+"""Messages on their way; more are lost."""
+_KEPT: Final = 64
+"""Commands that wait for their time; more is no driver but a mistake."""
+_AHEAD_S: Final = 1.0
+"""How far ahead of its time a command may come."""
+_EPSILON_S: Final = 1e-6
+_WATCHERS: Final = 8
+"""Who look on at most; one more takes the place of the first."""
+_TOLD: Final = 10
+"""Of what becomes of messages, so much is said within _LATELY_S: whoever sends them, they fill no disk."""
+_LATELY_S: Final = 60.0
+"""By the robots' clock."""
+_LOOK_S: Final = 0.1
+_AT_ONCE: Final = 128
+"""Messages that are taken before the robots' time goes on, however many wait."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """What becomes of messages on their way, in each direction. Raises InputError for what cannot be."""
+
+    delay_s: float = 0.0
+    """How long a message takes on average."""
+    jitter_s: float = 0.0
+    """Half-width of the uniform distribution around it."""
+    loss: float = 0.0
+    """Share of the messages that never come."""
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.jitter_s <= self.delay_s <= 10 or self.delay_s == self.jitter_s == 0):
+            raise InputError(
+                f"a network with a delay of {self.delay_s:g} s and a jitter of {self.jitter_s:g} s; allowed: a delay "
+                "of 0 to 10 s, and a jitter of 0 to the delay"
+            )
+        if not 0 <= self.loss <= 1:
+            raise InputError(f"a network that loses {self.loss:g} of its messages; allowed: 0 to 1")
+
+
+class Channel:
+    """One direction of a network: messages come late, by a time that varies, so they may overtake each other."""
+
+    def __init__(self, network: Network, rng: np.random.Generator) -> None:
+        """Draw what becomes of each message from a generator; nothing is on its way."""
+        self._network, self._rng = network, rng
+        self._under_way: list[tuple[float, int, Any]] = []
+        self._sent = 0
+
+    def send(self, now_s: float, message: Any) -> None:
+        """Take a message at a time."""
+        network = self._network
+        late, lost = self._rng.uniform(size=2).tolist()
+        self._sent += 1
+        if lost < network.loss or len(self._under_way) == _MOST:
+            return
+        # Rounded, so that what takes whole periods comes at their ends.
+        due_s = round(now_s + network.delay_s + network.jitter_s * (2 * late - 1), 9)
+        heapq.heappush(self._under_way, (due_s, self._sent, message))
+
+    @property
+    def due_s(self) -> float:
+        """When the next message comes out; infinite where none is on its way."""
+        return self._under_way[0][0] if self._under_way else math.inf
+
+    def due(self, now_s: float) -> list[Any]:
+        """Return the messages that have come out by a time, in the order in which they came."""
+        found = []
+        while self.due_s <= now_s:
+            found.append(heapq.heappop(self._under_way)[2])
+        return found
+
+
+class Inbox:
+    """The commands of one driver, numbered by it: which is to be obeyed now, and whether too long none has come."""
+
+    def __init__(self) -> None:
+        """Wait for a driver; the robots stand."""
+        self.heard_s = 0.0
+        """When the newest command came."""
+        self.stops = self.dropped = 0
+        """How often too long none came; commands that came after newer ones had begun, or too early."""
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget the driver: the next one counts anew."""
+        self.heard, self.late_s, self.standing = 0, 0.0, True
+        """Number of the newest command that came, by how much after its time it did, and whether robots stand."""
+        self._obeyed: Commands | None = None
+        self._waiting: list[Commands] = []
+        self._taken: deque[int] = deque(maxlen=4 * _KEPT)
+
+    def take(self, message: Commands, now_s: float) -> bool:
+        """Take a command that has come, and return whether it is of use."""
+        if message.number in self._taken:
+            return False
+        obeyed = 0 if self._obeyed is None else self._obeyed.number
+        if message.number < obeyed or len(self._waiting) == _KEPT or message.at_s > now_s + _AHEAD_S:
+            self.dropped += 1
+            return False
+        self._taken.append(message.number)
+        if message.number > self.heard:
+            self.heard, self.late_s, self.heard_s = message.number, now_s - message.at_s, now_s
+            self.standing = False
+        self._waiting.append(message)
+        return True
+
+    def obey(self, now_s: float) -> Commands | None:
+        """Return what the motors are to do from now on; None stops them."""
+        if not self.standing and now_s - self.heard_s > WATCHDOG_S - _EPSILON_S:
+            self.stops += 1
+            self.standing = True
+            self._waiting = []
+        if self.standing:
+            return None
+        due = [message for message in self._waiting if message.at_s <= now_s + _EPSILON_S]
+        if due:
+            newest = max(due, key=lambda message: message.number)
+            self._obeyed = newest
+            self._waiting = [message for message in self._waiting if message.number > newest.number]
+        return self._obeyed
+
+
+class Service:
+    """Some robots in one world and whoever drives them: one event after the other in the robots' own time."""
+
+    def __init__(
+        self,
+        robots: Sequence[Robot],
+        clock: Clock,
+        channels: tuple[Channel, Channel],
+        send: Callable[[bytes, bytes], None],
+        period_s: float,
+        n_slopes: int = 0,
+        world: str = "",
+        referee: Callable[[Measurements], TruePoses] | None = None,
+        waits: bool = False,
+        tell: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        """Begin at time 0.
+
+        Args:
+            robots: in the order of their cars' ids.
+            clock: lets their control periods pass.
+            channels: what commands go through, and what measurements go through.
+            send: sends (to whom, what).
+            period_s: control period.
+            n_slopes: in their world.
+            world: digest of the world, which a driver's must equal; empty for any.
+            referee: knows where everything truly is, at the time of some measurements.
+            waits: whether their time stands still until each measurement has been answered.
+            tell: says who comes, when the robots stop, and why a message was dropped.
+        """
+        self.robots, self._clock, (self._up, self._down) = tuple(robots), clock, channels
+        self._send, self._referee, self._tell = send, referee, tell
+        self.period_s, self._n_slopes, self.world, self.waits = period_s, n_slopes, world, waits
+        self.inbox = Inbox()
+        self.driver: bytes | None = None
+        """Whose commands are obeyed."""
+        self.abandoned = False
+        """Whether the driver has gone without a word: the watchdog will stop the robots, and somebody else may come."""
+        self._driver_s = 0.0
+        """When it was heard last."""
+        self._ticket = ""
+        """Of the driver: who looks on with it is the driver's."""
+        self.stopped_at_s: list[float] = []
+        """When the robots stopped because no command came."""
+        self.heard_at_s: list[float] = []
+        """When the last command before each of these came."""
+        self.now_s = 0.0
+        self.periods = self.number = 0
+        """Control periods that are over, and measurements that were made."""
+        self._told: deque[float] = deque(maxlen=_TOLD)
+        """When something was said of what became of messages."""
+        self.malformed = 0
+        """Messages that were none, or out of place."""
+        self._watchers: deque[bytes] = deque(maxlen=_WATCHERS)
+        self._witness: bytes | None = None
+        """Who looks on for the driver."""
+        self._poses: bytes | None = None
+        """Those published last."""
+        self.farewells = 0
+        """How many have driven the robots and said goodbye, or are gone."""
+        self.unseen: set[int] = set()
+        """Measurements on which robots that wait have no answer yet."""
+
+    @property
+    def next_s(self) -> float:
+        """When something happens next, by the robots' clock."""
+        return min(self._period_end_s, self._up.due_s, self._down.due_s)
+
+    @property
+    def _period_end_s(self) -> float:
+        return round(self.periods * self.period_s, 9)
+
+    @property
+    def clients(self) -> frozenset[bytes]:
+        """Who drive the robots or look on."""
+        known = (*self._watchers, self._witness, self.driver)
+        return frozenset(client for client in known if client is not None)
+
+    def arrive(self, sender: bytes, data: bytes, now_s: float) -> None:
+        """Take what has come; a command is then on its way, all else is there at once."""
+        try:
+            message = unpack(data)
+            if isinstance(message, Follow) and self._referee is not None:
+                self._show(sender, message)
+                return
+            self.check(sender, message)
+        except MessageError as error:
+            self.malformed += 1
+            self._mention(f"dropped a message: {error}")
+            return
+        if isinstance(message, Commands):
+            self._up.send(now_s, (sender, message))
+        else:
+            self._receive(sender, message, now_s)
+
+    def check(self, sender: bytes, message: Message) -> None:
+        """Raise MessageError for a message that is out of place."""
+        if isinstance(message, Hello):
+            return
+        if not isinstance(message, Commands | Ack | Bye):
+            raise MessageError(f"{message.kind} is nothing to tell robots")
+        if sender != self.driver:
+            raise MessageError(f"{message.kind} of somebody who does not drive the robots")
+        if isinstance(message, Commands) and len(message.cars) != len(self.robots):
+            raise MessageError(f"commands for {len(message.cars)} cars; there are {len(self.robots)}")
+
+    def _show(self, sender: bytes, message: Follow) -> None:
+        """Let somebody look on from now."""
+        if message.ticket and message.ticket == self._ticket:
+            self._witness = sender
+        elif sender not in self._watchers:
+            self._watchers.append(sender)
+        if self._poses is not None:
+            self._send(sender, self._poses)
+
+    def depart(self, sender: bytes) -> None:
+        """Go on without somebody whose connection is closed."""
+        if sender == self.driver:
+            self.abandoned = True
+            self.farewells += 1
+            self.unseen.clear()
+        if sender == self._witness:
+            self._witness = None
+        if sender in self._watchers:
+            self._watchers.remove(sender)
+
+    def _receive(self, sender: bytes, message: Message, now_s: float) -> None:
+        if isinstance(message, Hello):
+            answer = self.greet(sender, message, now_s)
+            self._send(sender, pack(answer))
+            self._mention(f"{now_s:.2f} s: {answer.kind}")
+            return
+        self._driver_s = now_s
+        match message:
+            case Commands():
+                self.inbox.take(message, now_s)
+            case Ack():
+                self.unseen.discard(message.number)
+            case Bye():
+                self.leave()
+                self.farewells += 1
+                self.unseen.clear()
+
+    def greet(self, sender: bytes, hello: Hello, now_s: float) -> Message:
+        """Return the answer to a greeting; from a Welcome on its sender is the driver."""
+        silent = self.abandoned or now_s - self._driver_s >= LEASE_S
+        if self.driver not in (None, sender) and not silent:
+            return Refused("the robots obey somebody else; try again when that has ended", busy=True)
+        if hello.cars != len(self.robots):
+            return Refused(f"there are {len(self.robots)} robots, not {hello.cars}")
+        if self.world and hello.world and hello.world != self.world:
+            return Refused("the robots stand in another world; start both with the same task and files")
+        self.inbox.begin()
+        self.driver, self._driver_s = sender, now_s
+        self.abandoned, self._ticket = False, secrets.token_hex(16)
+        self.unseen.clear()
+        return Welcome(
+            *(len(self.robots), self._n_slopes, self.period_s, WATCHDOG_S),
+            *(self._referee is not None, self.waits, self._ticket),
+        )
+
+    def leave(self) -> None:
+        """Let the driver go; the robots stop."""
+        self.driver, self.abandoned, self._ticket = None, False, ""
+        self.inbox.begin()
+
+    def step(self) -> None:
+        """Let happen what happens next."""
+        now_s = self.now_s = self.next_s
+        self._deliver(now_s)
+        for sender, commands in self._up.due(now_s):
+            if sender == self.driver:
+                self._receive(sender, commands, now_s)
+        if self._period_end_s > now_s:
+            return
+        if self.number == self.periods:
+            # What is commanded in answer comes before the robots act where it takes no time.
+            self._measure(now_s)
+        else:
+            self._act(now_s)
+            self.periods += 1
+            self._clock.wait()
+
+    def _measure(self, now_s: float) -> None:
+        self.number += 1
+        inbox, cars = self.inbox, tuple(robot.measure() for robot in self.robots)
+        measured = Measurements(self.number, now_s, inbox.heard, inbox.late_s, inbox.stops, cars)
+        if self._referee is not None:
+            self._poses = pack(self._referee(measured))
+            for client in self.clients - {self.driver}:
+                self._send(client, self._poses)
+        if self.driver is not None:
+            for _ in range(COPIES):
+                self._down.send(now_s, measured)
+            self._deliver(now_s)
+
+    def _act(self, now_s: float) -> None:
+        """Let the robots do what they were told for now; stop them once they are told nothing."""
+        before = self.inbox.stops
+        commands = self.inbox.obey(now_s)
+        if self.inbox.stops > before:
+            self.stopped_at_s.append(now_s)
+            self.heard_at_s.append(self.inbox.heard_s)
+            self._tell(f"{now_s:.2f} s: no command since {self.inbox.heard_s:.2f} s, the robots stop")
+        for car, robot in enumerate(self.robots):
+            robot.command(Command() if commands is None else commands.cars[car])
+        if self.abandoned and self.inbox.standing:
+            self.leave()
+
+    def _mention(self, line: str) -> None:
+        """Say what became of a message, unless as much was said lately as is allowed."""
+        if len(self._told) < _TOLD or self.now_s - self._told[0] >= _LATELY_S:
+            self._told.append(self.now_s)
+            self._tell(line)
+
+    def _deliver(self, now_s: float) -> None:
+        for message in self._down.due(now_s):
+            if self.driver is not None:
+                self._send(self.driver, pack(message))
+                if self.waits:
+                    self.unseen.add(message.number)
+
+
+class Sockets(Protocol):
+    """Where messages come and go, such as :class:`~craftsim.robots.sockets.Host`."""
+
+    def send(self, receiver: bytes, data: bytes) -> None:
+        """Send a message."""
+
+    def receive(self, timeout_s: float, kept: Collection[bytes]) -> tuple[bytes, bytes | None] | None:
+        """Return (from whom, what) comes next; None in place of what comes from one who is gone, or of both in time."""
+
+
+class Server:
+    """Lets the time of robots pass as the clock of this machine does, and messages come and go."""
+
+    def __init__(
+        self,
+        service: Service,
+        sockets: Sockets,
+        pace: float = 1.0,
+        patience_s: float = PATIENCE_S,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Serve.
+
+        Args:
+            service: the robots.
+            sockets: where messages come and go.
+            pace: seconds of the robots' time in a second.
+            patience_s: how long those in lock-step wait for an answer.
+            now: this machine's clock, in seconds.
+        """
+        self._service, self._sockets, self._pace, self._patience_s = service, sockets, pace, patience_s
+        self._now = now
+        self.behind_s = 0.0
+        """By how much the robots' time fell behind all together, because physics took longer; it is not caught up."""
+        self._silent = False
+        """Whether who drives robots in lock-step has left their patience to run out."""
+        self._heard = now()
+        """When their driver was heard last, or had last nothing to say."""
+        self._keep_time()
+
+    def run(self, ended: Callable[[], bool]) -> None:
+        """Serve until somebody says so."""
+        service = self._service
+        while not ended():
+            if service.waits and service.driver is None:
+                self._take(_LOOK_S)
+                self._keep_time()
+            elif self._in_step and service.unseen:
+                left_s = self._heard + self._patience_s - self._now()
+                self._silent = left_s <= 0
+                self._take(max(0.0, min(left_s, _LOOK_S)))
+                self._keep_time()
+            elif self._in_step:
+                service.step()
+                self._heard = self._now()
+            else:
+                self._pass_time()
+
+    def end(self) -> None:
+        """Say goodbye to who drives the robots."""
+        if self._service.driver is not None:
+            self._sockets.send(self._service.driver, pack(Bye("somebody has ended them")))
+
+    def _pass_time(self) -> None:
+        """Wait for what happens next, and take what comes meanwhile."""
+        left_s = self._wall_s(self._service.next_s) - self._now()
+        if left_s > 0:
+            self._take(min(left_s, _LOOK_S))
+            return
+        for _ in range(_AT_ONCE):
+            if not self._take(0.0):
+                break
+        self._service.unseen.clear()  # nobody is waited for
+        self._service.step()
+        behind_s = (self._now() - self._wall_s(self._service.now_s)) * self._pace
+        if behind_s > self._service.period_s:
+            self.behind_s += behind_s
+            self._keep_time()
+
+    def _take(self, timeout_s: float) -> bool:
+        """Take the next message that comes in time; return whether one does."""
+        service = self._service
+        found = self._sockets.receive(timeout_s, service.clients)
+        if found is None:
+            return False
+        sender, data = found
+        if data is None:
+            was_driven = sender == service.driver
+            service.depart(sender)
+            if was_driven:
+                self._keep_time()
+            return True
+        robots_s = self._anchor[1] + (self._now() - self._anchor[0]) * self._pace
+        now_s = service.now_s if self._in_step else min(max(robots_s, service.now_s), service.next_s)
+        service.arrive(sender, data, now_s)
+        if sender == service.driver:
+            self._heard, self._silent = self._now(), False
+        return True
+
+    @property
+    def _in_step(self) -> bool:
+        """Whether the robots' time waits for their driver."""
+        return self._service.waits and not self._silent and not self._service.abandoned
+
+    def _keep_time(self) -> None:
+        """Let the robots' time pass from now on."""
+        self._anchor = self._now(), self._service.now_s
+
+    def _wall_s(self, robots_s: float) -> float:
+        return self._anchor[0] + (robots_s - self._anchor[1]) / self._pace

@@ -108,7 +108,7 @@ def test_the_bonus_for_new_buildings_fades_and_does_not_depend_on_where_cars_are
     worlds.reset(0)
     bonuses = []
     for _ in range(4):  # nothing is built: cars stand or drive
-        reward, _, _ = worlds.step(np.full((2, 2), int(Action.STOP)))
+        reward = worlds.step(np.full((2, 2), int(Action.STOP))).reward
         bonuses.append(reward.tolist())
     assert np.allclose(bonuses, [[(2 * k) ** -0.5] * 2 for k in range(1, 5)])
     assert counts.sum() == 8

@@ -16,7 +16,7 @@ action as early as those that it depends on have ended."""
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran", "pqn"]
 Backend = Literal["grid", "physics"]
 Execution = Literal["synchronous", "asynchronous"]
-"""Whether a step of an environment lasts until the slowest car has ended, or each car decides when its own action has."""
+"""A step of an environment lasts until the slowest car has ended, or each car decides when its own action has ended."""
 PresetName = Literal["paper", "paper_plus"]
 """The training protocol of CraftEnv's paper, and the same after exploration of craftsim's own."""
 

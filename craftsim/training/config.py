@@ -123,8 +123,8 @@ class TrainConfig:
             self.algo not in ("ippo", "mappo") or self.backend != "grid" or self.imitate
         ):
             raise ValueError(
-                "cars are trained asynchronously by ippo and mappo, on the grid, without imitation; leave execution out, or "
-                "change algo, backend or imitate"
+                "cars are trained asynchronously by ippo and mappo, on the grid, without imitation; leave execution "
+                "out, or change algo, backend or imitate"
             )
         if self.acting == "sampled" and self.algo not in WITH_PROBABILITIES:
             raise ValueError(

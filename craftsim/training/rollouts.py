@@ -87,8 +87,9 @@ class Rollout:
 class WorldBatch(Protocol):
     """B worlds of one task that are stepped side by side."""
 
-    decides: NDArray[np.bool_] | None
-    """(B, n): which cars choose what they do next; None where all do, tick by tick."""
+    @property
+    def decides(self) -> NDArray[np.bool_] | None:
+        """(B, n): which cars choose what they do next; None where all do, tick by tick."""
 
     def reset(self, seed: int) -> None:
         """Start all episodes anew; all that is drawn from now on follows from the seed."""
@@ -109,7 +110,7 @@ class WorldBatch(Protocol):
 class GridWorlds:
     """WorldBatch on the grid, stepped in one array call."""
 
-    decides = None
+    decides: NDArray[np.bool_] | None = None
 
     def __init__(
         self, task: Task, n: int, rules: RuleSet = "physical", helper_depth: int | None = None
@@ -141,7 +142,7 @@ class GridWorlds:
 class PhysicsWorlds:
     """WorldBatch in physics, spread over worker processes; none of their numbers depends on how many there are."""
 
-    decides = None
+    decides: NDArray[np.bool_] | None = None
 
     def __init__(self, task: Task, n: int, **options: Any) -> None:
         """Prepare; options are those of :class:`craftsim.envs.vector.PhysicsVectorEnv`."""
@@ -201,7 +202,7 @@ def play(
             worlds.restart()
             now = _look(worlds, encoder)
     nows, afters, *rest = zip(*columns, strict=True)
-    stacked = (None if column[0] is None else torch.stack(column) for column in rest)
+    stacked: Any = (None if column[0] is None else torch.stack(column) for column in rest)
     return Rollout(joined(nows, torch.stack), joined(afters, torch.stack), *stacked)
 
 

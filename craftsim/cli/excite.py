@@ -40,8 +40,7 @@ def excite(
     from craftsim.checking.setup import Seed
     from craftsim.logs.tables import write_commands, write_table
     from craftsim.reports.json_file import write_report
-    from craftsim.tuning.driving_log import drive, free_area
-    from craftsim.tuning.excitation import Area, excitation
+    from craftsim.tuning.excitation import Area, drive, excitation, free_area
 
     setup, area = physics.setup(), Area(length, width)
     period_s = setup.simulation.control_period_s

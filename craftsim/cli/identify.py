@@ -49,10 +49,9 @@ def identify(
     from craftsim.logs.files import read_log
     from craftsim.reports.json_file import document
     from craftsim.reports.terminal import Terminal
-    from craftsim.tuning import findings
+    from craftsim.tuning import identified as findings
     from craftsim.tuning.identification import identify as fit
-    from craftsim.tuning.identified_plot import draw_prediction
-    from craftsim.tuning.identified_report import identified_report
+    from craftsim.tuning.identified import draw_prediction, identified_report
     from craftsim.tuning.prediction import Predictor
 
     started = time.perf_counter()

@@ -62,10 +62,9 @@ def tune(
     from craftsim.cli.progress import counting
     from craftsim.experiments.experiment import RunOptions
     from craftsim.reports.terminal import Terminal
-    from craftsim.tuning.gains.goal import Goal
-    from craftsim.tuning.gains.report import tune_report
-    from craftsim.tuning.gains.tune import tune as run
-    from craftsim.tuning.gains.writing import write_gains
+    from craftsim.tuning.goal import Goal
+    from craftsim.tuning.tune import tune as run
+    from craftsim.tuning.tune_report import tune_report, write_gains
 
     goal = Goal.of(weights, objectives, choose)
     setup = physics.setup()

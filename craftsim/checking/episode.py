@@ -22,7 +22,7 @@ from craftsim.discrete.files.blueprint import Blueprint, blueprint_text, parse_b
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RuleSet
-from craftsim.discrete.schedule import Concurrency, Constraints
+from craftsim.discrete.schedule import Concurrency, Constraints, make_schedule
 from craftsim.errors import InputError, suggestion
 from craftsim.models.extent import check_extent
 from craftsim.models.sensing import Sensors
@@ -31,6 +31,7 @@ from craftsim.skills.gains import Gains
 from craftsim.skills.library import SkillChoice, own_skills
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
 from craftsim.storage.records import Listed
+from craftsim.storage.writing import LEFT_OUT_IF_EMPTY
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Step:
     """What is done at one time: one action, or with an ``order`` one tick of many cars, or a whole plan.
 
     Raises InputError for several actions without an order, for an intended world with one, for a car that acts twice
-    in a tick, and for more actions than allowed.
+    in a tick, for more actions than allowed, and for times that are not one a tick.
     """
 
     ticks: Listed[Listed[Act]]
@@ -67,6 +68,8 @@ class Step:
     after: Listed[tuple[tuple[int, int], tuple[int, int]]] = ()
     """Order constraints of a plan: an action's (tick, car), and that of one that must have ended before it; ticks count
     from the first of the step."""
+    starts_s: Listed[float] = field(default=(), metadata={LEFT_OUT_IF_EMPTY: True})
+    """Simulated time at which each tick begins, whatever still runs; empty where actions begin as the order says."""
 
     def __post_init__(self) -> None:
         if self.order is None and len(self.acts) != 1:
@@ -79,6 +82,10 @@ class Step:
             raise InputError("a car acts twice in one tick; allowed: once")
         if self.order is not None and self.intended is not None:
             raise InputError("only a single action, in a step without an order, can have an intended world")
+        if self.starts_s and (self.order is None or len(self.starts_s) != len(self.ticks)):
+            raise InputError(
+                f"{len(self.starts_s)} times for {len(self.ticks)} ticks; allowed: one a tick, with an order"
+            )
 
     @property
     def acts(self) -> tuple[Act, ...]:
@@ -181,16 +188,51 @@ def check_recipe(recipe: Recipe) -> Grid:
 
 
 def do(judge: Judge, step: Step) -> tuple[Attempt, ...]:
-    """Do one step and return an attempt for each of its actions."""
+    """Do one step and return an attempt for each of its actions.
+
+    Raises InputError where an action cannot begin at its time.
+    """
     if step.order is None:
         act = step.acts[0]
         return (judge.perform(act.car, Action[act.action], step.intended_grid, step.number),)
     ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
+    if step.starts_s:
+        return _do_at(judge, ticks, step.starts_s, step.number)
     after: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for later, earlier in step.after:
         after.setdefault(later, []).append(earlier)
     attempts = judge.perform_plan(ticks, step.order, after)
     return tuple(replace(attempt, tick=attempt.tick + step.number) for attempt in attempts)
+
+
+def _do_at(
+    judge: Judge, ticks: Sequence[Sequence[tuple[int, Action]]], starts_s: Sequence[float], number: int
+) -> tuple[Attempt, ...]:
+    """Begin the actions of each tick at its time, and return the attempts in that order once all have ended."""
+    found: list[Attempt] = []
+    for tick, (joint, start_s) in enumerate(zip(ticks, starts_s, strict=True), number):
+        while judge.physics.time_s < start_s:
+            found += judge.next(start_s)
+        for car, action in joint:
+            begin(judge, car, action, tick)
+    while judge.running:
+        found += judge.next()
+    acts = ((tick, car) for tick, joint in enumerate(ticks, number) for car, _ in joint)
+    place = {act: n for n, act in enumerate(acts)}
+    return tuple(sorted(found, key=lambda attempt: place[attempt.tick, attempt.car]))
+
+
+def begin(judge: Judge, car: int, action: Action, tick: int = 0) -> None:
+    """Let a car begin an action while others run; :meth:`Judge.next` runs it.
+
+    Raises InputError for a car that acts, and for an action that the rules forbid in the committed world.
+    """
+    if car in judge.running:
+        raise InputError(f"car {car} cannot begin {action.name}: its {judge.running[car].action.name} runs")
+    schedule = make_schedule(judge.committed, [[(car, action)]], judge.rules, first=tick)
+    if schedule.forbidden:
+        raise InputError(str(judge.rules.explain(judge.committed, car, action)))
+    judge.begin(schedule.steps[0])
 
 
 def perform(

@@ -62,6 +62,9 @@ class Judge:
 
     Everything ends as soon as something unsafe happens: all motors stop, and the world is read as it is then. Each
     prediction starts from what was read last.
+
+    Whole plans are performed as schedules. Actions may also begin one by one while others run: :meth:`begin` starts
+    one, and :meth:`next` runs to the next ending.
     """
 
     def __init__(
@@ -104,6 +107,14 @@ class Judge:
         """Of cars and objects."""
         self._known = self._beyond()
         """(n, 2): which objects are not as they should stand or be carried, and have been reported so."""
+        self._running: dict[int, Watched] = {}
+        """By car, in the order in which they began."""
+        self._last: ScheduledAction
+        """The action that last began by itself."""
+        self._over: list[Watched] = []
+        """What has ended since then."""
+        self._settled = True
+        """Whether all had come to rest when nothing ran any more."""
 
     @property
     def grid(self) -> Grid:
@@ -111,10 +122,40 @@ class Judge:
         return self.reading.grid
 
     @property
+    def running(self) -> dict[int, ScheduledAction]:
+        """The actions that have not ended, by car, in the order in which they began."""
+        return {car: one.step for car, one in self._running.items()}
+
+    @property
+    def confirmed(self) -> Grid:
+        """The world as it was read last, without what running actions have changed of it.
+
+        Their cars, and the cells of their footprints' ``changes``, are as they were when they began.
+        """
+        if not self._running:
+            return self.grid
+        grid = self.grid.copy()
+        for car, one in self._running.items():
+            began = one.reading.grid
+            grid.cars[car] = began.cars[car]
+            for cell in one.step.footprint.changes:
+                if all(0 <= at < n for at, n in zip(cell, grid.cells.shape, strict=False)):
+                    grid.cells[cell] = began.cells[cell]
+        grid.derive_marks()
+        return grid
+
+    @property
+    def committed(self) -> Grid:
+        """The confirmed world with the effects of what runs, in the order in which it began; decisions start here."""
+        joint = [(car, one.step.action) for car, one in self._running.items()]
+        return self.rules.tick(self.confirmed, joint)[0] if joint else self.grid
+
+    @property
     def problems(self) -> tuple[str, ...]:
-        """Why the world cannot be read as a grid any more; empty when it can."""
+        """Why the world cannot be read as a grid any more; what running actions handle is left out."""
         broken = ("the simulation broke down",) if self.physics.diverged else ()
-        return (*broken, *self.reading.problems)
+        handled = [f"{name} " for one in self._running.values() for name in one.own]
+        return (*broken, *(line for line in self.reading.problems if not line.startswith(tuple(handled))))
 
     def perform(self, car: int, action: Action, intended: Grid | None = None, tick: int = 0) -> Attempt:
         """Perform one action and return the attempt.
@@ -147,63 +188,110 @@ class Judge:
         schedule = make_schedule(self.grid, ticks, self.rules, order, after=after)
         return self._perform(schedule, halts=order == "until-wrong")
 
+    def begin(self, step: ScheduledAction) -> None:
+        """Start one action of a car that has none, while others may run; :meth:`next` runs it.
+
+        ``step.before`` is :attr:`committed`, with which :func:`craftsim.discrete.schedule.make_schedule` makes it.
+        """
+        if not self._running:
+            self._watch()
+        self._last, self._over = step, []
+        self._begin(step)
+        self.on_change(self.running)
+
+    def next(self, until_s: float | None = None) -> tuple[Attempt, ...]:
+        """Run to the next ending and return the attempts of all that ended then; with none, to a time.
+
+        An action is judged by its own part of the world; what else is otherwise than predicted is seen where nothing
+        runs any more, and held against what has ended since an action last began.
+
+        Args:
+            until_s: simulated time to which this runs at most; without one, something must run.
+        """
+        assert self._running or until_s is not None, "nothing runs"
+        over = self._run(until_s)
+        if not over:
+            return ()
+        self._over += over
+        self.on_change(self.running)
+        world: Cause | None = None
+        if not self._running:
+            gave_up = max(one.capped_steps for one in self._over)
+            world = self._world_cause(self._last.before, self._last.after, gave_up)
+        return tuple(attempt_of(one, self._cause(one, world, self._over), self.thresholds) for one in over)
+
     def _perform(self, schedule: Schedule, legal: bool = True, halts: bool = False) -> tuple[Attempt, ...]:
         before, steps, capped = self.grid, schedule.steps, self.physics.capped_steps
         waiting = dict(enumerate(steps))
-        running: dict[int, Watched] = {}
         found: list[Watched] = []
-        settled = True
+        self._settled = True
         if steps:
-            self._drift.settle(slice(None))
-            if self.log is not None:
-                self.log.begin()
+            self._watch()
         while True:
             done = {one.index for one in found if one.outcome and one.outcome.succeeded}
             halted = halts and any(map(_is_wrong, found))
             for index, step in [] if halted else list(waiting.items()):
-                if step.waits_for <= done and step.car not in running:
-                    running[step.car] = self._begin(index, waiting.pop(index), running)
-            self.on_change({car: one.step for car, one in running.items()})
-            if not running:
+                if step.waits_for <= done and step.car not in self._running:
+                    self._begin(waiting.pop(index), index, legal)
+            self.on_change(self.running)
+            if not self._running:
                 break
-            ended = self._ended()
-            if len(ended) == len(running):
-                settled = self._settle()
-            self._look()
-            acting = set(running)
-            over = [running.pop(car) for car in ended]
-            swaying = {index for one in running.values() for index in one.below}
-            # What swayed under a car has its place again once that has come to its end.
-            self._drift.settle([len(self.physics.cars) + index for one in over for index in one.below])
-            for one in over:
-                one.legal = legal
-                self._measure(one, ended[one.step.car], acting, swaying)
-                for other in running.values():
-                    self._expect_rest(other, one)
-            found += over
-            self._leave(over, swaying)
+            found += self._run()
         found += [self._unbegun(step, True) for step in waiting.values()]
         found += [self._unbegun(step, False) for step in schedule.forbidden]
-        world = self._world_cause(before, schedule.final, settled, capped)
+        world = self._world_cause(before, schedule.final, self.physics.capped_steps - capped)
         attempts = [attempt_of(one, self._cause(one, world, found), self.thresholds) for one in found]
         place = {act: number for number, act in enumerate(schedule.acts)}
         return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
 
-    def _ended(self) -> dict[int, Outcome]:
-        """Return the outcomes of the actions that end next, by car, once what their cars did can be seen."""
+    def _watch(self) -> None:
+        """From here on look at what moves, touches, tips and falls."""
+        self._drift.settle(slice(None))
+        if self.log is not None:
+            self.log.begin()
+
+    def _run(self, until_s: float | None = None) -> list[Watched]:
+        """Run to the next ending, or to a time, read the world, and return what has ended with what it did."""
+        running, ended = self._running, self._ended(until_s)
+        if ended and len(ended) == len(running):
+            self._settled = self._settle()
+        self._look()
+        if not ended:
+            return []
+        acting = set(running)
+        over = [running.pop(car) for car in ended]
+        swaying = {index for one in running.values() for index in one.below}
+        # What swayed under a car has its place again once that has come to its end.
+        self._drift.settle([len(self.physics.cars) + index for one in over for index in one.below])
+        for one in over:
+            self._measure(one, ended[one.step.car], acting, swaying)
+            for other in running.values():
+                self._expect_rest(other, one)
+        self._leave(over, swaying)
+        return over
+
+    def _ended(self, until_s: float | None = None) -> dict[int, Outcome]:
+        """Return the outcomes of the actions that end next, by car, once what their cars did can be seen.
+
+        None where a time comes first.
+        """
         ended: dict[int, Outcome] = {}
-        left = self.executor.fleet.late_periods
-        while not ended or left:
+        left, most_s = self.executor.fleet.late_periods, math.inf
+        if until_s is not None:
+            most_s = until_s - self.physics.config.control_period_s / 2
+        while left if ended else self.physics.time_s < most_s:
             left -= bool(ended)
             newly = self.executor.advance()
             if newly:
                 ended, left = ended | newly, self.executor.fleet.late_periods
         return ended
 
-    def _begin(self, index: int, step: ScheduledAction, running: dict[int, Watched]) -> Watched:
+    def _begin(self, step: ScheduledAction, index: int = -1, legal: bool = True) -> None:
+        running = self._running
         if running and self._looked_s != self.physics.time_s:
             self._look()
         one = self._now(step, index)
+        one.legal = legal
         for other in running.values():
             other.cars |= one.cars
             other.meant.update(one.about)
@@ -213,7 +301,7 @@ class Judge:
             self.log.begin_with(one.own)
         self._drift.begin(step.car)
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
-        return one
+        running[step.car] = one
 
     def _now(self, step: ScheduledAction, index: int = -1) -> Watched:
         about, physics = handled(self.reading, step.after, step.car), self.physics
@@ -330,10 +418,10 @@ class Judge:
         names = (self._names[row] if row >= 0 else "" for row in at)
         return dict(zip(_BYSTANDERS, values, strict=True)), dict(zip(_BYSTANDERS, names, strict=True))
 
-    def _world_cause(self, before: Grid, predicted: Grid, settled: bool, capped: int) -> Cause:
+    def _world_cause(self, before: Grid, predicted: Grid, gave_up: int) -> Cause:
         """Compare the reading with the prediction; what is worse than a difference comes first.
 
-        ``capped`` counts the steps of the PhysicsWorld in which the solver had given up before.
+        ``gave_up`` counts the physics steps in between in which the solver gave up.
         """
         if self.physics.diverged:
             return "diverged", ("the simulation broke down and started over",)
@@ -341,31 +429,28 @@ class Judge:
         hazards = () if self.log is None else tuple(text for _, text in self.log.hazards())
         if hazards:
             cause = "unsafe", (*hazards, *cause[1])
-        elif not settled:
+        elif not self._settled:
             moving = f"something still moves with {self._drift.speed_m_s() * 1e3:.0f} mm/s"
             cause = "unsettled", (moving, *cause[1])
         impossible = () if self.log is None else self.log.impossible
-        if cause[0] != "agrees" and (gave_up := self.physics.capped_steps - capped):
+        if cause[0] != "agrees" and gave_up:
             impossible = (capped_text(gave_up), *impossible)
         return ("numerics", (*impossible, *cause[1])) if impossible else cause
 
-    def _cause(self, one: Watched, world: Cause, all_watched: Sequence[Watched]) -> Cause:
-        """Return what the verdict on one of many actions rests on."""
+    def _cause(self, one: Watched, world: Cause | None, all_watched: Sequence[Watched]) -> Cause:
+        """Return what the verdict on one of many actions rests on; ``world`` is None while others still run."""
         car, action = one.step.car, one.step.action
         if one.outcome is None:
             why = f"car {car} waits for an action that failed"
             if not one.legal:
                 why = f"the rules forbid it: {self.rules.explain(one.step.before, car, action).why}"
             return "not executed", (why,)
-        if world[0] == "agrees":
-            return world
-        tried = [other for other in all_watched if other.legal or other.outcome is not None]
-        nobodys = len(tried) == 1 or all(other.applied for other in tried)
-        if one.applied and not nobodys:
-            return AGREES
-        if nobodys or world[0] in ("unsafe", "numerics", "diverged"):
-            return world
-        return "wrong place", one.differences or (str(one.outcome),)
+        if world is not None:
+            tried = [other for other in all_watched if other.legal or other.outcome is not None]
+            nobodys = len(tried) == 1 or all(other.applied for other in tried)
+            if nobodys or world[0] in ("agrees", "unsafe", "numerics", "diverged"):
+                return world
+        return AGREES if one.applied else ("wrong place", one.differences or (str(one.outcome),))
 
 
 class Drift:

@@ -15,7 +15,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from craftsim.discrete import footprint as space
 from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel.effects import apply
@@ -44,8 +43,6 @@ class ActionSpec:
     """What it is called whatever the map direction: reports, the audit and its contexts group by it."""
     words: str
     """How captions and logs say it."""
-    footprint: Callable[[Grid, Grid, int], Footprint]
-    """What it needs beyond what the car needs where it stands: (before, after, car) -> footprint."""
     duration: str
     """Its row in ``craftsim/data/durations.yaml``; empty where no skill performs it, as no rule ever allows it."""
     nothing_to_try: Callable[[Grid, int], str] = _nothing
@@ -63,6 +60,8 @@ class ActionSpec:
     """Of a registered action; that of the 15 is compiled."""
     effect: Effect | None = None
     """The same."""
+    footprint: Callable[[Grid, Grid, int], Footprint] | None = None
+    """The same: what it needs beyond what the car needs where it stands, (before, after, car) -> footprint."""
     duration_s: float = 0.0
     """Nominal duration of a registered action, which has no row in the file."""
     skill: Callable[..., Any] | None = None
@@ -100,29 +99,25 @@ def _nothing_to_unfold(grid: Grid, car: int) -> str:
 
 def _move(action: Action) -> ActionSpec:
     words = action.name.replace("_", " ").lower()
-    return ActionSpec(
-        "MOVE", words, space.of_move, "move", direction=MOVE_DIRECTION[action], ahead=(0, 1, 2, 3)
-    )
+    return ActionSpec("MOVE", words, "move", direction=MOVE_DIRECTION[action], ahead=(0, 1, 2, 3))
 
 
 def _diagonal(action: Action) -> ActionSpec:
-    return ActionSpec("MOVE", action.name.replace("_", " ").lower(), space.of_nothing, "")
+    return ActionSpec("MOVE", action.name.replace("_", " ").lower(), "")
 
 
 ACTIONS: Final[dict[Action, ActionSpec]] = {
-    Action.LIFT: ActionSpec("LIFT", "lift", space.of_board, "lift", _nothing_to_lift, over=True),
-    Action.DROP: ActionSpec("DROP", "drop", space.of_board, "drop", _nothing_to_drop),
-    Action.FOLD: ActionSpec("FOLD", "fold", space.of_flap, "fold", _nothing_to_fold, over=True, beyond=2),
-    Action.UNFOLD: ActionSpec(
-        "UNFOLD", "unfold", space.of_flap, "unfold", _nothing_to_unfold, over=True, beyond=2
-    ),
-    Action.ROTATE_LEFT: ActionSpec("ROTATE_LEFT", "rotate left", space.of_turn, "rotate"),
-    Action.ROTATE_RIGHT: ActionSpec("ROTATE_RIGHT", "rotate right", space.of_turn, "rotate"),
+    Action.LIFT: ActionSpec("LIFT", "lift", "lift", _nothing_to_lift, over=True),
+    Action.DROP: ActionSpec("DROP", "drop", "drop", _nothing_to_drop),
+    Action.FOLD: ActionSpec("FOLD", "fold", "fold", _nothing_to_fold, over=True, beyond=2),
+    Action.UNFOLD: ActionSpec("UNFOLD", "unfold", "unfold", _nothing_to_unfold, over=True, beyond=2),
+    Action.ROTATE_LEFT: ActionSpec("ROTATE_LEFT", "rotate left", "rotate"),
+    Action.ROTATE_RIGHT: ActionSpec("ROTATE_RIGHT", "rotate right", "rotate"),
     Action.MOVE_FORWARD: _move(Action.MOVE_FORWARD),
     Action.MOVE_BACK: _move(Action.MOVE_BACK),
     Action.MOVE_LEFT: _move(Action.MOVE_LEFT),
     Action.MOVE_RIGHT: _move(Action.MOVE_RIGHT),
-    Action.STOP: ActionSpec("STOP", "stop", space.of_nothing, "stop"),
+    Action.STOP: ActionSpec("STOP", "stop", "stop"),
     Action.MOVE_FORWARD_LEFT: _diagonal(Action.MOVE_FORWARD_LEFT),
     Action.MOVE_FORWARD_RIGHT: _diagonal(Action.MOVE_FORWARD_RIGHT),
     Action.MOVE_BACK_LEFT: _diagonal(Action.MOVE_BACK_LEFT),
@@ -226,7 +221,6 @@ def register_action(
     spec = ActionSpec(
         name,
         words or name.replace("_", " ").lower(),
-        _touching(footprint or _changed),
         "",
         lambda grid, car: (nothing_to_try or legal)(grid, car) or "",
         ahead=tuple(ahead),
@@ -234,6 +228,7 @@ def register_action(
         beyond=beyond,
         legality=legal,
         effect=effect,
+        footprint=_touching(footprint or _changed),
         duration_s=float(duration_s),
         skill=skill,
     )
@@ -293,5 +288,8 @@ def check_complete(parts: Mapping[Action, object], what: str, where: str) -> Non
 
 def footprint(before: Grid, after: Grid, car: int, action: Action) -> Footprint:
     """Return the footprint of a legal action, given the predicted worlds before and after it."""
-    ends = space.standing(before, car) | space.standing(after, car)
-    return ends | ACTIONS[action].footprint(before, after, car)
+    own = ACTIONS[action].footprint
+    if own is None:
+        return Footprint.built_in(before, car, action)
+    ends = Footprint.built_in(before, car, Action.STOP) | Footprint.built_in(after, car, Action.STOP)
+    return ends | own(before, after, car)

@@ -2,16 +2,22 @@
 
 Two actions of different cars may run at the same time when neither sweeps space that the other sweeps, neither changes
 an object that the other relies on, and no two loads in motion pass side by side, where 2.5 mm of air are too little
-for two moving machines. The table of actions (:mod:`craftsim.discrete.actions`) says which function is whose.
+for two moving machines. What each of the 15 actions needs is compiled (:mod:`craftsim.discrete.kernel.claims`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final, Self
+
+import numpy as np
 
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import CarField, Cell, Grid
+from craftsim.discrete.kernel.claims import CHANGES, LOADS, MOST, RELIES, SPACE, Claims, write_claims
+
+_PARTS: Final = {"space": SPACE, "changes": CHANGES, "relies": RELIES, "loads": LOADS}
 
 
 @dataclass(frozen=True)
@@ -26,6 +32,22 @@ class Footprint:
     """Whose object must stay as it is: what is stood on, driven under or out of."""
     loads: frozenset[Cell] = frozenset()
     """Through which a load moves, sideways play and all."""
+
+    @classmethod
+    def built_in(cls, grid: Grid, car: int, action: int) -> Self:
+        """Return what a legal action of the 15 needs in a world; STOP needs what the car needs where it stands."""
+        rows = np.empty((MOST, 4), np.int16)
+        count = write_claims(grid.cells, grid.cars, 0, car, int(action), rows)
+        found = [((x, y, z), bits) for x, y, z, bits in rows[:count].tolist()]
+        return cls(*(frozenset(cell for cell, bits in found if bits & part) for part in _PARTS.values()))
+
+    def claims(self) -> Claims:
+        """Return (cells, 4): the rows (x, y, z, bits) of :mod:`craftsim.discrete.kernel.claims`."""
+        bits: dict[Cell, int] = {}
+        for name, part in _PARTS.items():
+            for cell in getattr(self, name):
+                bits[cell] = bits.get(cell, 0) | part
+        return np.array([(*cell, bits[cell]) for cell in sorted(bits)], np.int16).reshape(-1, 4)
 
     def __or__(self, other: Footprint) -> Footprint:
         return Footprint(
@@ -51,78 +73,7 @@ class Footprint:
         return frozenset((x + dx, y + dy, z) for x, y, z in self.loads for dx, dy in steps)
 
 
-def of_nothing(before: Grid, after: Grid, car: int) -> Footprint:
-    """Return that nothing is needed beyond what the car needs where it stands."""
-    return Footprint()
-
-
-def of_move(before: Grid, after: Grid, car: int) -> Footprint:
-    """Return what a move needs: a load sweeps the space that it stands in before and after."""
-    loaded = before.cars[car, CarField.LOAD] != Kind.AIR
-    return _swept((standing(before, car) | standing(after, car)).space if loaded else frozenset())
-
-
-def of_turn(before: Grid, after: Grid, car: int) -> Footprint:
-    """Return what a turn needs: a load sweeps the neighbour cells, a folded slope the corners, too."""
-    row = before.cars[car]
-    x, y, z = here = cell_of(before, car)
-    if row[CarField.LOAD] == Kind.AIR:
-        return of_nothing(before, after, car)
-    around = {(x + dx, y + dy, z) for dx, dy in DIRECTIONS.tolist()}
-    if row[CarField.LOAD] == Kind.FSLOPE:
-        around |= {(x + dx, y + dy, z) for dx in (-1, 1) for dy in (-1, 1)}
-    return _swept(frozenset({here, *around}))
-
-
-def of_board(before: Grid, after: Grid, car: int) -> Footprint:
-    """Return what LIFT and DROP need: the object, a slope's gear too, and room above it."""
-    x, y, z = here = cell_of(before, car)
-    gears = _gear(before, car) | _gear(after, car)
-    changed = frozenset({here}) | gears
-    return Footprint(changed | {(x, y, z + 1)}, changed, frozenset(), changed)
-
-
-def of_flap(before: Grid, after: Grid, car: int) -> Footprint:
-    """Return what FOLD and UNFOLD need: the slope, and room for its flap."""
-    here, downhill = cell_of(before, car), int(before.cars[car, CarField.YAW]) + 2
-    foot = beside(here, downhill)
-    # The flap is a third of a metre long: it reaches into the second level above, and 12 mm past the foot's cell.
-    swung = {(cx, cy, z + up) for cx, cy, z in (here, foot) for up in (0, 1, 2)} | {beside(foot, downhill)}
-    held = frozenset({(foot[0], foot[1], foot[2] - 1)})
-    return Footprint(frozenset(swung), frozenset({here, foot}), held, frozenset())
-
-
 def cell_of(grid: Grid, car: int) -> Cell:
     """Return the cell of a car."""
     x, y, z = grid.cars[car, : CarField.YAW].tolist()
     return x, y, z
-
-
-def _swept(cells: frozenset[Cell]) -> Footprint:
-    """Return the footprint of a load that moves through cells; carried, it is 32 mm into the level above."""
-    above = {(x, y, z + 1) for x, y, z in cells}
-    return Footprint(cells | above, frozenset(), frozenset(), cells)
-
-
-def standing(grid: Grid, car: int) -> Footprint:
-    """Return what a car needs where it stands."""
-    x, y, z, _, load, _, slope = grid.cars[car].tolist()
-    loads: frozenset[Cell] = frozenset()
-    if load != Kind.AIR:
-        loads = frozenset({(x, y, z)}) | _gear(grid, car)
-        if slope:
-            # A load leans downhill with its car, by 40 to 60 mm at its height: into the next cell.
-            downhill = int(grid.yaw[x, y, z if slope == 1 else z - 1])
-            dx, dy = (int(v) for v in DIRECTIONS[downhill])
-            loads |= {(cx + dx, cy + dy, cz) for cx, cy, cz in loads}
-    space = frozenset({(x, y, z), *({(x, y, z + 1)} if slope == 1 else set())})
-    relies = frozenset({(x, y, z), (x, y, z - 1)})
-    return Footprint(space | loads, frozenset(), relies, loads)
-
-
-def _gear(grid: Grid, car: int) -> frozenset[Cell]:
-    """Return the cell of the gear of a folded slope that a car carries, if it carries one."""
-    row = grid.cars[car]
-    if row[CarField.LOAD] != Kind.FSLOPE:
-        return frozenset()
-    return frozenset({beside(cell_of(grid, car), int(row[CarField.LOAD_YAW]))})

@@ -54,14 +54,19 @@ def parallel_env(
         >>> observations["car_0"]["action_mask"].shape
         (15,)
     """
+    from craftsim.envs.asynchronous import AsynchronousParallel
     from craftsim.envs.options import Options
     from craftsim.envs.parallel import ParallelConstruction
 
-    return ParallelConstruction(as_task(task, n_cars, n_blocks), Options(backend=backend, **options))
+    chosen = Options(backend=backend, **options)
+    form = ParallelConstruction if chosen.execution == "synchronous" else AsynchronousParallel
+    return form(as_task(task, n_cars, n_blocks), chosen)
 
 
 def env(task: Task | str, backend: BackendName = "physics", **options: Any) -> AECEnv[str, Any, Any]:
     """Return the same as a PettingZoo environment whose agents take turns; a tick happens after the last one's.
+
+    With ``execution="asynchronous"`` it is the turn of the car that decides next, whose own action has ended.
 
     Example:
         >>> import craftsim
@@ -70,6 +75,12 @@ def env(task: Task | str, backend: BackendName = "physics", **options: Any) -> A
         >>> env.agent_selection
         'car_0'
     """
+    if options.get("execution") == "asynchronous":
+        from craftsim.envs.asynchronous import AsynchronousConstruction
+        from craftsim.envs.options import Options
+
+        counts = [options.pop(name, None) for name in ("n_cars", "n_blocks")]
+        return AsynchronousConstruction(as_task(task, *counts), Options(backend=backend, **options))
     from pettingzoo.utils.conversions import parallel_to_aec
 
     return parallel_to_aec(parallel_env(task, backend, **options))

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.asynchronous import Timing, moment
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import car_durations
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.options import Options
+from craftsim.errors import InputError
 
 if TYPE_CHECKING:
     from craftsim.checking.attempt import Attempt
@@ -39,8 +43,24 @@ class Tick:
     """What touched what; None where that is not logged."""
 
 
+@dataclass(frozen=True)
+class Ended:
+    """The actions that end next in an asynchronous world."""
+
+    time_s: float
+    """Simulated time since the world was set up."""
+    cars: tuple[int, ...]
+    """Whose actions have ended; none where the time that was given came first."""
+    confirmed: Grid
+    """What is so: without what actions have changed that still run."""
+    infos: dict[int, dict[str, Any]] = field(default_factory=dict)
+    """By car that has ended: further entries of its info."""
+    problems: tuple[str, ...] = ()
+    """Why the world cannot be read as a grid any more, in words; empty when it can."""
+
+
 class Backend(Protocol):
-    """One world in which ticks happen.
+    """One world in which ticks happen, or actions begin one by one.
 
     The world as it is seen is kept in a batch of one of :class:`Episodes`, with the queue of the action helper.
     """
@@ -53,6 +73,18 @@ class Backend(Protocol):
 
     def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Let all cars act, ``actions`` (n,) by car in the ``order`` (n,), and bring what is seen up to date."""
+
+    def begin(self, car: int, action: Action, committed: Grid) -> None:
+        """Let an idle car begin an action now, while others may be in the middle of theirs.
+
+        It must be legal in ``committed``: the confirmed world with the effects of what runs. Raises InputError where
+        actions cannot begin one by one.
+        """
+        raise InputError(f"actions of a {type(self).__name__} cannot begin one by one")
+
+    def advance(self, until_s: float | None = None) -> Ended:
+        """Let time pass to the next ending, or to a simulated time; without one, something must run."""
+        raise InputError(f"actions of a {type(self).__name__} cannot begin one by one")
 
     def images(self) -> dict[str, NDArray[Any]]:
         """Return the images of all cameras now, by kind; empty where no images are observed."""
@@ -72,11 +104,40 @@ class Backend(Protocol):
 
 
 class GridBackend(Backend):
-    """A grid world under the rules: nothing fails, and time is looked up."""
+    """A grid world under the rules: nothing fails unless asked for, and time is looked up."""
+
+    def __init__(self, rules: Rules | None = None, timing: Timing | None = None) -> None:
+        """Prepare for episodes; asynchronous ones need the rules, and say how long things take."""
+        self._rules, self._timing = rules or Rules("physical"), timing or Timing()
 
     def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
-        """Begin an episode; there is nothing to draw."""
+        """Begin an episode; ``rng`` draws how long actions take and which fail, where they begin one by one."""
+        self._rng, self._confirmed, self._now_s = rng, grid.copy(), 0.0
+        self._running: dict[int, tuple[float, Action, bool]] = {}
         return grid
+
+    def begin(self, car: int, action: Action, committed: Grid) -> None:
+        """Begin an action: draw how long it takes, and whether it fails."""
+        timing, after = self._timing, self._rules.enforce(committed, car, action)
+        noise = self._rng.standard_normal() if timing.jitter else 0.0
+        fails = bool(timing.failures and self._rng.random() < timing.failures)
+        seconds = timing.seconds(int(action), committed.cars[car], after.cars[car], noise)
+        self._running[car] = float(moment(self._now_s + seconds)), action, fails
+
+    def advance(self, until_s: float | None = None) -> Ended:
+        """Let time pass to the next ending; what ends together is applied in the order in which it began."""
+        ends = [end_s for end_s, _, _ in self._running.values()]
+        self._now_s = min(ends if until_s is None else [*ends, until_s])
+        infos = {}
+        for car, (end_s, action, fails) in list(self._running.items()):
+            if end_s <= self._now_s:
+                del self._running[car]
+                infos[car] = {"failed": fails}
+                if not fails:
+                    self._confirmed = self._rules.enforce(self._confirmed, car, action)
+        if infos and self._rules.rule_set == "physical":
+            self._confirmed.derive_marks()
+        return Ended(self._now_s, tuple(infos), self._confirmed, infos)
 
     def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Let all cars act by the rules."""
@@ -111,7 +172,7 @@ class GridBackend(Backend):
 def make_backend(task: Task, options: Options) -> Backend:
     """Return the backend that the options of an environment ask for."""
     if options.backend == "grid":
-        return GridBackend()
+        return GridBackend(Rules(options.rule_set), options.timing)
     if options.images is not None or options.render_mode in ("rgb_array", "rgb_array_list"):
         from craftsim.rendering.backend import choose_backend
 

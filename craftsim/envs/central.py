@@ -32,7 +32,7 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
         self._prepare(task, chosen)
         self.render_mode = chosen.render_mode
         played, form = self.core.task, self.core.form
-        beside = extra_spaces(played, form, chosen.local_view)
+        beside = extra_spaces(played, form, chosen.local_view, chosen.timing is not None)
         self.observation_space = central_space(played, chosen.images, form.n_actions, beside)
         self.action_space = joint_action_space(played, form.n_actions)
 

@@ -103,8 +103,7 @@ class Core:
         seen = self.backend.start(start.grid(0), self._backend_rng, own)
         start = Starts(seen[None], start.designs)
         if self._episodes is None:
-            kind = self.options.rule_set, self.options.helper_depth
-            self._episodes = Episodes(self.task, self._rng, 1, *kind, start, self.rules.own)
+            self._episodes = self._first(start)
         else:
             self._episodes.begin(_ONE, start)
         self._runs = True
@@ -112,6 +111,10 @@ class Core:
         self._pictures.clear()
         self._show()
         return [{"action_mask": mask} for mask in self.masks.copy()]
+
+    def _first(self, start: Starts) -> Episodes:
+        kind = self.options.rule_set, self.options.helper_depth
+        return Episodes(self.task, self._rng, 1, *kind, start, self.rules.own)
 
     def _episode_of(self, options: dict[str, Any]) -> Task:
         """Return the task of a new episode, from which its start is drawn."""
@@ -234,7 +237,12 @@ class SingleWorld:
     }
 
     def _prepare(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
-        self.core = Core(task, options, backend)
+        kind = Core
+        if options.execution == "asynchronous":
+            from craftsim.envs.asynchronous import AsynchronousCore
+
+            kind = AsynchronousCore
+        self.core = kind(task, options, backend)
         self.metadata = type(self).metadata | {"render_fps": options.render_fps}
 
     @property

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from craftsim.discrete.asynchronous import AsynchronousEpisodes
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.state import F_LOAD, F_X, F_Y, F_YAW, F_Z
@@ -89,20 +90,31 @@ def central_space(
     )
 
 
-def extra_spaces(task: Task, form: ActionForm, radius: int | None) -> Spaces:
-    """Return the spaces of what a car observes for its action form, and of its local view if it has a radius."""
-    if radius is None:
-        return form.spaces()
-    width, levels = 2 * radius + 1, task.starts[0].size[2] + 1
-    view = spaces.Box(0, max(max(Kind), 3), (width, width, levels, CHANNELS), np.int8)
-    return form.spaces() | {"local_view": view}
+def extra_spaces(task: Task, form: ActionForm, radius: int | None, asynchronous: bool = False) -> Spaces:
+    """Return the spaces of what a car observes for its action form, of its local view if it has a radius, and of what
+    all cars are doing where they do not act together."""
+    found, size = dict(form.spaces()), task.starts[0].size
+    cells = (*size[:2], size[2] + 1)
+    if radius is not None:
+        width = 2 * radius + 1
+        shape = (width, width, cells[2], CHANNELS)
+        found["local_view"] = spaces.Box(0, max(max(Kind), 3), shape, np.int8)
+    if asynchronous:
+        found["doing"] = spaces.Box(-1, np.inf, (task.layout.n_cars, 2), np.float32)
+        found["claimed"] = spaces.Box(0, 1, cells, np.int8)
+    return found
 
 
 def extras(episodes: Episodes, form: ActionForm, radius: int | None) -> Observation:
     """Return what :func:`extra_spaces` are the spaces of, each (B, n, ...), after the masks."""
-    if radius is None:
-        return form.observed(episodes)
-    return form.observed(episodes) | {"local_view": local_views(episodes.grids, episodes.designs, radius)}
+    found = dict(form.observed(episodes))
+    if radius is not None:
+        found["local_view"] = local_views(episodes.grids, episodes.designs, radius)
+    if isinstance(episodes, AsynchronousEpisodes):
+        for key, of_world in (("doing", episodes.doing()), ("claimed", episodes.claimed())):
+            shape = len(episodes), episodes.n_cars, *of_world.shape[1:]
+            found[key] = np.broadcast_to(of_world[:, None], shape)
+    return found
 
 
 def joint_action_space(task: Task, n_actions: int = N_ACTIONS) -> spaces.MultiDiscrete:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 from pydantic import AfterValidator, BeforeValidator, InstanceOf
 
 from craftsim.discrete.actions import ACTIONS
+from craftsim.discrete.asynchronous import Timing
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.own_actions import as_own
 from craftsim.discrete.rules import RuleSet
@@ -30,6 +31,8 @@ from craftsim.storage.records import record
 from craftsim.workers.pool import Engine
 
 BackendName = Literal["physics", "grid"]
+Execution = Literal["synchronous", "asynchronous"]
+Durations = Literal["nominal", "equal"]
 RenderMode = Literal["rgb_array", "rgb_array_list", "human", "ansi"]
 RENDER_MODES: Final[tuple[str, ...]] = get_args(RenderMode)
 RENDER_FPS: Final = 2
@@ -37,7 +40,13 @@ RENDER_FPS: Final = 2
 MOTION_FPS: Final = 10
 """Pictures a simulated second of the motion between two ticks (``rgb_array_list`` in physics)."""
 
-BATCH_OPTIONS: Final = ("rule_set", "helper_depth", "time_weight", "actions", "object_choice", "local_view")
+_DRAWN: Final = ("jitter", "failures", "durations")
+"""Of asynchronous execution on the grid; in physics actions take and do what they do."""
+_ASYNCHRONOUS: Final = ("wait_s", *_DRAWN)
+BATCH_OPTIONS: Final = (
+    *("rule_set", "helper_depth", "time_weight", "actions", "object_choice", "local_view", "execution"),
+    *_ASYNCHRONOUS,
+)
 """What a batch of grid worlds takes."""
 _GRID_OPTIONS: Final = (*BATCH_OPTIONS, "backend", "render_mode", "observe")
 """What the grid backend takes."""
@@ -102,7 +111,20 @@ class Options:
     local_view: Annotated[int, Range(0, 64)] | None = None
     """Radius of the window around each car that is observed as ``local_view``, in cells along x and y."""
 
+    execution: Execution = "synchronous"
+    """Whether all cars act in ticks, or ``asynchronous``: each decides when its own action has ended."""
+    wait_s: Annotated[float, Range(0, above=True)] = 1.0
+    """Asynchronous: STOP waits for the next event, so many seconds at most."""
+    jitter: Annotated[float, Range(0, 10)] = 0.0
+    """Asynchronous, grid: standard deviation of the logarithm of an action's duration."""
+    failures: Annotated[float, Range(0, 1)] = 0.0
+    """Asynchronous, grid: probability that an action ends without effect."""
+    durations: Durations = "nominal"
+    """Asynchronous, grid: those of a table, or ``equal``, 1 s for every action."""
+
     def __post_init__(self) -> None:
+        if self.execution == "synchronous":
+            self._leave_out(_ASYNCHRONOUS, "synchronous execution", "take execution='asynchronous'")
         if self.object_choice is not None and self.helper_depth is None:
             raise ValueError("object_choice needs the action helper; give helper_depth, 20 for instance")
         if self.backend == "physics":
@@ -111,12 +133,23 @@ class Options:
                     raise ValueError(
                         f"the action '{action.name}' was registered without a skill; physics needs one"
                     )
+            self._leave_out(_DRAWN, "physics", "take backend='grid'")
             return
+        others = [one.name for one in dataclasses.fields(self) if one.name not in _GRID_OPTIONS]
+        self._leave_out(others, "the grid backend", "take backend='physics'")
+
+    def _leave_out(self, names: Sequence[str], what: str, instead: str) -> None:
+        """Raise ValueError where one of some options is given."""
         for one in dataclasses.fields(self):
-            if one.name not in _GRID_OPTIONS and getattr(self, one.name) != one.default:
-                raise ValueError(
-                    f"the grid backend knows no '{one.name}'; leave it out, or take backend='physics'"
-                )
+            if one.name in names and getattr(self, one.name) != one.default:
+                raise ValueError(f"{what} knows no '{one.name}'; leave it out, or {instead}")
+
+    @property
+    def timing(self) -> Timing | None:
+        """How long things take in asynchronous execution; None in synchronous execution."""
+        if self.execution == "synchronous":
+            return None
+        return Timing(self.wait_s, self.jitter, self.failures, self.durations == "equal")
 
     def refuse(self, form: str, *names: str) -> None:
         """Raise InputError where an option is given that a form of the environment has no place for."""

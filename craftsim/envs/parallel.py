@@ -43,7 +43,7 @@ class ParallelConstruction(SingleWorld, ParallelEnv[str, Observation, int]):
         self.state_space = state_space(self.core.task)
         task, form = self.core.task, self.core.form
         n, own = form.n_actions, None if options.observe is None else options.observe.space
-        beside = extra_spaces(task, form, options.local_view)
+        beside = extra_spaces(task, form, options.local_view, options.timing is not None)
         self._observation_spaces = {
             agent: car_space(task, own, options.images, n, beside) for agent in self.possible_agents
         }
@@ -63,7 +63,7 @@ class ParallelConstruction(SingleWorld, ParallelEnv[str, Observation, int]):
         """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
         infos = self.core.reset(seed, options)
         self.agents = self.possible_agents[:]
-        return self._observe(), dict(zip(self.agents, infos, strict=True))
+        return self.observe_all(), dict(zip(self.agents, infos, strict=True))
 
     def step(
         self, actions: dict[str, int]
@@ -84,14 +84,15 @@ class ParallelConstruction(SingleWorld, ParallelEnv[str, Observation, int]):
         if result.terminated or result.truncated:
             self.agents = []
         return (
-            self._observe(),
+            self.observe_all(),
             dict.fromkeys(agents, result.reward),
             dict.fromkeys(agents, result.terminated),
             dict.fromkeys(agents, result.truncated),
             dict(zip(agents, result.infos, strict=True)),
         )
 
-    def _observe(self) -> dict[str, Observation]:
+    def observe_all(self) -> dict[str, Observation]:
+        """Return the observations of all agents."""
         core, options = self.core, self.core.options
         seen: Any = core.vectors()
         if options.observe is not None:

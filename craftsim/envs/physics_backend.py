@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Recipe, Step
+from craftsim.checking.episode import Recipe, Step, begin
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
@@ -18,7 +19,7 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.envs.backend import Backend, Tick
+from craftsim.envs.backend import Backend, Ended, Tick
 from craftsim.envs.core import Core
 from craftsim.envs.recording import EpisodeRecords, Pictures, has_display
 from craftsim.errors import InputError
@@ -64,9 +65,11 @@ class PhysicsBackend(Backend):
         self.judge: Judge
         self._seed: Seed
         self._joints: list[list[tuple[int, Action]]]
-        """What the cars have done in each tick of the episode."""
+        """What the cars have done in each tick of the episode, or begun at one time of it."""
+        self._starts_s: list[float]
+        """When these began, where actions begin one by one; empty otherwise."""
         self.ticks: list[tuple[Attempt, ...]]
-        """The attempts of the episode's ticks, in acting order."""
+        """The attempts of the episode's ticks in acting order, or of what ended at one time."""
 
     def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
         """Begin an episode; a world is compiled only when the start or what is marked differs from the last one's."""
@@ -79,7 +82,7 @@ class PhysicsBackend(Backend):
         self._start = grid.copy()
         self.judge = set_up(grid, self.setup, seed, self.goals, self._world, self.watch_contacts)
         self.judge.executor.observers += [self._pictures.watch, *self.observers]
-        self._seed, self._joints, self.ticks = seed, [], []
+        self._seed, self._joints, self._starts_s, self.ticks = seed, [], [], []
         self._pictures.begin(self.judge.physics)
         if self._records is not None:
             self._records.begin(self.judge, design)
@@ -89,9 +92,14 @@ class PhysicsBackend(Backend):
 
     @property
     def recipe(self) -> Recipe:
-        """How the episode starts, and all its ticks so far: it is re-run bit for bit from this."""
+        """How the episode starts, and all its ticks so far: it is re-run bit for bit from this.
+
+        Actions that began one by one are one step, which also runs to their ends what still runs.
+        """
         assert self._start is not None, "no episode has begun"
         steps = tuple(Step.joint(number, joint) for number, joint in enumerate(self._joints))
+        if self._starts_s:
+            steps = (replace(Step.joint(0, *self._joints), starts_s=tuple(self._starts_s)),)
         return Recipe(blueprint_text(self._start), steps, self.setup, self._seed, self.goals)
 
     def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
@@ -120,6 +128,28 @@ class PhysicsBackend(Backend):
             of_car=tuple(infos),
             attempts=tried,
             contacts=None if log is None else tuple(log.contacts),
+        )
+
+    def begin(self, car: int, action: Action, committed: Grid) -> None:
+        """Let the car's skill begin, on what the judge itself takes to be committed."""
+        now_s = self.judge.physics.time_s
+        if now_s not in self._starts_s[-1:]:
+            self._starts_s.append(now_s)
+            self._joints.append([])
+        self._joints[-1].append((car, action))
+        begin(self.judge, car, action, len(self._starts_s) - 1)
+
+    def advance(self, until_s: float | None = None) -> Ended:
+        """Run to the next ending, or to a time, and read the world from poses."""
+        attempts = self.judge.next(until_s)
+        if attempts:
+            self.ticks.append(attempts)
+        return Ended(
+            self.judge.physics.time_s,
+            tuple(attempt.car for attempt in attempts),
+            self.judge.confirmed,
+            {attempt.car: _info(attempt) for attempt in attempts},
+            self.judge.problems,
         )
 
     def _primitives(
@@ -180,6 +210,8 @@ class PhysicsBackend(Backend):
 
     def _end_record(self) -> None:
         if self._records is not None and self._start is not None:
+            while self.judge.running:
+                self.advance()
             self._records.end(self.recipe, [attempt for tick in self.ticks for attempt in tick])
 
 

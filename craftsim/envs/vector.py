@@ -58,7 +58,7 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         self.form = options.action_form(self.task)
         self._radius = options.local_view
         layout, n_actions = self.task.layout, self.form.n_actions
-        beside = extra_spaces(self.task, self.form, options.local_view)
+        beside = extra_spaces(self.task, self.form, options.local_view, options.timing is not None)
         self.single_observation_space = central_space(self.task, options.images, n_actions, beside)
         self.single_action_space = joint_action_space(self.task, n_actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

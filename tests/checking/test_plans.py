@@ -1,6 +1,7 @@
-"""A plan as one schedule in physics: what runs when, and what happens when a car fails."""
+"""Plans as one schedule, and actions that begin one by one: what runs when, and what happens when a car fails."""
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -8,12 +9,16 @@ from drawn import draw
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.contacts import under
-from craftsim.checking.episode import do
+from craftsim.checking.episode import Recipe, begin, do, start
 from craftsim.checking.judge import Judge
-from craftsim.checking.setup import Setup, nominal_gains, set_up
+from craftsim.checking.setup import Setup, nominal_gains, set_up, setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.schedule import make_schedule
+from craftsim.envs.physics_backend import PhysicsBackend
+from craftsim.errors import InputError
 from craftsim.models.sensing import EXACT
+from craftsim.storage.records import from_json, to_json
 from craftsim.validation.runs.steps import steps_of
 
 RIGHT = Action.MOVE_RIGHT
@@ -24,6 +29,7 @@ PLAN = [
     [(2, Action.DROP)],
 ]
 STEPS_OF = {0: [0, 3], 1: [1, 4], 2: [2, 5, 6]}
+SETUP = setup_of("mild", drive="reduced")
 
 
 def _yard() -> Grid:
@@ -163,14 +169,14 @@ def test_the_listener_hears_every_change_of_what_runs():
 
 def test_a_car_on_the_foot_of_a_slope_or_on_its_body_stands_on_that_slope():
     """An unfolded slope with its body at x = 3 and its foot at x = 2, and a car on its way up or down, or before it."""
-    for start, goal, stands in ((1, 2, True), (2, 1, True), (2, 3, True), (0, 1, False)):
+    for first, goal, stands in ((1, 2, True), (2, 1, True), (2, 3, True), (0, 1, False)):
 
         def yard(x):
             levels = {2: (1, 0, 0), 3: (2, 0, 0)}.get(x, (1, 0, 0))
             return draw((5, 1, 3), [(Kind.BODY, (3, 0, 1), 2)], [(x, 0, *levels)])
 
         judge = set_up(yard(0), Setup())
-        reading = replace(judge.reading, grid=yard(start))
+        reading = replace(judge.reading, grid=yard(first))
         assert under(reading, yard(goal), 0) == ([0] if stands else [])
 
 
@@ -193,3 +199,86 @@ def test_a_stack_that_sways_under_a_car_on_its_way_is_held_against_no_other_acti
     assert swayed[round(turn.duration_s / 0.02)] > judge.thresholds.bystander_m
     assert drive.agrees
     assert turn.agrees
+
+
+def test_the_schedule_of_a_plan_makes_the_same_attempts_one_by_one():
+    schedule = make_schedule(_yard(), PLAN, set_up(_yard(), SETUP).rules)
+    whole, judge = set_up(_yard(), SETUP), set_up(_yard(), SETUP)
+    waiting, done, found = dict(enumerate(schedule.steps)), set(), []
+    place = {(step.tick, step.car): n for n, step in enumerate(schedule.steps)}
+    while waiting or judge.running:
+        for number, step in list(waiting.items()):
+            if step.waits_for <= done and step.car not in judge.running:
+                judge.begin(waiting.pop(number))
+        found += judge.next()
+        done = {place[attempt.tick, attempt.car] for attempt in found}
+    found.sort(key=lambda attempt: place[attempt.tick, attempt.car])
+    assert tuple(found) == whole.perform_plan(PLAN, "concurrent")
+    np.testing.assert_array_equal(judge.physics.data.qpos, whole.physics.data.qpos)
+
+
+def test_what_runs_is_committed_and_only_what_has_ended_is_confirmed():
+    judge = set_up(_yard(), SETUP)
+    yard = judge.grid
+    begin(judge, 2, Action.LIFT)
+    begin(judge, 0, RIGHT)
+    unreadable = False
+    for _ in range(10):
+        assert judge.next(until_s=judge.physics.time_s + 0.1) == ()
+        assert judge.confirmed.same_visible(yard)
+        assert not judge.problems
+        unreadable |= bool(judge.reading.problems)
+    assert unreadable
+    assert not judge.grid.same_visible(yard)
+    after, _ = judge.rules.tick(yard, [(2, Action.LIFT), (0, RIGHT)])
+    assert judge.committed.same_visible(after)
+    (first,) = judge.next()
+    assert judge.committed.same_visible(after)
+    assert (judge.confirmed.cars[0, 0], judge.confirmed.cars[2, 4]) == (1, Kind.BLOCK)
+    (second,) = judge.next()
+    assert (first.car, second.car, first.agrees, second.agrees) == (2, 0, True, True)
+    assert judge.confirmed.same_visible(after)
+
+
+def test_a_failure_is_that_of_its_car_alone():
+    judge = set_up(_yard(), Setup())
+    _unpower(0)(judge.physics)
+    begin(judge, 2, Action.LIFT)
+    begin(judge, 0, RIGHT)
+    found = [*judge.next(), *judge.next()]
+    assert sorted((attempt.car, attempt.agrees) for attempt in found) == [(0, False), (2, True)]
+    assert judge.confirmed.cars[0, 0] == 1
+    begin(judge, 2, Action.DROP)
+    for car, action, message in ((0, Action.LIFT, "LIFT is forbidden"), (2, RIGHT, "its DROP runs")):
+        with pytest.raises(InputError, match=message):
+            begin(judge, car, action)
+
+
+def test_an_episode_is_run_again_bit_for_bit_from_its_recipe():
+    """Random legal play that the footprints allow; cars wait at times, with something running or nothing."""
+    rng, backend = np.random.default_rng(4), PhysicsBackend(SETUP, watch_contacts=True)
+    backend.start(_yard(), np.random.default_rng(3))
+    judge, n_begun = backend.judge, 0
+    while n_begun < 12:
+        for car in rng.permutation(3).tolist():
+            legal = np.flatnonzero(judge.rules.mask(judge.committed)[car])
+            step = make_schedule(judge.committed, [[(car, Action(rng.choice(legal)))]], judge.rules).steps[0]
+            claimed = any(other.footprint.conflicts(step.footprint) for other in judge.running.values())
+            if car in judge.running or claimed or rng.random() < 0.3:
+                continue
+            backend.begin(car, step.action, judge.committed)
+            n_begun += 1
+        ended = backend.advance(judge.physics.time_s + 1.0)
+        assert set(ended.infos) == set(ended.cars)
+        assert not ended.problems
+    recipe = backend.recipe
+    assert len({*np.diff(recipe.steps[0].starts_s)}) > 2
+    again = start(recipe)
+    assert from_json(Recipe, to_json(recipe), "recipe") == recipe
+    attempts = do(again, recipe.steps[0])
+    while judge.running:
+        backend.advance()
+    live = [attempt for tick in backend.ticks for attempt in tick]
+    assert sorted(map(repr, live)) == sorted(map(repr, attempts))
+    assert sorted(map(json.dumps, map(asdict, live))) == sorted(map(json.dumps, map(asdict, attempts)))
+    np.testing.assert_array_equal(judge.physics.data.qpos, again.physics.data.qpos)

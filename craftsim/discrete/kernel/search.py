@@ -286,6 +286,29 @@ def add_reachable(w: World, space: SearchBuffers, limit: int, mask: NDArray[np.b
 
 
 @compiled
+def due_of(w: World, car: int, action: int, queue: NDArray[np.int8], space: SearchBuffers, limit: int) -> int:
+    """Return the primitive that an action stands for now: of the queue, else of a new plan for a MOVE, which is queued.
+
+    A MOVE without a plan is a STOP.
+    """
+    if queue[0] < 0 and FIRST_MOVE <= action <= LAST_MOVE:
+        space.legal[:] = UNKNOWN
+        node = plan_move(w, car, space, action, limit)
+        if node < 0:
+            return STOP
+        write_plan(space, node, queue)
+    return int(np.int64(queue[0])) if queue[0] >= 0 else action
+
+
+@compiled
+def pop(queue: NDArray[np.int8]) -> None:
+    """Take the first primitive out of a queue."""
+    for i in range(len(queue) - 1):
+        queue[i] = queue[i + 1]
+    queue[-1] = -1
+
+
+@compiled
 def act_with_helper(
     w: World, car: int, action: int, queue: NDArray[np.int8], space: SearchBuffers, limit: int
 ) -> bool:
@@ -294,18 +317,9 @@ def act_with_helper(
     Returns whether the primitive that was due was legal; if a queued one was not, the queue is thrown away.
     """
     queued = queue[0] >= 0
-    due = action
-    if not queued and FIRST_MOVE <= action <= LAST_MOVE:
-        space.legal[:] = UNKNOWN
-        node = plan_move(w, car, space, action, limit)
-        due = STOP
-        if node >= 0:
-            write_plan(space, node, queue)
+    due = due_of(w, car, action, queue, space, limit)
     if queue[0] >= 0:
-        due = int(np.int64(queue[0]))
-        for i in range(len(queue) - 1):
-            queue[i] = queue[i + 1]
-        queue[-1] = -1
+        pop(queue)
     applied = act(w, car, due)
     if queued and not applied:
         queue[:] = -1

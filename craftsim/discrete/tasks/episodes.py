@@ -87,6 +87,11 @@ class Episodes:
         """Number of cars in each world."""
         return self.grids.n_cars
 
+    @property
+    def scored(self) -> Grid:
+        """The worlds that rewards and success are a matter of."""
+        return self.grids
+
     def grid(self, i: int) -> Grid:
         """Return a copy of one world."""
         return self.grids[i].copy()
@@ -142,7 +147,7 @@ class Episodes:
         """Return what a reward function sees of a tick that an episode has just had; arguments are its fields."""
         return Transition(
             before,
-            self.grid(i),
+            self.scored[i].copy(),
             int(self.t[i]),
             tuple(Action(action) for action in actions.tolist()),
             tuple(applied.tolist()),
@@ -222,8 +227,8 @@ class Episodes:
         """
         after, success = self.potential, np.zeros(len(self), np.bool_)
         if readable:
-            after = self.task.potential(self.grids, self.designs)
-            success = self.task.reached(self.grids, self.designs)
+            after = self.task.potential(self.scored, self.designs)
+            success = self.task.reached(self.scored, self.designs)
         if isinstance(self.task.reward, Reward):
             reward, self.bonus_given = self.task.reward.of_tick(
                 self.potential, after, self.t, self.bonus_given

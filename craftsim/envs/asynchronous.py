@@ -1,0 +1,309 @@
+"""Asynchronous execution: each car decides when its own action has ended, and PettingZoo's forms of that."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import AECEnv
+
+from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, Deadlock
+from craftsim.discrete.grid import CarField
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.rewards import Reward
+from craftsim.discrete.tasks.starts import Starts
+from craftsim.envs.actions import checked
+from craftsim.envs.core import Core, CoreStep
+from craftsim.envs.observations import Observation
+from craftsim.envs.options import Options
+from craftsim.envs.parallel import ParallelConstruction
+from craftsim.errors import InputError
+
+_STOP = int(Action.STOP)
+
+
+class AsynchronousCore(Core):
+    """A task whose cars do not wait for each other.
+
+    :attr:`turns` lists the cars that decide, in their order; each decides with :meth:`begin`, and when all have,
+    :meth:`advance` runs to the next event, at which at least one action or wait ends.
+    """
+
+    def _first(self, start: Starts) -> AsynchronousEpisodes:
+        kind = self.options.rule_set, self.options.helper_depth
+        return AsynchronousEpisodes(
+            self.task, self._rng, 1, *kind, start, self.rules.own, timing=self.options.timing
+        )
+
+    @property
+    def episodes(self) -> AsynchronousEpisodes:
+        """The episode, a batch of one, whose ``grids`` are the committed world."""
+        episodes = super().episodes
+        assert isinstance(episodes, AsynchronousEpisodes)
+        return episodes
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> list[dict[str, Any]]:
+        """Begin an episode as :meth:`Core.reset` does; all cars decide."""
+        super().reset(seed, options)
+        self._zero_s = self.backend.advance(0.0).time_s
+        self._wrong = np.zeros(self.n_cars, np.bool_)
+        self._told: list[dict[str, Any]] = [{} for _ in range(self.n_cars)]
+        self._stale = False
+        self._take_turns()
+        return self._infos({"success": False, "duration_s": 0.0, "problems": (), "deadlock": None})
+
+    def _take_turns(self) -> None:
+        decides = self.episodes.decides[0]
+        self.turns = [int(car) for car in self._rng.permutation(self.n_cars) if decides[car]]
+        """The cars that have yet to decide, in their order."""
+
+    def begin(self, car: int, action: int) -> None:
+        """Let the next car of :attr:`turns` decide on an action; what it may not do now becomes a wait.
+
+        Raises InputError where no episode runs, for a car whose turn it is not, and for what is no action.
+        """
+        self.require_episode()
+        if self.turns[:1] != [car]:
+            raise InputError(f"car {car} does not decide now; {self.turns[:1]} does")
+        checked([action], (1,), self.form.n_actions)
+        episodes, before = self.episodes, self.grid
+        chosen = np.full((1, self.n_cars), _STOP, np.int64)
+        chosen[0, car] = action
+        numbers, queued = self.form.begin(episodes, chosen)
+        outcome = episodes.decide(numbers, np.array([[car]]))[0, car]
+        # A choice of an object to which there is no way is a STOP that was not asked for.
+        strayed = outcome == WAITS and not (queued is not None and queued[0, car])
+        self._wrong[car] = action != _STOP and (outcome == ILLEGAL or strayed)
+        if outcome == BEGUN:
+            self.backend.begin(car, Action(episodes.running.action[0, car]), before)
+        del self.turns[0]
+        self._stale = True
+
+    def refresh(self) -> None:
+        """Bring what is observed up to date with what has begun since the last event."""
+        if self._stale:
+            self._look()
+            self._stale = False
+
+    def step(self, actions: Any) -> CoreStep:
+        """Let the cars that decide begin what they are told, and run to the next event; ``actions`` (n,) by car."""
+        self.require_episode()
+        chosen = checked(actions, (self.n_cars,), self.form.n_actions)
+        for car in list(self.turns):
+            self.begin(car, int(chosen[car]))
+        return self.advance()
+
+    def advance(self) -> CoreStep:
+        """Run to the next event, for which all cars must have decided; what ends at one time is one event."""
+        self.require_episode()
+        if self.turns:
+            raise InputError(f"cars {self.turns} have not decided")
+        episodes, running = self.episodes, self.episodes.running
+        before, began_s = episodes.confirmed[0].copy(), float(episodes.time_s[0])
+        actions, ended = running.action[0].copy(), np.zeros(self.n_cars, np.bool_)
+        infos: dict[int, dict[str, Any]] = {}
+        problems: tuple[str, ...] = ()
+        while not (ended.any() or problems):
+            until_s = float(running.ends_s[0].min())
+            happened = self.backend.advance(self._zero_s + until_s if np.isfinite(until_s) else None)
+            time_s = round(happened.time_s - self._zero_s, 6)
+            ended = episodes.finish(0, time_s, happened.cars, happened.confirmed)
+            infos, problems = infos | happened.infos, happened.problems
+        for car, info in infos.items():
+            self._told[car] = info
+            if info.get("failed"):
+                episodes.queue[0, car] = -1  # what was planned starts from where the car is not
+        duration_s = round(float(episodes.time_s[0]) - began_s, 6)
+        applied = self._applied(actions, ended, before)
+        order = np.argsort(running.turn)
+        seen = []
+        if not isinstance(self.task.reward, Reward):
+            took = np.where(ended & (actions != _STOP), episodes.time_s[0] - running.began_s[0], 0.0)
+            done = np.where(ended, actions, _STOP)
+            seen = [
+                episodes.transition(0, before, done, applied, took, duration_s, problems=problems),
+            ]
+        steps = episodes.score(applied[None], order, not problems, seen)
+        reward = float(steps.reward[0]) - self.options.time_weight * duration_s
+        episodes.earned += reward
+        self._look()
+        self._stale = False
+        self._show()
+        success, over = bool(steps.success[0]), bool(steps.done[0])
+        terminated = success and self.task.ends_on_success
+        deadlock = None if terminated or problems else episodes.deadlock(0, self.masks)
+        truncated = not terminated and (over or bool(problems) or deadlock is not None)
+        self._runs = not (terminated or truncated)
+        self.turns = []
+        if self._runs:
+            self._take_turns()
+        shared = {"success": success, "duration_s": duration_s, "problems": problems, "deadlock": deadlock}
+        return CoreStep(reward, terminated, truncated, self._infos(shared), order[0])
+
+    def _applied(
+        self, actions: NDArray[np.int64], ended: NDArray[np.bool_], before: Any
+    ) -> NDArray[np.bool_]:
+        # The rules forbid a STOP on a ramp.
+        stood = (self.episodes.outcome[0] == WAITS) & (before.cars[:, CarField.SLOPE] == 0)
+        applied: NDArray[np.bool_] = ended & ((actions != _STOP) | stood)
+        return applied
+
+    def _infos(self, shared: dict[str, Any]) -> list[dict[str, Any]]:
+        """Return the infos by car, after an event."""
+        episodes = self.episodes
+        decides, elapsed_s = episodes.decides[0], episodes.time_s[0] - episodes.running.began_s[0]
+        return [
+            {
+                "action_mask": mask,
+                "illegal": bool(self._wrong[car]),
+                "blocked": bool(episodes.outcome[0, car] == BLOCKED),
+                "decides": bool(decides[car]),
+                "elapsed_s": round(float(elapsed_s[car]), 6),
+                "failed": False,
+                **shared,
+                **self._told[car],
+            }
+            for car, mask in enumerate(self.masks.copy())
+        ]
+
+
+class AsynchronousParallel(ParallelConstruction):
+    """The parallel form: in each step the cars of :attr:`agents_to_act` decide, the others' actions are ignored.
+
+    A step runs to the next event. An agent's reward comes when its own action ends: the sum of the shared rewards of
+    that time. docs/reference/environments.md describes observations and infos.
+    """
+
+    core: AsynchronousCore
+
+    @property
+    def agents_to_act(self) -> list[str]:
+        """The agents that decide, in the order in which they are asked."""
+        return [self.possible_agents[car] for car in self.core.turns]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+        """Begin an episode, in which all agents decide first."""
+        observations, infos = super().reset(seed, options)
+        return observations, {agent: info | {"ignored": False} for agent, info in infos.items()}
+
+    def step(self, actions: dict[str, int]) -> tuple[Any, ...]:
+        """Let the agents that decide begin their actions, and run to the next event.
+
+        Raises InputError where no episode runs, and if such an agent's action is missing or none.
+        """
+        self.core.require_episode()
+        acting = self.agents_to_act
+        asked = {agent: actions.get(agent, _STOP) for agent in self.agents if agent not in acting}
+        asked |= {agent: actions[agent] for agent in acting if agent in actions}
+        ignored = set(actions) - set(acting)
+        agents = self.agents
+        observations, _, terminated, truncated, infos = super().step(asked)
+        rewards = {}
+        for car, agent in enumerate(agents):
+            over = infos[agent]["decides"] or not self.agents
+            rewards[agent] = float(self.core.episodes.earned[0, car]) if over else 0.0
+            infos[agent]["ignored"] = agent in ignored
+        return observations, rewards, terminated, truncated, infos
+
+
+class AsynchronousConstruction(AECEnv[str, Observation, int]):
+    """The AEC form: ``agent_selection`` is the car that decides next, with masks and observations of that moment.
+
+    When all that decide have, time passes to the next event. Rewards are shared; those that an agent has accumulated
+    when it is its turn again are those of its action.
+    """
+
+    def __init__(self, task: Task | str, options: Options) -> None:
+        """Prepare a task; the first episode begins with :meth:`reset`."""
+        super().__init__()
+        self._world = AsynchronousParallel(task, options)
+        self.metadata = self._world.metadata | {"is_parallelizable": False}
+        self.render_mode = self._world.render_mode
+        self.possible_agents = self._world.possible_agents
+        self.agents: list[str] = []
+
+    @property
+    def core(self) -> AsynchronousCore:
+        """The world and its episode."""
+        return self._world.core
+
+    def observation_space(self, agent: str) -> spaces.Dict:
+        """Return an agent's observation space."""
+        return self._world.observation_space(agent)
+
+    def action_space(self, agent: str) -> spaces.Discrete:
+        """Return an agent's action space."""
+        return self._world.action_space(agent)
+
+    @property
+    def state_space(self) -> spaces.Box:
+        """The space of the global state."""
+        return self._world.state_space
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
+        """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
+        _, infos = self._world.reset(seed, options)
+        self.agents = self.possible_agents[:]
+        self.rewards = dict.fromkeys(self.agents, 0.0)
+        self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
+        self.terminations = dict.fromkeys(self.agents, False)
+        self.truncations = dict.fromkeys(self.agents, False)
+        self.infos = self._only(infos)
+        self._skip_agent_selection = None
+        self.agent_selection = self._world.agents_to_act[0]
+
+    def _only(self, infos: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        return {agent: {k: v for k, v in info.items() if k != "ignored"} for agent, info in infos.items()}
+
+    def observe(self, agent: str) -> Observation:
+        """Return what an agent observes now, what has begun already included."""
+        self.core.refresh()
+        return self._world.observe_all()[agent]
+
+    def step(self, action: int | None) -> None:
+        """Let the selected agent begin an action; if it is the last to decide, time passes to the next event.
+
+        Raises InputError where no episode runs, and for what is no action.
+        """
+        if not self.agents:
+            self.core.require_episode()
+        agent = self.agent_selection
+        if self.terminations[agent] or self.truncations[agent]:
+            self._was_dead_step(action)
+            return
+        self.core.begin(self.possible_agents.index(agent), action)  # type: ignore[arg-type]
+        self._cumulative_rewards[agent] = 0.0
+        self._clear_rewards()
+        if not self.core.turns:
+            result = self.core.advance()
+            self.rewards = dict.fromkeys(self.agents, result.reward)
+            self.terminations = dict.fromkeys(self.agents, result.terminated)
+            self.truncations = dict.fromkeys(self.agents, result.truncated)
+            self.infos = dict(zip(self.agents, result.infos, strict=True))
+        else:
+            self.core.refresh()
+            for car, mask in enumerate(self.core.masks.copy()):
+                self.infos[self.possible_agents[car]]["action_mask"] = mask
+        self._accumulate_rewards()
+        self.agent_selection = self._world.agents_to_act[0] if self.core.turns else self.agents[0]
+
+    def state(self) -> NDArray[np.int32]:
+        """Return the global state: the rows of all entities, flattened."""
+        self.core.refresh()
+        return self.core.state()
+
+    def render(self) -> Any:
+        """Return what ``render_mode`` says."""
+        return self._world.render()
+
+    def close(self) -> None:
+        """Release what rendering holds, and write what is recorded."""
+        self._world.close()
+
+
+__all__ = ["AsynchronousConstruction", "AsynchronousCore", "AsynchronousParallel", "Deadlock"]

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from craftsim.discrete.asynchronous import AsynchronousEpisodes, Timing
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
@@ -20,6 +21,10 @@ from craftsim.envs.vector import PhysicsVectorEnv
 from craftsim.training.features import Encoder, RelativeEncoder
 
 _HASH_SEED: Final = 2
+USUAL_TICK_S: Final = 1.0
+"""About what a move takes: a discount of a tick is one of so much time where cars decide one by one."""
+TRAINED_JITTER: Final = 0.1
+"""By about what share durations vary where cars are trained asynchronously."""
 
 
 class Outcome(NamedTuple):
@@ -134,6 +139,50 @@ class GridWorlds:
     def restart(self) -> None:
         """Start the episodes anew that are over."""
         self.episodes.reset(np.flatnonzero(self.episodes.done))
+
+    def close(self) -> None:
+        """Free nothing: all of it is in arrays."""
+
+
+class AsynchronousWorlds:
+    """WorldBatch on the grid whose cars decide one by one; a step lasts until the next event of each world."""
+
+    def __init__(
+        self,
+        task: Task,
+        n: int,
+        rules: RuleSet = "physical",
+        helper_depth: int | None = None,
+    ) -> None:
+        rng, timing = np.random.default_rng(), Timing(jitter=TRAINED_JITTER)
+        self.episodes = AsynchronousEpisodes(task, rng, n, rules, helper_depth, timing=timing)
+        self._over = np.zeros(n, np.bool_)
+
+    @property
+    def decides(self) -> NDArray[np.bool_]:
+        """Which cars have no action and decide."""
+        return self.episodes.decides
+
+    def reset(self, seed: int) -> None:
+        """Start all episodes anew."""
+        self.episodes.rng = np.random.default_rng(seed)
+        self.episodes.reset()
+
+    def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
+        """Return observations and masks."""
+        return self.episodes.vectors(), self.episodes.offered()
+
+    def step(self, actions: NDArray[np.int64]) -> Outcome:
+        """Let the cars that decide begin their actions, and each world go on to its next event."""
+        before_s = self.episodes.time_s.copy()
+        steps = self.episodes.step(actions)
+        self._over = steps.done | self.episodes.deadlocks(self.episodes.offered())
+        elapsed = (self.episodes.time_s - before_s) / USUAL_TICK_S
+        return Outcome(steps.reward, steps.success & steps.done, self._over, elapsed)
+
+    def restart(self) -> None:
+        """Start the episodes anew that are over."""
+        self.episodes.reset(np.flatnonzero(self._over))
 
     def close(self) -> None:
         """Free nothing: all of it is in arrays."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.reasons import explain
 from craftsim.discrete.schedule import nominal_durations, situation
 from craftsim.discrete.tasks.episodes import Episodes, Steps
+from craftsim.discrete.tasks.rewards import Reward
 from craftsim.discrete.tasks.starts import Starts
 
 __all__ = [
@@ -290,16 +291,41 @@ class AsynchronousEpisodes(Episodes):
         elif action not in (DECIDES, _STOP):
             events.enforce(grid.cells, grid.cars, self.corrections, car, action)
 
-    def score(
+    def settle(
         self,
-        applied: NDArray[np.bool_],
-        order: NDArray[np.int64],
-        readable: bool = True,
-        transitions: Any = (),
+        before: Grid,
+        actions: NDArray[np.integer],
+        ended: NDArray[np.bool_],
+        duration_s: NDArray[np.float64],
+        time_weight: float,
+        problems: tuple[str, ...] = (),
     ) -> Steps:
-        """End an event as :meth:`Episodes.score` ends a tick; as many decisions as cars count as a tick."""
+        """Score an event: as many decisions as cars count as a tick. What it earns is added to ``earned``, too.
+
+        Args:
+            before: the B confirmed worlds before it.
+            actions: (B, n), what the cars were doing.
+            ended: (B, n), whose actions have ended; waits count.
+            duration_s: (B,), since the event before.
+            time_weight: cost of a second.
+            problems: why the worlds cannot be read as grids any more.
+        """
         self.t = np.maximum(self.decisions - 1, 0) // max(self.n_cars, 1)
-        return super().score(applied, order, readable, transitions)
+        # The rules forbid a STOP on a ramp.
+        stood = (self.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
+        applied = ended & ((actions != _STOP) | stood)
+        seen = []
+        if not isinstance(self.task.reward, Reward):
+            took = np.where(ended & (actions != _STOP), self.time_s[:, None] - self.running.began_s, 0.0)
+            done = np.where(ended, actions, _STOP)
+            seen = [
+                self.transition(i, before[i], done[i], applied[i], took[i], duration_s[i], problems=problems)
+                for i in range(len(self))
+            ]
+        steps = self.score(applied, np.argsort(self.running.turn), not problems, seen)
+        steps = replace(steps, reward=steps.reward - time_weight * duration_s)
+        self.earned += steps.reward[:, None]
+        return steps
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
@@ -319,6 +345,16 @@ class AsynchronousEpisodes(Episodes):
         after = before.copy()
         own_actions.carry_out(after, car, action)
         return self._clash(i, footprint(before, after, car, action))
+
+    def deadlocks(self, masks: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return (B,): in which worlds nothing can go on, as :meth:`deadlock` says; ``masks`` (B, n, actions)."""
+        idle = self.decides.all(1)
+        at_most_stop = masks.sum(-1) <= masks[..., _STOP]
+        doubted = idle & (at_most_stop.all(1) | (self.outcome == ILLEGAL).all(1))
+        found = np.zeros(len(self), np.bool_)
+        for i in np.flatnonzero(doubted).tolist():
+            found[i] = self.deadlock(i, masks[i]) is not None
+        return found
 
     def deadlock(self, i: int, mask: NDArray[Any]) -> Deadlock | None:
         """Return why nothing can go on in a world at an event, or None where something can.

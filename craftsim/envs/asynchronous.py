@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
 from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, Deadlock
-from craftsim.discrete.grid import CarField
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.rewards import Reward
 from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.actions import checked
 from craftsim.envs.core import Core, CoreStep
@@ -102,8 +100,8 @@ class AsynchronousCore(Core):
         if self.turns:
             raise InputError(f"cars {self.turns} have not decided")
         episodes, running = self.episodes, self.episodes.running
-        before, began_s = episodes.confirmed[0].copy(), float(episodes.time_s[0])
-        actions, ended = running.action[0].copy(), np.zeros(self.n_cars, np.bool_)
+        before, began_s = episodes.confirmed.copy(), float(episodes.time_s[0])
+        actions, ended = running.action.copy(), np.zeros(self.n_cars, np.bool_)
         infos: dict[int, dict[str, Any]] = {}
         problems: tuple[str, ...] = ()
         while not (ended.any() or problems):
@@ -117,18 +115,9 @@ class AsynchronousCore(Core):
             if info.get("failed"):
                 episodes.queue[0, car] = -1  # what was planned starts from where the car is not
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)
-        applied = self._applied(actions, ended, before)
-        order = np.argsort(running.turn)
-        seen = []
-        if not isinstance(self.task.reward, Reward):
-            took = np.where(ended & (actions != _STOP), episodes.time_s[0] - running.began_s[0], 0.0)
-            done = np.where(ended, actions, _STOP)
-            seen = [
-                episodes.transition(0, before, done, applied, took, duration_s, problems=problems),
-            ]
-        steps = episodes.score(applied[None], order, not problems, seen)
-        reward = float(steps.reward[0]) - self.options.time_weight * duration_s
-        episodes.earned += reward
+        steps = episodes.settle(
+            before, actions, ended[None], np.array([duration_s]), self.options.time_weight, problems
+        )
         self._look()
         self._stale = False
         self._show()
@@ -141,15 +130,7 @@ class AsynchronousCore(Core):
         if self._runs:
             self._take_turns()
         shared = {"success": success, "duration_s": duration_s, "problems": problems, "deadlock": deadlock}
-        return CoreStep(reward, terminated, truncated, self._infos(shared), order[0])
-
-    def _applied(
-        self, actions: NDArray[np.int64], ended: NDArray[np.bool_], before: Any
-    ) -> NDArray[np.bool_]:
-        # The rules forbid a STOP on a ramp.
-        stood = (self.episodes.outcome[0] == WAITS) & (before.cars[:, CarField.SLOPE] == 0)
-        applied: NDArray[np.bool_] = ended & ((actions != _STOP) | stood)
-        return applied
+        return CoreStep(float(steps.reward[0]), terminated, truncated, self._infos(shared), steps.order[0])
 
     def _infos(self, shared: dict[str, Any]) -> list[dict[str, Any]]:
         """Return the infos by car, after an event."""

@@ -7,6 +7,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
@@ -15,10 +16,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import CloudpickleWrapper, batch_space
 from numpy.typing import NDArray
 
+from craftsim.discrete.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes
 from craftsim.discrete.kernel.tasks import ROW
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import tick_durations
 from craftsim.discrete.tasks import Task, as_task
-from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.central import CentralConstruction
@@ -100,8 +103,13 @@ class GridVectorEnv(TaskVectorEnv):
                 raise InputError(f"a batch of grid worlds knows no '{name}'; leave it out")
         super().__init__(task, BatchOptions(num_envs).num_envs, chosen)
         self.time_weight = chosen.time_weight
-        kind = chosen.rule_set, chosen.helper_depth
-        self.episodes = Episodes(self.task, np.random.default_rng(), num_envs, *kind, actions=self.form.own)
+        rng, kind = np.random.default_rng(), (chosen.rule_set, chosen.helper_depth)
+        if chosen.timing is None:
+            self.episodes = Episodes(self.task, rng, num_envs, *kind, actions=self.form.own)
+        else:
+            self.episodes = AsynchronousEpisodes(
+                self.task, rng, num_envs, *kind, actions=self.form.own, timing=chosen.timing
+            )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -113,39 +121,80 @@ class GridVectorEnv(TaskVectorEnv):
         self.episodes.reset()
         self._begun = True
         self._look()
-        return self._observe(), {}
+        infos = {}
+        if isinstance(self.episodes, AsynchronousEpisodes):
+            infos["decides"] = self.episodes.decides
+        return self._observe(), infos
 
     def step(self, actions: NDArray[np.integer]) -> Batch:
-        """Let all cars of all worlds act once; ``actions`` (B, n).
+        """Let all cars of all worlds act once; ``actions`` (B, n). In asynchronous execution the cars that decide
+        begin theirs, what is given for others is ignored, and each world advances to its own next event.
 
         Infos, each an array with a leading dimension B: ``success``, ``duration_s``, ``illegal`` (B, n); and where
-        ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset. Raises InputError before
+        ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset. In asynchronous execution
+        also ``decides`` (B, n), who decides next, which reset() says, too; of each car whose decision has ended, and
+        of all at the end of an episode, ``elapsed_s`` and ``rewards`` (B, n), the time since that decision and the sum
+        of the rewards of that time; ``blocked`` and ``failed`` (B, n), and ``deadlock`` (B,). Raises InputError before
         the first reset, and for actions of another shape or that are no numbers from 0 to 14.
         """
-        chosen = self._checked(actions, self.num_envs)
+        chosen, episodes = self._checked(actions, self.num_envs), self.episodes
+        if isinstance(episodes, AsynchronousEpisodes):
+            steps, infos = self._next_event(episodes, chosen)
+        else:
+            steps, infos = self._tick(chosen)
+        self._look()
+        terminated = steps.success & self.task.ends_on_success
+        over = steps.done
+        if isinstance(episodes, AsynchronousEpisodes):
+            infos["deadlock"] = episodes.deadlocks(self._masks) & ~terminated
+            over = over | infos["deadlock"]
+        ended = np.flatnonzero(over)
+        if len(ended):
+            last = np.full(self.num_envs, None, object)
+            for i in ended:
+                last[i] = {key: array[i].copy() for key, array in self._seen.items()}
+            infos |= {"final_obs": last, "_final_obs": over}
+            episodes.reset(ended)
+            self._look()
+        if isinstance(episodes, AsynchronousEpisodes):
+            infos["decides"] = episodes.decides
+        return self._observe(), steps.reward, terminated, over & ~terminated, infos
+
+    def _tick(self, chosen: NDArray[np.int64]) -> tuple[Steps, dict[str, Any]]:
         episodes, offered = self.episodes, self._masks
         numbers, queued = self.form.begin(episodes, chosen)
         before = episodes.grids.cars.copy()
         steps = episodes.step(numbers)
         duration = tick_durations(before, episodes.grids.cars, numbers, steps.applied)
-        terminated = steps.success & self.task.ends_on_success
-        truncated = steps.done & ~terminated
-        infos: dict[str, Any] = {
+        wrong = illegal(chosen, steps.applied, offered, queued)
+        infos = {"success": steps.success, "duration_s": duration, "illegal": wrong}
+        return replace(steps, reward=steps.reward - self.time_weight * duration), infos
+
+    def _next_event(
+        self, episodes: AsynchronousEpisodes, chosen: NDArray[np.int64]
+    ) -> tuple[Steps, dict[str, Any]]:
+        """Let the cars that decide begin, and advance each world to its next event."""
+        asked = np.where(episodes.decides, chosen, int(Action.STOP))
+        numbers, queued = self.form.begin(episodes, asked)
+        cars, before, now_s = episodes.grids.cars.copy(), episodes.confirmed.copy(), episodes.time_s.copy()
+        outcome = episodes.decide(numbers, episodes.draw_order())
+        episodes.draw_ends(cars, outcome)
+        actions = episodes.running.action.copy()
+        ended, failed = episodes.advance()
+        duration = np.round(episodes.time_s - now_s, 6)
+        steps = episodes.settle(before, actions, ended, duration, self.time_weight)
+        told = ended | steps.done[:, None]
+        elapsed = np.round(episodes.time_s[:, None] - episodes.running.began_s, 6)
+        strayed = outcome == WAITS if queued is None else (outcome == WAITS) & ~queued
+        return steps, {
             "success": steps.success,
             "duration_s": duration,
-            "illegal": illegal(chosen, steps.applied, offered, queued),
+            "illegal": (asked != Action.STOP) & ((outcome == ILLEGAL) | strayed),
+            "blocked": outcome == BLOCKED,
+            "failed": failed,
+            "elapsed_s": np.where(told, elapsed, 0.0),
+            "rewards": np.where(told, episodes.earned, 0.0),
         }
-        self._look()
-        ended = np.flatnonzero(steps.done)
-        if len(ended):
-            last = np.full(self.num_envs, None, object)
-            for i in ended:
-                last[i] = {key: array[i] for key, array in self._seen.items()}
-            infos |= {"final_obs": last, "_final_obs": terminated | truncated}
-            episodes.reset(ended)
-            self._look()
-        reward = steps.reward - self.time_weight * duration
-        return self._observe(), reward, terminated, truncated, infos
 
     def _look(self) -> None:
         self._masks = self.form.masks(self.episodes)

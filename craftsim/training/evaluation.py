@@ -43,7 +43,9 @@ def evaluate(
     worlds = (
         Episodes(task, rng, episodes, rules, helper_depth)
         if execution == "synchronous"
-        else AsynchronousEpisodes(task, rng, episodes, rules, helper_depth, timing=Timing(jitter=TRAINED_JITTER))
+        else AsynchronousEpisodes(
+            task, rng, episodes, rules, helper_depth, timing=Timing(jitter=TRAINED_JITTER)
+        )
     )
     if task.split == "test" and isinstance(listed := task.sampler, Starts):
         rows = np.arange(episodes)

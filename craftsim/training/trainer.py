@@ -37,7 +37,14 @@ from craftsim.training.pqn import PQNLearner
 from craftsim.training.pretraining import begin_as_pretrained
 from craftsim.training.q_learning import QLearner
 from craftsim.training.restoring import numbers
-from craftsim.training.rollouts import AsynchronousWorlds, GridWorlds, PhysicsWorlds, Rollout, WorldBatch, play
+from craftsim.training.rollouts import (
+    AsynchronousWorlds,
+    GridWorlds,
+    PhysicsWorlds,
+    Rollout,
+    WorldBatch,
+    play,
+)
 from craftsim.training.settings import COMASettings, PPOSettings, PQNSettings, QSettings, settings_of
 from craftsim.training.shape import Shape, check_stage
 from craftsim.workers.actor import defer_sigint

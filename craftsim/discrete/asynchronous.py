@@ -2,24 +2,36 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete import own_actions
-from craftsim.discrete.actions import footprint
+from craftsim.discrete.actions import ACTIONS, footprint
 from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST, clashes, empty_board
+from craftsim.discrete.kernel.claims import MOST
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kernel.events import BEGUN, BLOCKED, DECIDES, ILLEGAL, RUNS, WAITS, Running
+from craftsim.discrete.kernel.events import (
+    BEGUN,
+    BLOCKED,
+    DECIDES,
+    ILLEGAL,
+    RUNS,
+    WAITS,
+    Clock,
+    Decisions,
+    Running,
+)
+from craftsim.discrete.kernel.state import DERIVED_MARKS
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.reasons import explain
-from craftsim.discrete.schedule import nominal_durations, situation
+from craftsim.discrete.schedule import SITUATIONS, nominal_durations, situation
 from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.discrete.tasks.rewards import Reward
 from craftsim.discrete.tasks.starts import Starts
@@ -52,16 +64,20 @@ class Timing:
     equal: bool = False
     """Whether every action takes 1 s instead of its nominal duration."""
 
-    def seconds(
-        self,
-        actions: NDArray[np.integer],
-        before: NDArray[np.integer],
-        after: NDArray[np.integer],
-        noise: Any,
-    ) -> NDArray[np.float64]:
-        """Return how long actions (...) take, of cars (..., 7) before and after them, for standard normal ``noise``."""
-        nominal = 1.0 if self.equal else nominal_durations()[actions, situation(before, after)]
-        return np.asarray(nominal * np.exp(self.jitter * noise))
+    @property
+    def nominal_s(self) -> NDArray[np.float64]:
+        """(actions, 4): durations by action and situation, before jitter."""
+        table = nominal_durations()
+        return np.ones_like(table) if self.equal else table
+
+    def factors(self, rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        """Draw by how much some durations differ from the nominal ones."""
+        return np.exp(self.jitter * rng.standard_normal(shape)) if self.jitter else np.ones(shape)
+
+    def fails(self, rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Draw which of some actions fail."""
+        drawn = rng.random(shape) < self.failures if self.failures else np.zeros(shape, np.bool_)
+        return np.asarray(drawn)
 
 
 class Deadlock(NamedTuple):
@@ -71,11 +87,6 @@ class Deadlock(NamedTuple):
     """A sentence for each car."""
     pairs: tuple[tuple[int, int], ...]
     """(car, the car that it waits for)."""
-
-
-def moment(seconds: Any) -> Any:
-    """Return times in seconds, rounded to microseconds: what ends then ends at the same time, however it was added."""
-    return np.round(np.asarray(seconds) * 1e6) / 1e6
 
 
 class AsynchronousEpisodes(Episodes):
@@ -102,16 +113,17 @@ class AsynchronousEpisodes(Episodes):
             np.zeros((b, n), np.bool_),
             np.zeros((b, n, MOST, 4), np.int16),
             np.zeros((b, n), np.int64),
+            np.zeros((b, n, 6), np.int16),
         )
-        self.outcome = np.full((b, n), WAITS, np.int64)
-        """(B, n): what became of each car's last decision, as :mod:`craftsim.discrete.kernel.events` has it."""
-        self.asked = np.full((b, n), _STOP, np.int64)
-        """(B, n): what each car asked for then."""
-        self.decisions = np.zeros(b, np.int64)
-        """(B,): how many have been made."""
-        self.earned = np.zeros((b, n))
-        """(B, n): the rewards since each car's last decision."""
-        self._board = empty_board(self.grids.size)
+        self.decisions = Decisions(
+            np.full((b, n), _STOP, np.int64),
+            np.full((b, n), WAITS, np.int64),
+            np.zeros(b, np.int64),
+            np.zeros((b, n)),
+        )
+        self._unknown = np.full((len(ACTIONS), len(SITUATIONS)), np.inf)
+        self._same = np.ones((b, n)), np.zeros((b, n), np.bool_)
+        self._wait_s = np.array([self.timing.wait_s])
         self._row = np.zeros((MOST, 4), np.int16)
         self._plan = np.zeros((self.depth or 0) + 1, np.int8)
 
@@ -129,104 +141,100 @@ class AsynchronousEpisodes(Episodes):
         """Start the episodes ``rows`` anew; all their cars decide."""
         super().begin(rows, starts)
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
-        self.time_s[rows], self.decisions[rows], self.earned[rows] = 0.0, 0, 0.0
+        self.time_s[rows] = 0.0
         self.running.action[rows], self.running.turn[rows], self.running.n_claims[rows] = DECIDES, 0, 0
-        self.outcome[rows] = WAITS
+        self.decisions.outcome[rows] = WAITS
+        self.decisions.made[rows], self.decisions.earned[rows] = 0, 0.0
 
-    def decide(self, actions: NDArray[np.integer], order: NDArray[np.integer]) -> NDArray[np.int64]:
+    def grid(self, i: int) -> Grid:
+        """Return a copy of a committed world, with its marks."""
+        return self._marked(self.grids[i])
+
+    def _marked(self, grid: Grid) -> Grid:
+        """Return a copy of a world, with derived marks where the rules have them derived: they are not kept here."""
+        copied = grid.copy()
+        if self.corrections & DERIVED_MARKS:
+            copied.derive_marks()
+        return copied
+
+    def decide(
+        self, actions: NDArray[np.integer], order: NDArray[np.integer], timed: bool = True
+    ) -> NDArray[np.int64]:
         """Let cars begin what they have decided on; return (B, n), what became of each decision.
 
         Args:
             actions: (B, n) by car; those of cars whose actions run are ignored.
             order: (B, k), the cars that decide now, in their order; each is judged on what the earlier ones have begun.
+            timed: whether it is drawn here when an action ends, and whether it fails; else :meth:`finish` is to say so.
 
-        What the rules forbid, or what a claim stands against, becomes a wait. Ends of what begins are not known yet.
+        What the rules forbid, or what a claim stands against, becomes a wait.
         """
         turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
-        deciding = np.take_along_axis(self.decides, turns, 1)
-        self.decisions += deciding.sum(1)
+        factor, fails = self._same
+        if timed:
+            factor = self.timing.factors(self.rng, acts.shape) if self.timing.jitter else factor
+            fails = self.timing.fails(self.rng, acts.shape) if self.timing.failures else fails
+        nominal = self.timing.nominal_s if timed else self._unknown
+        clock = Clock(self.time_s, nominal, factor, fails, self._wait_s)
         out = np.full(acts.shape, RUNS, np.int64)
         done = 0
-        some = (acts >= N_ACTIONS).any(1) if self.own else np.zeros(len(self), np.bool_)
-        for i in [*np.flatnonzero(some).tolist(), len(self)]:
-            self._decide(slice(done, i), turns, acts, out)
+        some = np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else []
+        for i in [*some, len(self)]:
+            self._decide(slice(done, i), turns, acts, clock, out)
             done = i + 1
             for place in range(turns.shape[1] if i < len(self) else 0):
                 car = int(turns[i, place])
                 queued = self.depth is not None and self.queue[i, car, 0] >= 0
-                if deciding[i, place] and acts[i, car] >= N_ACTIONS and not queued:
-                    out[i, car] = self._decide_own(i, car, int(acts[i, car]))
+                if self.running.action[i, car] == DECIDES and acts[i, car] >= N_ACTIONS and not queued:
+                    out[i, car] = self._decide_own(i, car, int(acts[i, car]), clock)
                 else:
-                    kept = out[i].copy()
-                    self._decide(slice(i, i + 1), turns[:, place : place + 1], acts, out)
-                    kept[car], out[i] = out[i, car], kept
-        now = self.time_s[:, None]
-        began = out != RUNS
-        self.running.began_s[:] = np.where(began, now, self.running.began_s)
-        waits = began & (out != BEGUN)
-        self.running.ends_s[:] = np.where(
-            waits, moment(now + self.timing.wait_s), np.where(began, np.inf, self.running.ends_s)
-        )
-        self.running.fails[began] = False
-        self.earned[began] = 0.0
-        self.outcome = np.where(began, out, self.outcome)
-        self.asked = np.where(began, acts, self.asked)
+                    self._decide(slice(i, i + 1), turns[:, place : place + 1], acts, clock, out)
         return out
 
-    def _decide(self, worlds: slice, turns: Any, acts: Any, out: Any) -> None:
-        running = Running._make(array[worlds] for array in self.running)
-        some = self.grids.cells[worlds], self.grids.cars[worlds], self.corrections, running
-        scratch = self._board, self.queue[worlds], self._space
-        depth = NO_HELPER if self.depth is None else self.depth
-        events.decide(*some, turns[worlds].copy(), acts[worlds], *scratch, depth, out[worlds])
+    def _decide(self, worlds: slice, turns: Any, acts: Any, clock: Clock, out: Any) -> None:
+        grids, depth = self.grids, NO_HELPER if self.depth is None else self.depth
+        events.decide(
+            *(grids.cells[worlds], grids.cars[worlds], self.corrections),
+            Running._make(array[worlds] for array in self.running),
+            Decisions._make(array[worlds] for array in self.decisions),
+            Clock(
+                clock.time_s[worlds], clock.nominal_s, clock.factor[worlds], clock.fails[worlds], clock.wait_s
+            ),
+            np.ascontiguousarray(turns[worlds]),
+            acts[worlds],
+            self.queue[worlds],
+            self._space,
+            depth,
+            out[worlds],
+        )
 
-    def _decide_own(self, i: int, car: int, action: int) -> int:
+    def _decide_own(self, i: int, car: int, action: int, clock: Clock) -> int:
         """Let a car begin a registered action, which is a user's code."""
-        running, before = self.running, self.grids[i].copy()
+        running, before = self.running, self.grid(i)
+        result, end_s = ILLEGAL, clock.time_s[i] + clock.wait_s[0]
         running.turn[i, car], running.action[i, car] = running.turn[i].max() + 1, _STOP
-        if own_actions.why(before, self.corrections, car, action):
-            return ILLEGAL
-        after = before.copy()
-        own_actions.carry_out(after, car, action)
-        needs = footprint(before, after, car, Action(action))
-        if self._clash(i, needs):
-            return BLOCKED
-        claims = needs.claims()
-        most = running.claims.shape[2]
-        if len(claims) > most:
-            more = ((0, 0), (0, 0), (0, len(claims) - most), (0, 0))
-            self.running = running = running._replace(claims=np.pad(running.claims, more))
-        running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
-        running.action[i, car] = action
-        self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
-        return BEGUN
+        if not own_actions.why(before, self.corrections, car, action):
+            after = before.copy()
+            own_actions.carry_out(after, car, action)
+            needs = footprint(before, after, car, Action(action))
+            result = BLOCKED if self._clash(i, needs) else BEGUN
+        if result == BEGUN:
+            claims = needs.claims()
+            most = running.claims.shape[2]
+            if len(claims) > most:
+                more = ((0, 0), (0, 0), (0, len(claims) - most), (0, 0))
+                self.running = running = running._replace(claims=np.pad(running.claims, more))
+            running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
+            events.write_box(claims, len(claims), running.box[i, car])
+            running.action[i, car] = action
+            self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
+            column = int(situation(before.cars[car], after.cars[car]))
+            end_s = clock.time_s[i] + clock.nominal_s[action, column] * clock.factor[i, car]
+        events.note(running, self.decisions, clock, i, car, action, result, end_s)
+        return result
 
     def _clash(self, i: int, needs: Footprint) -> bool:
-        one = Running._make(array[i : i + 1] for array in self.running)
-        events.mark_running(one, 0, self._board, True)
-        rows = needs.claims()
-        found = bool(clashes(self._board, rows, len(rows)))
-        events.mark_running(one, 0, self._board, False)
-        return found
-
-    def draw_ends(self, cars_before: NDArray[np.integer], out: NDArray[np.int64]) -> None:
-        """Draw when what has just begun ends, and whether it fails.
-
-        Args:
-            cars_before: (B, n, 7), the cars before they decided.
-            out: what :meth:`decide` returned.
-        """
-        timing, begun = self.timing, out == BEGUN
-        shape = out.shape
-        noise = self.rng.standard_normal(shape) if timing.jitter else 0.0
-        if timing.failures:
-            self.running.fails[:] = np.where(
-                begun, self.rng.random(shape) < timing.failures, self.running.fails
-            )
-        action = np.maximum(self.running.action, 0)
-        seconds = timing.seconds(action, cars_before, self.grids.cars, noise)
-        ends = moment(self.time_s[:, None] + seconds)
-        self.running.ends_s[:] = np.where(begun, ends, self.running.ends_s)
+        return bool(events.clashes(self.running, i, needs.claims()))
 
     def advance(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Let time pass in each world to its next event; return which decisions have ended, and which have failed.
@@ -236,7 +244,7 @@ class AsynchronousEpisodes(Episodes):
         assert not self.decides.any(), "a car has not decided"
         before = self.running.action.copy()
         own = np.flatnonzero((before >= N_ACTIONS).any(1)).tolist() if self.own else []
-        kept = {i: self.confirmed[i].copy() for i in own}
+        kept = {i: self._marked(self.confirmed[i]) for i in own}
         failing = self.running.fails.copy()
         ended = np.zeros(before.shape, np.bool_)
         worlds = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
@@ -289,48 +297,76 @@ class AsynchronousEpisodes(Episodes):
         if own_actions.is_own(action):
             own_actions.carry_out(grid, car, action)
         elif action not in (DECIDES, _STOP):
-            events.enforce(grid.cells, grid.cars, self.corrections, car, action)
+            batch.enforce(grid.cells, grid.cars, self.corrections, car, action)
 
     def settle(
         self,
-        before: Grid,
+        before: Grid | None,
         actions: NDArray[np.integer],
         ended: NDArray[np.bool_],
         duration_s: NDArray[np.float64],
         time_weight: float,
         problems: tuple[str, ...] = (),
     ) -> Steps:
-        """Score an event: as many decisions as cars count as a tick. What it earns is added to ``earned``, too.
+        """Score an event: as many decisions as cars count as a tick. What it earns is added to the decisions', too.
 
         Args:
-            before: the B confirmed worlds before it.
+            before: what :meth:`worlds_before` returned before it.
             actions: (B, n), what the cars were doing.
             ended: (B, n), whose actions have ended; waits count.
             duration_s: (B,), since the event before.
             time_weight: cost of a second.
             problems: why the worlds cannot be read as grids any more.
         """
-        self.t = np.maximum(self.decisions - 1, 0) // max(self.n_cars, 1)
-        # The rules forbid a STOP on a ramp.
-        stood = (self.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
-        applied = ended & ((actions != _STOP) | stood)
-        seen = []
-        if not isinstance(self.task.reward, Reward):
+        self.t = np.maximum(self.decisions.made - 1, 0) // max(self.n_cars, 1)
+        seen, applied = [], ended
+        if self.takes_functions and self.corrections & DERIVED_MARKS:
+            self.confirmed.derive_marks()
+        if before is not None:
+            # The rules forbid a STOP on a ramp.
+            stood = (self.decisions.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
+            applied = ended & ((actions != _STOP) | stood)
             took = np.where(ended & (actions != _STOP), self.time_s[:, None] - self.running.began_s, 0.0)
             done = np.where(ended, actions, _STOP)
             seen = [
                 self.transition(i, before[i], done[i], applied[i], took[i], duration_s[i], problems=problems)
                 for i in range(len(self))
             ]
-        steps = self.score(applied, np.argsort(self.running.turn), not problems, seen)
-        steps = replace(steps, reward=steps.reward - time_weight * duration_s)
-        self.earned += steps.reward[:, None]
+        steps = self.score(applied, self.running.turn, not problems, seen)
+        if time_weight:
+            steps = replace(steps, reward=steps.reward - time_weight * duration_s)
+        self.decisions.earned[:] += steps.reward[:, None]
         return steps
+
+    @property
+    def takes_functions(self) -> bool:
+        """Whether rewards or success are functions of a user's, which see marks."""
+        reward, success = self.task.reward, self.task.success
+        builtin = isinstance(reward, Reward) and isinstance(reward.potential, str)
+        return not builtin or not (success is None or isinstance(success, str))
+
+    def worlds_before(self) -> Grid | None:
+        """Return copies of the confirmed worlds where the reward is a function of what happens, else None."""
+        return None if isinstance(self.task.reward, Reward) else self.confirmed.copy()
+
+    def offered(self) -> NDArray[np.bool_]:
+        """Return (B, n, 15): what a car that decides may begin now: legal, and compatible with what runs.
+
+        STOP alone where that is nothing, and for the others. With the helper also what is reachable.
+        """
+        return self.legal() if self.depth is None else self.reachable()
+
+    def some(self, rows: NDArray[np.integer]) -> Self:
+        """Return some of the episodes to look at; what is done to them is not done to these."""
+        other = copy(self)
+        other.grids, other.designs, other.queue = self.grids[rows], self.designs[rows], self.queue[rows]
+        other.running = Running._make(array[rows] for array in self.running)
+        return other
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
         some = self.grids.cells, self.grids.cars, self.corrections, self.running
-        events.offer(*some, self._board, self._row, self._plan, self._space, depth, out)
+        events.offer(*some, self._row, self._plan, self._space, depth, out)
         if not self.own:
             return out
         mask = own_actions.add_columns(out, self.grids, self.corrections, self.own)
@@ -341,18 +377,18 @@ class AsynchronousEpisodes(Episodes):
     def _blocks(self, i: int, car: int, action: Action) -> bool:
         if not self.running.n_claims[i].any():
             return False
-        before = self.grids[i].copy()
+        before = self.grid(i)
         after = before.copy()
         own_actions.carry_out(after, car, action)
         return self._clash(i, footprint(before, after, car, action))
 
     def deadlocks(self, masks: NDArray[Any]) -> NDArray[np.bool_]:
         """Return (B,): in which worlds nothing can go on, as :meth:`deadlock` says; ``masks`` (B, n, actions)."""
-        idle = self.decides.all(1)
-        at_most_stop = masks.sum(-1) <= masks[..., _STOP]
-        doubted = idle & (at_most_stop.all(1) | (self.outcome == ILLEGAL).all(1))
         found = np.zeros(len(self), np.bool_)
-        for i in np.flatnonzero(doubted).tolist():
+        idle = np.flatnonzero(self.decides.all(1))
+        at_most_stop = (masks[idle].sum(-1) <= masks[idle][..., _STOP]).all(1)
+        doubted = at_most_stop | (self.decisions.outcome[idle] == ILLEGAL).all(1)
+        for i in idle[doubted].tolist():
             found[i] = self.deadlock(i, masks[i]) is not None
         return found
 
@@ -365,11 +401,11 @@ class AsynchronousEpisodes(Episodes):
         if not self.decides[i].all() or (self.queue[i, :, 0] >= 0).any() or not self.n_cars:
             return None
         stuck = ~np.delete(mask.astype(np.bool_), _STOP, axis=1).any(1)
-        refused = self.outcome[i] == ILLEGAL
+        refused = self.decisions.outcome[i] == ILLEGAL
         if not (stuck.all() or refused.all()):
             return None
         found = [
-            self._waits_for(i, car, None if stuck.all() else int(self.asked[i, car]))
+            self._waits_for(i, car, None if stuck.all() else int(self.decisions.asked[i, car]))
             for car in range(self.n_cars)
         ]
         if not stuck.all() and not all(found):
@@ -385,7 +421,7 @@ class AsynchronousEpisodes(Episodes):
 
     def _waits_for(self, i: int, car: int, action: int | None) -> dict[int, str]:
         """Return why a car cannot act, by each other car without which it could; ``action`` is what it asked for."""
-        grid, found = self.grids[i], dict[int, str]()
+        grid, found = self.grid(i), dict[int, str]()
         for other in range(self.n_cars):
             without = grid.copy()
             without.cars[other, CarField.Z] += 2 * grid.size[2]

@@ -71,7 +71,7 @@ class AsynchronousCore(Core):
         chosen = np.full((1, self.n_cars), _STOP, np.int64)
         chosen[0, car] = action
         numbers, queued = self.form.begin(episodes, chosen)
-        outcome = episodes.decide(numbers, np.array([[car]]))[0, car]
+        outcome = episodes.decide(numbers, np.array([[car]]), timed=False)[0, car]
         # A choice of an object to which there is no way is a STOP that was not asked for.
         strayed = outcome == WAITS and not (queued is not None and queued[0, car])
         self._wrong[car] = action != _STOP and (outcome == ILLEGAL or strayed)
@@ -100,7 +100,7 @@ class AsynchronousCore(Core):
         if self.turns:
             raise InputError(f"cars {self.turns} have not decided")
         episodes, running = self.episodes, self.episodes.running
-        before, began_s = episodes.confirmed.copy(), float(episodes.time_s[0])
+        before, began_s = episodes.worlds_before(), float(episodes.time_s[0])
         actions, ended = running.action.copy(), np.zeros(self.n_cars, np.bool_)
         infos: dict[int, dict[str, Any]] = {}
         problems: tuple[str, ...] = ()
@@ -130,7 +130,9 @@ class AsynchronousCore(Core):
         if self._runs:
             self._take_turns()
         shared = {"success": success, "duration_s": duration_s, "problems": problems, "deadlock": deadlock}
-        return CoreStep(float(steps.reward[0]), terminated, truncated, self._infos(shared), steps.order[0])
+        return CoreStep(
+            float(steps.reward[0]), terminated, truncated, self._infos(shared), np.argsort(running.turn[0])
+        )
 
     def _infos(self, shared: dict[str, Any]) -> list[dict[str, Any]]:
         """Return the infos by car, after an event."""
@@ -140,7 +142,7 @@ class AsynchronousCore(Core):
             {
                 "action_mask": mask,
                 "illegal": bool(self._wrong[car]),
-                "blocked": bool(episodes.outcome[0, car] == BLOCKED),
+                "blocked": bool(episodes.decisions.outcome[0, car] == BLOCKED),
                 "decides": bool(decides[car]),
                 "elapsed_s": round(float(elapsed_s[car]), 6),
                 "failed": False,
@@ -187,7 +189,7 @@ class AsynchronousParallel(ParallelConstruction):
         rewards = {}
         for car, agent in enumerate(agents):
             over = infos[agent]["decides"] or not self.agents
-            rewards[agent] = float(self.core.episodes.earned[0, car]) if over else 0.0
+            rewards[agent] = float(self.core.episodes.decisions.earned[0, car]) if over else 0.0
             infos[agent]["ignored"] = agent in ignored
         return observations, rewards, terminated, truncated, infos
 

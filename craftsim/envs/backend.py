@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.asynchronous import Timing, moment
+from craftsim.discrete.asynchronous import Timing
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.kernel.events import moment
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.schedule import car_durations
+from craftsim.discrete.schedule import car_durations, situation
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.options import Options
@@ -119,10 +120,10 @@ class GridBackend(Backend):
     def begin(self, car: int, action: Action, committed: Grid) -> None:
         """Begin an action: draw how long it takes, and whether it fails."""
         timing, after = self._timing, self._rules.enforce(committed, car, action)
-        noise = self._rng.standard_normal() if timing.jitter else 0.0
-        fails = bool(timing.failures and self._rng.random() < timing.failures)
-        seconds = timing.seconds(int(action), committed.cars[car], after.cars[car], noise)
-        self._running[car] = float(moment(self._now_s + seconds)), action, fails
+        factor, fails = timing.factors(self._rng, ()), bool(timing.fails(self._rng, ()))
+        column = situation(committed.cars[car], after.cars[car])
+        end_s = moment(self._now_s + float(timing.nominal_s[action, column] * factor))
+        self._running[car] = end_s, action, fails
 
     def advance(self, until_s: float | None = None) -> Ended:
         """Let time pass to the next ending; what ends together is applied in the order in which it began."""

@@ -25,6 +25,7 @@ from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.central import CentralConstruction
+from craftsim.envs.object_choice import ChoiceForm
 from craftsim.envs.observations import Observation, central_space, extra_spaces, extras, joint_action_space
 from craftsim.envs.options import BATCH_OPTIONS, BatchOptions, Options
 from craftsim.errors import CraftsimError, InputError
@@ -155,7 +156,7 @@ class GridVectorEnv(TaskVectorEnv):
                 last[i] = {key: array[i].copy() for key, array in self._seen.items()}
             infos |= {"final_obs": last, "_final_obs": over}
             episodes.reset(ended)
-            self._look()
+            self._look_at(ended)
         if isinstance(episodes, AsynchronousEpisodes):
             infos["decides"] = episodes.decides
         return self._observe(), steps.reward, terminated, over & ~terminated, infos
@@ -176,9 +177,8 @@ class GridVectorEnv(TaskVectorEnv):
         """Let the cars that decide begin, and advance each world to its next event."""
         asked = np.where(episodes.decides, chosen, int(Action.STOP))
         numbers, queued = self.form.begin(episodes, asked)
-        cars, before, now_s = episodes.grids.cars.copy(), episodes.confirmed.copy(), episodes.time_s.copy()
+        before, now_s = episodes.worlds_before(), episodes.time_s.copy()
         outcome = episodes.decide(numbers, episodes.draw_order())
-        episodes.draw_ends(cars, outcome)
         actions = episodes.running.action.copy()
         ended, failed = episodes.advance()
         duration = np.round(episodes.time_s - now_s, 6)
@@ -193,12 +193,21 @@ class GridVectorEnv(TaskVectorEnv):
             "blocked": outcome == BLOCKED,
             "failed": failed,
             "elapsed_s": np.where(told, elapsed, 0.0),
-            "rewards": np.where(told, episodes.earned, 0.0),
+            "rewards": np.where(told, episodes.decisions.earned, 0.0),
         }
 
     def _look(self) -> None:
         self._masks = self.form.masks(self.episodes)
         self._rows = self.episodes.entity_rows()
+        self._extras = extras(self.episodes, self.form, self._radius)
+
+    def _look_at(self, rows: NDArray[np.integer]) -> None:
+        """Look again at worlds that have begun anew."""
+        if not isinstance(self.episodes, AsynchronousEpisodes) or isinstance(self.form, ChoiceForm):
+            self._look()
+            return
+        some = self.episodes.some(rows)
+        self._masks[rows], self._rows[rows] = self.form.masks(some), some.entity_rows()
         self._extras = extras(self.episodes, self.form, self._radius)
 
     @property

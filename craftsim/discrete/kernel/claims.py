@@ -1,7 +1,6 @@
 """The claims of actions: which cells an action needs while it runs, and whether two actions need the same.
 
-A claim is a row (x, y, z, bits) of a list. What runs in a world is marked on a board, a map of such bits with a margin,
-beside which a further action is checked.
+A claim is a row (x, y, z, bits); an action has a list of them.
 """
 
 from __future__ import annotations
@@ -31,23 +30,10 @@ RELIES = 4
 """Whose object must stay as it is: what is stood on, driven under or out of."""
 LOADS = 8
 """Through which a load moves, sideways play and all."""
-BESIDE = 16
-"""On a board: a load moves here or in a neighbour cell on this level."""
-
 MOST = 48
 """Rows that the claims of one of the 15 actions may take."""
-MARGIN = 4
-"""Cells by which a board reaches over the map on each side, and above it."""
-
 Claims = NDArray[np.int16]
 """(rows, 4)."""
-Board = NDArray[np.uint8]
-
-
-def empty_board(size: tuple[int, int, int]) -> Board:
-    """Return the board of a map of size (L, W, H), on which nothing is marked."""
-    length, width, height = size
-    return np.zeros((length + 2 * MARGIN, width + 2 * MARGIN, height + 1 + MARGIN), np.uint8)
 
 
 @compiled
@@ -105,9 +91,12 @@ def pose_after(w: World, car: Pose, action: int) -> Pose:
 def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
     """Write the claims of a legal action of the 15 into out (MOST, 4), the same cell maybe twice; return the rows."""
     new = pose_after(w, car, action)
-    count = add_standing(w, new, out, add_standing(w, car, out, 0))
+    moves = FIRST_MOVE <= action <= LAST_MOVE
+    count = add_standing(w, car, out, 0)
+    if moves or new.load != car.load or car.load == FSLOPE:
+        count = add_standing(w, new, out, count)
     x, y, z = car.x, car.y, car.z
-    if FIRST_MOVE <= action <= LAST_MOVE:
+    if moves:
         # A load sweeps the space that it stands in before and after.
         for i in range(count if car.load != AIR else 0):
             if out[i, 3] & SPACE:
@@ -147,39 +136,22 @@ def write_claims(
     return claims_of(w, pose_of(w, car), action, out)
 
 
-@compiled
-def on_board(board: Board, x: int, y: int, z: int) -> bool:
-    """Return whether a place (x, y, z) of a board is there."""
-    return 0 <= x < board.shape[0] and 0 <= y < board.shape[1] and 0 <= z < board.shape[2]
-
-
 @compiled(inline=False)
-def mark(board: Board, claims: Claims, count: int, is_set: bool) -> None:
-    """Mark claims on a board, or clear all that is marked there."""
-    for i in range(count):
-        x, y, z, bits = claims[i, 0] + MARGIN, claims[i, 1] + MARGIN, claims[i, 2], claims[i, 3]
-        if on_board(board, x, y, z):
-            board[x, y, z] = board[x, y, z] | bits if is_set else 0
-        if bits & LOADS:
-            for d in range(5):
-                bx, by = (x, y) if d == 4 else (x + dir_x(d), y + dir_y(d))
-                if on_board(board, bx, by, z):
-                    board[bx, by, z] = board[bx, by, z] | BESIDE if is_set else 0
-
-
-@compiled(inline=False)
-def clashes(board: Board, claims: Claims, count: int) -> bool:
-    """Return whether an action with these claims must not run together with one that is marked on a board."""
-    for i in range(count):
-        x, y, z, bits = claims[i, 0] + MARGIN, claims[i, 1] + MARGIN, claims[i, 2], claims[i, 3]
-        if not on_board(board, x, y, z):
-            continue
-        there = board[x, y, z]
-        if (
-            bits & there & SPACE
-            or (bits & CHANGES and there & (CHANGES | RELIES))
-            or (bits & RELIES and there & CHANGES)
-            or (bits & LOADS and there & BESIDE)
-        ):
-            return True
+def conflict(first: Claims, n_first: int, second: Claims, n_second: int) -> bool:
+    """Return whether two actions with these claims must not run at the same time."""
+    for i in range(n_first):
+        x, y, z, mine = first[i, 0], first[i, 1], first[i, 2], first[i, 3]
+        for k in range(n_second):
+            apart = abs(second[k, 0] - x) + abs(second[k, 1] - y)
+            if apart > 1 or second[k, 2] != z:
+                continue
+            theirs = second[k, 3]
+            if mine & theirs & LOADS:
+                return True
+            if apart == 0 and (
+                mine & theirs & SPACE
+                or (mine & CHANGES and theirs & (CHANGES | RELIES))
+                or (mine & RELIES and theirs & CHANGES)
+            ):
+                return True
     return False

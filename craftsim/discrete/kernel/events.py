@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.batch import NO_HELPER, Cars, Cells, Mask, Queues
-from craftsim.discrete.kernel.claims import Board, Claims, claims_of, clashes, mark
-from craftsim.discrete.kernel.codes import FIRST_MOVE, N_ACTIONS, STOP
+from craftsim.discrete.kernel.claims import Claims, claims_of, conflict
+from craftsim.discrete.kernel.codes import FIRST_MOVE, LAST_MOVE, LIFT, MOVE_DIRECTIONS, N_ACTIONS, STOP
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import act, legal_actions
+from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import (
     UNKNOWN,
     SearchBuffers,
@@ -22,7 +23,18 @@ from craftsim.discrete.kernel.search import (
     pop,
     write_plan,
 )
-from craftsim.discrete.kernel.state import DERIVED_MARKS, World, derive_marks, pose_of
+from craftsim.discrete.kernel.state import (
+    AIR,
+    BODY,
+    F_SLOPE,
+    FSLOPE,
+    Pose,
+    World,
+    dir_x,
+    dir_y,
+    kind_at,
+    pose_of,
+)
 
 DECIDES = -1
 """In place of an action: the car has none and decides."""
@@ -48,17 +60,95 @@ class Running(NamedTuple):
     """(B, n, rows, 4)."""
     n_claims: NDArray[np.int64]
     """(B, n): rows of these; none while a car waits or decides."""
+    box: NDArray[np.int16]
+    """(B, n, 6): the least and the greatest x, y and z of these."""
+
+
+class Decisions(NamedTuple):
+    """The last decisions of the cars of B worlds."""
+
+    asked: NDArray[np.int64]
+    """(B, n): the action that each car asked for."""
+    outcome: NDArray[np.int64]
+    """(B, n): what became of that; see above."""
+    made: NDArray[np.int64]
+    """(B,): how many have been made."""
+    earned: NDArray[np.float64]
+    """(B, n): the rewards since then."""
+
+
+class Clock(NamedTuple):
+    """Times of B worlds, and how long what begins now takes."""
+
+    time_s: NDArray[np.float64]
+    """(B,): now."""
+    nominal_s: NDArray[np.float64]
+    """(actions, 4): durations by action and situation, infinite where they are not known before an action ends."""
+    factor: NDArray[np.float64]
+    """(B, n): of durations, by car."""
+    fails: NDArray[np.bool_]
+    """(B, n): whether what a car begins now fails."""
+    wait_s: NDArray[np.float64]
+    """(1,)."""
 
 
 @compiled
-def mark_running(running: Running, i: int, board: Board, is_set: bool) -> bool:
-    """Mark what runs in a world on a board, or clear it; return whether anything does."""
-    any_runs = False
-    for car in range(running.action.shape[1]):
-        if running.n_claims[i, car] > 0:
-            mark(board, running.claims[i, car], running.n_claims[i, car], is_set)
-            any_runs = True
-    return any_runs
+def moment(seconds: float) -> float:
+    """Return a time rounded to microseconds: what ends together then ends at the same time, however it was added."""
+    return math.floor(seconds * 1e6 + 0.5) / 1e6
+
+
+@compiled
+def write_box(claims: Claims, count: int, box: NDArray[np.int16]) -> None:
+    """Write the least and the greatest x, y and z of claims into box (6,)."""
+    for axis in range(3):
+        box[2 * axis] = box[2 * axis + 1] = claims[0, axis]
+        for k in range(1, count):
+            box[2 * axis] = min(box[2 * axis], claims[k, axis])
+            box[2 * axis + 1] = max(box[2 * axis + 1], claims[k, axis])
+
+
+@compiled
+def near(running: Running, i: int, car: int, x0: int, x1: int, y0: int, y1: int, z0: int, z1: int) -> bool:
+    """Return whether a car's action runs that claims something within a box."""
+    if running.n_claims[i, car] == 0:
+        return False
+    box = running.box[i, car]
+    return not (x1 < box[0] or x0 > box[1] or y1 < box[2] or y0 > box[3] or z1 < box[4] or z0 > box[5])
+
+
+@compiled
+def blocked(w: World, running: Running, i: int, car: Pose, action: int, row: Claims, count: int) -> bool:
+    """Return whether a claim of what runs in a world stands against a legal action of a car.
+
+    The claims of that are the first ``count`` rows of ``row`` (MOST, 4); with 0 they are written there when needed.
+    """
+    reach, dx, dy = 0, 0, 0
+    if car.load != AIR or kind_at(w, car.x, car.y, car.z) in (FSLOPE, BODY):
+        reach = 3  # the neighbours of its load included
+    elif action == LIFT:
+        reach = 1
+    if FIRST_MOVE <= action <= LAST_MOVE:
+        m = MOVE_DIRECTIONS[action - FIRST_MOVE]
+        dx, dy = dir_x(m), dir_y(m)
+    x0, x1 = min(car.x, car.x + dx) - reach, max(car.x, car.x + dx) + reach
+    y0, y1 = min(car.y, car.y + dy) - reach, max(car.y, car.y + dy) + reach
+    for other in range(running.action.shape[1]):
+        if near(running, i, other, x0, x1, y0, y1, car.z - 2, car.z + 3):
+            if count == 0:
+                count = claims_of(w, car, action, row)
+            if conflict(row, count, running.claims[i, other], running.n_claims[i, other]):
+                return True
+    return False
+
+
+@compiled
+def clashes(running: Running, i: int, row: Claims) -> bool:
+    """Return whether a claim of what runs in a world stands against an action with the claims ``row``, for Python."""
+    for other in range(running.action.shape[1]):
+        if conflict(row, len(row), running.claims[i, other], running.n_claims[i, other]):
+            return True
+    return False
 
 
 @compiled
@@ -67,51 +157,45 @@ def offer(
     cars: Cars,
     corrections: int,
     running: Running,
-    board: Board,
     row: Claims,
     plan: NDArray[np.int8],
     space: SearchBuffers,
     depth: int,
     out: Mask,
 ) -> None:
-    """Write into out (B, n, 15) what each car that decides could begin now beside what runs; nothing for the others.
+    """Write into out (B, n, 15) what each car that decides could begin now beside what runs; where that is nothing,
+    and for the others, STOP.
 
-    With a search depth moves are on, too, that the helper has a plan for whose first primitive can begin. ``board`` is
-    empty, ``row`` (MOST, 4) and ``plan`` (depth + 1,) are scratch.
+    With a search depth moves are on, too, that the helper has a plan for whose first primitive can begin. ``row``
+    (MOST, 4) and ``plan`` (depth + 1,) are scratch.
     """
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
-        any_runs = mark_running(running, i, board, True)
         for car in range(w.cars.shape[0]):
-            out[i, car, :] = False
-            if running.action[i, car] != DECIDES:
-                continue
-            pose = pose_of(w, car)
-            legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
             for action in range(N_ACTIONS):
-                free = legal & (1 << action) != 0
-                if free and any_runs and action != STOP:
-                    free = not clashes(board, row, claims_of(w, pose, action, row))
-                out[i, car, action] = free
-            if depth == NO_HELPER:
-                continue
-            missing = ~(legal >> FIRST_MOVE) & 15
-            if missing == 0:
-                continue
-            space.legal[:] = UNKNOWN
-            wanted = missing & near_enough(w, car, space, depth)
-            for m in range(4):
-                if not wanted & (1 << m):
-                    continue
-                node = plan_move(w, car, space, FIRST_MOVE + m, depth)
-                if node < 0:
-                    continue
-                write_plan(space, node, plan)
-                first = int(np.int64(plan[0]))
-                free = not any_runs or not clashes(board, row, claims_of(w, pose, first, row))
-                out[i, car, FIRST_MOVE + m] = free
-        if any_runs:
-            mark_running(running, i, board, False)
+                out[i, car, action] = False
+            some = False
+            if running.action[i, car] == DECIDES:
+                pose = pose_of(w, car)
+                legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
+                for action in range(N_ACTIONS):
+                    if legal & (1 << action):
+                        free = action == STOP or not blocked(w, running, i, pose, action, row, 0)
+                        out[i, car, action] = free
+                        some |= free
+                missing = ~(legal >> FIRST_MOVE) & 15
+                if depth != NO_HELPER and missing != 0:
+                    space.legal[:] = UNKNOWN
+                    wanted = missing & near_enough(w, car, space, depth)
+                    for m in range(4):
+                        node = plan_move(w, car, space, FIRST_MOVE + m, depth) if wanted & (1 << m) else -1
+                        if node >= 0:
+                            write_plan(space, node, plan)
+                            free = not blocked(w, running, i, pose, int(np.int64(plan[0])), row, 0)
+                            out[i, car, FIRST_MOVE + m] = free
+                            some |= free
+            if not some:
+                out[i, car, STOP] = True
 
 
 @compiled
@@ -120,9 +204,10 @@ def decide(
     cars: Cars,
     corrections: int,
     running: Running,
+    decisions: Decisions,
+    clock: Clock,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
-    board: Board,
     queues: Queues,
     space: SearchBuffers,
     depth: int,
@@ -131,12 +216,11 @@ def decide(
     """Let the cars order[i] of each world begin what they have decided on, one after the other, if they decide.
 
     ``actions`` and ``out`` are by car, (B, n); out tells what became of each decision. Cells and cars have the effects
-    of what has begun from here on. Claims, actions and turns are written into ``running``, times are not.
+    of what has begun from here on, but marks are not derived.
     """
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
-        mark_running(running, i, board, True)
-        turn, begun = 0, False
+        turn = 0
         for car in range(w.cars.shape[0]):
             turn = max(turn, running.turn[i, car])
         for place in range(order.shape[1]):
@@ -148,30 +232,51 @@ def decide(
             if depth != NO_HELPER:
                 due = due_of(w, car, due, queues[i, car], space, depth)
             turn += 1
-            running.turn[i, car], running.action[i, car] = turn, STOP
-            if due == STOP:
-                out[i, car] = WAITS if actions[i, car] == STOP or queued else ILLEGAL
-                continue
+            result, end_s, now_s = WAITS, clock.time_s[i] + clock.wait_s[0], clock.time_s[i]
             pose = pose_of(w, car)
-            out[i, car] = ILLEGAL
-            if due < N_ACTIONS and legal_actions(w, car, pose, due, due) & (1 << due):
+            if due == STOP:
+                result = WAITS if actions[i, car] == STOP or queued else ILLEGAL
+            elif due >= N_ACTIONS or not legal_actions(w, car, pose, due, due) & (1 << due):
+                result = ILLEGAL
+            else:
                 claims = running.claims[i, car]
                 count = claims_of(w, pose, due, claims)
-                out[i, car] = BLOCKED
-                if not clashes(board, claims, count):
-                    act(w, car, due)
-                    mark(board, claims, count, True)
-                    running.action[i, car], running.n_claims[i, car] = due, count
-                    out[i, car], begun = BEGUN, True
-            if depth != NO_HELPER:
-                if out[i, car] == BEGUN:
+                result = BLOCKED if blocked(w, running, i, pose, due, claims, count) else BEGUN
+                if result == BEGUN:
+                    apply(w, car, due)
+                    running.n_claims[i, car] = count
+                    write_box(claims, count, running.box[i, car])
+                    sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
+                    column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
+                    end_s = now_s + clock.nominal_s[due, column] * clock.factor[i, car]
+            if depth != NO_HELPER and due != STOP:
+                if result == BEGUN:
                     if queues[i, car, 0] >= 0:
                         pop(queues[i, car])
-                elif out[i, car] == ILLEGAL or not queued:
+                elif result == ILLEGAL or not queued:
                     queues[i, car, :] = -1
-        mark_running(running, i, board, False)
-        if begun and corrections & DERIVED_MARKS:
-            derive_marks(w)
+            running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
+            note(running, decisions, clock, i, car, actions[i, car], result, end_s)
+            out[i, car] = result
+
+
+@compiled
+def note(
+    running: Running,
+    decisions: Decisions,
+    clock: Clock,
+    i: int,
+    car: int,
+    asked: int,
+    result: int,
+    end_s: float,
+) -> None:
+    """Write down a decision, whatever became of it."""
+    running.began_s[i, car] = clock.time_s[i]
+    running.ends_s[i, car] = moment(end_s) if end_s < math.inf else end_s
+    running.fails[i, car] = result == BEGUN and clock.fails[i, car]
+    decisions.asked[i, car], decisions.outcome[i, car], decisions.earned[i, car] = asked, result, 0.0
+    decisions.made[i] += 1
 
 
 @compiled
@@ -196,14 +301,14 @@ def advance(
     """Advance each world, in which no car decides, to its next event; write its time (B,), and what has ended (B, n).
 
     What has ended is applied to the confirmed worlds in the order in which it began; a wait ends with any event. Where
-    something failed, the committed worlds are made anew. Registered actions change nothing here.
+    something failed, the committed worlds are made anew. Registered actions change nothing here. Marks are not derived.
     """
     for i in range(time_s.shape[0]):
         time_s[i] = running.ends_s[i, 0]
         for car in range(1, running.action.shape[1]):
             time_s[i] = min(time_s[i], running.ends_s[i, car])
         w = World(confirmed.cells[i], confirmed.cars[i], confirmed.corrections)
-        failed, changed, turn = False, False, 0
+        failed, turn = False, 0
         for _ in range(running.action.shape[1]):
             car = following(running, i, turn)
             turn = running.turn[i, car]
@@ -216,10 +321,7 @@ def advance(
                 queues[i, car, :] = -1
             elif action < STOP:
                 apply(w, car, action)
-                changed = True
             running.action[i, car], running.n_claims[i, car] = DECIDES, 0
-        if changed and w.corrections & DERIVED_MARKS:
-            derive_marks(w)
         if failed:
             commit(confirmed, committed, running, i)
 
@@ -244,17 +346,6 @@ def commit(confirmed: World, committed: World, running: Running, i: int) -> None
         turn = running.turn[i, car]
         if 0 <= running.action[i, car] < STOP:
             apply(w, car, running.action[i, car])
-    if w.corrections & DERIVED_MARKS:
-        derive_marks(w)
-
-
-@compiled
-def enforce(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -> None:
-    """Change a single world as an action of the 15 does, legal or not, and derive its marks where the rules do."""
-    w = World(cells, cars, corrections)
-    apply(w, car, action)
-    if corrections & DERIVED_MARKS:
-        derive_marks(w)
 
 
 @compiled

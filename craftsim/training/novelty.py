@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.tasks import ROW
-from craftsim.training.rollouts import Outcome, WorldBatch
+from craftsim.training.rollouts import BatchStep, WorldBatch
 from craftsim.training.shape import Shape
 
 BUCKETS: Final = 1 << 20
@@ -37,7 +37,7 @@ class NoveltyWorlds:
         """Which cars choose what they do next."""
         return self.worlds.decides
 
-    def step(self, actions: NDArray[np.int64]) -> Outcome:
+    def step(self, actions: NDArray[np.int64]) -> BatchStep:
         """Let all cars act; the bonus is part of the reward."""
         outcome = self.worlds.step(actions)
         things = self.observe()[0][:, 0, self._skip :].astype(np.int64)

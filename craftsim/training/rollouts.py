@@ -27,7 +27,7 @@ TRAINED_JITTER: Final = 0.1
 """By about what share durations vary where cars are trained asynchronously."""
 
 
-class Outcome(NamedTuple):
+class BatchStep(NamedTuple):
     """What a step of B worlds brought."""
 
     reward: NDArray[np.float64]
@@ -102,7 +102,7 @@ class WorldBatch(Protocol):
     def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
         """Return observations (B, n, vector_length) and masks (B, n, 15)."""
 
-    def step(self, actions: NDArray[np.int64]) -> Outcome:
+    def step(self, actions: NDArray[np.int64]) -> BatchStep:
         """Let all cars that decide act, (B, n)."""
 
     def restart(self) -> None:
@@ -131,10 +131,10 @@ class GridWorlds:
         """Return observations and masks."""
         return self.episodes.vectors(), self.episodes.offered()
 
-    def step(self, actions: NDArray[np.int64]) -> Outcome:
+    def step(self, actions: NDArray[np.int64]) -> BatchStep:
         """Let all cars act."""
         steps = self.episodes.step(actions)
-        return Outcome(steps.reward, steps.success & steps.done, steps.done)
+        return BatchStep(steps.reward, steps.success & steps.done, steps.done)
 
     def restart(self) -> None:
         """Start the episodes anew that are over."""
@@ -172,13 +172,13 @@ class AsynchronousWorlds:
         """Return observations and masks."""
         return self.episodes.vectors(), self.episodes.offered()
 
-    def step(self, actions: NDArray[np.int64]) -> Outcome:
+    def step(self, actions: NDArray[np.int64]) -> BatchStep:
         """Let the cars that decide begin their actions, and each world go on to its next event."""
         before_s = self.episodes.time_s.copy()
         steps = self.episodes.step(actions)
         self._over = steps.done | self.episodes.deadlocks(self.episodes.offered())
         elapsed = (self.episodes.time_s - before_s) / USUAL_TICK_S
-        return Outcome(steps.reward, steps.success & steps.done, self._over, elapsed)
+        return BatchStep(steps.reward, steps.success & steps.done, self._over, elapsed)
 
     def restart(self) -> None:
         """Start the episodes anew that are over."""
@@ -208,7 +208,7 @@ class PhysicsWorlds:
         """Return observations and masks."""
         return self._seen
 
-    def step(self, actions: NDArray[np.int64]) -> Outcome:
+    def step(self, actions: NDArray[np.int64]) -> BatchStep:
         """Let all cars act."""
         observation, reward, terminated, truncated, infos = self.envs.step(actions)
         # A world whose episode has ended stands at the start of the next one already.
@@ -220,7 +220,7 @@ class PhysicsWorlds:
             vectors[world] = car_vectors(last["observation"].reshape(1, -1, ROW), masks.shape[1])[0]
             masks[world] = last["action_mask"] != 0
         self._seen = vectors, masks
-        return Outcome(reward, terminated, done)
+        return BatchStep(reward, terminated, done)
 
     def restart(self) -> None:
         """Go on with the episodes that have begun in the place of those that are over."""

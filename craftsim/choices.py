@@ -21,6 +21,8 @@ DEFAULT_TIME_S: Final = 10.0
 """After so long no attempt at a plan begins, unless given."""
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran", "pqn"]
 Backend = Literal["grid", "physics"]
+Execution = Literal["synchronous", "asynchronous"]
+"""A step of an environment lasts until the slowest car has ended, or each car decides when its own action has ended."""
 PresetName = Literal["paper", "paper_plus"]
 """The training protocol of CraftEnv's paper, and the same after exploration of craftsim's own."""
 

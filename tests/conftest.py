@@ -63,3 +63,12 @@ def ray_cluster(alone, monkeypatch):
     yield nodes
     ray.shutdown()
     nodes.shutdown()
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """Print how large the package is at the end of a run of all tests, into the build's log."""
+    if not hasattr(config, "workerinput") and list(config.args) == config.getini("testpaths"):
+        from sizes import table
+
+        terminalreporter.section("sizes")
+        terminalreporter.write_line(table())

@@ -10,6 +10,7 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from sizes import sizes
 from test_rooms import ALLOWED
 
 from craftsim.rendering.offscreen import DEBIAN_PACKAGES
@@ -118,3 +119,8 @@ def test_no_page_says_to_install_an_extra_such_that_a_copy_takes_the_place_of_th
     for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")):
         for line in page.read_text(encoding="utf-8").splitlines():
             assert not re.search(r"pip install '(\.|craftsim)\[", line), f"{page.name}: {line}"
+
+
+def test_the_table_of_sizes_counts_each_file_once():
+    *parts, together = sizes().values()
+    assert [sum(column) for column in zip(*((row[:3]) for row in parts), strict=True)] == list(together[:3])

@@ -5,8 +5,7 @@ from dataclasses import replace
 from craftsim import Machines, SmartcarParameters
 from craftsim.checking.setup import Seed, setup_of
 from craftsim.models.sensing import MILD
-from craftsim.tuning.driving_log import drive, free_area
-from craftsim.tuning.excitation import Area, excitation
+from craftsim.tuning.excitation import Area, drive, excitation, free_area
 
 HIDDEN = {
     "smartcar.wheel_radius_m": 0.0492,

@@ -98,9 +98,8 @@ def audit(
     from craftsim.audit.plan import audit_plan
     from craftsim.audit.quick import quick_rows
     from craftsim.cli.films import record_failures, rendering_works
-    from craftsim.validation.audit import run_audit
+    from craftsim.validation.audit import BATCH, run_audit
     from craftsim.validation.audit_report import audit_report
-    from craftsim.validation.audit import BATCH
 
     setup = physics.setup()  # says what is wrong with its files before contexts are looked for
     filming = video and rendering_works()
@@ -213,8 +212,7 @@ def clearance(
     """
     from craftsim.audit.neighbours import neighbours
     from craftsim.discrete.rules import Rules
-    from craftsim.mjcf.parameters import load_machines
-    from craftsim.mjcf.parameters import NOMINAL
+    from craftsim.mjcf.parameters import NOMINAL, load_machines
     from craftsim.reports.json_file import document
 
     _check_actions(actions)

@@ -74,9 +74,9 @@ def film_runs(out: Path, workers: int = 1) -> None:
 def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Design | None = None) -> None:
     """Draw the Gantt chart of a plan by the physical rules, and film it on the grid if that is wanted."""
     from craftsim.discrete.rules import Rules
+    from craftsim.rendering.grid_picture import wanted_of
     from craftsim.rendering.plan_film import film_plan
     from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
-    from craftsim.rendering.grid_picture import wanted_of
 
     for ending in FORMATS:
         say(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")

@@ -78,8 +78,8 @@ def render(
     """
     if out.suffix == "":
         return _draw_figures(Path(what), run, out)
-    from craftsim.rendering.offscreen import choose_backend
     from craftsim.rendering.film import Look
+    from craftsim.rendering.offscreen import choose_backend
     from craftsim.rendering.render import check_format
     from craftsim.rendering.render import render as render_file
     from craftsim.storage.folders import output_directory
@@ -107,8 +107,7 @@ def _draw_figures(recorded: Path, run: str | None, out: Path) -> int:
     """Draw figures of a recorded run, or all of a folder; each trajectory gets a folder of its own in ``out``."""
     from craftsim.rendering.plots.figures import write_figures
     from craftsim.rendering.plots.signals import Signals
-    from craftsim.rendering.trajectory import trajectory_files
-    from craftsim.rendering.trajectory import Trajectory
+    from craftsim.rendering.trajectory import Trajectory, trajectory_files
     from craftsim.storage.folders import directory_within, output_directory
 
     files = trajectory_files(recorded, run)
@@ -167,8 +166,7 @@ def view(
 def _runs(path: Path) -> Runs:
     """Return the recorded runs in a file or a folder, by name."""
     from craftsim.experiments.bundle import TEXT, read_bundle
-    from craftsim.rendering.trajectory import name_of, trajectory_files
-    from craftsim.rendering.trajectory import Trajectory
+    from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
     from craftsim.validation.recording import record_bundle
 
     if is_file(path / TEXT):
@@ -235,8 +233,7 @@ def _find_trajectory(
 
 def _in_folder(folder: Path, run: str | None) -> Trajectory:
     from craftsim.experiments.bundle import TEXT, read_bundle
-    from craftsim.rendering.trajectory import name_of, trajectory_files
-    from craftsim.rendering.trajectory import Trajectory
+    from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
     from craftsim.validation.recording import record_bundle
 
     if is_file(folder / TEXT) and run is None:

@@ -79,9 +79,8 @@ def _shrink(folder: Path, out: Path) -> int:
     """Shrink what a bundle shows; exit status 0 when it fails from a fresh start, too."""
     from craftsim.experiments.bundle import read_bundle
     from craftsim.reports.json_file import document
+    from craftsim.validation.minimize import MOST_TRIALS, shrink_bundle
     from craftsim.validation.sections import smallest_section
-    from craftsim.validation.minimize import shrink_bundle
-    from craftsim.validation.minimize import MOST_TRIALS
 
     bundle = read_bundle(folder).bundle
     with counting("trials", bool)(MOST_TRIALS) as on_trial:

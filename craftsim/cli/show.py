@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
-from craftsim.choices import Drive
+from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Drive, Objective
 from craftsim.cli.text import say
 from craftsim.errors import InputError
 from craftsim.options import RESULTS, Dir, File, Goal, OptionalDir, Seeded, Shown, number
-from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import (
     BLOCKS,
@@ -110,16 +109,15 @@ def show(
     for note in drawing.notes:
         say(f"note: {note}")
     if out is not None:
-        from craftsim.rendering.plots.levels import draw_blueprint
         from craftsim.rendering.grid_picture import wanted_of
+        from craftsim.rendering.plots.levels import draw_blueprint
         from craftsim.storage.folders import output_directory
 
         file = output_directory(out) / f"{path.stem}.png"
         say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(wanted))}")
     if export:
-        from craftsim.models.composition import WorldSpec
+        from craftsim.models.composition import WorldSpec, check_extent
         from craftsim.models.config import SimulationConfig
-        from craftsim.models.composition import check_extent
 
         check_extent(grid)
         _export(lambda machines: WorldSpec(grid, SimulationConfig.of(drive), machines).spec(), export, drive)
@@ -136,8 +134,7 @@ def _say_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
 def _export(spec_of: Callable[[Machines], MjSpec], files: Iterable[Path], drive: Drive) -> None:
     """Write a machine or a world with a drive as MJCF or as URDF, which the names' endings say."""
     from craftsim.mjcf.parameters import NOMINAL
-    from craftsim.models.exporting import write_mjcf
-    from craftsim.models.exporting import LACKS, write_urdf
+    from craftsim.models.exporting import LACKS, write_mjcf, write_urdf
 
     machines = replace(NOMINAL, drive=drive)
     for file in files:
@@ -257,8 +254,8 @@ def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) 
     for name, text in (("goal", design_text(goal)), ("start", blueprint_text(grid))):
         say(f"{name}: {write_whole(out / f'{name}.yaml', text)}")
     if math.prod(grid.size) <= PHYSICS_CELLS:
-        from craftsim.rendering.plots.levels import draw_blueprint
         from craftsim.rendering.grid_picture import wanted_of
+        from craftsim.rendering.plots.levels import draw_blueprint
 
         say(f"picture: {draw_blueprint(out / 'design.png', grid, goal.path.stem, None, wanted_of(goal))}")
     targets = {kind.name.lower(): len(goal.of_kind(kind)) for kind in (Kind.BLOCK, Kind.BODY)}

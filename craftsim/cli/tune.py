@@ -58,9 +58,8 @@ def tune(
         out: folder for gains.yaml, report.html, report.json and trials.jsonl.
     """
     from craftsim.tuning.goal import Goal
-    from craftsim.tuning.gains.report import tune_report
-    from craftsim.tuning.gains.tune import tune as run
-    from craftsim.tuning.gains.writing import write_gains
+    from craftsim.tuning.tune import tune as run
+    from craftsim.tuning.tune_report import tune_report, write_gains
 
     goal = Goal.of(weights, objectives, choose)
     tuned = run(
@@ -106,8 +105,7 @@ def excite(
     from craftsim.checking.setup import Seed
     from craftsim.logs.files import write_commands, write_table
     from craftsim.reports.json_file import write_report
-    from craftsim.tuning.driving_log import drive, free_area
-    from craftsim.tuning.excitation import Area, excitation
+    from craftsim.tuning.excitation import Area, drive, excitation, free_area
 
     setup, area = physics.setup(), Area(length, width)
     period_s = setup.simulation.control_period_s
@@ -167,10 +165,9 @@ def identify(
     from craftsim.logs.files import read_log
     from craftsim.reports.json_file import document
     from craftsim.reports.terminal import Terminal
-    from craftsim.tuning import findings
+    from craftsim.tuning import identified as findings
     from craftsim.tuning.identification import identify as fit
-    from craftsim.tuning.identified_plot import draw_prediction
-    from craftsim.tuning.identified_report import identified_report
+    from craftsim.tuning.identified import draw_prediction, identified_report
     from craftsim.tuning.prediction import Predictor
 
     started = time.perf_counter()

@@ -135,9 +135,9 @@ def _build(
 ) -> int:
     """Plan a building, build it in physics, and plan again from what is there where it went wrong: --plan auto."""
     from craftsim.cli.films import film_runs, rendering_works
-    from craftsim.validation.validation import build_all, read_goal
-    from craftsim.validation.report import validation_report
     from craftsim.validation.replanning import Replanning
+    from craftsim.validation.report import validation_report
+    from craftsim.validation.validation import build_all, read_goal
 
     task, setup = read_goal(start, goal), physics.setup()
     filming = video and rendering_works()

@@ -255,6 +255,15 @@ class AsynchronousEpisodes(Episodes):
             self.confirm(i, grid)
         return ended, ended & failing
 
+    def step(self, actions: NDArray[np.integer], order: NDArray[np.integer] | None = None) -> Steps:
+        """Let the cars that decide begin, ``actions`` (B, n) by car, and advance each world to its next event."""
+        cars, before, now_s = self.grids.cars.copy(), self.confirmed.copy(), self.time_s.copy()
+        outcome = self.decide(actions, self.draw_order() if order is None else order)
+        self.draw_ends(cars, outcome)
+        doing = self.running.action.copy()
+        ended, _ = self.advance()
+        return self.settle(before, doing, ended, np.round(self.time_s - now_s, 6), 0.0)
+
     def finish(self, i: int, time_s: float, cars: Any, confirmed: Grid) -> NDArray[np.bool_]:
         """Bring a world to an event that something else has simulated; return which decisions have ended, (n,).
 

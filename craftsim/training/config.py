@@ -10,7 +10,7 @@ from pydantic import Field, Strict
 
 from craftsim.choices import AlgoName as AlgoName
 from craftsim.choices import Backend as TrainBackend
-from craftsim.choices import PresetName
+from craftsim.choices import Execution, PresetName
 from craftsim.discrete.rules import RuleSet
 from craftsim.mjcf.parameters import Drive
 from craftsim.storage.limits import (
@@ -84,6 +84,8 @@ class TrainConfig:
     """What is legal on the grid: what physics supports, or what CraftEnv's code allows."""
     helper_depth: Annotated[int, HELPER_DEPTH] | None = None
     """Search depth of the action helper, on the grid; None is without it."""
+    execution: Execution = "synchronous"
+    """Whether cars decide together, tick by tick, or each when its own action has ended, on the grid."""
     explore: Annotated[int, EXPLORED_TICKS] = 0
     """Ticks of exploration on the grid before learning; half of the episodes then start with a world it reached."""
     acting: Acting = "greedy"
@@ -116,6 +118,13 @@ class TrainConfig:
             raise ValueError(
                 "in physics cars are trained under the physical rule set, without action helper and exploration; leave "
                 "rules, helper_depth and explore out, or train on the grid"
+            )
+        if self.execution == "asynchronous" and (
+            self.algo not in ("ippo", "mappo") or self.backend != "grid" or self.imitate
+        ):
+            raise ValueError(
+                "cars are trained asynchronously by ippo and mappo, on the grid, without imitation; leave execution "
+                "out, or change algo, backend or imitate"
             )
         if self.acting == "sampled" and self.algo not in WITH_PROBABILITIES:
             raise ValueError(

@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from craftsim.choices import Execution
+from craftsim.discrete.asynchronous import AsynchronousEpisodes, Timing
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
@@ -19,7 +21,7 @@ from craftsim.training.config import Acting
 from craftsim.training.curve import Played
 from craftsim.training.networks import CarNet
 from craftsim.training.repetitions import Repetitions
-from craftsim.training.rollouts import Seen
+from craftsim.training.rollouts import TRAINED_JITTER, Seen
 
 
 def evaluate(
@@ -30,12 +32,21 @@ def evaluate(
     rules: RuleSet = "physical",
     helper_depth: int | None = None,
     acting: Acting = "greedy",
+    execution: Execution = "synchronous",
 ) -> Played:
     """Play so many episodes, all at once; ``seed`` draws starts and orders, and actions where they are sampled.
 
-    Where a task has a list of held-out starts, episodes take one after the other.
+    Where a task has a list of held-out starts, episodes take one after the other. In asynchronous execution a tick is
+    an event, and a deadlock ends an episode.
     """
-    worlds = Episodes(task, np.random.default_rng(seed), episodes, rules, helper_depth)
+    rng = np.random.default_rng(seed)
+    worlds = (
+        Episodes(task, rng, episodes, rules, helper_depth)
+        if execution == "synchronous"
+        else AsynchronousEpisodes(
+            task, rng, episodes, rules, helper_depth, timing=Timing(jitter=TRAINED_JITTER)
+        )
+    )
     if task.split == "test" and isinstance(listed := task.sampler, Starts):
         rows = np.arange(episodes)
         worlds.begin(rows, listed.take(rows % len(listed)))
@@ -53,6 +64,8 @@ def evaluate(
         total += steps.reward * running
         ticks += running
         running &= ~steps.done
+        if isinstance(worlds, AsynchronousEpisodes):
+            running &= ~worlds.deadlocks(worlds.offered())
     return _played(won, total, ticks, repetitions)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.tasks import ROW
-from craftsim.training.rollouts import WorldBatch
+from craftsim.training.rollouts import BatchStep, WorldBatch
 from craftsim.training.shape import Shape
 
 BUCKETS: Final = 1 << 20
@@ -32,13 +32,16 @@ class NoveltyWorlds:
         self.reset, self.observe = worlds.reset, worlds.observe
         self.restart, self.close = worlds.restart, worlds.close
 
-    def step(
-        self, actions: NDArray[np.int64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+    @property
+    def decides(self) -> NDArray[np.bool_] | None:
+        """Which cars choose what they do next."""
+        return self.worlds.decides
+
+    def step(self, actions: NDArray[np.int64]) -> BatchStep:
         """Let all cars act; the bonus is part of the reward."""
-        reward, terminated, done = self.worlds.step(actions)
+        outcome = self.worlds.step(actions)
         things = self.observe()[0][:, 0, self._skip :].astype(np.int64)
         with np.errstate(over="ignore"):
             buckets = ((things * self._factors).sum(-1) >> 20) % BUCKETS
         np.add.at(self.counts, buckets, 1)
-        return reward + self.weight / np.sqrt(self.counts[buckets]), terminated, done
+        return outcome._replace(reward=outcome.reward + self.weight / np.sqrt(self.counts[buckets]))

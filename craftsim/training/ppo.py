@@ -53,7 +53,9 @@ class PPOLearner(Learner):
             before = _of(before[distinct.inverse[:n]], actions)
         advantage = advantages(rollout, now, after, settings.gamma, settings.gae_lambda).flatten(0, 1)
         target = advantage + now.flatten(0, 1)
-        advantage = (advantage - advantage.mean()) / advantage.std().clamp(min=MIN_ADVANTAGE_STD)
+        chose = None if rollout.decides is None else rollout.decides.flatten(0, 1)
+        met = advantage if chose is None else advantage[chose]
+        advantage = (advantage - met.mean()) / met.std().clamp(min=MIN_ADVANTAGE_STD)
         for _ in range(settings.epochs):
             for some in torch.randperm(n).chunk(settings.minibatches):
                 met, inverse = torch.unique(distinct.inverse[some], return_inverse=True)
@@ -64,12 +66,10 @@ class PPOLearner(Learner):
                 gain = ratio * advantage[some]
                 clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip) * advantage[some]
                 value = self.critic(encoded).index_select(0, inverse)
-                entropy = -(log_probs.exp() * log_probs.clamp(min=-1e4)).sum(-1).mean(-1)
-                self.minimize(
-                    -torch.minimum(gain, clipped).mean()
-                    + settings.critic * smooth_l1_loss(value, target[some])
-                    - settings.entropy * entropy.index_select(0, inverse).mean()
-                )
+                entropy = -(log_probs.exp() * log_probs.clamp(min=-1e4)).sum(-1).index_select(0, inverse)
+                loss = settings.critic * smooth_l1_loss(value, target[some], reduction="none")
+                loss = loss - torch.minimum(gain, clipped) - settings.entropy * entropy
+                self.minimize((loss if chose is None else loss[chose[some]]).mean())
 
 
 def _of(log_probs: Tensor, actions: Tensor) -> Tensor:
@@ -78,10 +78,28 @@ def _of(log_probs: Tensor, actions: Tensor) -> Tensor:
 
 
 def advantages(rollout: Rollout, now: Tensor, after: Tensor, gamma: float, decay: float) -> Tensor:
-    """Return (T, B, n): generalised advantages (Schulman et al., 2016) from the values before and after each tick."""
+    """Return (T, B, n): generalised advantages (Schulman et al., 2016) from the values before and after each tick.
+
+    Where cars decide one by one, an action lasts from a car's decision to its next one, and earns what the team is
+    rewarded with meanwhile, discounted by the time that has passed (a semi-Markov decision process); what stands where
+    a car decides nothing means nothing.
+    """
     goes_on, same = (~flag.unsqueeze(-1) for flag in (rollout.terminated, rollout.done))
-    errors = rollout.rewards.unsqueeze(-1) + gamma * goes_on * after - now
-    found, ahead = torch.empty_like(errors), torch.zeros_like(errors[0])
-    for t in range(len(errors) - 1, -1, -1):
-        found[t] = ahead = errors[t] + gamma * decay * same[t] * ahead
+    rewards = rollout.rewards.unsqueeze(-1)
+    if rollout.decides is None or rollout.elapsed is None:
+        errors = rewards + gamma * goes_on * after - now
+        found, ahead = torch.empty_like(errors), torch.zeros_like(errors[0])
+        for t in range(len(errors) - 1, -1, -1):
+            found[t] = ahead = errors[t] + gamma * decay * same[t] * ahead
+        return found
+    discount = gamma ** rollout.elapsed.unsqueeze(-1)
+    found = torch.empty_like(now)
+    # Of each car: what follows until its next decision, with the value then, and the advantage of that decision.
+    follows, ahead = after[-1], torch.zeros_like(after[-1])
+    for t in range(len(now) - 1, -1, -1):
+        earned = rewards[t] + discount[t] * goes_on[t] * torch.where(same[t], follows, after[t])
+        ahead = discount[t] * same[t] * ahead
+        found[t] = earned - now[t] + decay * ahead
+        follows = torch.where(rollout.decides[t], now[t], earned)
+        ahead = torch.where(rollout.decides[t], found[t], ahead)
     return found

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from craftsim.discrete.asynchronous import AsynchronousEpisodes, Timing
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
@@ -20,8 +21,23 @@ from craftsim.envs.vector import PhysicsVectorEnv
 from craftsim.training.features import Encoder, RelativeEncoder
 
 _HASH_SEED: Final = 2
+USUAL_TICK_S: Final = 1.0
+"""About what a move takes: a discount of a tick is one of so much time where cars decide one by one."""
+TRAINED_JITTER: Final = 0.1
+"""By about what share durations vary where cars are trained asynchronously."""
 
-_Outcome = tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]
+
+class BatchStep(NamedTuple):
+    """What a step of B worlds brought."""
+
+    reward: NDArray[np.float64]
+    """(B,): one number for the team."""
+    terminated: NDArray[np.bool_]
+    """(B,): the task was completed."""
+    done: NDArray[np.bool_]
+    """(B,): the episode is over."""
+    elapsed: NDArray[np.float64] | None = None
+    """(B,): how long it took, in usual ticks; None where all take one."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +79,10 @@ class Rollout:
     """(T, B) bool: the task was completed."""
     done: Tensor
     """(T, B) bool: the episode ended, by success or at its time limit."""
+    decides: Tensor | None = None
+    """(T, B, n) bool: which cars chose their action, the others being in the middle of one; None where all did."""
+    elapsed: Tensor | None = None
+    """(T, B) float32: how long each took, in usual ticks; None where all took one."""
 
     def __len__(self) -> int:
         """Return the number of ticks of all worlds together."""
@@ -72,14 +92,18 @@ class Rollout:
 class WorldBatch(Protocol):
     """B worlds of one task that are stepped side by side."""
 
+    @property
+    def decides(self) -> NDArray[np.bool_] | None:
+        """(B, n): which cars choose what they do next; None where all do, tick by tick."""
+
     def reset(self, seed: int) -> None:
         """Start all episodes anew; all that is drawn from now on follows from the seed."""
 
     def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
         """Return observations (B, n, vector_length) and masks (B, n, 15)."""
 
-    def step(self, actions: NDArray[np.int64]) -> _Outcome:
-        """Let all cars act, (B, n); return the rewards, what was completed and what is over, each (B,)."""
+    def step(self, actions: NDArray[np.int64]) -> BatchStep:
+        """Let all cars that decide act, (B, n)."""
 
     def restart(self) -> None:
         """Start the episodes anew that are over."""
@@ -90,6 +114,8 @@ class WorldBatch(Protocol):
 
 class GridWorlds:
     """WorldBatch on the grid, stepped in one array call."""
+
+    decides: NDArray[np.bool_] | None = None
 
     def __init__(
         self, task: Task, n: int, rules: RuleSet = "physical", helper_depth: int | None = None
@@ -105,10 +131,10 @@ class GridWorlds:
         """Return observations and masks."""
         return self.episodes.vectors(), self.episodes.offered()
 
-    def step(self, actions: NDArray[np.int64]) -> _Outcome:
+    def step(self, actions: NDArray[np.int64]) -> BatchStep:
         """Let all cars act."""
         steps = self.episodes.step(actions)
-        return steps.reward, steps.success & steps.done, steps.done
+        return BatchStep(steps.reward, steps.success & steps.done, steps.done)
 
     def restart(self) -> None:
         """Start the episodes anew that are over."""
@@ -118,8 +144,54 @@ class GridWorlds:
         """Free nothing: all of it is in arrays."""
 
 
+class AsynchronousWorlds:
+    """WorldBatch on the grid whose cars decide one by one; a step lasts until the next event of each world."""
+
+    def __init__(
+        self,
+        task: Task,
+        n: int,
+        rules: RuleSet = "physical",
+        helper_depth: int | None = None,
+    ) -> None:
+        rng, timing = np.random.default_rng(), Timing(jitter=TRAINED_JITTER)
+        self.episodes = AsynchronousEpisodes(task, rng, n, rules, helper_depth, timing=timing)
+        self._over = np.zeros(n, np.bool_)
+
+    @property
+    def decides(self) -> NDArray[np.bool_]:
+        """Which cars have no action and decide."""
+        return self.episodes.decides
+
+    def reset(self, seed: int) -> None:
+        """Start all episodes anew."""
+        self.episodes.rng = np.random.default_rng(seed)
+        self.episodes.reset()
+
+    def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
+        """Return observations and masks."""
+        return self.episodes.vectors(), self.episodes.offered()
+
+    def step(self, actions: NDArray[np.int64]) -> BatchStep:
+        """Let the cars that decide begin their actions, and each world go on to its next event."""
+        before_s = self.episodes.time_s.copy()
+        steps = self.episodes.step(actions)
+        self._over = steps.done | self.episodes.deadlocks(self.episodes.offered())
+        elapsed = (self.episodes.time_s - before_s) / USUAL_TICK_S
+        return BatchStep(steps.reward, steps.success & steps.done, self._over, elapsed)
+
+    def restart(self) -> None:
+        """Start the episodes anew that are over."""
+        self.episodes.reset(np.flatnonzero(self._over))
+
+    def close(self) -> None:
+        """Free nothing: all of it is in arrays."""
+
+
 class PhysicsWorlds:
     """WorldBatch in physics, spread over worker processes; none of their numbers depends on how many there are."""
+
+    decides: NDArray[np.bool_] | None = None
 
     def __init__(self, task: Task, n: int, **options: Any) -> None:
         """Prepare; options are those of :class:`craftsim.envs.vector.PhysicsVectorEnv`."""
@@ -136,7 +208,7 @@ class PhysicsWorlds:
         """Return observations and masks."""
         return self._seen
 
-    def step(self, actions: NDArray[np.int64]) -> _Outcome:
+    def step(self, actions: NDArray[np.int64]) -> BatchStep:
         """Let all cars act."""
         observation, reward, terminated, truncated, infos = self.envs.step(actions)
         # A world whose episode has ended stands at the start of the next one already.
@@ -148,7 +220,7 @@ class PhysicsWorlds:
             vectors[world] = car_vectors(last["observation"].reshape(1, -1, ROW), masks.shape[1])[0]
             masks[world] = last["action_mask"] != 0
         self._seen = vectors, masks
-        return reward, terminated, done
+        return BatchStep(reward, terminated, done)
 
     def restart(self) -> None:
         """Go on with the episodes that have begun in the place of those that are over."""
@@ -164,22 +236,23 @@ def play(
     worlds: WorldBatch, encoder: Encoder | RelativeEncoder, act: Callable[[Seen], Tensor], ticks: int
 ) -> Rollout:
     """Return so many ticks of all worlds, from where they stand; ``act`` returns actions (B, n) of what is seen."""
-    columns: list[tuple[Seen, Seen, Tensor, Tensor, Tensor, Tensor]] = []
+    columns: list[tuple[Any, ...]] = []
     now = _look(worlds, encoder)
     for _ in range(ticks):
-        actions = act(now)
-        reward, terminated, done = worlds.step(actions.numpy())
+        decides, actions = worlds.decides, act(now)
+        reward, terminated, done, elapsed = worlds.step(actions.numpy())
         after = _look(worlds, encoder)
-        outcome = torch.from_numpy(reward.astype(np.float32)), torch.from_numpy(terminated)
-        columns.append((now, after, actions, *outcome, torch.from_numpy(done.copy())))
+        arrays = reward.astype(np.float32), terminated, done, decides, elapsed
+        columns.append(
+            (now, after, actions, *(None if a is None else torch.from_numpy(a.copy()) for a in arrays))
+        )
         now = after
         if done.any():
             worlds.restart()
             now = _look(worlds, encoder)
     nows, afters, *rest = zip(*columns, strict=True)
-    return Rollout(
-        joined(nows, torch.stack), joined(afters, torch.stack), *(torch.stack(column) for column in rest)
-    )
+    stacked: Any = (None if column[0] is None else torch.stack(column) for column in rest)
+    return Rollout(joined(nows, torch.stack), joined(afters, torch.stack), *stacked)
 
 
 def _look(worlds: WorldBatch, encoder: Encoder | RelativeEncoder) -> Seen:

@@ -37,7 +37,14 @@ from craftsim.training.pqn import PQNLearner
 from craftsim.training.pretraining import begin_as_pretrained
 from craftsim.training.q_learning import QLearner
 from craftsim.training.restoring import numbers
-from craftsim.training.rollouts import GridWorlds, PhysicsWorlds, Rollout, WorldBatch, play
+from craftsim.training.rollouts import (
+    AsynchronousWorlds,
+    GridWorlds,
+    PhysicsWorlds,
+    Rollout,
+    WorldBatch,
+    play,
+)
 from craftsim.training.settings import COMASettings, PPOSettings, PQNSettings, QSettings, settings_of
 from craftsim.training.shape import Shape, check_stage
 from craftsim.workers.actor import defer_sigint
@@ -97,7 +104,9 @@ class Trainer:
         self.wall_s = self.cpu_s = 0.0
         with torch.random.fork_rng():
             torch.manual_seed(config.seed)
-            self.learner = make_learner(config, self.shape, self.task.max_steps + 2)
+            # Where cars decide one by one, most events are a single car's.
+            turns = self.task.layout.n_cars if config.execution == "asynchronous" else 1
+            self.learner = make_learner(config, self.shape, (self.task.max_steps + 2) * turns)
             self.pretrained = (
                 begin_as_pretrained(self.learner.net, self.shape, config) if config.pretrained else ""
             )
@@ -130,7 +139,9 @@ class Trainer:
     def _make_worlds(self, task: Task) -> WorldBatch:
         config = self.config
         worlds: WorldBatch
-        if config.backend == "grid":
+        if config.execution == "asynchronous":
+            worlds = AsynchronousWorlds(task, config.n_worlds, config.rules, config.helper_depth)
+        elif config.backend == "grid":
             worlds = GridWorlds(task, config.n_worlds, config.rules, config.helper_depth)
         else:
             worlds = PhysicsWorlds(task, config.n_worlds, **self._physics)
@@ -179,7 +190,8 @@ class Trainer:
         """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
         net, seed, config = self.learner.net, self._seed(purpose), self.config
         if config.backend == "grid":
-            return evaluate(net, self.task, episodes, seed, config.rules, config.helper_depth, config.acting)
+            rules = config.rules, config.helper_depth, config.acting, config.execution
+            return evaluate(net, self.task, episodes, seed, *rules)
         last = self.stage == len(self._stages)
         if self._own_starts and last and record is None and isinstance(self.worlds, PhysicsWorlds):
             return evaluate_in_physics(net, self.worlds.envs, episodes, seed, config.acting)

@@ -1,10 +1,18 @@
-"""Identifying a car's figures from a log: weighted nonlinear least squares over segments of it.
+"""Identifying a car's parameters from a log: weighted nonlinear least squares over segments of it.
 
 Residuals are what :mod:`craftsim.tuning.prediction` leaves, each in terms of the noise of its channel, which is taken
 from the residuals themselves and worked out anew after each fit; values beyond six times that are left out as outliers.
 Intervals are those of the linearized problem, with the segments as independent samples (Liang and Zeger's sandwich
-estimate), so that a model that misses something slow is not surer than it should be; never narrower than those of
-independent residuals with forces as assumed, where what is held may be off by its common error.
+estimate), never narrower than those of independent residuals with forces as assumed, where what is held may be off by
+its common error.
+
+Which unknowns a log identifies the singular values of the residuals' Jacobian say. With every unknown in terms of how
+far it commonly is from what is assumed, a direction of the unknowns with the singular value s is known to 1 / s of
+that. Where this is not well below 1 the log says little about the direction beyond what was known before. The unknown
+in it that is easiest to measure otherwise is then held at its start, and the rest is looked at again. One direction is
+known beforehand: motion says forces by the masses that they move and nothing else. A simulated log would say a little
+of it, since contacts and simulated dry friction have a stiffness of their own; no car's log should be taken to, so the
+direction is taken out of the Jacobian.
 
 MuJoCo's own ``mujoco.sysid`` is not used: it compares one rollout with the whole of a recording, from a state that is
 given, needs five more packages, and its intervals are of independent residuals.
@@ -21,7 +29,6 @@ import numpy as np
 from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log
 from craftsim.mjcf.parameters import Machines
-from craftsim.tuning.identifiability import Untold, untold_directions
 from craftsim.tuning.prediction import CHANNELS, N_COLUMNS, Predictor
 from craftsim.tuning.unknowns import FitSpace, Unknown, unknowns_of
 
@@ -48,6 +55,66 @@ _OUTLIER: Final = 6.0
 CONFIDENCE: Final = 0.95
 
 
+IDENTIFIED: Final = 0.1
+"""A direction counts as identified where it is known to this share of its common error, or better."""
+_MEMBER: Final = 0.2
+"""Share of a direction's largest part that another part must have to be named with it."""
+
+
+@dataclass(frozen=True)
+class Unidentified:
+    """A direction of the unknowns that a log does not tell."""
+
+    held: str
+    """The key of the unknown that is held because of it."""
+    members: tuple[str, ...]
+    """Keys of all that take part in it, the largest part first."""
+    certainty: float
+    """Standard deviation of the direction, as a share of its common error; infinite where the log says nothing."""
+    text: str
+
+
+def unidentified_directions(jacobian: Floats, unknowns: Sequence[Unknown]) -> list[Unidentified]:
+    """Return what a log does not tell, worst first.
+
+    Args:
+        jacobian: (m, n) of the residuals in terms of their noise, by unknowns in terms of their common errors.
+        unknowns: (n,) the unknowns.
+    """
+    scale = np.array([1 / one.usual if one.scales else 0.0 for one in unknowns])
+    free, found = list(range(len(unknowns))), list[Unidentified]()
+    while free:
+        seen = jacobian[:, free]
+        if all(k in free for k in np.flatnonzero(scale)) and scale.any():
+            unit = scale[free] / np.linalg.norm(scale)
+            seen = seen - np.outer(seen @ unit, unit)
+        _, singular, directions = np.linalg.svd(seen, full_matrices=False)
+        if singular[-1] * IDENTIFIED >= 1:
+            break
+        direction = np.abs(directions[-1])
+        members = [free[k] for k in np.argsort(-direction) if direction[k] > _MEMBER * direction.max()]
+        # The largest part first where none is easier to measure.
+        held = max(members, key=lambda k: unknowns[k].weighed)
+        certainty = 1 / float(singular[-1]) if singular[-1] > 1e-9 else float("inf")
+        found.append(_unidentified(unknowns, held, members, certainty))
+        free.remove(held)
+    return found
+
+
+def _unidentified(
+    unknowns: Sequence[Unknown], held: int, members: Sequence[int], certainty: float
+) -> Unidentified:
+    names = [unknowns[k].words for k in members]
+    kept = unknowns[held].words
+    if len(members) == 1:
+        text = f"{kept}: the log does not tell it; it is held"
+    else:
+        ratio = all(unknowns[k].of_machine for k in members)
+        what = "only as ratios to each other" if ratio else "only together"
+        text = f"{', '.join(names[:-1])} and {names[-1]}: {what}; {kept} is held"
+    return Unidentified(unknowns[held].key, tuple(unknowns[k].key for k in members), certainty, text)
+
+
 @dataclass(frozen=True)
 class Identified:
     """What a log says of one unknown."""
@@ -61,8 +128,8 @@ class Identified:
     """Whether the search ended at the border of what fits together."""
 
     @property
-    def told(self) -> bool:
-        """Whether the log tells it."""
+    def identified(self) -> bool:
+        """Whether the log identifies it."""
         return self.half_width is not None and not self.at_bound
 
 
@@ -71,7 +138,7 @@ class Identification:
     """What a log says of a car."""
 
     estimates: tuple[Identified, ...]
-    untold: tuple[Untold, ...]
+    unidentified: tuple[Unidentified, ...]
     noise: dict[str, float]
     """Standard deviation of what is left, by channel that was measured."""
     outliers: int
@@ -127,7 +194,7 @@ class _Fit:
             self.noise[columns] = _FIRST_NOISE[name]
         self.kept = np.isfinite(self._errors(self.vector))
         """Which values count."""
-        self.untold: list[Untold] = []
+        self.unidentified: list[Unidentified] = []
 
     def run(self) -> Identification:
         from scipy.optimize import least_squares
@@ -136,8 +203,8 @@ class _Fit:
         for number, tolerance in enumerate(_ROUNDS):
             self.tell(number + 1, len(_ROUNDS))
             looked_at = self._jacobian(self._with_assumed_forces(), range(self.n))
-            self.untold = untold_directions(looked_at, self.search.unknowns)
-            held = {one.held for one in self.untold}
+            self.unidentified = unidentified_directions(looked_at, self.search.unknowns)
+            held = {one.held for one in self.unidentified}
             # What is held is held where it is assumed to be, wherever an earlier fit has taken it.
             self.vector[[k for k, one in enumerate(self.search.unknowns) if one.key in held]] = 0.0
             free = [k for k, one in enumerate(self.search.unknowns) if one.key not in held]
@@ -167,9 +234,9 @@ class _Fit:
         return self._result(free, outliers)
 
     def _with_assumed_forces(self) -> Floats:
-        """Return where to look at what is told: forces as assumed, all else as found.
+        """Return where to look at what is identified: forces as assumed, all else as found.
 
-        Where a search has gone astray, to servos so stiff that they ring, everything seems to be told.
+        Where a search has gone astray, to servos so stiff that they ring, everything seems to be identified.
         """
         vector = self.vector.copy()
         vector[[one.scales for one in self.search.unknowns]] = 0.0
@@ -217,7 +284,7 @@ class _Fit:
         np.add.at(pulls, segment, jacobian * left[:, None])
         n_segments = len(np.unique(segment))
         sandwich = inverse @ (pulls.T @ pulls) @ inverse * n_segments / max(1, n_segments - 1)
-        # What is held may be off by its common error, except for forces: the rest is told in proportion to those.
+        # What is held may be off by its common error, except for forces: the rest is known in proportion to those.
         unsure = [k for k, one in enumerate(self.search.unknowns) if k not in free and not one.scales]
         elsewhere = self._jacobian(self._with_assumed_forces(), [*free, *unsure])
         known = np.linalg.inv(elsewhere.T @ elsewhere + np.eye(elsewhere.shape[1]))[: len(free), : len(free)]
@@ -239,5 +306,11 @@ class _Fit:
         }
         machines = self.search.made(values)
         return Identification(
-            tuple(estimates), tuple(self.untold), noise, outliers, int(self.kept.sum()), n_segments, machines
+            tuple(estimates),
+            tuple(self.unidentified),
+            noise,
+            outliers,
+            int(self.kept.sum()),
+            n_segments,
+            machines,
         )

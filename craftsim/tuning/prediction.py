@@ -21,8 +21,7 @@ from craftsim.models.measuring import Motors
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.limits import IDENTIFIED_S
-from craftsim.tuning.driving_log import free_area
-from craftsim.tuning.excitation import Area
+from craftsim.tuning.excitation import Area, free_area
 from craftsim.tuning.unknowns import Values
 
 SEGMENT_S: Final = 2.0

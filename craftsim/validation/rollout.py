@@ -29,11 +29,10 @@ from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import StartError
 from craftsim.experiments.bundle import write_bundle
 from craftsim.experiments.experiment import Done
+from craftsim.logs.files import LOG_SUFFIX, write_table
 from craftsim.logs.log import Log
 from craftsim.logs.recorder import LogRecorder
-from craftsim.logs.files import LOG_SUFFIX, write_table
-from craftsim.rendering.trajectory import Recorder
-from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
+from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.storage.folders import directory_within
 from craftsim.validation.play import Play, covered, play

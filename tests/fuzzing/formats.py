@@ -30,9 +30,8 @@ from craftsim.errors import InputError
 from craftsim.experiments.bundle import read_bundle
 from craftsim.experiments.durations import Duration, read_durations, write_durations
 from craftsim.logs.bags import read_topics
-from craftsim.logs.files import read_log
+from craftsim.logs.files import read_log, write_table
 from craftsim.logs.log import GROUPS, Log
-from craftsim.logs.files import write_table
 from craftsim.mjcf.parameters import load_machines
 from craftsim.models.measuring import CarMeasurement
 from craftsim.models.randomization import load_noise

@@ -25,6 +25,7 @@ block: [{id: 0, x: 2, y: 0, z: 1}, {id: 1, x: 2, y: 1, z: 1}]
 RUNS = {
     "ippo": (20_000, {"worlds": 100}),
     "mappo": (20_000, {"worlds": 100}),
+    "mappo, asynchronous": (30_000, {"worlds": 100, "execution": "asynchronous"}),
     "iql": (20_000, {}),
     "vdn": (20_000, {}),
     "qmix": (20_000, {}),
@@ -34,14 +35,16 @@ RUNS = {
 """By algorithm: steps, and settings. QTRAN is missing: it learns the task, and loses it now and then."""
 
 
-@pytest.mark.parametrize("algo", RUNS)
-def test_it_learns_a_small_task_for_good(algo, tmp_path):
+@pytest.mark.parametrize("run", RUNS)
+def test_it_learns_a_small_task_for_good(run, tmp_path):
     """Two cars carry a block each to the other side of an area of 3 x 2 cells."""
     (tmp_path / "two.yaml").write_text(START)
     (tmp_path / "two_goal.yaml").write_text(GOAL)
     task = replace(as_task(str(tmp_path / "two.yaml")), max_steps=12)
-    steps, settings = RUNS[algo]
-    config = TrainConfig("two", algo, width=64, evaluate_every=2000, evaluation_episodes=20, **settings)
+    steps, settings = RUNS[run]
+    config = TrainConfig(
+        "two", run.partition(",")[0], width=64, evaluate_every=2000, evaluation_episodes=20, **settings
+    )
     trainer = Trainer(config, task=task)
     list(trainer.run(steps, until=NEVER))
     assert last_fifth([point.success for point in trainer.curve]) >= 0.95

@@ -1,5 +1,8 @@
 """The algorithms' losses and returns against formulas, known answers, and another implementation."""
 
+from dataclasses import replace
+from itertools import product
+
 import pytest
 import torch
 from torch import nn
@@ -64,6 +67,40 @@ def _rollout(ticks=12, worlds=7):
     rewards = torch.randn(ticks, worlds, generator=generator)
     now, after = torch.randn(2, ticks, worlds, 1, generator=generator)
     return Rollout(None, None, None, rewards, terminated, done), now, after
+
+
+def test_advantages_of_cars_that_decide_one_by_one_are_those_of_their_own_decisions():
+    """Each car's decisions are a trajectory of its own, with the rewards and the time between two of them."""
+    generator, gamma, decay = torch.Generator().manual_seed(4), 0.9, 0.8
+    rollout, _, _ = _rollout()
+    now, after = torch.randn(2, 12, 7, 3, generator=generator)
+    decides = torch.rand(12, 7, 3, generator=generator) < 0.5
+    elapsed = torch.rand(12, 7, generator=generator) * 2
+    found = advantages(replace(rollout, decides=decides, elapsed=elapsed), now, after, gamma, decay)
+    for world, car in product(range(7), range(3)):
+        ahead = 0.0
+        for t in reversed(decides[:, world, car].nonzero()[:, 0].tolist()):
+            earned, factor, value = 0.0, 1.0, None
+            for u in range(t, 12):
+                earned += factor * rollout.rewards[u, world].item()
+                factor *= gamma ** elapsed[u, world].item()
+                if rollout.done[u, world] or u == 11 or decides[u + 1, world, car]:
+                    break
+            over = bool(rollout.done[u, world])
+            if over or u == 11:
+                value, ahead = after[u, world, car].item() * (not rollout.terminated[u, world]), 0.0
+            else:
+                value = now[u + 1, world, car].item()
+            ahead = earned + factor * value - now[t, world, car].item() + factor * decay * ahead
+            assert found[t, world, car].item() == pytest.approx(ahead, abs=1e-4)
+
+
+def test_where_all_decide_at_every_tick_both_forms_of_advantages_are_one():
+    rollout, now, after = _rollout()
+    after = torch.where(rollout.done.unsqueeze(-1), after, now.roll(-1, 0))
+    every = replace(rollout, decides=torch.ones(12, 7, 1, dtype=torch.bool), elapsed=torch.ones(12, 7))
+    both = (advantages(one, now, after, 0.9, 0.8) for one in (rollout, every))
+    assert torch.allclose(*both, atol=1e-5)
 
 
 def _as_theirs(column):

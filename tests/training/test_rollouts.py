@@ -12,7 +12,7 @@ from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.training.features import Encoder
 from craftsim.training.learner import drawn, drawn_offers
 from craftsim.training.novelty import BUCKETS, NoveltyWorlds
-from craftsim.training.rollouts import Distinct, GridWorlds, PhysicsWorlds, Seen, play
+from craftsim.training.rollouts import AsynchronousWorlds, Distinct, GridWorlds, PhysicsWorlds, Seen, play
 from craftsim.training.shape import Shape
 from craftsim.training.trainer import TrainConfig, Trainer
 
@@ -65,6 +65,29 @@ def test_a_rollout_in_physics_keeps_the_last_observations_and_begins_each_episod
     assert torch.equal(now[0].long(), start)
 
 
+def test_an_asynchronous_rollout_is_what_the_cars_decide_one_by_one():
+    task = make_task("simple_two_story", max_steps=3)
+    worlds, encoder = AsynchronousWorlds(task, 8), _encoder(task)
+    rollouts = []
+    for _ in range(2):
+        torch.manual_seed(0)
+        worlds.reset(5)
+        rollouts.append(play(worlds, encoder, _random_legal, 30))
+    played, again = rollouts
+    assert all(
+        torch.equal(getattr(played, name), getattr(again, name)) for name in ("actions", "decides", "elapsed")
+    )
+    assert played.decides.any(-1).all()  # an event without a decision is none
+    assert not played.decides.all(-1).all()
+    assert played.decides[0].all()
+    assert (played.elapsed >= 0).all()
+    # A car in the middle of an action is offered nothing but to go on.
+    only_stop = torch.nn.functional.one_hot(torch.tensor(int(Action.STOP)), 15).bool()
+    assert (played.now.offers[~played.decides] == only_stop).all()
+    # Four decisions of each car are an episode, but for a wait that an event ended.
+    assert played.done.any(0).all()
+
+
 def test_a_car_that_can_do_nothing_is_offered_stop():
     episodes = Episodes(make_task("simple_two_story"), np.random.default_rng(0), 1)
     cars = episodes.grids.cars
@@ -108,7 +131,7 @@ def test_the_bonus_for_new_buildings_fades_and_does_not_depend_on_where_cars_are
     worlds.reset(0)
     bonuses = []
     for _ in range(4):  # nothing is built: cars stand or drive
-        reward, _, _ = worlds.step(np.full((2, 2), int(Action.STOP)))
+        reward = worlds.step(np.full((2, 2), int(Action.STOP))).reward
         bonuses.append(reward.tolist())
     assert np.allclose(bonuses, [[(2 * k) ** -0.5] * 2 for k in range(1, 5)])
     assert counts.sum() == 8

@@ -3,7 +3,7 @@
 from contextlib import contextmanager
 
 from craftsim.experiments.experiment import Done, make_record
-from craftsim.tuning.gains.trials import Job
+from craftsim.tuning.tune import Job
 
 BEST = {"board.gain": 40.0, "board.acceleration": 1.0}
 

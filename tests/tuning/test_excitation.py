@@ -6,8 +6,7 @@ import pytest
 from craftsim import SmartcarParameters
 from craftsim.checking.setup import Seed, setup_of
 from craftsim.errors import InputError
-from craftsim.tuning.driving_log import drive, free_area
-from craftsim.tuning.excitation import Area, excitation
+from craftsim.tuning.excitation import Area, drive, excitation, free_area
 
 CAR = SmartcarParameters()
 

@@ -8,14 +8,13 @@ from tuning_cars import HIDDEN, NOMINAL, log_of
 
 from craftsim.errors import InputError
 from craftsim.models.sensing import EXACT
-from craftsim.tuning.identifiability import untold_directions
-from craftsim.tuning.identification import identify
+from craftsim.tuning.identification import identify, unidentified_directions
 from craftsim.tuning.prediction import Predictor
 from craftsim.tuning.unknowns import UNKNOWNS, machines_of, unknowns_of
 
 
 def test_hidden_figures_are_found(found):
-    assert all(found[key].told for key in HIDDEN)
+    assert all(found[key].identified for key in HIDDEN)
     values = {key: found[key].value for key in HIDDEN}
     bounds = {key: 0.005 if key.startswith("noise") else 0.05 * true for key, true in HIDDEN.items()}
     assert {key: pytest.approx(true, abs=bounds[key]) for key, true in HIDDEN.items()} == values
@@ -24,7 +23,7 @@ def test_hidden_figures_are_found(found):
 def test_what_the_log_cannot_tell_is_held_and_said(found):
     assert found["smartcar.wheel_mass_kg"].half_width is None
     assert found["smartcar.wheel_mass_kg"].value == NOMINAL.car(0).wheel_mass_kg
-    texts = [one.text for one in found.untold]
+    texts = [one.text for one in found.unidentified]
     assert any("mass of the car" in text and "only as ratios" in text for text in texts)
     assert found["smartcar.wheel_y_m"].half_width is None  # it has not turned yet
 
@@ -69,7 +68,7 @@ def test_forces_in_proportion_are_never_told_apart():
     """Whatever a log says, and however surely."""
     unknowns = unknowns_of(NOMINAL, loaded=False)
     jacobian = np.random.default_rng(0).normal(size=(500, len(unknowns)))
-    (one,) = untold_directions(jacobian, unknowns)
+    (one,) = unidentified_directions(jacobian, unknowns)
     assert one.held == "smartcar.wheel_mass_kg"
     assert set(one.members) == {unknown.key for unknown in unknowns if unknown.scales}
 
@@ -79,7 +78,7 @@ def test_what_a_log_says_nothing_of_is_named_alone():
     jacobian = np.random.default_rng(0).normal(size=(500, len(unknowns)))
     place = [one.name for one in unknowns].index("screw_friction_n")
     jacobian[:, place] = 0.0
-    found = untold_directions(jacobian, unknowns)
+    found = unidentified_directions(jacobian, unknowns)
     assert found[0].held == "smartcar.screw_friction_n"
     assert "the log does not tell it" in found[0].text
 
@@ -107,8 +106,8 @@ def test_a_log_of_a_car_that_hardly_moves_tells_nothing(log):
     quiet = replace(still, commands=commands, board=np.full_like(still.board, np.nan))
     quiet.pose[:], quiet.wheel_speeds[:] = still.pose[0], 0.0
     found = identify(quiet, NOMINAL)
-    assert not any(one.told for one in found.estimates)
-    assert len(found.untold) == len(found.estimates)
+    assert not any(one.identified for one in found.estimates)
+    assert len(found.unidentified) == len(found.estimates)
     assert "board" not in found.noise
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.tuning.goal import Goal
-from craftsim.tuning.gains.objectives import (
+from craftsim.tuning.goal import (
     DEFAULT_WEIGHTS,
     LEAST_SHARE,
     OBJECTIVES,
+    Goal,
     Score,
     knee,
     spread,

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.tuning.gains import search
-from craftsim.tuning.gains.search import Search, population
+from craftsim.tuning.tune import cma_es, need_cma, population
 
 BOUNDS = [(-1.0, 1.0), (-1.0, 0.0), (-1.0, 0.3)]
 BEST = np.array([0.6, -0.1, 0.3])
 
 
 def _search(seed):
-    return Search(BOUNDS, [0.0, 0.0, 0.0], 0.25, np.random.default_rng(seed))
+    return cma_es(BOUNDS, [0.0, 0.0, 0.0], 0.25, np.random.default_rng(seed))
 
 
 def _run(search, generations):
@@ -27,7 +26,7 @@ def _run(search, generations):
 def test_it_finds_the_best_within_its_bounds():
     search = _search(1)
     asked = _run(search, 60)
-    assert np.allclose(search.favourite, BEST, atol=0.02)
+    assert np.allclose(search.result.xfavorite, BEST, atol=0.02)
     low, high = np.array(BOUNDS).T
     assert (asked >= low - 1e-9).all()
     assert (asked <= high + 1e-9).all()
@@ -49,4 +48,4 @@ def test_a_generation_has_its_number_of_candidates():
 def test_without_its_library_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"tuning needs cma, not installed here; .*-m pip install 'cma>="):
-        search.need_cma()
+        need_cma()

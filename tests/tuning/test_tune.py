@@ -15,13 +15,11 @@ from craftsim.errors import InputError
 from craftsim.experiments.experiment import RunOptions
 from craftsim.reports.html import write_html
 from craftsim.skills.gains import load_gains
-from craftsim.tuning.gains import phases
-from craftsim.tuning.gains import tune as module
+from craftsim.tuning import tune as module
 from craftsim.tuning.goal import Goal
-from craftsim.tuning.gains.phases import FINAL_BLOCKS, HELD_OUT_BLOCKS
-from craftsim.tuning.gains.report import convergence, tune_report
-from craftsim.tuning.gains.situations import situations
-from craftsim.tuning.gains.writing import write_gains
+from craftsim.tuning.tunable import situations
+from craftsim.tuning.tune import FINAL_BLOCKS, HELD_OUT_BLOCKS
+from craftsim.tuning.tune_report import convergence, tune_report, write_gains
 
 
 def _tune(monkeypatch, folder, goal=None, lose=lambda job: False, evaluations=120):
@@ -39,8 +37,8 @@ def _run(folder, goal, evaluations=10):
 def test_it_finds_the_best_gains(monkeypatch, tmp_path):
     tuned, _ = _tune(monkeypatch, tmp_path)
     assert tuned.verdict.improved
-    for knob in tuned.knobs:
-        assert knob.of(tuned.gains) == pytest.approx(BEST[knob.name], rel=0.05)
+    for gain in tuned.tunable:
+        assert gain.of(tuned.gains) == pytest.approx(BEST[gain.name], rel=0.05)
     assert tuned.verdict.against_shipped.factor < 0.95
     found = convergence(tuned)
     assert found[0] == 1
@@ -138,7 +136,7 @@ ARGUMENTS = ["tune", "board", "--evaluations", "6", "--trials", "1", "--seed", "
 
 def test_a_tuning_that_was_cut_off_goes_on_and_ends_as_one_of_two_workers_does(tmp_path, monkeypatch):
     for name, few in (("FINALISTS", 2), ("FINAL_BLOCKS", 1), ("HELD_OUT_BLOCKS", 2)):
-        monkeypatch.setattr(phases, name, few)
+        monkeypatch.setattr(module, name, few)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     assert main([*ARGUMENTS, "--workers", "2", "--out", str(whole)]) in (0, 1)
     shutil.copytree(whole, cut)

@@ -1,15 +1,19 @@
-"""The report of a tuning: before and after, convergence, front, and what each gain does."""
+"""What a tuning leaves: its report, and the file of gains that says where it comes from."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import yaml
+
 from craftsim.experiments.intervals import least_detectable
 from craftsim.experiments.sections import provenance_section
-from craftsim.reports.json_file import document
+from craftsim.reports.json_file import document, versions
 from craftsim.reports.plots import ACCENT, BAD, GOOD, MUTED, SOFT, rows_height_in
 from craftsim.reports.report import (
     Block,
@@ -24,10 +28,11 @@ from craftsim.reports.report import (
     Tone,
     count,
 )
-from craftsim.tuning.gains.knobs import KEPT
-from craftsim.tuning.gains.objectives import OBJECTIVES
-from craftsim.tuning.gains.tune import COMMAND, Tuned
-from craftsim.tuning.gains.verdict import Ratio
+from craftsim.skills.gains import SECTIONS
+from craftsim.storage.writing import write_whole
+from craftsim.tuning.goal import OBJECTIVES
+from craftsim.tuning.tunable import FIXED
+from craftsim.tuning.tune import COMMAND, GAINS_FILE, Ratio, Tuned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,18 +77,18 @@ def figures(tuned: Tuned) -> dict[str, Any]:
     return {
         "verdict": tuned.verdict,
         "gains": {
-            knob.name: {
-                "before": knob.start,
-                "after": knob.of(tuned.gains),
-                "least": knob.least,
-                "most": knob.most,
-                "sensitivity": tuned.sensitivity[knob.name],
+            gain.name: {
+                "before": gain.start,
+                "after": gain.of(tuned.gains),
+                "least": gain.least,
+                "most": gain.most,
+                "sensitivity": tuned.sensitivity[gain.name],
             }
-            for knob in tuned.knobs
+            for gain in tuned.tunable
         },
         "finalists": tuned.finalists,
         "convergence": convergence(tuned),
-        "kept": KEPT,
+        "kept": FIXED,
     }
 
 
@@ -181,17 +186,17 @@ def _verdict(tuned: Tuned) -> Section:
 
 
 def _gains(tuned: Tuned) -> Section:
-    effects = [tuned.sensitivity[knob.name] for knob in tuned.knobs]
+    effects = [tuned.sensitivity[gain.name] for gain in tuned.tunable]
     names = ("before", "after", "least", "most", "down", "up")
     table = DataTable(
         (Column("gain", "path"), *(Column(name, "number") for name in names)),
         [
             (
-                knob.name,
-                *(f"{value:.4g}" for value in (knob.start, knob.of(tuned.gains), knob.least, knob.most)),
+                gain.name,
+                *(f"{value:.4g}" for value in (gain.start, gain.of(tuned.gains), gain.least, gain.most)),
                 *(_change(factor) for factor in (effect.down, effect.up)),
             )
-            for knob, effect in zip(tuned.knobs, effects, strict=True)
+            for gain, effect in zip(tuned.tunable, effects, strict=True)
         ],
         "Tuned",
         "down, up: change of the product of the objectives where a gain of the result is turned",
@@ -203,14 +208,14 @@ def _gains(tuned: Tuned) -> Section:
                 # A failure costs far more than all else that is drawn.
                 change = min(100 * (value - 1), 20.0)
                 axes.barh(y + offset, change, height=0.3, color=colour if value < 1.2 else BAD)
-        axes.set_yticks(range(len(effects)), [knob.name for knob in tuned.knobs])
+        axes.set_yticks(range(len(effects)), [gain.name for gain in tuned.tunable])
         axes.invert_yaxis()
         axes.set_xlabel("change of the product in %: grey turned down, coloured turned up")
 
     caption = "What each gain does around the result, cut off at 20 %."
     drawing = Drawing.of_axes(draw, rows_height_in(len(effects)), caption, "sensitivity of each gain")
     columns = (Column("gain", "path"), Column("why it is not tuned"))
-    kept = DataTable(columns, list(KEPT.items()), "Not tuned", folded=True, most=0)
+    kept = DataTable(columns, list(FIXED.items()), "Not tuned", folded=True, most=0)
     lead = (
         "Before and after, the bounds of the search, and by how many per cent the product of the objectives changes "
         "where a gain of the result is turned by a tenth of its range in logarithms."
@@ -271,3 +276,32 @@ def _front(tuned: Tuned, axes: Axes) -> None:
     axes.set_xlabel(OBJECTIVES[first])
     axes.set_ylabel(OBJECTIVES[second])
     axes.legend(loc="upper right")
+
+
+def write_gains(out: Path, tuned: Tuned, command: str) -> Path:
+    """Write ``gains.yaml`` into a folder and return its path.
+
+    It holds all gains, and in comments what they come from: command, seed, budget, versions, and the verdict.
+
+    Raises InputError where the disk does not take it.
+    """
+    comments = "".join(f"# {line}\n" for line in _provenance(tuned, command))
+    sections = {name: asdict(getattr(tuned.gains, name)) for name in SECTIONS}
+    return write_whole(out / GAINS_FILE, comments + yaml.safe_dump(sections, sort_keys=False))
+
+
+def _provenance(tuned: Tuned, command: str) -> Iterator[str]:
+    verdict, config = tuned.verdict, tuned.config
+    yield "Gains of the skills. Units are in craftsim/skills/gains.py."
+    yield f"Command: {json.dumps(command)}"
+    if not verdict.improved:
+        yield "Nothing better than the start was found: these are the gains that it began with."
+    yield f"Start: {json.dumps(config['setup'].gains.source)}, digest {config['digests']['gains']}"
+    yield f"Goal: {tuned.goal}; seed {tuned.seed}; {config['evaluations']} candidates"
+    installed = ", ".join(f"{name} {version}" for name, version in versions().items())
+    yield f"Versions: {installed}"
+    yield f"On seeds held out ({verdict.before.trials} actions each), before and after:"
+    for name in verdict.before.values:
+        yield f"  {name}: {verdict.before.values[name]:.4g}, {verdict.after.values[name]:.4g}"
+    yield f"  failed: {verdict.before.failed}, {verdict.after.failed}"
+    yield f"  product of the goal: {verdict.against_start.factor:.4f} times that of the start"

@@ -1,6 +1,6 @@
-"""Which gains are tuned, within which bounds, and which are not, and why.
+"""Which gains are tuned, within which bounds and in which situations, and which are not, and why.
 
-A knob turns a gain on a logarithmic scale: 0 is the start, 1 the start times :attr:`Knob.span`, -1 divided by it.
+The position of a gain is on a logarithmic scale: 0 is the start, 1 the start times its span, -1 divided by it.
 """
 
 from __future__ import annotations
@@ -10,17 +10,19 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, Literal
 
+from craftsim.audit.situation import Row, shipped
+from craftsim.audit.survey import row_of
 from craftsim.mjcf.parameters import REACH
 from craftsim.skills.gains import SECTIONS, Gains, load_gains
 
-Subject = Literal["drive", "board", "hinge", "all"]
-SUBJECTS: Final[Mapping[Subject, tuple[str, ...]]] = {
+GainGroup = Literal["drive", "board", "hinge", "all"]
+GROUPS: Final[Mapping[GainGroup, tuple[str, ...]]] = {
     "drive": ("drive",),
     "board": ("board",),
     "hinge": ("hinge",),
     "all": ("drive", "board", "hinge"),
 }
-"""The sections of the gains that are tuned together, by subject."""
+"""The sections of the gains that are tuned together."""
 
 _TOLERANCE: Final = "how exact an action must end: what is asked for, not how it is done"
 _CERTAINTY: Final = "how sure a car must be before it says that it has arrived"
@@ -33,7 +35,7 @@ _STUCK: Final = (
 )
 _UNEVEN: Final = "what a car does on an uneven floor: no effect on the flat one here"
 _PARKED: Final = "of parked cars, whose hold no objective measures"
-KEPT: Final[Mapping[str, str]] = {
+FIXED: Final[Mapping[str, str]] = {
     "drive.rocking": _STACKS,
     **{f"drive.{name}": _STUCK for name in ("shake_after", "shake_speed", "shake_rate")},
     "recovery.tries": _STUCK,
@@ -68,7 +70,7 @@ KEPT: Final[Mapping[str, str]] = {
 """The gains that are never tuned, with the reason; all others are."""
 
 SPAN: Final = 8.0
-"""By what factor a gain is turned at most, up or down."""
+"""By what factor a gain is changed at most, up or down."""
 _SPANS: Final = {"drive.sideways_slip": 1.04, "drive.turn_slip": 1.04}
 """Factors of ideal kinematics: rollers lose a few per cent."""
 _MOST: Final = {"drive.load_factor": 1.0, "drive.motor_share": 1.0}
@@ -76,7 +78,7 @@ _MOST: Final = {"drive.load_factor": 1.0, "drive.motor_share": 1.0}
 
 
 @dataclass(frozen=True)
-class Knob:
+class TunableGain:
     """A gain that is tuned."""
 
     section: str
@@ -110,13 +112,13 @@ class Knob:
         return float(f"{min(max(self.start * self.span**position, self.least), self.most):.6g}")
 
 
-def knobs_of(subject: Subject, start: Gains) -> tuple[Knob, ...]:
-    """Return the knobs of a subject, in the order of the gains, around a start."""
+def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:
+    """Return the tuned gains of a group, in the order of the gains, around a start."""
     nominal = load_gains()
     found = []
-    for section in SUBJECTS[subject]:
+    for section in GROUPS[group]:
         for f in fields(SECTIONS[section]):
-            if (name := f"{section}.{f.name}") in KEPT:
+            if (name := f"{section}.{f.name}") in FIXED:
                 continue
             value = float(getattr(getattr(start, section), f.name))
             usual = float(getattr(getattr(nominal, section), f.name))
@@ -124,19 +126,30 @@ def knobs_of(subject: Subject, start: Gains) -> tuple[Knob, ...]:
             # What a file of gains may hold (craftsim.mjcf.parameters.NearNominal).
             least, most = max(value / span, usual / REACH), min(value * span, usual * REACH)
             most = max(value, min(most, _MOST.get(name, math.inf)))
-            found.append(Knob(section, f.name, value, span, least, most))
+            found.append(TunableGain(section, f.name, value, span, least, most))
     return tuple(found)
 
 
-def turned(start: Gains, knobs: Sequence[Knob], values: Mapping[str, float], source: str = "tuned") -> Gains:
-    """Return gains with other values for some knobs, by name; the others are those of ``start``."""
+def with_values(
+    start: Gains, tunable: Sequence[TunableGain], values: Mapping[str, float], source: str = "tuned"
+) -> Gains:
+    """Return gains with other values for some of them, by name; the others are those of ``start``."""
     sections: dict[str, Any] = {}
-    for section in dict.fromkeys(knob.section for knob in knobs):
-        own = {k.field: values[k.name] for k in knobs if k.section == section and k.name in values}
+    for section in dict.fromkeys(one.section for one in tunable):
+        own = {k.field: values[k.name] for k in tunable if k.section == section and k.name in values}
         sections[section] = replace(getattr(start, section), **own)
     return replace(start, **sections, source=source)
 
 
-def values_at(knobs: Sequence[Knob], positions: Iterable[float]) -> dict[str, float]:
+def values_at(tunable: Sequence[TunableGain], positions: Iterable[float]) -> dict[str, float]:
     """Return the gains at these positions, by name."""
-    return {knob.name: knob.value(float(at)) for knob, at in zip(knobs, positions, strict=True)}
+    return {one.name: one.value(float(at)) for one, at in zip(tunable, positions, strict=True)}
+
+
+_SECTIONS: Final = {section: tuple(map(row_of, said)) for section, said in shipped("tuning.yaml").items()}
+"""Those of ``craftsim/data/tuning.yaml``, by the section of the gains."""
+
+
+def situations(group: GainGroup) -> tuple[Row, ...]:
+    """Return the situations in which a group is tried: single actions, each where another gain matters."""
+    return tuple(row for section in GROUPS[group] for row in _SECTIONS[section])

@@ -1,0 +1,297 @@
+"""What an identification leaves: its report and figure, and files of parameters and noise to run with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from craftsim.errors import InputError
+from craftsim.logs.log import Floats, Log
+from craftsim.mjcf.parameters import Machines
+from craftsim.models.sensing import SensorNoise
+from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN, paper
+from craftsim.reports.report import (
+    Cell,
+    Column,
+    DataTable,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    count,
+)
+from craftsim.storage.writing import whole, write_whole
+from craftsim.tuning.identification import Identification, Identified
+from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor
+from craftsim.tuning.unknowns import machines_of
+
+_LEAD: Final = 0.25
+"""Share of a segment that a prediction is fitted to; what follows is predicted."""
+_TO_MM: Final = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
+POSITION_NOTE: Final = (
+    "position bias of the localisation: no log without a map tells it, since motion is the same everywhere"
+)
+
+
+def prediction_errors(
+    predictor: Predictor, machines: Machines, values: Mapping[str, float]
+) -> dict[str, Any]:
+    """Return how well a log is predicted, from the first quarter of each segment on, by channel: RMS and 95 %."""
+    errors = predictor.errors(machines, values, lead=_LEAD)
+    errors = errors[:, round(_LEAD * errors.shape[1]) :]
+    found: dict[str, Any] = {}
+    for name, (unit, columns) in CHANNELS.items():
+        left = errors[..., columns]
+        left = np.hypot(left[..., 0], left[..., 1]) if name == "position" else np.abs(left)
+        left = left[np.isfinite(left)]
+        factor, shown = _TO_MM.get(unit, (1.0, unit))
+        if left.size:
+            rms, most = factor * np.sqrt((left**2).mean()), factor * np.quantile(left, 0.95)
+            found[name] = {"unit": shown, "rms": float(rms), "p95": float(most)}
+    return found
+
+
+def figures_of(found: Identification, predictor: Predictor, held_out: Predictor | None) -> dict[str, Any]:
+    """Return what the report holds; ``held_out`` is of a log that nothing was fitted to."""
+    start = {one.unknown.key: one.start for one in found.estimates}
+    figures: dict[str, Any] = {
+        "estimates": {
+            one.unknown.key: {
+                "what": one.unknown.words,
+                "assumed": one.start,
+                "value": one.value,
+                "half_width_95": one.half_width,
+                "told": one.identified,
+                "at_bound": one.at_bound,
+            }
+            for one in found.estimates
+        },
+        "untold": [*(one.text for one in found.unidentified), POSITION_NOTE],
+        "noise": found.noise,
+        "outliers": found.outliers,
+        "values": found.n_values,
+        "segments": found.n_segments,
+        "segment_s": SEGMENT_S,
+    }
+    for name, log in (("fitted_log", predictor), ("held_out_log", held_out)):
+        if log is not None:
+            figures[name] = {
+                "as_assumed": prediction_errors(log, machines_of(found.machines, start), start),
+                "as_identified": prediction_errors(log, found.machines, found.values),
+            }
+    return figures
+
+
+def write_parameters(path: Path, found: Identification, assumed: Machines, source: str) -> list[str]:
+    """Write a file for ``--parameters``: what was assumed, with what the log tells in its place.
+
+    Returns what was left out because the machines would not fit together with it, with the reason.
+    """
+    identified = {
+        section: {
+            one.unknown.name: one
+            for one in found.estimates
+            if one.identified and one.unknown.section == section
+        }
+        for section in ("smartcar", "block")
+    }
+    left_out = _drop_misfits(identified, assumed)
+    lines = [f"# Identified from {source}; intervals are of 95 %."]
+    lines += [f"# Unidentifiable: {one.text}." for one in found.unidentified]
+    lines += [f"# Left out: {text}" for text in left_out]
+    for section, record in (("smartcar", assumed.car(0)), ("block", assumed.block)):
+        rows = []
+        for field in fields(record):
+            value = getattr(record, field.name)
+            if (one := identified[section].get(field.name)) is not None:
+                rows.append(
+                    f"  {field.name}: {one.value:.6g}  # +- {one.half_width:.2g}, assumed {one.start:.6g}"
+                )
+            elif value != field.default:
+                rows.append(f"  {field.name}: {value:.9g}")
+        lines += [f"{section}:", *rows] if rows else []
+    write_whole(path, "\n".join(lines) + "\n")
+    return left_out
+
+
+def _drop_misfits(identified: dict[str, dict[str, Identified]], assumed: Machines) -> list[str]:
+    """Remove from what was identified what makes no car that fits together, and return why."""
+    left_out = []
+    for name in list(identified["smartcar"]):
+        try:
+            kept: dict[str, Any] = {
+                key: one.value for key, one in identified["smartcar"].items() if key == name
+            }
+            replace(assumed, cars=(replace(assumed.car(0), **kept),))
+        except InputError as error:
+            left_out.append(
+                f"{name}: {identified['smartcar'].pop(name).value:.6g}; {error}".replace("\n", " ")
+            )
+    return left_out
+
+
+def write_noise(path: Path, found: Identification, log: Log, source: str) -> SensorNoise:
+    """Write a file for ``--noise``: delay and lags where the log tells them, and what noise is left; return it."""
+    identified = {one.unknown.name: one.value for one in found.estimates if one.identified}
+    figures: dict[str, float] = {
+        n: identified[n] for n in ("encoder_lag_s", "motor_lag_s") if n in identified
+    }
+    if "delay_s" in identified:
+        figures |= {"min_delay_s": identified["delay_s"], "max_delay_s": identified["delay_s"]}
+    if "position" in found.noise:
+        figures |= {"position_m": found.noise["position"], "heading_rad": found.noise["heading"]}
+    if {"board", "board force"} <= found.noise.keys():
+        figures |= {"board_m": found.noise["board"], "board_force_n": found.noise["board force"]}
+    if (tilt := _jitter(log.tilt)) is not None:
+        figures["tilt_rad"] = tilt
+    noise = SensorNoise(**{name: float(f"{value:.4g}") for name, value in figures.items()})
+    lines = [f"# Identified from {source}: what its sensors and motors do to commands and measurements."]
+    lines += [f"{field.name}: {value:g}" for field in fields(noise) if (value := getattr(noise, field.name))]
+    write_whole(path, "\n".join(lines) + "\n")
+    return noise
+
+
+def _jitter(values: Floats) -> float | None:
+    """Return the white noise of a signal that changes slowly, from its differences from row to row."""
+    steps = np.diff(values, axis=0)
+    steps = steps[np.isfinite(steps)]
+    return float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2)) if steps.size > 10 else None
+
+
+_ROWS: Final = (
+    ("x (m)", 0, "error (mm)", 1e3),
+    ("y (m)", 1, "error (mm)", 1e3),
+    ("heading (rad)", 2, "error (mrad)", 1e3),
+    ("front left wheel (rad/s)", 3, "error (rad/s)", 1.0),
+    ("board force (N)", 8, "error (N)", 1.0),
+)
+_DPI: Final = 200
+_ENDINGS: Final = ("png", "pdf")
+
+
+def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -> list[Path]:
+    """Draw measured and predicted signals of a log over time into a PNG and a PDF, and return their paths.
+
+    Raises InputError where the disk does not take them.
+    """
+    from matplotlib.figure import Figure
+
+    errors = predictor.errors(found.machines, found.values)
+    rows = np.concatenate([np.arange(s.start, s.stop) for s in predictor.segments])
+    time, measured = predictor.log.time_s[rows], predictor.measured[rows]
+    left = errors.reshape(-1, errors.shape[-1])
+    shown = [row for row in _ROWS if np.isfinite(measured[:, row[1]]).any()]
+    written = []
+    with paper():
+        figure = Figure(figsize=(WIDTH_IN, (ROW_IN + 0.15) * len(shown)), dpi=_DPI, layout="constrained")
+        axes = figure.subplots(len(shown), 2, sharex=True, squeeze=False)
+        for (name, column, unit, factor), (value, rest) in zip(shown, axes, strict=True):
+            value.plot(time, measured[:, column], linewidth=1.2, color="0.65", label="measured")
+            value.plot(
+                time, measured[:, column] - left[:, column], linewidth=0.6, color="black", label="predicted"
+            )
+            value.set_ylabel(name)
+            rest.plot(time, factor * left[:, column], linewidth=0.5, color="black")
+            rest.set_ylabel(unit)
+        axes[0, 0].legend(loc="upper right")
+        for axis in axes[-1]:
+            axis.set_xlabel("time (s)")
+        for ending in _ENDINGS:
+            path = folder / f"prediction.{ending}"
+            metadata = {"Software": None} if ending == "png" else {"CreationDate": None, "Producer": None}
+            with whole(path) as partial:
+                figure.savefig(partial, dpi=_DPI, metadata=metadata)
+            written.append(path)
+    return written
+
+
+_LOGS = {"fitted_log": "the log that was fitted to", "held_out_log": "the held-out log"}
+
+
+def identified_report(
+    found: Identification, log: str, document: Mapping[str, Any], files: Mapping[str, str | Path]
+) -> Report:
+    """Return the report of an identification.
+
+    Args:
+        found: its result.
+        log: name of the log.
+        document: what ``report.json`` holds.
+        files: what was written, by what it is.
+    """
+    figures = document["figures"]
+    identified = sum(one.identified for one in found.estimates)
+    sentence = f"{identified} of {count(len(found.estimates), 'parameter')} identified from {log}."
+    badge, tone = ("Identified", Tone.GOOD) if identified else ("Nothing identified", Tone.CAUTION)
+    return Report(
+        "Identification of a car",
+        log,
+        Headline(badge, tone, sentence),
+        [
+            KeyFigure(f"{identified}", "parameters identified", f"of {len(found.estimates)}"),
+            KeyFigure(
+                f"{figures['values']:,}", "measured values", f"{figures['outliers']:,} outliers left out"
+            ),
+        ],
+        [
+            Section(
+                "parameters",
+                "Parameters",
+                "What was assumed before, what the log says, and how sure it is.",
+                [_estimates(found.estimates)],
+                terminal=True,
+            ),
+            Section(
+                "prediction",
+                "Prediction",
+                "Errors of predictions over 1.5 s, with the car as assumed and as identified.",
+                [_prediction(figures[key], words) for key, words in _LOGS.items() if key in figures],
+                terminal=True,
+            ),
+            Section(
+                "unidentified",
+                "Not identified",
+                "What the log cannot say, and why.",
+                [
+                    *(f"Unidentifiable: {text}" for text in figures["untold"]),
+                    *(f"Not in parameters.yaml: {text}" for text in figures["left_out"]),
+                ],
+                terminal=True,
+            ),
+        ],
+        files=files,
+        document=document,
+        exit_code=0 if identified else 1,
+    )
+
+
+def _estimates(estimates: Sequence[Identified]) -> DataTable:
+    names = ("assumed", "identified", "95 % interval")
+    rows = [(one.unknown.words, f"{one.start:.4g}", *_said(one)) for one in estimates]
+    return DataTable((Column("what"), *(Column(name, "number") for name in names)), rows, "Parameters")
+
+
+def _said(one: Identified) -> tuple[Cell, str]:
+    if one.half_width is None:
+        return Cell("held", Tone.MUTED), ""
+    width = "at the border of the search" if one.at_bound else f"+- {one.half_width:.2g}"
+    return Cell(f"{one.value:.4g}", Tone.CAUTION if one.at_bound else Tone.PLAIN), width
+
+
+def _prediction(errors: Mapping[str, Mapping[str, Mapping[str, Any]]], words: str) -> DataTable:
+    before, after = errors["as_assumed"], errors["as_identified"]
+    names = ("as assumed", "as identified", "95 % below")
+    rows = [
+        (
+            f"{channel}, {one['unit']}",
+            *(f"{value:.3g}" for value in (before[channel]["rms"], one["rms"], one["p95"])),
+        )
+        for channel, one in after.items()
+    ]
+    columns = (Column("channel"), *(Column(name, "number") for name in names))
+    return DataTable(columns, rows, f"RMS errors of 1.5 s predictions, {words}")

@@ -1,0 +1,526 @@
+"""Tuning gains: search on some seeds, choose on others, and judge on seeds that had no part in either."""
+
+from __future__ import annotations
+
+import math
+import reprlib
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from craftsim.audit.survey import situation_of
+from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt, Thresholds
+from craftsim.checking.setup import Seed, Setup, compile_world, set_up
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
+from craftsim.errors import CraftsimError, InputError, StartError
+from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.schema import STRICT, Form
+from craftsim.experiments.session import open_session
+from craftsim.extras import need
+from craftsim.models.world import PhysicsWorld
+from craftsim.skills.gains import Gains, load_gains
+from craftsim.tuning.goal import Goal, Objective, Score, spread, undominated
+from craftsim.tuning.tunable import GainGroup, TunableGain, situations, tunable_gains, values_at, with_values
+
+COMMAND: Final = "tune"
+GAINS_FILE: Final = "gains.yaml"
+WORST: Final = 10.0
+"""Share of a limit beyond which an error counts no more, nor one that is no number."""
+WORLDS_KEPT: Final = 96
+"""Compiled worlds that a process keeps for the next candidate: 1 MB each."""
+FIRST_STEP: Final = 0.25
+"""Standard deviation of the first candidates, in positions of gains: a factor of 1.7."""
+NEXT_STEP: Final = 0.12
+"""The same of a search that begins where another one ended."""
+FINALISTS: Final = 6
+"""Candidates of the search that are tried again on fresh seeds."""
+FINAL_BLOCKS: Final = 4
+"""Trials of each situation with which they are."""
+HELD_OUT_BLOCKS: Final = 8
+"""Trials of each situation for the verdict."""
+PRIOR_WEIGHT: Final = 0.002
+"""What a gain at its bound costs the search, as a logarithm: gains without effect stay at the start."""
+SENSITIVITY_STEP: Final = 0.1
+"""By how much each gain is moved either way to see what it does: a factor of 1.23."""
+
+_COMPARED: Final = ("start", "best", "shipped")
+Values = Mapping[str, float]
+"""Tuned gains by name."""
+
+
+@dataclass(frozen=True)
+class TriedAction:
+    """What one action showed; shares are of the limits (:class:`~craftsim.checking.setup.Thresholds`)."""
+
+    __pydantic_config__ = STRICT
+    situation: str
+    """Its properties as text."""
+    block: Annotated[int, Field(ge=0)]
+    agrees: bool
+    """Whether it did what the rules predict, within all limits, and nothing else."""
+    duration_s: float
+    error_share: float
+    """The largest error, at the end, of the car and of what it sets down."""
+    used_share: float
+    """The same, or the displacement of a bystander, if that is more."""
+    energy_j: float
+    """Work of all wheel, board and hinge motors: the integral of ``|torque * speed|``, sampled each control period."""
+    peak_force_n: float
+    """Between any two machines, the ground included."""
+
+
+@dataclass(frozen=True)
+class _Extra:
+    """What else the record of a candidate holds."""
+
+    __pydantic_config__ = STRICT
+    gains: dict[str, float]
+    """The tuned ones, by name."""
+
+
+FORM: Final = Form(TriedAction, _Extra)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A candidate to be tried."""
+
+    group: GainGroup
+    setup: Setup
+    """With its gains."""
+    values: tuple[tuple[str, float], ...]
+    """Those of them that are tuned, by name."""
+    seed: int
+    blocks: tuple[int, ...]
+    """Each is one trial of every situation: its own place on the map, physics and noise."""
+
+
+def try_gains(job: Job) -> Done:
+    """Try a candidate in every situation of its blocks: the same places, physics and noise for all candidates.
+
+    Left out, for all candidates alike, are worlds that cannot be as they were drawn.
+    """
+    wanted = product(job.blocks, range(len(situations(job.group))))
+    trials = [trial for block, number in wanted if (trial := _try(job, block, number))]
+    if not trials:
+        raise CraftsimError("none of the worlds that were drawn can be")
+    return Done(all(trial.agrees for trial in trials), trials, extra={"gains": dict(job.values)})
+
+
+def _try(job: Job, block: int, number: int) -> TriedAction | None:
+    setup = job.setup
+    world, grid, action = _world(job.group, number, job.seed, block, replace(setup, gains=Setup().gains))
+    try:
+        judge = set_up(grid, setup, Seed((job.seed, block, number)), reuse=world)
+    except StartError:
+        return None
+    work = _Work(judge.physics)
+    judge.executor.observers.append(work.add)
+    attempt = judge.perform(0, action)
+    own, with_bystanders = shares(attempt, setup.thresholds)
+    return TriedAction(
+        str(situations(job.group)[number]),
+        block,
+        attempt.agrees,
+        attempt.duration_s,
+        own,
+        with_bystanders,
+        work.joules,
+        attempt.peak_force_n,
+    )
+
+
+@lru_cache(maxsize=WORLDS_KEPT)
+def _world(
+    group: GainGroup, number: int, seed: int, block: int, setup: Setup
+) -> tuple[PhysicsWorld, Grid, Action]:
+    """Return the compiled world of a situation, its grid, and the action; gains have no part in it."""
+    situation = situation_of(situations(group)[number], setup.rules, forbidden=True)
+    placed = situation.placed(np.random.default_rng([seed, block, number]))
+    return compile_world(placed.grid, setup), placed.grid, placed.acts[0]
+
+
+def shares(attempt: Attempt, limits: Thresholds) -> tuple[float, float]:
+    """Return the largest share of a limit that an action's own errors took, and that they or a bystander took."""
+    own, with_bystanders = (
+        _worst(
+            (getattr(attempt, measure.field) or 0.0, getattr(limits, measure.limit))
+            for measure in BOUNDED_ERRORS
+            if of_bystanders or not measure.of_bystanders
+        )
+        for of_bystanders in (False, True)
+    )
+    return own, with_bystanders
+
+
+def _worst(measured: Iterable[tuple[float, float]]) -> float:
+    found = [value / limit for value, limit in measured]
+    return max(min(share, WORST) if math.isfinite(share) else WORST for share in found)
+
+
+class _Work:
+    """The work of all motors of a PhysicsWorld."""
+
+    def __init__(self, physics: PhysicsWorld) -> None:
+        motors = [int(motor) for car in physics.cars for motor in car.wheel_actuators]
+        motors += [car.board.actuator for car in physics.cars]
+        motors += [slope.hinge.actuator for slope in physics.slopes]
+        self._motors = np.array(motors, np.intp)
+        self._period_s = physics.config.control_period_s
+        self.joules = 0.0
+
+    def add(self, physics: PhysicsWorld) -> None:
+        force, speed = physics.data.actuator_force[self._motors], physics.data.actuator_velocity[self._motors]
+        self.joules += float(np.abs(force * speed).sum()) * self._period_s
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """Gains against others on the same seeds: a factor of the goal's product, below 1 where they are better."""
+
+    factor: float
+    low: float
+    """Of the 95 % interval of the mean over blocks of trials, by Student's t of the paired differences."""
+    high: float
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Scores on the held-out seeds."""
+
+    before: Score
+    """Of the gains that the tuning started from."""
+    after: Score
+    """Of what was chosen."""
+    shipped: Score
+    """Of craftsim's own gains, in place of those that were tuned."""
+    against_start: Ratio
+    """Of what was chosen."""
+    against_shipped: Ratio
+    improved: bool
+    """Whether what was chosen takes the place of the start: it fails no more often and costs less; of a front, it fails
+    no more often, and the start is not as good in all objectives."""
+
+
+def _joined(records: Sequence[TrialRecord]) -> list[dict[str, Any]]:
+    return [trial for record in records for trial in record["attempts"]]
+
+
+def _held_out(
+    start: Sequence[TrialRecord], best: Sequence[TrialRecord], shipped: Sequence[TrialRecord], goal: Goal
+) -> HeldOut:
+    """Return the verdict from the records of the three, one of each for each block of trials."""
+    before, after = Score.of(_joined(start)), Score.of(_joined(best))
+    against_start = _ratio(best, start, goal.weights)
+    names = goal.objectives
+    dominated = bool((before.log_costs(names) <= after.log_costs(names)).all())
+    better = not dominated if goal.front else against_start.factor < 1
+    return HeldOut(
+        before,
+        after,
+        Score.of(_joined(shipped)),
+        against_start,
+        _ratio(best, shipped, goal.weights),
+        better and after.failed <= before.failed,
+    )
+
+
+def _ratio(
+    ours: Sequence[TrialRecord], others: Sequence[TrialRecord], weights: Mapping[Objective, float]
+) -> Ratio:
+    from scipy.stats import t
+
+    whole = Score.of(_joined(ours)).log_cost(weights) - Score.of(_joined(others)).log_cost(weights)
+    each = np.array(
+        [
+            Score.of(mine["attempts"]).log_cost(weights) - Score.of(other["attempts"]).log_cost(weights)
+            for mine, other in zip(ours, others, strict=True)
+        ]
+    )
+    half = float(t.ppf(0.975, len(each) - 1) * each.std(ddof=1) / math.sqrt(len(each)))
+    middle = float(each.mean())
+    return Ratio(math.exp(whole), math.exp(middle - half), math.exp(middle + half))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Gains that were tried."""
+
+    values: Values
+    score: Score
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What moving a single gain does to the goal's product: factors."""
+
+    down: float
+    """By :data:`SENSITIVITY_STEP` towards smaller values."""
+    up: float
+
+
+def need_cma() -> None:
+    """Raise InputError with the command that installs what is missing."""
+    need("tune", "tuning needs", "cma")
+
+
+def population(n: int) -> int:
+    """Return how many candidates of n gains a generation has, by Hansen's rule."""
+    return 4 + int(3 * np.log(n))
+
+
+def cma_es(
+    bounds: Sequence[tuple[float, float]], begin: Sequence[float], step: float, rng: np.random.Generator
+) -> Any:
+    """Return a search by ask and tell from a position within bounds, (n,) each: covariance matrix adaptation (Hansen,
+    arXiv 1604.00772; the package cma), fit for tens of gains and a noisy cost of which only the order counts."""
+    from cma import CMAEvolutionStrategy
+
+    low, high = np.array(bounds).T
+    options = {
+        "bounds": [low.tolist(), high.tolist()],
+        "popsize": population(len(bounds)),
+        # The usual one draws from NumPy's global generator.
+        "randn": lambda *shape: rng.standard_normal(shape),
+        "seed": np.nan,
+        "verbose": -9,
+    }
+    return CMAEvolutionStrategy(np.clip(begin, low, high).tolist(), step, options)
+
+
+class Tuning:
+    """What a tuning tries, known before it begins, and its phases; each goes by the results of those before."""
+
+    def __init__(
+        self, group: GainGroup, setup: Setup, goal: Goal, evaluations: int, trials: int, seed: int
+    ) -> None:
+        """Take what :func:`tune` is given."""
+        self.group, self.setup, self.goal, self.trials, self.seed = group, setup, goal, trials, seed
+        self.gains = tunable_gains(group, setup.gains)
+        self.start: Values = {gain.name: gain.start for gain in self.gains}
+        size, searches = population(len(self.gains)), len(goal.searches)
+        self.generations = max(1, round(evaluations / searches / size))
+        """Of each search."""
+        self.n_search = 1 + searches * self.generations * size
+        """Candidates of the search, the start included."""
+        self.run_some: Callable[[Mapping[int, Job]], list[TrialRecord]]
+        """Returns the records of items, by their numbers, each with its job."""
+        self._next = 0
+        """The item that comes next: they are all done in their order."""
+
+    def items(self) -> list[Item]:
+        """Return an item, without a job yet, for each evaluation."""
+        names = [f"search {n}" for n in range(self.n_search)]
+        names += [f"finalist {n} on block {b}" for n in range(FINALISTS) for b in range(FINAL_BLOCKS)]
+        names += [f"{who} held out on block {b}" for who in _COMPARED for b in range(HELD_OUT_BLOCKS)]
+        names += ["result", *(f"{gain.name} {way}" for gain in self.gains for way in ("down", "up"))]
+        return [Item(name, name, self.seed, None) for name in names]
+
+    def search(self) -> tuple[list[Candidate], list[Values]]:
+        """Return all candidates of all searches, first the start, and the mean of each search's last distribution.
+
+        Noise deceives the mean less than the best candidate.
+        """
+        found = self._candidates([self.start])
+        means: list[Values] = []
+        for number, weights in enumerate(self.goal.searches):
+            best = min(found, key=lambda one: one.score.log_cost(weights))
+            begin = [gain.position(best.values[gain.name]) for gain in self.gains]
+            rng = np.random.default_rng([self.seed, number])
+            bounds = [gain.bounds for gain in self.gains]
+            strategy = cma_es(bounds, begin, NEXT_STEP if number else FIRST_STEP, rng)
+            for _ in range(self.generations):
+                positions = strategy.ask()
+                tried = self._candidates([values_at(self.gains, x) for x in positions])
+                costs = [one.score.log_cost(weights) for one in tried]
+                prior = [PRIOR_WEIGHT * float(x @ x) for x in positions]
+                strategy.tell(positions, [cost + own for cost, own in zip(costs, prior, strict=True)])
+                found += tried
+            means.append(values_at(self.gains, strategy.result.xfavorite))
+        return found, means
+
+    def finals(self, searched: Sequence[Candidate], means: Sequence[Values]) -> list[Candidate]:
+        """Try the best again on fresh seeds, and return the chosen one first, then the others.
+
+        Of a front only those that are still on it.
+        """
+        goal, blocks = self.goal, range(self.trials, self.trials + FINAL_BLOCKS)
+        chosen = self._finalists(searched, means)
+        again = [Candidate(own, Score.of(_joined(self._try_apart(own, blocks)))) for own in chosen]
+        if not goal.front:
+            return sorted(again, key=lambda one: one.score.log_cost(goal.weights))
+        front = undominated(costs := _costs(again, goal))
+        pick = front[goal.pick(costs[front])]
+        return [again[pick], *(again[n] for n in front if n != pick)]
+
+    def _finalists(self, searched: Sequence[Candidate], means: Sequence[Values]) -> list[Values]:
+        goal = self.goal
+        ranked = sorted(searched, key=lambda one: one.score.log_cost(goal.weights))
+        if not goal.front:
+            return [*means, *(one.values for one in ranked[: FINALISTS - 1])]
+        front = [searched[n] for n in undominated(_costs(searched, goal))]
+        wide = [front[n] for n in spread(_costs(front, goal), FINALISTS)]
+        return [one.values for one in (*wide, *(one for one in ranked if one not in wide))][:FINALISTS]
+
+    def judge(self, best: Candidate) -> tuple[HeldOut, list[tuple[str, Mapping[str, Any]]]]:
+        """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by.
+
+        Returns the verdict, and each trial that failed, with the name of the gains that it was tried with.
+        """
+        nominal, first = load_gains(), self.trials + FINAL_BLOCKS
+        shipped = {gain.name: gain.of(nominal) for gain in self.gains}
+        blocks = range(first, first + HELD_OUT_BLOCKS)
+        start, found, usual = (self._try_apart(own, blocks) for own in (self.start, best.values, shipped))
+        failures: list[tuple[str, Mapping[str, Any]]] = [
+            (name, trial)
+            for name, own in (("before", start), ("after", found), ("shipped", usual))
+            for trial in _joined(own)
+            if not trial["agrees"]
+        ]
+        return _held_out(start, found, usual, self.goal), failures
+
+    def sensitivity(self, values: Values) -> dict[str, Effect]:
+        """Return what each gain does around some gains, on the search's seeds."""
+        moved = [values]
+        for gain in self.gains:
+            at = gain.position(values[gain.name])
+            moved += [
+                {**values, gain.name: gain.value(at + way)} for way in (-SENSITIVITY_STEP, SENSITIVITY_STEP)
+            ]
+        costs = np.array([one.score.log_cost(self.goal.weights) for one in self._candidates(moved)])
+        factors = np.exp(costs[1:] - costs[0]).reshape(-1, 2).tolist()
+        return {gain.name: Effect(*both) for gain, both in zip(self.gains, factors, strict=True)}
+
+    def _candidates(self, values: Sequence[Values]) -> list[Candidate]:
+        """Try gains on the search's seeds."""
+        records = self._try([(own, range(self.trials)) for own in values])
+        return [
+            Candidate(own, Score.of(record["attempts"])) for own, record in zip(values, records, strict=True)
+        ]
+
+    def _try_apart(self, values: Values, blocks: Sequence[int]) -> list[TrialRecord]:
+        """Try the same gains on several blocks, one at a time."""
+        return self._try([(values, (block,)) for block in blocks])
+
+    def _try(self, wanted: Sequence[tuple[Values, Sequence[int]]]) -> list[TrialRecord]:
+        jobs = {}
+        for values, blocks in wanted:
+            setup = replace(self.setup, gains=with_values(self.setup.gains, self.gains, values))
+            jobs[self._next] = Job(self.group, setup, tuple(values.items()), self.seed, tuple(blocks))
+            self._next += 1
+        records = self.run_some(jobs)
+        for job, record in zip(jobs.values(), records, strict=True):
+            if record["extra"]["gains"] != dict(job.values):
+                raise InputError(
+                    f"{reprlib.repr(record['key'])} tried other gains than it would now: the search takes another way "
+                    "on this machine; choose another --out"
+                )
+        return records
+
+
+def _costs(candidates: Sequence[Candidate], goal: Goal) -> NDArray[np.float64]:
+    """Return the logarithms of a goal's objectives, (n, k)."""
+    return np.array([one.score.log_costs(goal.objectives) for one in candidates])
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The result of a tuning."""
+
+    goal: Goal
+    tunable: tuple[TunableGain, ...]
+    gains: Gains
+    """The best; those of the start where nothing better was found."""
+    verdict: HeldOut
+    failures: Sequence[tuple[str, Mapping[str, Any]]]
+    """The trials on held-out seeds that failed, with the gains that they were tried with: before, after or shipped."""
+    finalists: Sequence[Candidate]
+    """On fresh seeds, first the chosen one; of a front those that are on it."""
+    searched: Sequence[Candidate]
+    """All that were tried, in order; first the start."""
+    sensitivity: Mapping[str, Effect]
+    """Of each gain, around the result."""
+    config: Mapping[str, Any]
+    seed: int
+    wall_s: float
+
+
+def tune(
+    group: GainGroup,
+    setup: Setup,
+    out: Path,
+    *,
+    goal: Goal,
+    evaluations: int,
+    trials: int,
+    seed: int,
+    options: RunOptions,
+) -> Tuned:
+    """Tune gains, and return the best with the verdict on them.
+
+    Every evaluation is in ``out/trials.jsonl`` as soon as it is known. Equal arguments give equal results at any number
+    of workers, and whether the tuning was cut off and resumed or not.
+
+    Args:
+        group: which gains.
+        setup: configuration of the physics, with the gains to start from.
+        out: the folder.
+        goal: what is wanted.
+        evaluations: candidates to try, about: whole generations of each search, at least one.
+        trials: of each situation, for every candidate.
+        seed: decides the candidates, and the physics and noise of all trials.
+        options: how.
+
+    Raises InputError where cma is missing, and for a folder that holds something else.
+    """
+    need_cma()
+    started = time.perf_counter()
+    tuning = Tuning(group, setup, goal, evaluations, trials, seed)
+    items = tuning.items()
+    config = {
+        "subject": group,
+        "goal": goal,
+        "evaluations": tuning.n_search,
+        "trials": trials,
+        "setup": setup,
+        "digests": setup.digests,
+    }
+    experiment = Experiment(COMMAND, seed, config, items, try_gains, FORM)
+    with (
+        open_session(experiment, out, options) as session,
+        options.progress(len(items)) as on_record,
+    ):
+        # Of an earlier tuning in this folder.
+        (out / GAINS_FILE).unlink(missing_ok=True)
+        tuning.run_some = partial(session.run_some, on_record=on_record)
+        searched, means = tuning.search()
+        finalists = tuning.finals(searched, means)
+        verdict, failures = tuning.judge(finalists[0])
+        values = finalists[0].values if verdict.improved else tuning.start
+        sensitivity = tuning.sensitivity(values)
+    gains = with_values(setup.gains, tuning.gains, values) if verdict.improved else setup.gains
+    wall_s = time.perf_counter() - started
+    return Tuned(
+        *(
+            goal,
+            tuning.gains,
+            gains,
+            verdict,
+            failures,
+            finalists,
+            searched,
+            sensitivity,
+            config,
+            seed,
+            wall_s,
+        )
+    )

@@ -5,8 +5,9 @@ import math
 
 import pytest
 
-from craftsim.cli import execution, main
-from craftsim.cli.execution import figures_of, ratio_of
+from craftsim.cli import main
+from craftsim.validation import execution
+from craftsim.validation.execution import plan_figures, ratio_of
 
 
 def test_a_plan_is_executed_in_each_order_from_the_same_start(tmp_path, monkeypatch, capsys):
@@ -29,7 +30,7 @@ def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():
             }
         }
 
-    figures = figures_of([record(4.0), record(16.0), record(9.0, False), {"no_plan": "none"}])
+    figures = plan_figures([record(4.0), record(16.0), record(9.0, False), {"no_plan": "none"}])
     assert (figures["compared"], figures["as_predicted"]["ticks"].successes) == (2, 2)
     assert figures["as_predicted"]["ticks"].trials == 3
     assert figures["concurrent_by"]["sequential"].value == pytest.approx(0.25)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import requires
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+from cyclopts import Parameter
 
 from craftsim.choices import RuleSet
 from craftsim.cli.text import say
@@ -16,7 +18,7 @@ from craftsim.options import OptionalDir, Seeded, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
 from craftsim.storage.folders import output_directory, owning
-from craftsim.storage.limits import BATCH, BENCH_S
+from craftsim.storage.limits import BATCH, BENCH_S, DESIGNS, TRIALS, WORKERS
 from craftsim.storage.writing import write_whole
 
 if TYPE_CHECKING:
@@ -38,17 +40,21 @@ Case = tuple[str, int, bool, Step]
 
 @owning
 def bench(
-    what: Literal["rules", "env", "physics"],
+    what: Literal["rules", "env", "physics", "execution"],
     *,
     rules: RuleSet = "published",
     worlds: Annotated[int, number(BATCH)] = 1000,
     seconds: Annotated[float, number(BENCH_S)] = 2.0,
+    designs: Annotated[int, number(DESIGNS)] = 0,
+    policies: Annotated[tuple[str, ...], Parameter(metavar="NAME|PATH")] = (),
+    trials: Annotated[int, number(TRIALS)] = 100,
+    workers: Annotated[int, number(WORKERS)] = 1,
     chance: Seeded = Seeded(),  # noqa: B008
     out: OptionalDir = None,
 ) -> int:
-    """Measure how fast the grid rules, the environments or the physics are on this machine.
+    """Measure how fast the rules, the environments or the physics are here, or how plans and policies are executed.
 
-    All figures are steps a CPU second of masked random play, resets included; a step is one tick of one world, with the
+    Speeds are steps a CPU second of masked random play, resets included; a step is one tick of one world, with the
     masks of all cars for the next one. A calibration in plain Python is timed in turns with each: "CraftEnv" is an
     estimate from it of what CraftEnv would do here and now, "times" the ratio. The repository has more benchmarks:
     `make bench`.
@@ -59,17 +65,28 @@ def bench(
 
     physics: joint steps through PettingZoo on either drive.
 
+    execution: makespans in physics of the plans of the six tasks and of random designs: one action after the other,
+    tick after tick, and each action as early as those that it depends on have ended, beside the predicted makespans.
+    With --policies instead: their success on the grid and in physics, where all cars decide together, tick by tick, and
+    where each decides when its own action has ended. Reduced drive, mild randomization, paired starts.
+
     Args:
         what: what to measure.
         rules: the rule set to run; rules only.
         worlds: how many worlds a batch has; rules and env only.
         seconds: how long each measurement runs.
+        designs: how many random designs are planned and built besides the six tasks; execution only.
+        policies: shipped or trained policies in place of plans; execution only.
+        trials: episodes of each policy in each mode; execution only.
+        workers: processes to share the work; execution only.
         out: folder for report.json, and for the table in Markdown.
     """
     from craftsim.cli.calibration import COLUMNS, measure
     from craftsim.reports.json_file import document
 
     seed = chance.seed
+    if what == "execution":
+        return _execution(designs, policies, trials, seed, workers).publish(out)
     rates: dict[str, dict[str, Any]] = {task: {} for task in TASKS}
     rows = []
     for task in TASKS:
@@ -90,6 +107,18 @@ def bench(
         sections=[Section("speed", "Speed", "In CPU seconds, resets included.", [table], terminal=True)],
         document=document({}, command="bench", seed=seed, config=config, wall={"rates": rates}),
     ).publish(out)
+
+
+def _execution(designs: int, policies: Sequence[str], trials: int, seed: int, workers: int) -> Report:
+    from craftsim.checking.setup import setup_of
+    from craftsim.validation.execution import plans_report, policies_report
+
+    if policies:
+        return policies_report(policies, trials, seed, workers)
+    setup = setup_of("mild", drive="reduced")
+    return plans_report(
+        designs, seed, setup, workers, {"what": "execution", "designs": designs, "setup": setup}
+    )
 
 
 def _cases(what: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[Case]:

@@ -257,9 +257,8 @@ class AsynchronousEpisodes(Episodes):
 
     def step(self, actions: NDArray[np.integer], order: NDArray[np.integer] | None = None) -> Steps:
         """Let the cars that decide begin, ``actions`` (B, n) by car, and advance each world to its next event."""
-        cars, before, now_s = self.grids.cars.copy(), self.confirmed.copy(), self.time_s.copy()
-        outcome = self.decide(actions, self.draw_order() if order is None else order)
-        self.draw_ends(cars, outcome)
+        before, now_s = self.worlds_before(), self.time_s.copy()
+        self.decide(actions, self.draw_order() if order is None else np.asarray(order, np.int64))
         doing = self.running.action.copy()
         ended, _ = self.advance()
         return self.settle(before, doing, ended, np.round(self.time_s - now_s, 6), 0.0)

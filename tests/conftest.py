@@ -67,7 +67,8 @@ def ray_cluster(alone, monkeypatch):
 
 def pytest_terminal_summary(terminalreporter, config):
     """Print how large the package is at the end of a run of all tests, into the build's log."""
-    if not hasattr(config, "workerinput") and list(config.args) == config.getini("testpaths"):
+    everything = list(config.args) == config.getini("testpaths") and not config.option.collectonly
+    if everything and not hasattr(config, "workerinput"):
         from sizes import table
 
         terminalreporter.section("sizes")

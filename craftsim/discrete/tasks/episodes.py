@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete import own_actions
+from craftsim.discrete.actions import act_own, is_own, own_columns
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
@@ -204,10 +204,10 @@ class Episodes:
             for turn in range(self.n_cars if i < len(self) else 0):
                 car, action = int(turns[i, turn]), int(acting[i, turn])
                 queued = self.depth is not None and self.queue[i, car, 0] >= 0
-                if queued or not own_actions.is_own(action):
+                if queued or not is_own(action):
                     self._step(slice(i, i + 1), slice(turn, turn + 1), turns, acting, applied)
                 else:
-                    applied[i, turn] = own_actions.act(self.grids[i], self.corrections, car, action)
+                    applied[i, turn] = act_own(self.grids[i], self.corrections, car, action)
 
     def score(
         self,
@@ -250,7 +250,7 @@ class Episodes:
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
         batch.masks(*self._world, self._space, depth, out)
-        return own_actions.add_columns(out, self.grids, self.corrections, self.own) if self.own else out
+        return own_columns(out, self.grids, self.corrections, self.own) if self.own else out
 
     def offered(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): what is legal, with the helper also what is reachable; never all false.

@@ -47,10 +47,7 @@ class Rules:
     """
 
     def __init__(
-        self,
-        rule_set: RuleSet,
-        corrections: Correction | None = None,
-        actions: Iterable[Action | str] = (),
+        self, rule_set: RuleSet, corrections: Correction | None = None, actions: Iterable[Action | str] = ()
     ) -> None:
         """Make a rule set.
 

@@ -15,7 +15,6 @@ from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.search import search_buffers
-from craftsim.discrete.kernel.state import World
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import DEFAULT_DEPTH, Rules, RuleSet, empty_queue
 from craftsim.discrete.schedule import car_durations
@@ -235,10 +234,6 @@ class Episodes:
         self.t = self.t + 1
         return Steps(reward, self.done, success, applied, order)
 
-    @property
-    def _world(self) -> World:
-        return self.grids.world(self.corrections)
-
     def legal(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): what each car could do at once; registered actions have further columns."""
         return self._masks(NO_HELPER)
@@ -249,7 +244,7 @@ class Episodes:
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
-        batch.masks(*self._world, self._space, depth, out)
+        batch.masks(*self.grids.world(self.corrections), self._space, depth, out)
         return own_columns(out, self.grids, self.corrections, self.own) if self.own else out
 
     def offered(self) -> NDArray[np.bool_]:

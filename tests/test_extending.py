@@ -15,9 +15,8 @@ from registered import forget
 import craftsim
 from craftsim import Action, Grid, Kind
 from craftsim.checking.episode import Recipe, Step, do, run_up
-from craftsim.discrete.actions import ACTIONS
+from craftsim.discrete.actions import ACTIONS, as_own
 from craftsim.discrete.files.blueprint import blueprint_text
-from craftsim.discrete.own_actions import as_own
 from craftsim.discrete.schedule import make_schedule, nominal_durations
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.text import TextConstruction

@@ -1,4 +1,5 @@
-"""The table of actions: one row each. :func:`register_action` adds a row for an action of a user's own.
+"""The table of actions: one row each. :func:`register_action` adds a row for an action of a user's own, whose legality
+and effect are functions in Python.
 
 When one of the 15 is legal and what it changes is compiled (``craftsim/discrete/kernel``), with the words for why it is
 forbidden in ``craftsim/discrete/reasons.py``; the skills that perform them stand in ``craftsim/skills/library.py``,
@@ -14,12 +15,16 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.grid_checks import check_values
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.rules import why
-from craftsim.discrete.kinds import CARRIED, MOVE_DIRECTION, Action, CarField, Kind, add_action
+from craftsim.discrete.kernel.state import DERIVED_MARKS
+from craftsim.discrete.kinds import CARRIED, MOVE_DIRECTION, Action, CarField, CellField, Kind, add_action
 from craftsim.errors import InputError
 from craftsim.modules import note_registering
 
@@ -73,13 +78,13 @@ class ActionSpec:
         return bool(self.duration) or self.skill is not None
 
 
-def _own(grid: Grid, car: int) -> Kind:
-    x, y, z = grid.cars[car, : CarField.YAW].tolist()
-    return grid.kind_at((x, y, z))
+def _stands(grid: Grid, car: int, *kinds: Kind) -> bool:
+    """Return whether one of some kinds is in the cell of a car."""
+    return grid.kind_at(space.cell_of(grid, car)) in kinds
 
 
 def _nothing_to_lift(grid: Grid, car: int) -> str:
-    lifted = grid.cars[car, CarField.LOAD] == Kind.AIR and _own(grid, car) in CARRIED
+    lifted = grid.cars[car, CarField.LOAD] == Kind.AIR and _stands(grid, car, *CARRIED)
     return "" if lifted else "there is nothing to lift"
 
 
@@ -90,20 +95,18 @@ def _nothing_to_drop(grid: Grid, car: int) -> str:
 
 
 def _nothing_to_fold(grid: Grid, car: int) -> str:
-    return "" if _own(grid, car) == Kind.BODY else "there is nothing to fold"
+    return "" if _stands(grid, car, Kind.BODY) else "there is nothing to fold"
 
 
 def _nothing_to_unfold(grid: Grid, car: int) -> str:
-    return "" if _own(grid, car) == Kind.FSLOPE else "there is nothing to unfold"
+    return "" if _stands(grid, car, Kind.FSLOPE) else "there is nothing to unfold"
 
 
 def _move(action: Action) -> ActionSpec:
-    words = action.name.replace("_", " ").lower()
-    return ActionSpec("MOVE", words, "move", direction=MOVE_DIRECTION[action], ahead=(0, 1, 2, 3))
-
-
-def _diagonal(action: Action) -> ActionSpec:
-    return ActionSpec("MOVE", action.name.replace("_", " ").lower(), "")
+    words, direction = action.name.replace("_", " ").lower(), MOVE_DIRECTION.get(action)
+    if direction is None:
+        return ActionSpec("MOVE", words, "")
+    return ActionSpec("MOVE", words, "move", direction=direction, ahead=(0, 1, 2, 3))
 
 
 ACTIONS: Final[dict[Action, ActionSpec]] = {
@@ -113,15 +116,9 @@ ACTIONS: Final[dict[Action, ActionSpec]] = {
     Action.UNFOLD: ActionSpec("UNFOLD", "unfold", "unfold", _nothing_to_unfold, over=True, beyond=2),
     Action.ROTATE_LEFT: ActionSpec("ROTATE_LEFT", "rotate left", "rotate"),
     Action.ROTATE_RIGHT: ActionSpec("ROTATE_RIGHT", "rotate right", "rotate"),
-    Action.MOVE_FORWARD: _move(Action.MOVE_FORWARD),
-    Action.MOVE_BACK: _move(Action.MOVE_BACK),
-    Action.MOVE_LEFT: _move(Action.MOVE_LEFT),
-    Action.MOVE_RIGHT: _move(Action.MOVE_RIGHT),
+    **{action: _move(action) for action in sorted(MOVE_DIRECTION)},
     Action.STOP: ActionSpec("STOP", "stop", "stop"),
-    Action.MOVE_FORWARD_LEFT: _diagonal(Action.MOVE_FORWARD_LEFT),
-    Action.MOVE_FORWARD_RIGHT: _diagonal(Action.MOVE_FORWARD_RIGHT),
-    Action.MOVE_BACK_LEFT: _diagonal(Action.MOVE_BACK_LEFT),
-    Action.MOVE_BACK_RIGHT: _diagonal(Action.MOVE_BACK_RIGHT),
+    **{action: _move(action) for action in Action if action > Action.STOP},
 }
 """The table of actions, in the order of their numbers; registered ones come last."""
 
@@ -150,6 +147,78 @@ def verbs() -> tuple[str, ...]:
 def action_names() -> list[str]:
     """Return the names of all actions."""
     return [action.name for action in ACTIONS]
+
+
+def is_own(action: int) -> bool:
+    """Return whether an action is a registered one."""
+    return N_ACTIONS <= action < len(ACTIONS)
+
+
+def as_own(actions: Any) -> tuple[Action, ...]:
+    """Return registered actions that are given by themselves or by their names, in this order.
+
+    Raises InputError for what is none, and for one that stands twice.
+    """
+    if isinstance(actions, str) or not isinstance(actions, tuple | list):
+        raise InputError(f"actions is {actions!r}; allowed: a sequence of registered actions, or their names")
+    own = {action.name: action for action in ACTIONS if is_own(action)}
+    found: list[Action] = []
+    for name in (str(getattr(one, "name", one)) for one in actions):
+        if name not in own:
+            known = ", ".join(own)
+            there = f"there are {known}" if own else "none is registered; import the module that does"
+            raise InputError(f"no registered action '{name}'; {there}")
+        if own[name] in found:
+            raise InputError(f"the action '{name}' stands twice; allowed: once")
+        found.append(own[name])
+    return tuple(found)
+
+
+def own_reason(grid: Grid, corrections: int, car: int, action: int) -> str:
+    """Return why a registered action is forbidden, in words; empty if it is legal."""
+    if not corrections & DERIVED_MARKS:
+        return "the published rules know no other actions than CraftEnv's"
+    spec = ACTIONS[Action(action)]
+    assert spec.legality is not None
+    reason = spec.legality(grid, car)
+    if reason is not None and not isinstance(reason, str):
+        raise InputError(f"{spec.verb}: legal(grid, car) returned {reason!r}; it must return a text or None")
+    return reason or ""
+
+
+def carry_out(grid: Grid, car: int, action: int) -> None:
+    """Change a grid as a registered action does. Raises InputError where that leaves no grid world."""
+    spec = ACTIONS[Action(action)]
+    assert spec.effect is not None
+    result: object = spec.effect(grid, car)
+    if result is not None:
+        raise InputError(
+            f"{spec.verb}: effect(grid, car) must change the grid and return None, not {result!r}"
+        )
+    grid.cells[..., CellField.OCCUPANT :] = -1, 0  # derived below, of a world that compiled code can look at
+    try:
+        check_values(grid)
+    except InputError as error:
+        raise InputError(f"{spec.verb}: after effect(grid, {car}) {error}") from error
+    grid.derive_marks()
+
+
+def act_own(grid: Grid, corrections: int, car: int, action: int) -> bool:
+    """Carry out a registered action if it is legal now; return whether it was."""
+    legal = not own_reason(grid, corrections, car, action)
+    if legal:
+        carry_out(grid, car, action)
+    return legal
+
+
+def own_columns(
+    mask: NDArray[np.bool_], grids: Grid, corrections: int, own: tuple[Action, ...]
+) -> NDArray[np.bool_]:
+    """Return the masks (B, n, 15) of a batch with a further column for each of some registered actions."""
+    columns = np.zeros((*mask.shape[:2], len(own)), np.bool_)
+    for i, car, k in np.ndindex(columns.shape):
+        columns[i, car, k] = not own_reason(grids[i], corrections, car, own[k])
+    return np.concatenate([mask, columns], axis=-1)
 
 
 def register_action(

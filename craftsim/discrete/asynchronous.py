@@ -8,8 +8,7 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete import own_actions
-from craftsim.discrete.actions import ACTIONS, footprint
+from craftsim.discrete.actions import ACTIONS, carry_out, footprint, is_own, own_columns, own_reason
 from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
@@ -212,9 +211,9 @@ class AsynchronousEpisodes(Episodes):
         running, before = self.running, self.grid(i)
         result, end_s = ILLEGAL, clock.time_s[i] + clock.wait_s[0]
         running.turn[i, car], running.action[i, car] = running.turn[i].max() + 1, _STOP
-        if not own_actions.why(before, self.corrections, car, action):
+        if not own_reason(before, self.corrections, car, action):
             after = before.copy()
-            own_actions.carry_out(after, car, action)
+            carry_out(after, car, action)
             needs = footprint(before, after, car, Action(action))
             result = BLOCKED if self._clash(i, needs) else BEGUN
         if result == BEGUN:
@@ -292,8 +291,8 @@ class AsynchronousEpisodes(Episodes):
         self.grids.cells[i], self.grids.cars[i] = grid.cells, grid.cars
 
     def _enforce(self, grid: Grid, car: int, action: int) -> None:
-        if own_actions.is_own(action):
-            own_actions.carry_out(grid, car, action)
+        if is_own(action):
+            carry_out(grid, car, action)
         elif action not in (DECIDES, _STOP):
             batch.enforce(grid.cells, grid.cars, self.corrections, car, action)
 
@@ -368,7 +367,7 @@ class AsynchronousEpisodes(Episodes):
         events.offer(*some, self._row, self._plan, self._space, depth, out)
         if not self.own:
             return out
-        mask = own_actions.add_columns(out, self.grids, self.corrections, self.own)
+        mask = own_columns(out, self.grids, self.corrections, self.own)
         for i, car, k in np.argwhere(mask[..., N_ACTIONS:]).tolist():
             mask[i, car, N_ACTIONS + k] = bool(self.decides[i, car]) and not self._blocks(i, car, self.own[k])
         return mask
@@ -378,7 +377,7 @@ class AsynchronousEpisodes(Episodes):
             return False
         before = self.grid(i)
         after = before.copy()
-        own_actions.carry_out(after, car, action)
+        carry_out(after, car, action)
         return self._clash(i, footprint(before, after, car, action))
 
     def idle(self) -> NDArray[np.bool_]:

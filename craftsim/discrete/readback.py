@@ -72,11 +72,8 @@ class Poses:
         n_cars = len(self.car_positions)
         rows = np.zeros((n_cars + len(self.kinds), 8))
         rows[:n_cars, :3], rows[:n_cars, 3:7] = self.car_positions, self.car_quaternions
-        rows[n_cars:, :3], rows[n_cars:, 3:7], rows[n_cars:, 7] = (
-            self.positions,
-            self.quaternions,
-            self.hinges,
-        )
+        rows[n_cars:, :3], rows[n_cars:, 3:7] = self.positions, self.quaternions
+        rows[n_cars:, 7] = self.hinges
         return rows.view(np.int64)
 
     def name(self, index: int) -> str:
@@ -171,7 +168,8 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer], last: Readin
             return last
     grid = Grid.empty(size, n_cars)
     grid.kind[tuple(walls.T)] = Kind.WALL
-    positions, car_axes = poses.positions.tolist(), _axes(poses.car_quaternions)
+    positions = poses.positions.tolist()
+    car_axes = [_axes_of(*quaternion) for quaternion in poses.car_quaternions.tolist()]
     fits: list[_Fit] = []
     cars, objects, problems = [], [], []
     for car, position in enumerate(poses.car_positions.tolist()):
@@ -187,12 +185,8 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer], last: Readin
     quaternions, hinges = poses.quaternions.tolist(), poses.hinges.tolist()
     for index, kind in enumerate(map(int, poses.kinds)):
         seat, hinge = seats.get(index), hinges[index]
-        if (
-            last is not None
-            and still[n_cars + index]
-            and last.objects[index].carrier is None
-            and seat is None
-        ):
+        resting = last is not None and last.objects[index].carrier is None and seat is None
+        if last is not None and resting and still[n_cars + index]:
             fits.append(last.fits[n_cars + index])
         else:
             axes = _axes_of(*quaternions[index])
@@ -204,11 +198,6 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer], last: Readin
         problems += [f"{poses.name(index)} {note}" for note in notes]
     grid.derive_marks()
     return Reading(grid, tuple(cars), tuple(objects), tuple(problems), poses, tuple(fits))
-
-
-def _axes(quaternions: Floats) -> list[Axes]:
-    """Return the axes of bodies turned by quaternions (n, 4) of any length."""
-    return [_axes_of(*quaternion) for quaternion in quaternions.tolist()]
 
 
 def _dot(a: Vector, b: Vector) -> float:

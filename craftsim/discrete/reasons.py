@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from string import Formatter
 from typing import Any, Final
 
-from craftsim.discrete import own_actions
+from craftsim.discrete.actions import is_own, own_reason
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel import codes as code
@@ -168,8 +168,8 @@ class Explanation:
 
 def explain(grid: Grid, corrections: int, car: int, action: Action) -> Explanation:
     """Return why an action of a car is forbidden under some corrections, or that it is legal."""
-    if own_actions.is_own(action):
-        words = own_actions.why(grid, corrections, car, action)
+    if is_own(action):
+        words = own_reason(grid, corrections, car, action)
         x, y, z = grid.cars[car, : CarField.YAW].tolist()
         return Explanation(action, words, None, ((x, y, z),) if words else ())
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.choices import RuleSet as RuleSet
-from craftsim.discrete import own_actions
+from craftsim.discrete.actions import act_own, as_own, carry_out, is_own, own_columns, own_reason
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
@@ -47,10 +47,7 @@ class Rules:
     """
 
     def __init__(
-        self,
-        rule_set: RuleSet,
-        corrections: Correction | None = None,
-        actions: Iterable[Action | str] = (),
+        self, rule_set: RuleSet, corrections: Correction | None = None, actions: Iterable[Action | str] = ()
     ) -> None:
         """Make a rule set.
 
@@ -67,7 +64,7 @@ class Rules:
             )
         self.rule_set: RuleSet = rule_set
         self.corrections = RULE_SETS[rule_set] if corrections is None else corrections
-        self.own = own_actions.as_own(tuple(actions))
+        self.own = as_own(tuple(actions))
         self.actions = (*Action, *self.own)
         """What the columns of masks stand for."""
         self._last: tuple[Cell, SearchBuffers] | None = None
@@ -83,9 +80,9 @@ class Rules:
 
     def legal(self, grid: Grid, car: int, action: int) -> bool:
         """Return whether one car could do one action now."""
-        if own_actions.is_own(action):
+        if is_own(action):
             _check_car(grid, car)
-            return not own_actions.why(grid, self.corrections, car, action)
+            return not own_reason(grid, self.corrections, car, action)
         return bool(self.tick(grid, [(car, action)])[1][0])
 
     def explain(self, grid: Grid, car: int, action: int) -> Explanation:
@@ -105,8 +102,8 @@ class Rules:
         """Return the world as an action's effect would change it, whether the action is legal or not."""
         _check_car(grid, car)
         after = grid.copy()
-        if own_actions.is_own(action):
-            own_actions.carry_out(after, car, action)
+        if is_own(action):
+            carry_out(after, car, action)
             return after
         batch.enforce(after.cells, after.cars, int(self.corrections), car, int(action))
         return after
@@ -120,7 +117,7 @@ class Rules:
         for car, action in joint:
             _check_car(grid, car)
             highest = max(highest, action)
-        if highest >= N_ACTIONS and any(own_actions.is_own(action) for _, action in joint):
+        if highest >= N_ACTIONS and any(is_own(action) for _, action in joint):
             return self._tick_with_own(grid, joint)
         turns = np.array([car for car, _ in joint], np.int64)[None]
         acts = np.array([int(action) for _, action in joint], np.int64)[None]
@@ -131,8 +128,8 @@ class Rules:
     def _tick_with_own(self, grid: Grid, joint: Joint) -> tuple[Grid, NDArray[np.bool_]]:
         after, applied = grid.copy(), []
         for car, action in joint:
-            if own_actions.is_own(action):
-                applied.append(own_actions.act(after, self.corrections, car, action))
+            if is_own(action):
+                applied.append(act_own(after, self.corrections, car, action))
             else:
                 after, legal = self.tick(after, [(car, action)])
                 applied.append(bool(legal[0]))
@@ -177,7 +174,7 @@ class Rules:
 
     def _with_own(self, mask: NDArray[np.bool_], grid: Grid) -> NDArray[np.bool_]:
         """Return a mask (1, n_cars, 15) with a column for each registered action that is offered."""
-        return own_actions.add_columns(mask, grid[None], self.corrections, self.own) if self.own else mask
+        return own_columns(mask, grid[None], self.corrections, self.own) if self.own else mask
 
     def _space(self, grid: Grid) -> SearchBuffers:
         """Return scratch arrays; those of one map size are kept, and no more: they may take 20 MB each."""

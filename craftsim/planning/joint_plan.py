@@ -17,13 +17,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.move_graph import (
-    UNREACHABLE,
-    Distances,
-    MoveGraph,
-    MoveGraphs,
-    cell_of_node,
-)
+from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph, MoveGraphs, cell_of_node
 from craftsim.planning.assembly import rebuilt
 from craftsim.planning.timeline import WAIT, Timeline
 

@@ -19,13 +19,7 @@ from typing import Final
 from craftsim.discrete.reasons import REASONS
 
 ROOT: Final = Path(__file__).parents[2]
-TESTS: Final = (
-    "test_reasons.py",
-    "test_moves.py",
-    "test_marks.py",
-    "test_helper.py",
-    "test_corrections.py",
-)
+TESTS: Final = ("test_reasons.py", "test_moves.py", "test_marks.py", "test_helper.py", "test_corrections.py")
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
 from craftsim.errors import BlueprintError
 from craftsim.storage.limits import DESIGN_CELLS, Range
 from craftsim.storage.records import Loc, key_words, record
-from craftsim.storage.writing import write_whole
 from craftsim.storage.yaml import dump, read_document
 
 TARGET_KEYS: Final = {
@@ -210,11 +209,3 @@ def design_text(design: Design) -> str:
         for key, kind in TARGET_KEYS.items()
     }
     return dump({key: entries for key, entries in lists.items() if entries})
-
-
-def write_design(design: Design, path: str | Path) -> None:
-    """Write a design into a goal file that reads back as the same cells; it is whole or not there.
-
-    Raises InputError if it cannot be written.
-    """
-    write_whole(path, design_text(design))

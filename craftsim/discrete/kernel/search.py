@@ -10,13 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.codes import (
-    FIRST_MOVE,
-    LAST_MOVE,
-    MOVE_DIRECTIONS,
-    ROTATE_LEFT,
-    STOP,
-)
+from craftsim.discrete.kernel.codes import FIRST_MOVE, LAST_MOVE, MOVE_DIRECTIONS, ROTATE_LEFT, STOP
 from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions

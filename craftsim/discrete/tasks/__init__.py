@@ -1,13 +1,7 @@
 """Tasks: worlds with a goal, rewards and observations, one by one and in batches."""
 
 from craftsim.discrete.tasks.random_tasks import random_task
-from craftsim.discrete.tasks.registry import (
-    VARIED_NAMES,
-    as_task,
-    known_task,
-    register_task,
-    task_names,
-)
+from craftsim.discrete.tasks.registry import VARIED_NAMES, as_task, known_task, register_task, task_names
 from craftsim.discrete.tasks.task import TASK_NAMES, Task, TaskName, free_play, make_task
 
 __all__ = [

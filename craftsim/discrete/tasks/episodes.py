@@ -10,13 +10,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete import own_actions
+from craftsim.discrete.actions import act_own, is_own, own_columns
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.search import search_buffers
-from craftsim.discrete.kernel.state import World
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import DEFAULT_DEPTH, Rules, RuleSet, empty_queue
 from craftsim.discrete.schedule import car_durations
@@ -216,10 +215,10 @@ class Episodes:
             for turn in range(self.n_cars if i < len(self) else 0):
                 car, action = int(turns[i, turn]), int(acting[i, turn])
                 queued = self.depth is not None and self.queue[i, car, 0] >= 0
-                if queued or not own_actions.is_own(action):
+                if queued or not is_own(action):
                     self._step(slice(i, i + 1), slice(turn, turn + 1), turns, acting, applied)
                 else:
-                    applied[i, turn] = own_actions.act(self.grids[i], self.corrections, car, action)
+                    applied[i, turn] = act_own(self.grids[i], self.corrections, car, action)
 
     def score(
         self,
@@ -247,10 +246,6 @@ class Episodes:
         self.t = self.t + 1
         return Steps(reward, self.done, success, applied, order)
 
-    @property
-    def _world(self) -> World:
-        return self.grids.world(self.corrections)
-
     def legal(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): what each car could do at once; registered actions have further columns."""
         return self._masks(NO_HELPER)
@@ -261,8 +256,8 @@ class Episodes:
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
-        batch.masks(*self._world, self._space, depth, out)
-        return own_actions.add_columns(out, self.grids, self.corrections, self.own) if self.own else out
+        batch.masks(*self.grids.world(self.corrections), self._space, depth, out)
+        return own_columns(out, self.grids, self.corrections, self.own) if self.own else out
 
     def offered(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): what is legal, with the helper also what is reachable; never all false.

@@ -31,12 +31,7 @@ from craftsim.discrete.kernel.tasks import (
 from craftsim.discrete.tasks.starts import Targets
 from craftsim.errors import CraftsimError
 
-_TYPE_FLAGS: Final = {
-    Kind.FSLOPE: IS_FSLOPE,
-    Kind.BODY: IS_BODY,
-    Kind.FOOT: IS_FOOT,
-    Kind.BLOCK: IS_BLOCK,
-}
+_TYPE_FLAGS: Final = {Kind.FSLOPE: IS_FSLOPE, Kind.BODY: IS_BODY, Kind.FOOT: IS_FOOT, Kind.BLOCK: IS_BLOCK}
 """Of what may be built."""
 
 

@@ -18,13 +18,7 @@ from craftsim.discrete.files.blueprint import KEYS, blueprint_of, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.shipped import Shelf, find
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.tasks.random_tasks import (
-    LARGE_NAMES,
-    RANDOM,
-    RANDOM_NAMES,
-    large_task,
-    random_task,
-)
+from craftsim.discrete.tasks.random_tasks import LARGE_NAMES, RANDOM, RANDOM_NAMES, large_task, random_task
 from craftsim.discrete.tasks.starts import Split
 from craftsim.discrete.tasks.task import (
     DEFAULT_MAX_STEPS,
@@ -161,10 +155,7 @@ def as_task(
 
 
 def known_task(
-    text: str,
-    n_cars: int | None = None,
-    n_blocks: int | None = None,
-    area: tuple[int, ...] | None = None,
+    text: str, n_cars: int | None = None, n_blocks: int | None = None, area: tuple[int, ...] | None = None
 ) -> Task:
     """Return the task that a text in a file stands for; nothing is imported for it.
 

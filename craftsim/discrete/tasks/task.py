@@ -169,13 +169,9 @@ class Task:
         elif self.always_starts_the_same and (only := self._fixed[0]) is not None:
             grids = only[None][np.zeros(n, np.int64)]
         else:
-            grids = Grid.stack([self._from_a_file(rng) for _ in range(n)])
+            which = (int(rng.integers(len(self.starts))) if len(self.starts) > 1 else 0 for _ in range(n))
+            grids = Grid.stack([self._fixed[i] or self.starts[i].grid(rng, self.placement) for i in which])
         return Starts(grids, np.repeat(self._targets[None], n, axis=0))
-
-    def _from_a_file(self, rng: np.random.Generator) -> Grid:
-        start = int(rng.integers(len(self.starts))) if len(self.starts) > 1 else 0
-        fixed = self._fixed[start]
-        return self.starts[start].grid(rng, self.placement) if fixed is None else fixed
 
     def starting_from(self, grids: Sequence[Grid], design: Design | None = None) -> Task:
         """Return the task whose episodes start with one of these worlds, each as likely.

@@ -26,26 +26,12 @@ from craftsim.models.parts import FreeBody, MachineNames, Overlap, overlaps, par
 from craftsim.models.stepping import Stepping
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-_BROKEN = [
-    int(warning)
-    for warning in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-]
-
-
-def _without_log_file() -> None:
-    """Let MuJoCo's warnings go to the terminal alone; ``data.warning`` counts them. A log file that is chosen stays."""
-    config = mujoco.MjLogConfig.get()
-    if config.logfile == "MUJOCO_LOG.TXT":
-        config.logto_file = False
-        config.set()
-
-
-_without_log_file()
-
+_BROKEN = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}")) for name in ("QPOS", "QVEL", "QACC")]
+# MuJoCo's warnings go to the terminal alone; ``data.warning`` counts them. A log file that somebody has chosen stays.
+_log = mujoco.MjLogConfig.get()
+if _log.logfile == "MUJOCO_LOG.TXT":
+    _log.logto_file = False
+    _log.set()
 _STAY_AWAKE = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 _MAY_SLEEP = int(mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED)
 

@@ -13,8 +13,8 @@ from typing import Final, Literal
 import numpy as np
 
 from craftsim.discrete.geometry import CELL_PITCH_M
-from craftsim.discrete.grid import Cell, Grid, Kind, beside
-from craftsim.discrete.readback import Reading, read_grid
+from craftsim.discrete.grid import Cell, Kind, beside
+from craftsim.discrete.readback import read_grid
 from craftsim.errors import InputError
 from craftsim.models.measuring import Motors, PoseReader
 from craftsim.models.parts import FreeBody
@@ -111,30 +111,19 @@ class DisturbedFleet(PhysicsFleet):
         """Return the blocks that can be shoved now, by number, with their cells and where to."""
         poses = self._poses.read()
         reading = read_grid(poses, self.physics.size, self.physics.walls)
-        found = []
+        grid, found = reading.grid, []
         blocks = [index for index, kind in enumerate(poses.kinds) if kind == Kind.BLOCK]
         for block, index in enumerate(blocks):
             placed = reading.objects[index]
-            if placed.carrier is not None or not _is_free_to_go(reading, placed.cell):
+            x, y, z = placed.cell
+            bears = z < grid.size[2] and grid.kind[x, y, z + 1] != Kind.AIR
+            if placed.carrier is not None or z != 1 or bears:
                 continue
-            for yaw in range(4):
-                aim = beside(placed.cell, yaw)
-                if _is_free(reading.grid, aim) and _clear(poses.car_positions, placed.cell, aim):
+            for aim in (beside(placed.cell, yaw) for yaw in range(4)):
+                free = grid.inside(aim) and grid.kind[aim] == Kind.AIR
+                if free and _clear(poses.car_positions, placed.cell, aim):
                     found.append((block, placed.cell, aim))
         return found
-
-
-def _is_free_to_go(reading: Reading, cell: Cell) -> bool:
-    """Return whether a block on the floor bears nothing."""
-    x, y, z = cell
-    grid = reading.grid
-    above = z < grid.size[2] and grid.kind[x, y, z + 1] != Kind.AIR
-    return z == 1 and not above
-
-
-def _is_free(grid: Grid, cell: Cell) -> bool:
-    length, width, _ = grid.size
-    return 0 <= cell[0] < length and 0 <= cell[1] < width and grid.kind[cell] == Kind.AIR
 
 
 def _clear(cars: np.ndarray[tuple[int, ...], np.dtype[np.float64]], *cells: Cell) -> bool:

@@ -164,10 +164,8 @@ def step_cars(cars: Records, angles: Floats, wires: Wires, readings: Records) ->
 @compiled
 def step_task(car: Record, angles: Floats) -> int:
     """Write the command of a car for the next control period; return 1 if its task has ended, which stops all."""
-    task, command = car.task, car.command
-    for wheel in range(4):
-        command.wheels[wheel] = 0.0
-    command.board = command.hinge = 0.0
+    task = car.task
+    _clear(car.command)
     if task.law == HOLD:
         _hold_law(car)
         return 0
@@ -188,10 +186,15 @@ def step_task(car: Record, angles: Floats) -> int:
         task.elapsed_s += car.known.period_s
     if task.status == RUNNING:
         return 0
+    _clear(car.command)
+    return 1
+
+
+@compiled
+def _clear(command: Record) -> None:
     for wheel in range(4):
         command.wheels[wheel] = 0.0
     command.board = command.hinge = 0.0
-    return 1
 
 
 @compiled
@@ -213,10 +216,8 @@ def compensate_lag(car: Record, level: bool) -> None:
     """
     lag, wheels, turning, known = car.lag, car.command.wheels, car.now.wheel_speeds, car.known.car
     if level:
-        below = min(int(lag.steps), N_LAGS - 2)
-        part = lag.steps - below
         for wheel in range(4):
-            servo = lag.servos[below, wheel] * (1 - part) + lag.servos[below + 1, wheel] * part
+            servo = _servo_speed(lag, wheel)
             # A wheel that is further behind its servo lacks torque or grip, which says nothing of the lag.
             most_behind = known.wheel_torque_nm / known.wheel_gain_nms_rad
             if lag.sent[wheel] != 0.0 and abs(servo - turning[wheel]) < most_behind:
@@ -224,20 +225,27 @@ def compensate_lag(car: Record, level: bool) -> None:
                     off = turning[wheel] - lag.servos[k, wheel]
                     lag.mismatches[k] += (off / _UNSURE_RAD_S) ** 2
         lag.steps, _ = delay_of(lag.mismatches[:])
-    below = min(int(lag.steps), N_LAGS - 2)
-    part = lag.steps - below
     lag_s = lag.steps * LAG_STEP_S
     share = 1 - math.exp(-car.known.period_s / lag_s) if lag_s > 0 else 1.0
     stopped = wheels[0] == 0.0 and wheels[1] == 0.0 and wheels[2] == 0.0 and wheels[3] == 0.0
     limit = known.wheel_speed_rad_s
     for wheel in range(4):
-        servo = lag.servos[below, wheel] * (1 - part) + lag.servos[below + 1, wheel] * part
+        servo = _servo_speed(lag, wheel)
         if not stopped:
             wheels[wheel] = max(-limit, min(limit, servo + (wheels[wheel] - servo) / share))
         lag.sent[wheel] = wheels[wheel]
         for k in range(N_LAGS):
             near = 1.0 if stopped else lag.shares[k]
             lag.servos[k, wheel] += near * (wheels[wheel] - lag.servos[k, wheel])
+
+
+@compiled
+def _servo_speed(lag: Record, wheel: int) -> float:
+    """Return the speed that a wheel's servo has by now, between those of two candidates for its lag."""
+    below = min(int(lag.steps), N_LAGS - 2)
+    part = lag.steps - below
+    speed: float = lag.servos[below, wheel] * (1 - part) + lag.servos[below + 1, wheel] * part
+    return speed
 
 
 @compiled
@@ -382,13 +390,8 @@ def _command_wheels(car: Record, error: Triple) -> None:
     """Command what wheel speeds follow the path, for an error of pose in the world frame."""
     now, drive, known = car.now, car.task.drive, car.known
     elapsed_s = car.task.elapsed_s - drive.waited_s
-    gains, machine, step, integral, profile = (
-        known.drive,
-        known.car,
-        drive.direction,
-        drive.integral,
-        drive.profile,
-    )
+    gains, machine = known.drive, known.car
+    step, integral, profile = drive.direction, drive.integral, drive.profile
     period_s, radius_m, lever_m = known.period_s, machine.radius_m, machine.lever_m
     # What shaking is to cure no push cures: the integral would only wind up.
     if profile.duration_s < elapsed_s <= profile.duration_s + gains.shake_after:
@@ -475,13 +478,8 @@ def _check_progress(car: Record, error: Triple) -> None:
     apart is their force: the torques less what friction, the wheels' inertia and the weight on an incline take would
     have moved a free car some way. An obstacle is there where the car stays far behind that way, too.
     """
-    now, drive, gains, machine, period_s = (
-        car.now,
-        car.task.drive,
-        car.known.drive,
-        car.known.car,
-        car.known.period_s,
-    )
+    now, drive, known = car.now, car.task.drive, car.known
+    gains, machine, period_s = known.drive, known.car, known.period_s
     wheels, torques, lever_m = now.wheel_speeds, drive.torques, machine.lever_m
     behind, before, radius_m = drive.behind, drive.before, machine.radius_m
     rolled = _length(lever_m, body_twist(lever_m, radius_m, wheels[0], wheels[1], wheels[2], wheels[3]))

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 from drawn import draw
 
-from craftsim.discrete.geometry import LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Kind
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
@@ -65,15 +64,3 @@ def test_it_gives_the_accelerations_of_the_dense_one_to_a_billionth():
         assert np.abs(sparse - dense).max() < 1e-9 * scale
         # What a solver that has not converged gives is far from both.
         assert np.abs(unsolved - dense).max() > 1e-4 * scale
-
-
-def test_stacks_stay_put_level_and_at_their_height():
-    physics = PhysicsWorld(draw((3, 2, 4), STACKS, []), SimulationConfig(sleep=False))
-    start = [physics.free_body_state(block) for block in physics.blocks]
-    for _ in range(50):
-        physics.advance()
-    for (place, _), block in zip(start, physics.blocks, strict=True):
-        position, (_, qx, qy, _) = physics.free_body_state(block)
-        np.testing.assert_allclose(position, place, atol=1e-5)
-        assert abs(position[2] / LEVEL_HEIGHT_M - round(position[2] / LEVEL_HEIGHT_M)) * LEVEL_HEIGHT_M < 2e-4
-        assert 2 * np.hypot(qx, qy) < 1e-4

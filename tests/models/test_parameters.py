@@ -328,20 +328,15 @@ REFUSED = (
     (CAR, {"wheel_torque_nm": 0.4}, "must be above gear_friction_nm, 0.45"),
     (CAR, {"boss_side_m": 0.1}, "boss_side_m: cannot be changed from 0.11: the pockets"),
     (CAR, {"wheel_radius_m": 0.043}, "ground on the crest of a slope"),
-    (CAR, {"wheel_x_m": 0.07}, "ground on the crest of a slope"),
     (CAR, {"chassis_chamfer_m": 0.002, "chassis_length_m": 0.25}, "nose would run into"),
     (CAR, {"board_top_m": 0.05}, "at least 0.0530 keeps the plate above chassis and wheels"),
-    (CAR, {"wheel_radius_m": 0.0505}, "at least 0.0537 keeps the plate above"),
     (CAR, {"roller_mass_kg": 0.2}, "wheel_mass_kg must be above 4"),
-    (BlockParameters, {"side_m": 0.3}, "side_m: cannot be changed from 0.32: the grid's cells"),
-    (SlopeParameters, {"hinge_z_m": 0.1}, "hinge_z_m: cannot be changed from 0.0925"),
     (SlopeParameters, {"hinge_speed_rad_s": 50.0}, "50.0 is out of range, allowed: above 0 and at most 3"),
 )
 REFUSED_TOGETHER = (
     ({"board_travel_m": 0.02}, "from 0.0309 to 0.0509 lifts"),
     ({"board_top_m": 0.0535}, "at most 0.1027 drives under a slope"),
     ({"wheel_y_m": 0.11}, "passes between a block's legs"),
-    ({"chassis_width_m": 0.26}, "passes between a block's legs"),
 )
 """Of cars that can be by themselves, and not with blocks and slopes."""
 

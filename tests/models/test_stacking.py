@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from drawn import draw
 
 from craftsim.discrete.geometry import LEVEL_HEIGHT_M
 from craftsim.discrete.grid import Grid, Kind
@@ -12,6 +13,7 @@ from craftsim.models.world import PhysicsWorld
 BLOCK = NOMINAL.block
 
 GRAVITY = 9.81
+STACKS = [(Kind.BLOCK, (x, y, z)) for x in range(3) for y in range(2) for z in range(1, 4)]
 AWAKE = SimulationConfig(sleep=False)
 
 
@@ -25,6 +27,18 @@ def test_a_block_rests_on_one_point_a_foot_that_bear_its_weight():
     assert physics.data.ncon == 4
     borne = physics.data.efc_force[contact.efc_address].sum()
     assert borne == pytest.approx(BLOCK.mass_kg * GRAVITY, rel=0.01)
+
+
+def test_stacks_stay_put_level_and_at_their_height():
+    physics = PhysicsWorld(draw((3, 2, 4), STACKS, []), AWAKE)
+    start = [physics.free_body_state(block) for block in physics.blocks]
+    for _ in range(50):
+        physics.advance()
+    for (place, _), block in zip(start, physics.blocks, strict=True):
+        position, (_, qx, qy, _) = physics.free_body_state(block)
+        np.testing.assert_allclose(position, place, atol=1e-5)
+        assert abs(position[2] / LEVEL_HEIGHT_M - round(position[2] / LEVEL_HEIGHT_M)) * LEVEL_HEIGHT_M < 2e-4
+        assert 2 * np.hypot(qx, qy) < 1e-4
 
 
 def test_a_tower_of_two_under_a_loaded_car_sinks_by_less_than_a_fifth_of_a_millimetre():

@@ -40,17 +40,15 @@ def _assert_same(read: mujoco.MjModel, own: mujoco.MjModel) -> None:
 
 
 def test_mujoco_reads_the_same_machine(tmp_path):
-    for machine in ("smartcar", "slope", "block", "flag", "wall"):
-        for drive in ("rollers", "reduced"):
-            machines = replace(NOMINAL, drive=drive)
-            path = write_urdf(tmp_path / "own.urdf", machine_spec(machine, machines))
-            own = machine_spec(machine, machines).compile()
-            read = mujoco.MjModel.from_xml_path(str(path))
-            _assert_same(read, own)
-            solids = np.count_nonzero(
-                ((own.geom_contype | own.geom_conaffinity) != 0) & (own.geom_bodyid > 0)
-            )
-            assert read.ngeom == solids
+    reduced = replace(NOMINAL, drive="reduced")
+    names = ("smartcar", "slope", "block", "flag", "wall")
+    for machine, machines in [*((name, NOMINAL) for name in names), ("smartcar", reduced)]:
+        path = write_urdf(tmp_path / "own.urdf", machine_spec(machine, machines))
+        own = machine_spec(machine, machines).compile()
+        read = mujoco.MjModel.from_xml_path(str(path))
+        _assert_same(read, own)
+        solid = (own.geom_contype | own.geom_conaffinity) != 0
+        assert read.ngeom == np.count_nonzero(solid & (own.geom_bodyid > 0))
 
 
 def test_a_world_is_written_with_everything_where_it_stands(tmp_path):

@@ -53,15 +53,11 @@ def test_what_is_gone_at_the_second_try_blocks_the_first_only(blocked):
     assert abs(measure(blocked, 0).x - 1.5 * CELL_PITCH_M) < 1e-3
 
 
-def test_a_car_that_fails_again_says_why_and_how_often_it_tried(blocked):
-    outcome = Executor(blocked, TWICE).run({0: Action.MOVE_RIGHT})[0]
-    assert (outcome.reason, outcome.tries) == (Reason.BLOCKED, 2)
-
-
-def test_a_car_goes_back_to_where_it_began_before_it_tries_again(blocked):
+def test_a_car_that_fails_again_has_gone_back_in_between_and_says_why_and_how_often_it_tried(blocked):
     executor, ways = Executor(blocked, TWICE), []
     executor.observers.append(lambda physics: ways.append(measure(physics, 0).x - 0.5 * CELL_PITCH_M))
-    executor.run({0: Action.MOVE_RIGHT})
+    outcome = executor.run({0: Action.MOVE_RIGHT})[0]
+    assert (outcome.reason, outcome.tries) == (Reason.BLOCKED, 2)
     forth = next(i for i, way in enumerate(ways) if way > 0.05)
     back = next(i for i in range(forth, len(ways)) if ways[i] < 0.002)
     assert max(ways[back:]) > 0.05

@@ -8,11 +8,14 @@ import pytest
 from disturbances import push
 
 from craftsim.checking.attempt import Verdict
+from craftsim.checking.episode import perform
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup, set_up, setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.errors import InputError
 from craftsim.models.config import SimulationConfig
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.outcome import Reason
 
 SIZE = (4, 1, 2)
@@ -164,3 +167,14 @@ def test_a_force_that_nothing_could_have_produced_is_numerics_and_not_unsafe():
     assert (attempt.finding, attempt.result) == ("numerics", Verdict.SOLVER)
     assert "more than weights, motors and motion could" in attempt.reason
     assert attempt.capped_steps == 0
+
+
+def test_python_performs_one_action_after_the_other_as_a_judge_does():
+    judge = _judge()
+    physics = PhysicsWorld(judge.grid)
+    assert perform(physics, 0, "MOVE_RIGHT") == judge.perform(0, RIGHT)
+    second = perform(physics, 0, RIGHT)
+    assert (second.agrees, second.read) == (True, "2,0,1 +x")
+    for car, action, message in ((2, "LIFT", "there is no car 2"), (0, "LFIT", "did you mean 'LIFT'")):
+        with pytest.raises(InputError, match=message):
+            perform(physics, car, action)

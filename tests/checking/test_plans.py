@@ -34,11 +34,7 @@ SETUP = setup_of("mild", drive="reduced")
 
 def _yard() -> Grid:
     """Return a yard in which car 0 makes way for car 1, and car 2 carries a block about far away."""
-    grid = Grid.empty((5, 4, 2), 3)
-    grid.cars[:, :4] = [(1, 0, 1, 0), (0, 0, 1, 0), (1, 3, 1, 0)]
-    grid.kind[1, 3, 1] = Kind.BLOCK
-    grid.derive_marks()
-    return grid
+    return draw((5, 4, 2), [(Kind.BLOCK, (1, 3, 1))], [(1, 0, 1, 0), (0, 0, 1, 0), (1, 3, 1, 0)])
 
 
 def _run(disable=lambda physics: None, order="concurrent", plan=PLAN) -> tuple[Judge, tuple[Attempt, ...]]:
@@ -94,6 +90,12 @@ def test_within_a_tick_carried_out_by_itself_its_own_constraints_hold():
     assert (step.number, step.after) == (1, (((0, 1), (0, 0)),))
 
 
+def test_the_failure_of_a_car_that_nobody_waits_for_concerns_nobody_else():
+    _, attempts = _run(_unpower(1))
+    assert _not_performed(attempts) == [4]
+    assert {index for index, attempt in enumerate(attempts) if attempt.agrees} == {0, 2, 3, 5, 6}
+
+
 @pytest.mark.parametrize("fault", [_unpower, _polish])
 def test_a_car_that_fails_stops_with_all_that_depends_on_it_and_the_others_finish(fault):
     judge, attempts = _run(fault(0))
@@ -107,12 +109,6 @@ def test_a_car_that_fails_stops_with_all_that_depends_on_it_and_the_others_finis
     assert judge.problems == ()
     assert judge.grid.kind[2, 3, 1] == Kind.BLOCK
     np.testing.assert_array_equal(judge.grid.cars[:2], _yard().cars[:2])
-
-
-def test_the_failure_of_a_car_that_nobody_waits_for_concerns_nobody_else():
-    _, attempts = _run(_unpower(1))
-    assert _not_performed(attempts) == [4]
-    assert {index for index, attempt in enumerate(attempts) if attempt.agrees} == {0, 2, 3, 5, 6}
 
 
 @pytest.mark.parametrize("force_n", [0.0, 120.0])
@@ -142,12 +138,9 @@ def test_what_moves_after_its_action_has_ended_is_held_against_the_actions_still
     assert ("car 0 was moved" in attempts[1].reason) == (force_n > 0.0)
 
 
-def test_one_by_one_a_failure_ends_everything():
+def test_one_by_one_a_failure_ends_everything_and_what_the_rules_forbid_ends_nothing():
     _, attempts = _run(_unpower(0), "sequential")
     assert _not_performed(attempts) == [1, 2, 3, 4, 5, 6]
-
-
-def test_a_plan_goes_on_past_what_the_rules_forbid():
     _, attempts = _run(plan=[[(0, Action.LIFT)], [(0, RIGHT)]])
     assert [(a.tick, a.legal, a.performed, a.agrees) for a in attempts] == [
         (0, False, False, False),

@@ -21,12 +21,13 @@ from craftsim.skills.outcome import Reason
 
 SIZE = (4, 1, 2)
 RIGHT = Action.MOVE_RIGHT
+REDUCED = setup_of("none", drive="reduced")
 
 
 def _judge(*, block_at: int | None = None, load: Kind = Kind.AIR, setup: Setup | None = None) -> Judge:
     """Return a corridor with a car in each of its end cells; the first may carry something."""
     objects = [] if block_at is None else [(Kind.BLOCK, (block_at, 0, 1))]
-    return set_up(draw(SIZE, objects, [(0, 0, 1, 0, load), (3, 0, 1, 2)]), setup or Setup())
+    return set_up(draw(SIZE, objects, [(0, 0, 1, 0, load), (3, 0, 1, 2)]), setup or REDUCED)
 
 
 def test_the_judge_does_not_believe_the_skill():
@@ -64,7 +65,7 @@ def test_what_a_car_carries_is_no_bystander_and_what_it_drops_is_measured():
 def _queue() -> Judge:
     """Return three cars in a row, the first under a block at the row's end."""
     cars = [(2, 0, 1, 0), (1, 0, 1, 0), (0, 0, 1, 0)]
-    return set_up(draw((4, 2, 2), [(Kind.BLOCK, (2, 0, 1))], cars), Setup())
+    return set_up(draw((4, 2, 2), [(Kind.BLOCK, (2, 0, 1))], cars), REDUCED)
 
 
 def test_cars_that_follow_each_other_all_move_in_one_tick_and_later_ticks_start_from_the_reading():
@@ -101,7 +102,7 @@ def test_a_side_effect_that_is_nobodys_is_held_against_all():
 def test_what_turns_unsafe_ends_at_once_with_all_motors_stopped():
     """A car drives off a block, which the rules forbid: it tips long before it is where it was to go."""
     grid = draw((3, 1, 3), [(Kind.BLOCK, (0, 0, 1))], [(0, 0, 2, 0), (2, 0, 1, 0)])
-    judge = set_up(grid, Setup())
+    judge = set_up(grid, REDUCED)
     physics = judge.physics
     goal = grid.copy()
     goal.cars[0, 0] = 1
@@ -148,7 +149,7 @@ def test_a_force_that_nothing_could_have_produced_is_numerics_and_not_unsafe():
 
 
 def test_python_performs_one_action_after_the_other_as_a_judge_does():
-    judge = _judge()
+    judge = _judge(setup=Setup())
     physics = PhysicsWorld(judge.grid)
     assert perform(physics, 0, "MOVE_RIGHT") == judge.perform(0, RIGHT)
     second = perform(physics, 0, RIGHT)

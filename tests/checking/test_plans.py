@@ -29,7 +29,7 @@ PLAN = [
     [(2, Action.DROP)],
 ]
 STEPS_OF = {0: [0, 3], 1: [1, 4], 2: [2, 5, 6]}
-SETUP = setup_of("mild", drive="reduced")
+REDUCED, SETUP = (setup_of(drawn, drive="reduced") for drawn in ("none", "mild"))
 
 
 def _yard() -> Grid:
@@ -78,9 +78,9 @@ def test_with_all_cars_sound_everything_runs_and_attempts_are_in_the_order_of_th
 def test_an_action_starts_when_those_have_ended_after_which_its_plan_has_it():
     ticks = [[(0, Action.STOP), (1, Action.ROTATE_LEFT), (2, Action.STOP)]]
     step = steps_of(ticks, "concurrent", {(0, 2): [(0, 1)]})[0]
-    _, turn, late = do(set_up(_yard(), Setup()), step)
+    _, turn, late = do(set_up(_yard(), REDUCED), step)
     assert late.start_s >= turn.start_s + turn.duration_s > 0
-    _, turn, early = do(set_up(_yard(), Setup()), replace(step, after=()))
+    _, turn, early = do(set_up(_yard(), REDUCED), replace(step, after=()))
     assert early.start_s == turn.start_s
 
 
@@ -113,7 +113,7 @@ def test_a_car_that_fails_stops_with_all_that_depends_on_it_and_the_others_finis
 
 @pytest.mark.parametrize("force_n", [0.0, 120.0])
 def test_what_moves_after_its_action_has_ended_is_held_against_the_actions_still_running(force_n):
-    judge = set_up(_yard(), Setup(assumed=EXACT))
+    judge = set_up(_yard(), replace(REDUCED, assumed=EXACT))
     running, started, start = {}, set(), []
 
     def listen(now):
@@ -149,7 +149,7 @@ def test_one_by_one_a_failure_ends_everything_and_what_the_rules_forbid_ends_not
 
 
 def test_the_listener_hears_every_change_of_what_runs():
-    judge = set_up(_yard(), Setup())
+    judge = set_up(_yard(), REDUCED)
     heard = []
     judge.on_change = lambda running: heard.append({car: step.action for car, step in running.items()})
     judge.perform_plan([[(0, RIGHT), (1, RIGHT)]], "concurrent")
@@ -168,7 +168,7 @@ def test_a_car_on_the_foot_of_a_slope_or_on_its_body_stands_on_that_slope():
             levels = {2: (1, 0, 0), 3: (2, 0, 0)}.get(x, (1, 0, 0))
             return draw((5, 1, 3), [(Kind.BODY, (3, 0, 1), 2)], [(x, 0, *levels)])
 
-        judge = set_up(yard(0), Setup())
+        judge = set_up(yard(0), REDUCED)
         reading = replace(judge.reading, grid=yard(first))
         assert under(reading, yard(goal), 0) == ([0] if stands else [])
 

@@ -8,7 +8,7 @@ again is checked, not assumed (:mod:`craftsim.experiments.bundle`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -195,31 +195,35 @@ def do(judge: Judge, step: Step) -> tuple[Attempt, ...]:
     if step.order is None:
         act = step.acts[0]
         return (judge.perform(act.car, Action[act.action], step.intended_grid, step.number),)
-    ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
     if step.starts_s:
-        return _do_at(judge, ticks, step.starts_s, step.number)
+        return _do_at(judge, step)
     after: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for later, earlier in step.after:
         after.setdefault(later, []).append(earlier)
+    ticks = [[(act.car, Action[act.action]) for act in tick] for tick in step.ticks]
     attempts = judge.perform_plan(ticks, step.order, after)
     return tuple(replace(attempt, tick=attempt.tick + step.number) for attempt in attempts)
 
 
-def _do_at(
-    judge: Judge, ticks: Sequence[Sequence[tuple[int, Action]]], starts_s: Sequence[float], number: int
-) -> tuple[Attempt, ...]:
-    """Begin the actions of each tick at its time, and return the attempts in that order once all have ended."""
+def _do_at(judge: Judge, step: Step) -> tuple[Attempt, ...]:
+    """Begin the actions of each tick at its time, and run all to their ends."""
     found: list[Attempt] = []
-    for tick, (joint, start_s) in enumerate(zip(ticks, starts_s, strict=True), number):
+    for tick, (joint, start_s) in enumerate(zip(step.ticks, step.starts_s, strict=True), step.number):
         while judge.physics.time_s < start_s:
             found += judge.next(start_s)
-        for car, action in joint:
-            begin(judge, car, action, tick)
+        for act in joint:
+            begin(judge, act.car, Action[act.action], tick)
     while judge.running:
         found += judge.next()
-    acts = ((tick, car) for tick, joint in enumerate(ticks, number) for car, _ in joint)
-    place = {act: n for n, act in enumerate(acts)}
-    return tuple(sorted(found, key=lambda attempt: place[attempt.tick, attempt.car]))
+    return in_order([step], found)
+
+
+def in_order(steps: Iterable[Step], attempts: Iterable[Attempt]) -> tuple[Attempt, ...]:
+    """Return attempts in the order of the steps' actions, however they have ended."""
+    numbered = (joint for step in steps for joint in enumerate(step.ticks, step.number))
+    acts = [(tick, act.car) for tick, joint in numbered for act in joint]
+    place = {act: number for number, act in enumerate(acts)}
+    return tuple(sorted(attempts, key=lambda attempt: place[attempt.tick, attempt.car]))
 
 
 def begin(judge: Judge, car: int, action: Action, tick: int = 0) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Recipe
+from craftsim.checking.episode import Recipe, in_order
 from craftsim.checking.judge import Judge
 from craftsim.discrete.files.design import Design
 from craftsim.envs.options import MOTION_FPS
@@ -141,7 +141,8 @@ class EpisodeRecords:
         self._running = False
         drawn = hashlib.sha256(repr(recipe).encode()).hexdigest()
         name = f"episode-{self._number:04d}-{drawn[:_DIGITS]}"
-        self._recorder.trajectory(f"{self._task}, {name}", recipe, attempts, self._design).write(
+        ordered = in_order(recipe.steps, attempts)
+        self._recorder.trajectory(f"{self._task}, {name}", recipe, ordered, self._design).write(
             self._folder / f"{name}{SUFFIX}"
         )
         self._number += 1

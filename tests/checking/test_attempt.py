@@ -1,18 +1,27 @@
-"""An attempt is judged by limits set beforehand, and says in one line what went wrong physically."""
+"""What is found of an action follows from prediction, reading and limits; and is said in one line."""
 
 import json
 from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pytest
+from drawn import draw
 
 from craftsim.checking import judge as judging
-from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt, Thresholds, Verdict, attempt_of, verdict_of
+from craftsim.checking.attempt import (
+    BOUNDED_ERRORS,
+    Attempt,
+    Thresholds,
+    Verdict,
+    attempt_of,
+    compare,
+    verdict_of,
+)
 from craftsim.checking.contacts import Contact, impact_limit_n
 from craftsim.checking.setup import Setup, set_up
-from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.readback import Reading, describe_car, describe_differences, own_differences
 from craftsim.skills.outcome import Outcome, Reason
 
 LIMITS = Thresholds()
@@ -20,24 +29,18 @@ LIMITS = Thresholds()
 
 def _unfolding(blocked: bool):
     """Return a car below a folded slope whose foot goes to (1, 1); a block beyond it, if asked for."""
-    grid = Grid.empty((4, 3, 2), 1)
-    grid.cars[0, :4] = 2, 1, 1, 0
-    grid.kind[2, 1, 1], grid.kind[1, 1, 1] = Kind.FSLOPE, Kind.GEAR
-    grid.yaw[2, 1, 1] = grid.yaw[1, 1, 1] = 2
-    if blocked:
-        grid.kind[0, 1, 1] = Kind.BLOCK
-    grid.derive_marks()
-    return set_up(grid, Setup("published"))
+    objects = [(Kind.FSLOPE, (2, 1, 1), 2), *([(Kind.BLOCK, (0, 1, 1))] if blocked else [])]
+    return set_up(draw((4, 3, 2), objects, [(2, 1, 1, 0)]), Setup("published"))
 
 
 def _watched(judge, *action, **options):
-    """Perform an action, and return its watched, the verdict on it and the attempt that they make."""
+    """Perform an action, and return its watched, the cause of the verdict and the attempt that they make."""
     seen = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(judging, "attempt_of", lambda *given: seen.append(given) or attempt_of(*given))
         attempt = judge.perform(*action, **options)
-    watched, verdict, _ = seen[0]
-    return watched, verdict, attempt
+    watched, cause, _ = seen[0]
+    return watched, cause, attempt
 
 
 @pytest.fixture(scope="module")
@@ -53,19 +56,17 @@ def shoved():
 def test_what_goes_as_predicted_needs_no_reason(good):
     watched, _, attempt = good
     assert (attempt.result, attempt.finding, attempt.reason) == ("as predicted", "agrees", "")
-    assert (attempt.tick, attempt.car, attempt.action, attempt.verb) == (3, 0, "UNFOLD", "UNFOLD")
-    assert (attempt.level, attempt.load, attempt.slope, attempt.legal) == (1, "none", False, True)
-    assert attempt.skill == "succeeded"
-    assert attempt.duration_s > 5
+    assert (attempt.tick, attempt.verb, attempt.level, attempt.load) == (3, "UNFOLD", 1, "none")
+    assert (attempt.skill, attempt.slope, attempt.legal) == ("succeeded", False, True)
     assert attempt.performed
     assert attempt.agrees
+    assert attempt.duration_s > 5
     assert watched.own == ("car 0", "slope 0")
 
 
 def test_a_bystander_that_is_shoved_is_a_side_effect_and_named(shoved):
     watched, _, attempt = shoved
-    assert attempt.result == Verdict.SIDE_EFFECT
-    assert not attempt.agrees
+    assert (attempt.result, attempt.agrees) == (Verdict.SIDE_EFFECT, False)
     assert attempt.bystander_displacement_m > 2 * LIMITS.bystander_m
     assert "block 0 touched slope 0" in attempt.reason
     assert "block 0 was moved by" in attempt.reason
@@ -73,91 +74,108 @@ def test_a_bystander_that_is_shoved_is_a_side_effect_and_named(shoved):
 
 
 def test_an_attempt_is_json(shoved):
-    attempt = shoved[2]
-    fields = json.loads(json.dumps(asdict(attempt), allow_nan=False))
-    assert Attempt.of(fields) == attempt
+    written = json.dumps(asdict(shoved[2]), allow_nan=False)
+    assert Attempt.of(json.loads(written)) == shoved[2]
 
 
-def _spoilt(good, cause=None, **changes):
+FAILED, SIDE_EFFECT, SOLVER = Verdict.FAILED, Verdict.SIDE_EFFECT, Verdict.SOLVER
+OVER = {
+    FAILED: {
+        "car_error_m": 0.0011,
+        "heading_error_rad": 0.0031,
+        "height_error_m": 0.0021,
+        "placed_error_m": 0.0013,
+        "tilt_error_rad": 0.011,
+        "seat_error_m": 0.0013,
+        "reach_m": 0.0013,
+        "thing_heading_rad": 0.0051,
+        "thing_tilt_rad": 0.011,
+        "thing_height_m": 0.0021,
+    },
+    SIDE_EFFECT: {
+        "bystander_turn_rad": 0.0041,
+        "drift_m": 0.0011,
+        "drift_rad": 0.0041,
+        "bystander_tilt_rad": 0.011,
+        "bystander_reach_m": 0.0013,
+        "bystander_displacement_m": 0.0011,
+    },
+}
+"""Errors just over their limits, by the verdict that they mean."""
+
+
+def test_the_result_follows_from_effect_errors_and_cause(good):
     watched, agreed, _ = good
-    errors = watched.errors | {name: changes.pop(name) for name in list(changes) if name in watched.errors}
-    changed = replace(watched, errors=errors, **changes)
-    return verdict_of(changed, cause or agreed, changed.exceeded(LIMITS))
 
+    def verdict(cause=agreed, errors=None, **changes):
+        changed = replace(watched, errors=watched.errors | (errors or {}), **changes)
+        return verdict_of(changed, cause, changed.exceeded(LIMITS))
 
-def test_the_result_follows_from_effect_errors_and_verdict(good):
-    for changes, result in (
-        ({"outcome": Outcome(Reason.TIMEOUT, 1.0)}, Verdict.FAILED),
-        ({"differences": ("car 0: predicted a, read b",)}, Verdict.FAILED),
-        ({"outcome": None}, Verdict.FAILED),
-        ({"car_error_m": 0.0011}, Verdict.FAILED),
-        ({"heading_error_rad": 0.0031}, Verdict.FAILED),
-        ({"height_error_m": 0.0021}, Verdict.FAILED),
-        ({"placed_error_m": 0.0013}, Verdict.FAILED),
-        ({"tilt_error_rad": 0.011}, Verdict.FAILED),
-        ({"seat_error_m": 0.0013}, Verdict.FAILED),
-        ({"thing_heading_rad": 0.0051}, Verdict.FAILED),
-        ({"thing_tilt_rad": 0.011}, Verdict.FAILED),
-        ({"thing_height_m": 0.0021}, Verdict.FAILED),
-        ({"reach_m": 0.0013}, Verdict.FAILED),
-        ({"bystander_turn_rad": 0.0041}, Verdict.SIDE_EFFECT),
-        ({"drift_m": 0.0011}, Verdict.SIDE_EFFECT),
-        ({"drift_rad": 0.0041}, Verdict.SIDE_EFFECT),
-        ({"bystander_reach_m": 0.0013}, Verdict.SIDE_EFFECT),
-        ({"bystander_tilt_rad": 0.011}, Verdict.SIDE_EFFECT),
-        ({"drift_rad": float("nan")}, Verdict.SIDE_EFFECT),
-        ({"bystander_displacement_m": 0.0011}, Verdict.SIDE_EFFECT),
-        ({"bystander_displacement_m": 0.0009}, Verdict.AS_PREDICTED),
-        ({"bystander_displacement_m": 0.0011, "car_error_m": 0.0011}, Verdict.FAILED),
-        ({"car_error_m": float("nan")}, Verdict.FAILED),
-        ({"cause": ("side effect", ("car 1: predicted a, read b",))}, Verdict.SIDE_EFFECT),
-        ({"cause": ("unreadable", ("block 3 leans by 0.30 rad",))}, Verdict.SIDE_EFFECT),
-        ({"cause": ("unreadable", ("slope 0 is half open: ...",))}, Verdict.FAILED),
-        ({"cause": ("unreadable", ("car 0 leans: ...",))}, Verdict.FAILED),
-        ({"cause": ("unsettled", ("something still moves",))}, Verdict.FAILED),
-        ({"cause": ("diverged", ("the simulation broke down",))}, Verdict.SOLVER),
-        ({"cause": ("numerics", ("not solved",))}, Verdict.SOLVER),
-        (
-            {"cause": ("unsafe", ("block 3 fell (0.8 m/s)",)), "capped_steps": 1},
-            Verdict.SOLVER,
-        ),
-        ({"capped_steps": 3}, Verdict.AS_PREDICTED),
-        ({"cause": ("unsafe", ("block 3 fell (0.8 m/s)",))}, Verdict.UNSAFE),
+    for result, errors in OVER.items():
+        for name, value in errors.items():
+            assert verdict(errors={name: value}) is result, name
+            assert verdict(errors={name: float("nan")}) is result, name
+            assert verdict(errors={name: 0.7 * value}) is Verdict.AS_PREDICTED, name
+    assert verdict(errors={"bystander_displacement_m": 0.0011, "car_error_m": 0.0011}) is FAILED
+    assert verdict(outcome=Outcome(Reason.TIMEOUT, 1.0)) is FAILED
+    assert verdict(outcome=None) is FAILED
+    assert verdict(differences=("car 0: predicted a, read b",)) is FAILED
+    for finding, line, result in (
+        ("side effect", "car 1: predicted a, read b", SIDE_EFFECT),
+        ("unreadable", "block 3 leans by 0.30 rad", SIDE_EFFECT),
+        ("unreadable", "slope 0 is half open: ...", FAILED),
+        ("unreadable", "car 0 leans: ...", FAILED),
+        ("unsettled", "something still moves", FAILED),
+        ("diverged", "the simulation broke down", SOLVER),
+        ("numerics", "not solved", SOLVER),
+        ("unsafe", "block 3 fell (0.8 m/s)", Verdict.UNSAFE),
     ):
-        assert _spoilt(good, **changes) is result
-
-
-def test_a_reason_names_first_what_was_broken_then_what_was_touched(good):
-    contact = Contact("car 0", "block 1", 1.0, 20.0, False)
-    watched, verdict, _ = good
-    other = replace(
-        watched,
-        hazards=((("block 1",), "block 1 fell (0.8 m/s)"),),
-        contacts=(contact,),
-        outcome=Outcome(Reason.BLOCKED, 1.0, "41 mm behind the path"),
-    )
-    unsafe = ("unsafe", ("block 1 fell (0.8 m/s)",))
-    assert attempt_of(other, unsafe, LIMITS).reason == (
-        "block 1 fell (0.8 m/s); blocked: 41 mm behind the path; car 0 touched block 1 (20 N)"
-    )
-    turned = replace(watched, errors=watched.errors | {"heading_error_rad": 0.00301}, contacts=(contact,))
-    assert attempt_of(turned, verdict, LIMITS).reason == (
-        "the car is turned by 3.01 mrad (allowed 3.00); car 0 touched block 1 (20 N)"
-    )
-    strayed = replace(watched, errors=watched.errors | {"car_error_m": 0.0034}, strayed_m=0.0052)
-    assert attempt_of(strayed, verdict, LIMITS).reason == (
-        "the car is 3.40 mm off (allowed 1.00); the car strayed 5.2 mm from its path"
-    )
+        assert verdict((finding, (line,))) is result
+        assert verdict((finding, (line,)), capped_steps=1) is SOLVER, (
+            "what follows is held against the solver"
+        )
+    assert verdict(capped_steps=3) is Verdict.AS_PREDICTED
 
 
 def test_every_limit_is_that_of_an_error_and_every_error_is_held_against_one():
     limits = {measure.limit for measure in BOUNDED_ERRORS} | {"force"}  # which the contact log holds
     assert limits == {f.name for f in fields(Thresholds)}
     errors = {f.name for f in fields(Attempt) if f.name.endswith(("_m", "_rad"))}
-    assert errors == {measure.field for measure in BOUNDED_ERRORS}
+    assert errors == {measure.field for measure in BOUNDED_ERRORS} == {*OVER[FAILED], *OVER[SIDE_EFFECT]}
 
 
-def test_what_the_rules_forbid_is_not_performed_and_says_which_rule():
+def test_a_reason_names_first_what_was_broken_then_what_was_touched(good):
+    watched, agreed, _ = good
+    touched = (Contact("car 0", "block 1", 1.0, 20.0, False),)
+    hazards, blocked = (
+        ((("block 1",), "block 1 fell (0.8 m/s)"),),
+        Outcome(Reason.BLOCKED, 1.0, "41 mm behind"),
+    )
+    for cause, changes, errors, reason in (
+        (
+            ("unsafe", ("block 1 fell (0.8 m/s)",)),
+            {"hazards": hazards, "contacts": touched, "outcome": blocked},
+            {},
+            "block 1 fell (0.8 m/s); blocked: 41 mm behind; car 0 touched block 1 (20 N)",
+        ),
+        (
+            agreed,
+            {"contacts": touched},
+            {"heading_error_rad": 0.00301},
+            "the car is turned by 3.01 mrad (allowed 3.00); car 0 touched block 1 (20 N)",
+        ),
+        (
+            agreed,
+            {"strayed_m": 0.0052},
+            {"car_error_m": 0.0034},
+            "the car is 3.40 mm off (allowed 1.00); the car strayed 5.2 mm from its path",
+        ),
+    ):
+        changed = replace(watched, errors=watched.errors | errors, **changes)
+        assert attempt_of(changed, cause, LIMITS).reason == reason
+
+
+def test_what_the_rules_forbid_is_not_performed_unless_it_is_said_what_it_should_lead_to():
     judge = _unfolding(False)
     before = judge.physics.data.qpos.copy()
     attempt = judge.perform(0, Action.DROP)
@@ -166,25 +184,16 @@ def test_what_the_rules_forbid_is_not_performed_and_says_which_rule():
     assert attempt.finding == "not executed"
     assert attempt.reason == f"the rules forbid it: {judge.rules.explain(judge.grid, 0, Action.DROP).why}"
     np.testing.assert_array_equal(judge.physics.data.qpos, before)
-
-
-def test_what_the_rules_forbid_is_performed_where_it_is_said_what_it_should_lead_to():
-    judge = _unfolding(False)
+    stays = judge.perform(0, Action.DROP, judge.grid.copy(), tick=1)
+    assert (stays.legal, stays.performed, stays.skill) == (False, True, "succeeded")
+    assert (stays.finding, stays.result, stays.tick) == ("agrees", Verdict.AS_PREDICTED, 1)
     intended = judge.grid.copy()
     intended.cars[0, 0] = 3
     assert judge.perform(0, Action.MOVE_RIGHT, intended).legal
-    before = judge.grid
-    assert not judge.rules.legal(before, 0, Action.DROP)
-    stays = judge.perform(0, Action.DROP, before.copy(), tick=1)
-    assert (stays.legal, stays.performed, stays.skill) == (False, True, "succeeded")
-    assert (stays.finding, stays.result, stays.tick) == ("agrees", Verdict.AS_PREDICTED, 1)
 
 
 def test_many_cars_at_once_get_an_attempt_each():
-    grid = Grid.empty((4, 3, 2), 3)
-    grid.cars[:, :4] = [[0, 0, 1, 0], [0, 2, 1, 0], [3, 1, 1, 0]]
-    grid.derive_marks()
-    judge = set_up(grid, Setup())
+    judge = set_up(draw((4, 3, 2), (), [(0, 0, 1, 0), (0, 2, 1, 0), (3, 1, 1, 0)]), Setup())
     judge.physics.model.actuator_forcerange[judge.physics.cars[1].wheel_actuators] = 0.0
     acts = [(0, Action.MOVE_RIGHT), (1, Action.MOVE_RIGHT), (2, Action.LIFT)]
     attempts = judge.perform_tick(acts, tick=4)
@@ -207,13 +216,9 @@ def test_a_simulation_that_breaks_down_has_diverged():
 
 def test_what_still_moves_when_all_motors_rest_is_unsettled():
     judge = _unfolding(True)
-    physics = judge.physics
-
-    def hand(_):
-        # A declared disturbance: somebody pulls the block up, gently and for ever.
-        physics.data.xfrc_applied[physics.blocks[0].body, 2] = 5.4
-
-    judge.executor.observers.append(hand)
+    push = judge.physics.data.xfrc_applied[judge.physics.blocks[0].body]
+    # A declared disturbance: somebody pulls the block up, gently and for ever.
+    judge.executor.observers.append(lambda _: push.__setitem__(2, 5.4))
     attempt = judge.perform(0, Action.STOP)
     assert attempt.finding == "unsettled"
     assert "still moves with" in attempt.differences[0]
@@ -223,6 +228,92 @@ def test_the_impact_limit_is_above_what_a_loaded_car_and_its_motors_do():
     assert 420 < impact_limit_n() < 500
 
 
-def test_verbs_forget_the_direction():
-    assert ACTIONS[Action.MOVE_BACK].verb == "MOVE"
-    assert ACTIONS[Action.ROTATE_LEFT].verb == "ROTATE_LEFT"
+BEFORE = draw((4, 4, 3), [(Kind.BLOCK, (1, 2, 1)), (Kind.FSLOPE, (2, 2, 1), 0)], [(0, 0, 1, 0), (3, 3, 1, 2)])
+"""Two cars, a block and a folded slope."""
+
+
+def _changed(grid: Grid, *, cars=(), cells=()) -> Grid:
+    after = grid.copy()
+    for car, field, value in cars:
+        after.cars[car, field] = value
+    for cell, kind in cells:
+        after.kind[cell] = kind
+    return after
+
+
+STEP = _changed(BEFORE, cars=[(0, CarField.X, 1)])
+TURNED, REMARKED = STEP.copy(), STEP.copy()
+TURNED.yaw[2, 2, 1] = 1
+REMARKED.occupant[:], REMARKED.landing[:] = 7, True
+LOADED = _changed(BEFORE, cars=[(0, CarField.LOAD, Kind.FLAG)])
+DROPPED = _changed(BEFORE, cells=[((0, 0, 1), Kind.FLAG)])
+LEANS = "car 0 leans: pitch +0.30 rad, roll 0.00 rad"
+GONE = [((1, 2, 1), Kind.AIR)]
+FOUND = (
+    (BEFORE, STEP, STEP, "agrees", None),
+    (BEFORE, BEFORE, BEFORE, "agrees", None),
+    (BEFORE, STEP, REMARKED, "agrees", None),
+    (BEFORE, STEP, BEFORE, "not executed", "car 0: predicted 1,0,1 +x, read 0,0,1 +x"),
+    *(
+        (BEFORE, STEP, _changed(BEFORE, cars=[(0, *change)]), "wrong place", None)
+        for change in ((CarField.Y, 1), (CarField.YAW, 1), (CarField.LOAD, Kind.BLOCK))
+    ),
+    (
+        *(LOADED, DROPPED, _changed(BEFORE, cells=[((0, 0, 1), Kind.BLOCK)]), "wrong place"),
+        "cell (0, 0, 1): predicted flag yaw 0, read block yaw 0",
+    ),
+    *(
+        (BEFORE, STEP, _changed(STEP, cars=cars, cells=cells), "side effect", None)
+        for cars, cells in (
+            ([(1, CarField.Y, 2)], ()),
+            ([(1, CarField.YAW, 0)], ()),
+            ((), [*GONE, ((1, 3, 1), Kind.BLOCK)]),
+            ((), [((2, 2, 1), Kind.BODY), ((3, 2, 1), Kind.FOOT)]),
+        )
+    ),
+    (BEFORE, STEP, _changed(BEFORE, cells=GONE), "side effect", None),
+    (BEFORE, STEP, TURNED, "side effect", "cell (2, 2, 1): predicted fslope yaw 0, read fslope yaw 1"),
+)
+"""Before, predicted, read; what is found, and in which words if one difference is all."""
+
+
+def test_what_is_found_follows_from_what_is_predicted_and_read():
+    for before, predicted, read, found, words in FOUND:
+        cause = compare(before, predicted, Reading(read, (), ()))
+        assert cause[0] == found, cause
+        assert bool(cause[1]) == (found != "agrees")
+        assert words is None or cause[1] == (words,)
+    assert compare(BEFORE, STEP, Reading(STEP, (), (), (LEANS,))) == ("unreadable", (LEANS,))
+
+
+def test_every_difference_gets_its_line():
+    read = _changed(STEP, cars=[(0, CarField.X, 2), (1, CarField.YAW, 3)], cells=GONE)
+    assert describe_differences(STEP, read) == [
+        "cell (1, 2, 1): predicted block yaw 0, read air yaw 0",
+        "car 0: predicted 1,0,1 +x, read 2,0,1 +x",
+        "car 1: predicted 3,3,1 -x, read 3,3,1 -y",
+    ]
+
+
+def test_a_car_is_described_in_brief():
+    for row, text in (
+        ((2, 3, 1, 1, Kind.AIR, 0, 0), "2,3,1 +y"),
+        ((0, 1, 2, 2, Kind.FSLOPE, 0, 2), "0,1,2 -x fslope+x high"),
+        ((0, 1, 1, 3, Kind.FLAG, 0, 1), "0,1,1 -y flag low"),
+    ):
+        grid = Grid.empty((4, 4, 3), 1)
+        grid.cars[0] = row
+        assert describe_car(grid, 0) == text
+
+
+def test_an_action_has_its_effect_whatever_else_happened_and_not_without_its_car_and_cell():
+    dropped = _changed(STEP, cells=[((1, 0, 1), Kind.BLOCK)])
+    pushed = _changed(dropped, cars=[(1, CarField.Y, 2)], cells=GONE)
+    for read, has in (
+        (dropped, True),
+        (pushed, True),
+        (BEFORE, False),
+        (STEP, False),
+        (_changed(BEFORE, cells=[((1, 0, 1), Kind.BLOCK)]), False),
+    ):
+        assert bool(own_differences(BEFORE, dropped, read, car=0)) is not has

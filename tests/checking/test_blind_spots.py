@@ -20,10 +20,11 @@ from craftsim.models.randomization import NONE
 from craftsim.models.sensing import SensorNoise
 
 LEFT, RIGHT = Action.ROTATE_LEFT, Action.MOVE_RIGHT
+REDUCED = setup_of("none", drive="reduced")
 
 
 def _judge(objects=(), cars=((0, 0, 1, 0),), size=(5, 1, 2), setup=None):
-    return set_up(draw(size, objects, cars), setup or Setup())
+    return set_up(draw(size, objects, cars), setup or REDUCED)
 
 
 def _bump(begin_s, length_s, *most):
@@ -118,7 +119,7 @@ def test_many_small_movements_add_up_and_are_held_against_one_action():
 
 def test_a_bystander_may_not_come_too_near_to_its_neighbour_however_little_it_was_moved():
     """A block that was set down 0.8 mm off, as is allowed, is moved by half a millimetre later, as is allowed too."""
-    judge = _judge(cars=[(0, 0, 1, 0), (3, 0, 1, 0, Kind.BLOCK)])
+    judge = _judge(cars=[(0, 0, 1, 0), (3, 0, 1, 0, Kind.BLOCK)], setup=Setup())
     judge.executor.observers.append(push(0, 0.0008))
     dropped = judge.perform(1, Action.DROP)
     assert dropped.agrees
@@ -136,7 +137,7 @@ def test_a_failure_names_its_limit_and_no_contact_of_another_car():
     """Both cars are localised 5 mrad off: one turns by so much less or more, the other lifts its block as it should."""
     biased = replace(NONE, sensors=SensorNoise(heading_bias_rad=0.005))
     cars = [(0, 0, 1, 0), (3, 0, 1, 0)]
-    judge = _judge([(Kind.BLOCK, (3, 0, 1))], cars, setup=Setup(randomization=biased))
+    judge = _judge([(Kind.BLOCK, (3, 0, 1))], cars, setup=replace(REDUCED, randomization=biased))
     turns, lifts = judge.perform_tick([(0, LEFT), (1, Action.LIFT)])
     assert lifts.agrees
     assert turns.heading_error_rad > 0.003
@@ -144,12 +145,12 @@ def test_a_failure_names_its_limit_and_no_contact_of_another_car():
 
 
 def test_on_an_uneven_floor_a_failure_says_how_far_the_car_was_from_its_path():
-    setup = replace(setup_of("lab_floor"), thresholds=Thresholds(car_m=1e-9))
+    setup = replace(setup_of("lab_floor", drive="reduced"), thresholds=Thresholds(car_m=1e-9))
     attempt = _judge(setup=setup).perform(0, RIGHT)
     assert attempt.reason.startswith("the car is ")
     assert "; the car strayed " in attempt.reason
     assert float(attempt.reason.split("strayed ")[1].split(" mm")[0]) < 10
-    even = _judge(setup=Setup(thresholds=Thresholds(car_m=1e-9))).perform(0, RIGHT)
+    even = _judge(setup=replace(REDUCED, thresholds=Thresholds(car_m=1e-9))).perform(0, RIGHT)
     assert "strayed" not in even.reason
 
 

@@ -4,9 +4,10 @@ import csv
 
 import numpy as np
 import pytest
+from drawn import draw
 
 from craftsim.checking.contacts import ContactLog
-from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
@@ -16,18 +17,13 @@ from craftsim.skills.state import GRAVITY
 
 BLOCK, SMARTCAR = NOMINAL.block, NOMINAL.cars[0]
 
-SIZE = (4, 3, 3)
+
+def _physics(*objects, config: SimulationConfig | None = None) -> PhysicsWorld:
+    """Return a car at (0, 1) that faces +x, and objects as :func:`draw` takes them."""
+    return PhysicsWorld(draw((4, 3, 3), objects, [(0, 1, 1, 0)]), config)
 
 
-def _physics(config: SimulationConfig | None = None, **cells: Kind) -> PhysicsWorld:
-    """Return a car at (0, 1) that faces +x; cells such as ``b211=Kind.BLOCK`` hold things."""
-    grid = Grid.empty(SIZE, 1)
-    grid.cars[0, :4] = 0, 1, 1, 0
-    for name, kind in cells.items():
-        x, y, z = (int(digit) for digit in name[1:])
-        grid.kind[x, y, z] = kind
-    grid.derive_marks()
-    return PhysicsWorld(grid, config)
+BLOCK_AHEAD, BLOCK_BEYOND, BLOCK_ABOVE = ((Kind.BLOCK, cell) for cell in ((1, 1, 1), (2, 1, 1), (2, 1, 2)))
 
 
 def _pairs(log: ContactLog) -> dict[tuple[str, str], float]:
@@ -35,7 +31,7 @@ def _pairs(log: ContactLog) -> dict[tuple[str, str], float]:
 
 
 def test_what_stands_on_what_at_the_start_is_known_with_its_weight_though_all_of_it_sleeps():
-    physics = _physics(b211=Kind.BLOCK, b212=Kind.BLOCK)
+    physics = _physics(BLOCK_BEYOND, BLOCK_ABOVE)
     assert physics.data.ncon == 0, "MuJoCo leaves out contacts of sleeping things"
     log = ContactLog(physics)
     block, car = BLOCK.mass_kg * GRAVITY, SMARTCAR.mass_kg * GRAVITY
@@ -51,7 +47,7 @@ def test_what_stands_on_what_at_the_start_is_known_with_its_weight_though_all_of
 def test_watching_leaves_the_simulation_as_it_is():
     ends = []
     for watched in (False, True):
-        physics = _physics(b111=Kind.BLOCK)
+        physics = _physics(BLOCK_AHEAD)
         executor = Executor(physics)
         log = ContactLog(physics) if watched else None
         if log is not None:
@@ -68,7 +64,7 @@ def test_watching_leaves_the_simulation_as_it_is():
 
 
 def test_a_lift_touches_the_load_and_parts_it_from_the_ground():
-    physics = _physics(b111=Kind.BLOCK)
+    physics = _physics(BLOCK_AHEAD)
     executor = Executor(physics)
     executor.run({0: Action.MOVE_RIGHT})
     log = ContactLog(physics)
@@ -86,7 +82,7 @@ def test_a_lift_touches_the_load_and_parts_it_from_the_ground():
 
 
 def test_a_car_that_runs_into_a_wall_presses_on_it():
-    physics = _physics(w111=Kind.WALL)
+    physics = _physics((Kind.WALL, (1, 1, 1)))
     log = ContactLog(physics)
     physics.drive(0, [10.0, 0.0, 0.0, 10.0])  # askew: between its legs a wall can be driven under
     for _ in range(40):
@@ -112,7 +108,7 @@ def _strike(physics: PhysicsWorld, log: ContactLog, force_n: float) -> None:
 
 
 def test_a_blow_that_is_over_within_a_control_period_is_seen():
-    physics = _physics(AWAKE, b211=Kind.BLOCK)
+    physics = _physics(BLOCK_BEYOND, config=AWAKE)
     log, periods = ContactLog(physics), ContactLog(physics)
     _strike(physics, log, 500.0)
     periods.sample()
@@ -122,7 +118,7 @@ def test_a_blow_that_is_over_within_a_control_period_is_seen():
 
 def test_a_force_that_nothing_here_could_have_produced_is_no_hazard_but_impossible():
     """A resting block of 0.5 kg presses with twice its weight at most; a disturbance knows no such limit."""
-    physics = _physics(AWAKE, b211=Kind.BLOCK)
+    physics = _physics(BLOCK_BEYOND, config=AWAKE)
     log = ContactLog(physics)
     _strike(physics, log, 20_000.0)
     (line,) = log.impossible
@@ -133,14 +129,11 @@ def test_a_force_that_nothing_here_could_have_produced_is_no_hazard_but_impossib
 
 def test_a_hard_landing_is_a_hazard_and_not_impossible():
     """A car that is that lands at 1.5 m/s stops within some steps: 15 kg m/s in 12 ms are a kilonewton and more."""
-    physics = _physics(AWAKE)
+    physics = _physics(config=AWAKE)
     log = ContactLog(physics)
-    physics.data.xfrc_applied[physics.cars[0].base.body, 2] = (
-        300.0  # a declared disturbance: somebody throws it up
-    )
+    push = physics.data.xfrc_applied[physics.cars[0].base.body]
     for period in range(40):
-        if period == 5:
-            physics.data.xfrc_applied[physics.cars[0].base.body, 2] = 0.0
+        push[2] = 300.0 if period < 5 else 0.0  # a declared disturbance: somebody throws it up
         physics.advance(log.look)
         log.sample()
     assert log.fall_m_s > 1.5
@@ -149,14 +142,13 @@ def test_a_hard_landing_is_a_hazard_and_not_impossible():
 
 
 def test_a_fall_and_a_tip_are_hazards_with_the_name_of_what_fell():
-    physics = _physics(b211=Kind.BLOCK, b212=Kind.BLOCK)
+    physics = _physics(BLOCK_BEYOND, BLOCK_ABOVE)
     log = ContactLog(physics)
     top = physics.blocks[1]
+    push = physics.data.xfrc_applied[top.body]
     for _ in range(100):
         # A declared disturbance: somebody shoves the upper block off.
-        physics.data.xfrc_applied[top.body, 0] = (
-            5.0 if physics.free_body_state(top)[0][0] < 3.2 * 0.3225 else 0.0
-        )
+        push[0] = 5.0 if physics.free_body_state(top)[0][0] < 3.2 * 0.3225 else 0.0
         physics.advance()
         log.sample()
     assert {machines for machines, _ in log.hazards()} == {("block 1",)}
@@ -168,7 +160,7 @@ def test_a_fall_and_a_tip_are_hazards_with_the_name_of_what_fell():
 
 
 def test_the_file_has_a_line_for_each_contact(tmp_path):
-    log = ContactLog(_physics(b211=Kind.BLOCK))
+    log = ContactLog(_physics(BLOCK_BEYOND))
     log.write(tmp_path / "contacts.csv")
     with (tmp_path / "contacts.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

@@ -3,15 +3,22 @@
 They came from random play and from looking where no context of the audit looks; tests/data/worlds holds them.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from craftsim import Action, SimulationConfig, read_blueprint, validate
+from craftsim.checking.episode import Recipe, do, start
 from craftsim.checking.setup import Seed, set_up, setup_of
+from craftsim.discrete.files.plan import read_actions
+from craftsim.discrete.rules import Rules
+from craftsim.storage import limits
+from craftsim.storage.records import read_json_record
 
-WORLDS = Path(__file__).parents[1] / "data" / "worlds"
+DATA = Path(__file__).parents[1] / "data"
+WORLDS = DATA / "worlds"
 FORBIDDEN = {
     "carry_under_wall": "overhead_wall",
     "fold_under_wall": "overhead_wall",
@@ -32,67 +39,72 @@ SLOPES = ("climb_foot", "descend_top")
 """Worlds whose only action ends on a slope."""
 
 
+def _grid(name):
+    return read_blueprint(WORLDS / f"{name}.yaml").grid(np.random.default_rng(0))
+
+
+def _run(name, actions="", **options):
+    found = validate(
+        WORLDS / f"{name}.yaml",
+        actions=WORLDS / (actions or f"{name}.actions"),
+        **{"randomize": "none", "drive": "reduced", "trials": 1} | options,
+    )
+    assert found.agrees, [attempt.reason for attempt in found.attempts if not attempt.agrees]
+    return len(found.attempts)
+
+
 def test_every_world_is_decided():
     names = {path.stem for path in WORLDS.glob("*.yaml")}
     assert names == {*FORBIDDEN, *WORKS, *SLOPES, "tight_climb", "turn_walk", "solver_1007"}
 
 
-def test_what_physics_refuses_the_rules_forbid():
-    for name, correction in FORBIDDEN.items():
-        world, actions = WORLDS / f"{name}.yaml", WORLDS / f"{name}.actions"
-        (forbidden,) = validate(world, actions=actions, randomize="none", trials=1).attempts
-        assert not forbidden.legal, name
-        assert correction in forbidden.reason
-        (performed,) = validate(
-            world, actions=actions, rules="published", randomize="none", trials=1
-        ).attempts
-        assert performed.legal, name
-        assert not performed.agrees, name
+@pytest.mark.parametrize("name", FORBIDDEN)
+def test_what_physics_refuses_the_rules_forbid(name):
+    grid = _grid(name)
+    ((_, action),) = read_actions(WORLDS / f"{name}.actions", grid.n_cars).ticks[0]
+    assert Rules("physical").explain(grid, 0, action).correction.name == FORBIDDEN[name]
+    performed = set_up(grid, setup_of("none", rules="published", drive="reduced")).perform(0, action)
+    assert performed.legal
+    assert not performed.agrees
 
 
-def test_a_car_drives_up_to_the_level_above_the_top():
-    for name in WORKS:
-        result = validate(
-            WORLDS / f"{name}.yaml", actions=WORLDS / f"{name}.actions", randomize="none", trials=1
-        )
-        assert len(result.attempts) == 3
-        assert result.agrees, [attempt.reason for attempt in result.attempts]
+@pytest.mark.parametrize("name", WORKS)
+def test_a_car_drives_up_to_the_level_above_the_top(name):
+    assert _run(name) == 3
 
 
 @pytest.mark.parametrize("drive", TURNS)
 def test_headings_do_not_walk_while_a_car_lifts_turns_and_sets_down_one_block(drive):
-    result = validate(
-        WORLDS / "turn_walk.yaml", actions=WORLDS / TURNS[drive], drive=drive, randomize="none", trials=1
-    )
-    assert len(result.attempts) == 24
-    assert result.agrees, [attempt.reason for attempt in result.attempts]
+    assert _run("turn_walk", TURNS[drive], drive=drive) == 24
 
 
 @pytest.mark.parametrize("name", SLOPES)
 def test_the_first_action_of_a_car_may_end_on_a_slope(name):
-    world, actions = WORLDS / f"{name}.yaml", WORLDS / f"{name}.actions"
-    result = validate(world, actions=actions, drive="reduced", randomize="mild", trials=8)
-    assert len(result.attempts) == 8
-    assert result.agrees, [attempt.reason for attempt in result.attempts]
+    assert _run(name, randomize="mild", trials=4) == 4
 
 
 @pytest.mark.parametrize("seed", [46, 119])
 def test_a_load_passes_stacks_up_a_slippery_ramp(seed):
-    start = read_blueprint(WORLDS / "tight_climb.yaml").grid(np.random.default_rng(0))
-    attempt = set_up(start, setup_of("mild", drive="reduced"), Seed((77, seed))).perform(0, Action.MOVE_BACK)
+    judge = set_up(_grid("tight_climb"), setup_of("mild", drive="reduced"), Seed((77, seed)))
+    attempt = judge.perform(0, Action.MOVE_BACK)
     assert attempt.agrees, attempt.reason
 
 
 def test_the_solver_copes_with_six_cars_among_stacks_and_says_how_often_it_did_not():
-    result = validate(
-        WORLDS / "solver_1007.yaml",
-        plan=WORLDS / "solver_1007.plan",
-        order="ticks",
-        randomize="none",
-        trials=1,
-    )
+    world, plan = WORLDS / "solver_1007.yaml", WORLDS / "solver_1007.plan"
+    result = validate(world, plan=plan, order="ticks", randomize="none", trials=1)
     assert len(result.attempts) == 36
     assert result.agrees, [attempt.reason for attempt in result.attempts if not attempt.agrees]
     assert sum(attempt.capped_steps for attempt in result.attempts) == 0
     # Its slowest step needs 99 iterations here; on other computers the default cap of 100 was reached.
     assert SimulationConfig().solver_iterations >= 500
+
+
+def test_a_carried_slope_is_not_thrown_off_its_board_at_the_foot_of_a_ramp():
+    """With steps of 5 ms, car 0 and the slope that it carries onto a ramp in the last of 48 ticks hit each other with
+    676 N, where finer steps find 16 N (docs/explanation/drives.md)."""
+    recipe = read_json_record(DATA / "carried_slope.json", Recipe, limits.BUNDLE)
+    recipe = replace(recipe, setup=setup_of("mild", drive="reduced"))
+    attempts = do(start(recipe), recipe.steps[-1])
+    assert any(a.car == 0 and a.tick == 47 and a.load == "fslope" and a.slope for a in attempts)
+    assert not [str(attempt) for attempt in attempts if not attempt.agrees]

@@ -6,47 +6,37 @@ import weakref
 import numpy as np
 import pytest
 from disturbances import push
+from drawn import draw
 
 from craftsim.checking.attempt import Verdict
+from craftsim.checking.episode import perform
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup, set_up, setup_of
-from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
+from craftsim.errors import InputError
 from craftsim.models.config import SimulationConfig
+from craftsim.models.world import PhysicsWorld
 from craftsim.skills.outcome import Reason
 
 SIZE = (4, 1, 2)
 RIGHT = Action.MOVE_RIGHT
+REDUCED = setup_of("none", drive="reduced")
 
 
 def _judge(*, block_at: int | None = None, load: Kind = Kind.AIR, setup: Setup | None = None) -> Judge:
     """Return a corridor with a car in each of its end cells; the first may carry something."""
-    grid = Grid.empty(SIZE, 2)
-    grid.cars[0, :5] = 0, 0, 1, 0, load
-    grid.cars[1, :4] = 3, 0, 1, 2
-    if block_at is not None:
-        grid.kind[block_at, 0, 1] = Kind.BLOCK
-    grid.derive_marks()
-    return set_up(grid, setup or Setup())
-
-
-def test_an_attempt_says_what_was_asked_predicted_done_and_read():
-    judge = _judge()
-    began_s = judge.physics.time_s
-    attempt = judge.perform(0, RIGHT, tick=5)
-    assert (attempt.tick, attempt.car, attempt.action, attempt.legal) == (5, 0, "MOVE_RIGHT", True)
-    assert (attempt.predicted, attempt.read) == ("1,0,1 +x", "1,0,1 +x")
-    assert attempt.skill == "succeeded"
-    assert attempt.finding == "agrees"
-    assert attempt.placed_error_m is None
-    assert attempt.start_s == pytest.approx(began_s)
+    objects = [] if block_at is None else [(Kind.BLOCK, (block_at, 0, 1))]
+    return set_up(draw(SIZE, objects, [(0, 0, 1, 0, load), (3, 0, 1, 2)]), setup or REDUCED)
 
 
 def test_the_judge_does_not_believe_the_skill():
     judge = _judge()
-    begin = judge.executor.begin
+    begin, began_s = judge.executor.begin, judge.physics.time_s
     judge.executor.begin = lambda car, action, terrain: begin(car, Action.STOP, terrain)
     attempt = judge.perform(0, RIGHT)
+    assert (attempt.legal, attempt.predicted, attempt.read) == (True, "1,0,1 +x", "0,0,1 +x")
+    assert attempt.start_s == pytest.approx(began_s)
     assert attempt.skill == "succeeded"
     assert attempt.finding == "not executed"
     assert attempt.differences == ("car 0: predicted 1,0,1 +x, read 0,0,1 +x",)
@@ -72,15 +62,10 @@ def test_what_a_car_carries_is_no_bystander_and_what_it_drops_is_measured():
     assert judge.grid.kind[1, 0, 1] == Kind.BLOCK
 
 
-def _queue(fault=lambda physics: None) -> Judge:
+def _queue() -> Judge:
     """Return three cars in a row, the first under a block at the row's end."""
-    grid = Grid.empty((4, 2, 2), 3)
-    grid.cars[:, :4] = [(2, 0, 1, 0), (1, 0, 1, 0), (0, 0, 1, 0)]
-    grid.kind[2, 0, 1] = Kind.BLOCK
-    grid.derive_marks()
-    judge = set_up(grid, Setup())
-    fault(judge.physics)
-    return judge
+    cars = [(2, 0, 1, 0), (1, 0, 1, 0), (0, 0, 1, 0)]
+    return set_up(draw((4, 2, 2), [(Kind.BLOCK, (2, 0, 1))], cars), REDUCED)
 
 
 def test_cars_that_follow_each_other_all_move_in_one_tick_and_later_ticks_start_from_the_reading():
@@ -116,11 +101,8 @@ def test_a_side_effect_that_is_nobodys_is_held_against_all():
 
 def test_what_turns_unsafe_ends_at_once_with_all_motors_stopped():
     """A car drives off a block, which the rules forbid: it tips long before it is where it was to go."""
-    grid = Grid.empty((3, 1, 3), 2)
-    grid.cars[0, :4], grid.cars[1, :4] = (0, 0, 2, 0), (2, 0, 1, 0)
-    grid.kind[0, 0, 1] = Kind.BLOCK
-    grid.derive_marks()
-    judge = set_up(grid, Setup())
+    grid = draw((3, 1, 3), [(Kind.BLOCK, (0, 0, 1))], [(0, 0, 2, 0), (2, 0, 1, 0)])
+    judge = set_up(grid, REDUCED)
     physics = judge.physics
     goal = grid.copy()
     goal.cars[0, 0] = 1
@@ -164,3 +146,14 @@ def test_a_force_that_nothing_could_have_produced_is_numerics_and_not_unsafe():
     assert (attempt.finding, attempt.result) == ("numerics", Verdict.SOLVER)
     assert "more than weights, motors and motion could" in attempt.reason
     assert attempt.capped_steps == 0
+
+
+def test_python_performs_one_action_after_the_other_as_a_judge_does():
+    judge = _judge(setup=Setup())
+    physics = PhysicsWorld(judge.grid)
+    assert perform(physics, 0, "MOVE_RIGHT") == judge.perform(0, RIGHT)
+    second = perform(physics, 0, RIGHT)
+    assert (second.agrees, second.read) == (True, "2,0,1 +x")
+    for car, action, message in ((2, "LIFT", "there is no car 2"), (0, "LFIT", "did you mean 'LIFT'")):
+        with pytest.raises(InputError, match=message):
+            perform(physics, car, action)

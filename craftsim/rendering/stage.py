@@ -251,8 +251,9 @@ class _FloorShadow:
         self._corner = np.array([area.pos[0] - area.size[0], area.pos[1] + area.size[1]])
         self._pixels_m = _SHADOW_CELL_PIXELS / CELL_PITCH_M
         self._size = (2 * area.size[:2] * self._pixels_m).round().astype(int)
-        solid = [g for g in range(1, model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
-        self._points = {geom: _corners(model, geom) for geom in solid if geom != area.id}
+        floors = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
+        solid = (model.geom_contype | model.geom_conaffinity) & ~np.isin(model.geom_type, floors)
+        self._points = {geom: _corners(model, geom) for geom in np.flatnonzero(solid).tolist()}
         self._qpos = np.full(model.nq, np.nan)
 
     def cast(self, data: mujoco.MjData) -> None:

@@ -254,12 +254,12 @@ class _FloorShadow:
         floors = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
         solid = (model.geom_contype | model.geom_conaffinity) & ~np.isin(model.geom_type, floors)
         self._points = {geom: _corners(model, geom) for geom in np.flatnonzero(solid).tolist()}
-        self._qpos = np.full(model.nq, np.nan)
+        self._cast_at = np.full(model.nq, np.nan)
 
     def cast(self, data: mujoco.MjData) -> None:
-        if np.array_equal(self._qpos, data.qpos):
+        if np.array_equal(self._cast_at, data.qpos):
             return
-        self._qpos[:] = data.qpos
+        self._cast_at = data.qpos.copy()
         light = np.full(self._size[::-1], 1.0, np.float32)
         places = [
             points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]

@@ -122,7 +122,7 @@ class Frames:
             raise InputError(f"{len(tiles)} views do not fit into {look.size[0]} x {look.size[1]} pixels")
         # A copy takes a twentieth of the time.
         self._blank: Frame = np.full((look.size[1], look.size[0], 3), PAPER, np.uint8)
-        self._panel = None if panel is None else (panel, Panel(panel.size, look.size[1]))
+        self._panel = None if panel is None else (panel, Panel(panel.size, min(look.size)))
         self._stage = Stage(trajectory, look.quality)
         self._posed = Posed(self._stage.model)
         self._renderers: list[mujoco.Renderer] = []

@@ -88,10 +88,10 @@ def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:
 class Panel:
     """Draws captions; what has not changed since the last one is not drawn again."""
 
-    def __init__(self, size: tuple[int, int], tall: int) -> None:
-        """Prepare for a panel of ``size`` (width, height) in pixels of a film that is ``tall`` pixels high."""
+    def __init__(self, size: tuple[int, int], side: int) -> None:
+        """Prepare for a panel of ``size`` (width, height) in pixels; ``side`` is the shorter side of the film."""
         self.size = size
-        self._unit = max(9, round(tall / 42))
+        self._unit = max(9, round(side / 42))
         self._drawn: tuple[object, ...] = ()
         self._picture = Image.new("RGB", size, PAPER)
         self._clock_at = 0

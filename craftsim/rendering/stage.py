@@ -251,14 +251,15 @@ class _FloorShadow:
         self._corner = np.array([area.pos[0] - area.size[0], area.pos[1] + area.size[1]])
         self._pixels_m = _SHADOW_CELL_PIXELS / CELL_PITCH_M
         self._size = (2 * area.size[:2] * self._pixels_m).round().astype(int)
-        solid = [g for g in range(1, model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
-        self._points = {geom: _corners(model, geom) for geom in solid if geom != area.id}
-        self._qpos = np.full(model.nq, np.nan)
+        floors = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
+        solid = (model.geom_contype | model.geom_conaffinity) & ~np.isin(model.geom_type, floors)
+        self._points = {geom: _corners(model, geom) for geom in np.flatnonzero(solid).tolist()}
+        self._cast_at = np.full(model.nq, np.nan)
 
     def cast(self, data: mujoco.MjData) -> None:
-        if np.array_equal(self._qpos, data.qpos):
+        if np.array_equal(self._cast_at, data.qpos):
             return
-        self._qpos[:] = data.qpos
+        self._cast_at = data.qpos.copy()
         light = np.full(self._size[::-1], 1.0, np.float32)
         places = [
             points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]

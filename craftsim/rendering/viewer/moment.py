@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -59,28 +60,22 @@ class Moment(NamedTuple):
 
 def recorded(trajectory: Trajectory, sample: int) -> Moment:
     """Return what a trajectory knows of one of its samples."""
-    time_s = float(trajectory.time[sample])
+    time_s, physics = float(trajectory.time[sample]), trajectory.physics
     cars = []
-    for car in range(len(trajectory.physics.cars)):
+    for car in range(len(physics.cars)):
         attempt = _last(trajectory.story.attempts, car, time_s)
         runs = attempt is not None and time_s < attempt.start_s + attempt.duration_s - _SAME_S
-        x, y, heading = trajectory.measured[sample, car].tolist()
-        cars.append(
-            CarMoment(
-                attempt.action if attempt is not None and runs else "",
-                _position(trajectory.pose(f"car {car}")[sample]),
-                (x, y, heading),
-                _motors(trajectory.physics, trajectory.force[sample], car),
-                attempt,
-            )
-        )
+        action = attempt.action if attempt is not None and runs else ""
+        pose, measured = trajectory.pose(f"car {car}")[sample, :3], trajectory.measured[sample, car]
+        motors = _motors(physics, trajectory.force[sample], car)
+        cars.append(CarMoment(action, _triple(pose), _triple(measured), motors, attempt))
     return Moment(time_s, tuple(cars), float(trajectory.contact[sample]))
 
 
 def live(
     physics: PhysicsWorld,
     judge: Judge | None = None,
-    running: dict[int, ScheduledAction] | None = None,
+    running: Mapping[int, ScheduledAction] = MappingProxyType({}),
     attempts: Sequence[Attempt] = (),
 ) -> Moment:
     """Return what is known of a PhysicsWorld now.
@@ -95,17 +90,12 @@ def live(
     log = None if judge is None else judge.log
     cars = []
     for car, machine in enumerate(physics.cars):
-        step = (running or {}).get(car)
-        read = None if readings is None else readings[car]
-        cars.append(
-            CarMoment(
-                "" if step is None else step.action.name,
-                _position(physics.free_body_state(machine.base)[0]),
-                None if read is None else (float(read["x"]), float(read["y"]), float(read["heading"])),
-                _motors(physics, physics.data.actuator_force, car),
-                _last(attempts, car, physics.time_s),
-            )
-        )
+        action = running[car].action.name if car in running else ""
+        read = None if readings is None else [readings[car][name] for name in ("x", "y", "heading")]
+        pose = _triple(physics.free_body_state(machine.base)[0])
+        motors = _motors(physics, physics.data.actuator_force, car)
+        attempt = _last(attempts, car, physics.time_s)
+        cars.append(CarMoment(action, pose, None if read is None else _triple(read), motors, attempt))
     return Moment(physics.time_s, tuple(cars), np.nan if log is None else log.period_n)
 
 
@@ -115,20 +105,16 @@ def _last(attempts: Sequence[Attempt], car: int, time_s: float) -> Attempt | Non
     return next(own, None)
 
 
-def _position(numbers: NDArray[np.floating]) -> tuple[float, float, float]:
-    x, y, z = numbers[:3].tolist()
-    return x, y, z
+def _triple(numbers: Iterable[float]) -> tuple[float, float, float]:
+    first, second, third = map(float, numbers)
+    return first, second, third
 
 
 def _motors(physics: PhysicsWorld, force: NDArray[np.floating], car: int) -> tuple[Motor, ...]:
     machine, model = physics.cars[car], physics.model
     columns = [*machine.wheel_actuators.tolist(), machine.board.actuator]
     names = [model.actuator(column).name.split("/")[-1] for column in columns]
-    limits = model.actuator_forcerange[columns, 1].tolist()
-    return tuple(
-        Motor(name, float(force[column]), limit)
-        for name, column, limit in zip(names, columns, limits, strict=True)
-    )
+    return tuple(map(Motor, names, force[columns].tolist(), model.actuator_forcerange[columns, 1].tolist()))
 
 
 def title_html(title: str) -> str:

@@ -185,7 +185,7 @@ _ORDER: Final = (
 
 @Parameter(name="*", group=RUN)
 @dataclass(frozen=True, kw_only=True)
-class Planned:
+class CarriedPlan:
     """The plan that is carried out, and how."""
 
     plan: Annotated[PlanChoice | None, Parameter(metavar="FILE|auto", help=_PLAN)] = None
@@ -199,7 +199,7 @@ class Planned:
 
 @Parameter(name="*", group=RUN)
 @dataclass(frozen=True, kw_only=True)
-class Goal:
+class GoalFile:
     """The design to build, where it is not a task's own."""
 
     goal: Annotated[
@@ -208,7 +208,7 @@ class Goal:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rollouts(Planned):
+class Rollouts(CarriedPlan):
     """What is run in a world, and for how long."""
 
     actions: Annotated[ActionsFile | None, Parameter(metavar="FILE")] = None

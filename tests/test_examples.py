@@ -44,12 +44,12 @@ def test_an_example_runs_and_says_what_it_promises(path, tmp_path, request):
     assert re.search(SAYS[path.stem], done.stdout), done.stdout
 
 
-@pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
-def test_an_example_is_short_and_begins_with_what_it_shows(path):
-    text = path.read_text(encoding="utf-8")
-    assert len(text.splitlines()) < 60
-    assert text.startswith('"""')
-    assert set(re.findall(r"craftsim ([a-z]+)\b", text.split('"""')[1])) <= set(COMMANDS)
+def test_an_example_is_short_and_begins_with_what_it_shows():
+    for path in SCRIPTS:
+        text = path.read_text(encoding="utf-8")
+        assert len(text.splitlines()) < 60
+        assert text.startswith('"""')
+        assert set(re.findall(r"craftsim ([a-z]+)\b", text.split('"""')[1])) <= set(COMMANDS)
 
 
 def test_the_list_of_examples_names_them_all():

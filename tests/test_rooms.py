@@ -110,7 +110,7 @@ SHARED = {"choices", "compiling", "errors", "extras", "modules", "workers"}
 
 FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}
 
-FILES = sorted(PACKAGE.rglob("*.py"))
+TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
 
 
 def _imports(tree: ast.AST, module: str) -> set[str]:
@@ -127,10 +127,10 @@ def _imports(tree: ast.AST, module: str) -> set[str]:
     return names
 
 
-def _violations(module: str, source: str) -> list[str]:
+def _violations(module: str, tree: ast.AST) -> list[str]:
     """Return the imports of a module (by its name in the package) that go against the arrows."""
     room = module.split(".")[1]
-    imported = _imports(ast.parse(source), module)
+    imported = _imports(tree, module)
     wrong = []
     for name in sorted(imported):
         top, *inside = name.split(".")
@@ -145,37 +145,40 @@ def _violations(module: str, source: str) -> list[str]:
     return wrong
 
 
-def _module(path: Path) -> str:
-    return ".".join(["craftsim", *path.relative_to(PACKAGE).with_suffix("").parts])
+def test_a_module_imports_only_what_its_room_may():
+    wrong = {}
+    for path, tree in TREES.items():
+        if path == PACKAGE / "__init__.py":
+            assert not any(name.startswith("craftsim") for name in _imports(tree, "craftsim"))
+            continue
+        module = ".".join(["craftsim", *path.relative_to(PACKAGE).with_suffix("").parts])
+        wrong[module] = _violations(module, tree)
+    assert {module: names for module, names in wrong.items() if names} == {}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_a_module_imports_only_what_its_room_may(path):
-    if path == PACKAGE / "__init__.py":
-        assert not any(
-            name.startswith("craftsim") for name in _imports(ast.parse(path.read_text()), "craftsim")
-        )
-        return
-    assert _violations(_module(path), path.read_text(encoding="utf-8")) == []
-
-
-def _calls(path: Path) -> set[str]:
-    """Return the names of all that a file calls."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    found = [node.func for node in ast.walk(tree) if isinstance(node, ast.Call)]
-    return {node.id for node in found if isinstance(node, ast.Name)}
+def _calling(*names: str) -> list[Path]:
+    """Return the files that call any of some functions, or of classes."""
+    return [
+        path
+        for path, tree in TREES.items()
+        if {*names}
+        & {
+            node.func.id
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        }
+    ]
 
 
 def test_a_world_in_physics_is_set_up_in_one_place():
-    joined = [path for path in FILES if {"Executor", "Sensors"} <= _calls(path)]
-    judging = [path for path in FILES if "Judge" in _calls(path)]
-    assert joined == judging == [PACKAGE / "checking" / "setup.py"]
+    joined = sorted({*_calling("Executor")} & {*_calling("Sensors")})
+    assert joined == _calling("Judge") == [PACKAGE / "checking" / "setup.py"]
 
 
 def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
     places: dict[str, list[str]] = {}
-    for path in FILES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for path, tree in TREES.items():
+        for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef | ast.FunctionDef):
                 places.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
     assert places["Attempt"] == places["Verdict"] == places["verdict_of"] == ["checking/attempt.py"]
@@ -187,16 +190,13 @@ def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
 
 
 def test_a_class_has_a_name_of_its_own():
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in FILES]
-    names = [node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)]
+    names = [node.name for tree in TREES.values() for node in tree.body if isinstance(node, ast.ClassDef)]
     public = [name for name in names if not name.startswith("_")]
     assert sorted(public) == sorted(set(public))
 
 
 def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
-    assert [path for path in FILES if {"compare", "own_differences"} & _calls(path)] == [
-        PACKAGE / "checking" / "judge.py"
-    ]
+    assert _calling("compare", "own_differences") == [PACKAGE / "checking" / "judge.py"]
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
     ],
 )
 def test_an_import_against_the_arrows_is_found(module, source):
-    assert len(_violations(module, source)) == 1
+    assert len(_violations(module, ast.parse(source))) == 1
 
 
 @pytest.mark.parametrize(
@@ -229,4 +229,4 @@ def test_an_import_against_the_arrows_is_found(module, source):
     ],
 )
 def test_an_import_along_the_arrows_is_fine(module, source):
-    assert _violations(module, source) == []
+    assert _violations(module, ast.parse(source)) == []

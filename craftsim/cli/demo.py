@@ -15,7 +15,7 @@ from cyclopts import Parameter
 from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting
 from craftsim.errors import InputError
-from craftsim.options import Dir, Goal, Physics, Planned, Shown, number
+from craftsim.options import CarriedPlan, Dir, GoalFile, Physics, Shown, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import TIMEOUT_S
 
@@ -24,8 +24,8 @@ from craftsim.storage.limits import TIMEOUT_S
 def demo(
     task: str = "simple_two_story",
     *,
-    carried: Planned = Planned(),  # noqa: B008
-    design: Goal = Goal(),  # noqa: B008
+    carried: CarriedPlan = CarriedPlan(),  # noqa: B008
+    design: GoalFile = GoalFile(),  # noqa: B008
     robot: Annotated[str | None, Parameter(metavar="HOST:PORT")] = None,
     timeout: Annotated[float, number(TIMEOUT_S, "SECONDS")] = 1.0,
     physics: Physics = Physics(),  # noqa: B008

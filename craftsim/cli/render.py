@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from craftsim.cli.progress import counting
 from craftsim.cli.text import say, warn_of_strangers
 from craftsim.errors import InputError
-from craftsim.options import Physics, Planned, number
+from craftsim.options import CarriedPlan, Physics, number
 from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
 from craftsim.storage.limits import FILM_SPEED, FRAME_RATE, MOMENT_S, PORTS, WORKERS
 from craftsim.storage.paths import is_file, is_folder
@@ -42,7 +42,7 @@ def render(
     hide: tuple[Literal["ghost", "captions", "cards"], ...] = (),
     title: str | None = None,
     run: Annotated[str | None, Parameter(metavar="NAME")] = None,
-    carried: Planned = Planned(),  # noqa: B008
+    carried: CarriedPlan = CarriedPlan(),  # noqa: B008
     policy: Annotated[str | None, Parameter(metavar="NAME")] = None,
     workers: Annotated[int, number(WORKERS)] = 1,
     physics: Physics = Physics(),  # noqa: B008
@@ -201,7 +201,7 @@ def _find_trajectory(
     out: Path,
     run: str | None,
     physics: Physics,
-    carried: Planned,
+    carried: CarriedPlan,
     policy: str | None,
 ) -> Trajectory:
     """Return the trajectory that a word on the command line stands for.

@@ -15,7 +15,7 @@ from cyclopts import Parameter
 from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Drive, Objective
 from craftsim.cli.text import say
 from craftsim.errors import InputError
-from craftsim.options import RESULTS, Dir, File, Goal, OptionalDir, Seeded, Shown, number
+from craftsim.options import RESULTS, Dir, File, GoalFile, OptionalDir, Seeded, Shown, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import (
     BLOCKS,
@@ -47,7 +47,7 @@ def show(
     start: Annotated[Path, Parameter(metavar="TASK|FILE|MACHINE")],
     *,
     chance: Seeded = Seeded(),  # noqa: B008
-    design: Goal = Goal(),  # noqa: B008
+    design: GoalFile = GoalFile(),  # noqa: B008
     plan: File = None,
     out: OptionalDir = None,
     export: Annotated[tuple[Path, ...], Parameter(metavar="FILE")] = (),
@@ -269,7 +269,7 @@ _ENDING: Final = ".plan"
 def plan(
     start: str,
     *,
-    design: Goal = Goal(),  # noqa: B008
+    design: GoalFile = GoalFile(),  # noqa: B008
     objective: Objective = "makespan",
     time_limit: Annotated[float, number(PLAN_TIME_S, "SECONDS")] = DEFAULT_TIME_S,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = DEFAULT_ROUNDS,

@@ -14,7 +14,7 @@ from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, counting_kinds
 from craftsim.cli.text import say
 from craftsim.errors import InputError
-from craftsim.options import RESULTS, Dir, Goal, Name, Physics, Rollouts, Shown, Trials, number
+from craftsim.options import RESULTS, Dir, GoalFile, Name, Physics, Rollouts, Shown, Trials, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
 
@@ -36,7 +36,7 @@ def validate(
     what: Rollouts = Rollouts(),  # noqa: B008
     physics: Physics = Physics(),  # noqa: B008
     campaign: Trials = Trials(),  # noqa: B008
-    design: Goal = Goal(),  # noqa: B008
+    design: GoalFile = GoalFile(),  # noqa: B008
     *,
     backend: Backend = "physics",
     area: Annotated[tuple[int, ...], number(DESIGN_SIDE)] = (),

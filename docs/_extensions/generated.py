@@ -6,12 +6,12 @@ A page names a table, such as ``gains``; it is written when the site is built, s
 from __future__ import annotations
 
 import ast
+import contextlib
 import dataclasses
 import inspect
+import io
 import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Any, Final, get_args, get_type_hints
@@ -21,6 +21,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from craftsim.checking.setup import RANDOMIZE, nominal_gains
+from craftsim.cli import main
 from craftsim.discrete.reasons import REASONS
 from craftsim.mjcf.parameters import (
     NOMINAL,
@@ -224,15 +225,17 @@ def command_names() -> list[tuple[str, ...]]:
 
 def help_text(*words: str) -> str:
     """Return what ``craftsim WORDS --help`` prints."""
-    environment = {**os.environ, "COLUMNS": HELP_COLUMNS, "NO_COLOR": "1", "TERM": "dumb"}
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "craftsim", *words, "--help"],
-        capture_output=True,
-        text=True,
-        env=environment,
-        check=False,
-    )
-    return "\n".join(line.rstrip() for line in done.stdout.strip().splitlines())
+    said, columns = io.StringIO(), os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = HELP_COLUMNS
+    try:
+        with contextlib.redirect_stdout(said):
+            main([*words, "--help"])
+    finally:
+        if columns is None:
+            del os.environ["COLUMNS"]
+        else:
+            os.environ["COLUMNS"] = columns
+    return "\n".join(line.rstrip() for line in said.getvalue().strip().splitlines())
 
 
 def _clearances() -> str:

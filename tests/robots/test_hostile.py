@@ -57,45 +57,38 @@ def changed(data: bytes, **values) -> bytes:
     return msgpack.packb({**msgpack.unpackb(data), **values})
 
 
-def measured(**values):
-    """Return what changes the measurement of the first car."""
+def measured(time_s=lambda time_s: time_s, **values):
+    """Return what changes the time of measurements, a function of the true one, and what the first car measures."""
 
     def lie(data: bytes) -> bytes:
         content = msgpack.unpackb(data)
         if content["kind"] == "measurements":
             content["cars"][0].update(values)
-        return msgpack.packb(content)
-
-    return lie
-
-
-def clock_shows(time_s):
-    """Return what changes the time of measurements: a function of the true one."""
-
-    def lie(data: bytes) -> bytes:
-        content = msgpack.unpackb(data)
-        if content["kind"] == "measurements":
             content["time_s"] = time_s(content["time_s"])
         return msgpack.packb(content)
 
     return lie
 
 
+def outcome_of(robots, periods):
+    """Return how the action of the first car ends within so many control periods."""
+    for _ in range(periods):
+        if ended := robots.judge.executor.advance():
+            return ended[0]
+    raise AssertionError("it does not end")
+
+
 @pytest.mark.parametrize(
     ("lie", "why"),
     [
-        *(
-            (measured(**{name: math.nan}), rf"dropped: measurements: key 'cars\[0\].{name}'")
-            for name in ("x", "heading")
-        ),
-        (measured(y=1e308), r"dropped: measurements: key 'cars\[0\].y"),
+        (measured(x=math.nan), r"dropped: measurements: key 'cars\[0\].x'"),
         (measured(lines=[1e308] * 4), r"dropped: measurements: key 'cars\[0\].lines"),
         (measured(x=500.0), "dropped: car 0 at \\(500, .*outside the world"),
         (measured(slope=0, hinge_rad=0.0), "dropped: car 0 docked to slope 0; there are 0"),
         (lambda data: changed(data, cars=[]) if b"measurements" in data else data, "of 0 cars; there are 1"),
-        (clock_shows(lambda time_s: 0.0), "dropped: a clock that went from .* s to 0 s"),
-        (clock_shows(lambda time_s: 1e9 - time_s), "clock of the robots was 1e\\+09 s ahead"),
-        (clock_shows(lambda time_s: 1e8 * time_s), "clock of the robots was .* s ahead"),
+        (measured(lambda time_s: 0.0), "dropped: a clock that went from .* s to 0 s"),
+        (measured(lambda time_s: 1e9 - time_s), "clock of the robots was 1e\\+09 s ahead"),
+        (measured(lambda time_s: 1e8 * time_s), "clock of the robots was .* s ahead"),
         (lambda data: b"\xff\xfe", "dropped: no map|dropped: no MessagePack"),
         (lambda data: b"\x81\xa1\xff\xa1\xff", "dropped: no MessagePack"),
         (lambda data: pack(Ack(1)), "nothing has come from the robots for 1 s"),
@@ -107,15 +100,12 @@ def test_robots_that_say_what_cannot_be_are_lost_in_words(make_robots, clock, li
     robots.judge.executor.advance()
     robots.link._size = SIZE
     robots.link._transport = Lying(robots.driver, lie, clock)
-    ended = {}
-    for _ in range(3000):
-        if ended := robots.judge.executor.advance():
-            break
-    assert ended[0].reason is Reason.DISCONNECTED
-    assert re.search(why, str(ended[0])), str(ended[0])
+    ended = outcome_of(robots, 3000)
+    assert ended.reason is Reason.DISCONNECTED
+    assert re.search(why, str(ended)), str(ended)
 
 
-@pytest.mark.parametrize("lie", [measured(x=math.nan), clock_shows(lambda time_s: 1e9 - time_s)])
+@pytest.mark.parametrize("lie", [measured(x=math.nan), measured(lambda time_s: 1e9 - time_s)])
 def test_robots_that_say_what_cannot_be_at_first_are_refused(make_robots, clock, lie):
     robots = make_robots(SIZE, CARS)
     robots.service.leave()
@@ -128,7 +118,7 @@ def test_a_clock_that_goes_back_costs_neither_time_nor_memory(make_robots, clock
     robots = make_robots(SIZE, CARS)
     link = robots.link
     now = [1e9]
-    lying = Lying(robots.driver, clock_shows(lambda time_s: now[0]), clock)
+    lying = Lying(robots.driver, measured(lambda time_s: now[0]), clock)
     link._transport = lying
     link.attend()
     now[0] = 0.0
@@ -141,8 +131,8 @@ def test_a_clock_that_goes_back_costs_neither_time_nor_memory(make_robots, clock
 
 def test_a_clock_that_leaps_makes_no_wheel_infinitely_fast(make_robots, clock):
     robots = make_robots(SIZE, CARS)
-    leaps, rolls = clock_shows(lambda time_s: time_s + 1e6), measured(wheel_speeds=[0.0, 0.0, -1e3, 0.0])
-    robots.link._transport = Lying(robots.driver, lambda data: leaps(rolls(data)), clock)
+    leaps = measured(lambda time_s: time_s + 1e6, wheel_speeds=[0.0, 0.0, -1e3, 0.0])
+    robots.link._transport = Lying(robots.driver, leaps, clock)
     robots.link.attend()
     assert not robots.link.lost
     assert abs(robots.link.read()["wheel_speeds"]).max() <= 1e5
@@ -159,10 +149,7 @@ POSE = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     ("lie", "why"),
     [
         (poses(things=[POSE]), "1 cars, 1 things and 0 hinges; there are 1, 0 and 0"),
-        (poses(cars=[]), "0 cars, 0 things and 0 hinges; there are 1, 0 and 0"),
-        (poses(hinges=[0.0]), "1 cars, 0 things and 1 hinges; there are 1, 0 and 0"),
         (poses(cars=[[math.nan, *POSE[1:]]]), r"poses: key 'cars\[0\]\[0\]"),
-        (poses(cars=[[1e308, *POSE[1:]]]), r"poses: key 'cars\[0\]\[0\]"),
         (poses(cars=[[300.0, *POSE[1:]]]), "outside the world"),
         (poses(cars=[[0.0] * 7]), "length 1"),
         (poses(time_s=0.0), "nothing of use for 1 s"),
@@ -176,12 +163,9 @@ def test_a_referee_that_says_what_cannot_be_is_lost_in_words(make_robots, clock,
     robots.judge.executor.begin(0, Action.MOVE_RIGHT)
     mirror = robots.mirror
     mirror._referee = Lying(mirror._referee, lie, clock)
-    ended = {}
-    for _ in range(100):
-        if ended := robots.judge.executor.advance():
-            break
-    assert ended[0].reason is Reason.DISCONNECTED
-    assert re.search(why, str(ended[0])), str(ended[0])
+    ended = outcome_of(robots, 100)
+    assert ended.reason is Reason.DISCONNECTED
+    assert re.search(why, str(ended)), str(ended)
     assert np.isfinite(robots.judge.physics.data.qpos).all()
 
 
@@ -225,6 +209,14 @@ def serve(waits: bool, patience_s: float = 60.0):
     return Server(service, wire, 1.0, patience_s, wire.now), service, wire, told
 
 
+def driven(waits: bool, patience_s: float = 60.0, looks: int = 3):
+    """Return the same, with somebody who has said hello."""
+    server, service, wire, told = serve(waits, patience_s)
+    wire.waiting.append((b"driver", pack(Hello(1))))
+    run(server, wire, looks)
+    return server, service, wire, told
+
+
 def run(server: Server, wire: Wire, looks: int) -> None:
     """Let a server go round so often."""
     left = iter(range(looks))
@@ -233,9 +225,7 @@ def run(server: Server, wire: Wire, looks: int) -> None:
 
 @pytest.mark.parametrize("sender", [b"driver", b"stranger"])
 def test_acknowledgements_without_end_do_not_stop_the_robots_time(sender):
-    server, service, wire, _ = serve(waits=False)
-    wire.waiting.append((b"driver", pack(Hello(1))))
-    run(server, wire, 3)
+    server, service, wire, _ = driven(waits=False)
     wire.flood = sender, pack(Ack(1))
     before, looks = service.periods, wire.looks
     while wire.looks < looks + 20_000:  # 0.2 s of them
@@ -246,9 +236,7 @@ def test_acknowledgements_without_end_do_not_stop_the_robots_time(sender):
 
 @pytest.mark.parametrize("flood", [(b"stranger", pack(Ack(1))), (b"stranger", pack(Hello(1)))])
 def test_robots_in_lock_step_leave_a_driver_that_is_silent(flood):
-    server, service, wire, told = serve(waits=True, patience_s=0.1)
-    wire.waiting.append((b"driver", pack(Hello(1))))
-    run(server, wire, 3)
+    server, service, wire, told = driven(waits=True, patience_s=0.1)
     wire.flood, wire.flood_s = flood, 1e-4
     looks = wire.looks
     while wire.looks < looks + 90_000 and service.now_s < 2.5:
@@ -277,9 +265,7 @@ def test_who_comes_and_goes_without_end_fills_no_log(waits):
 
 
 def test_robots_in_lock_step_obey_the_next_one_once_their_driver_is_gone():
-    server, service, wire, _ = serve(waits=True)
-    wire.waiting.append((b"driver", pack(Hello(1))))
-    run(server, wire, 3)
+    server, service, wire, _ = driven(waits=True)
     service.arrive(b"driver", pack(Commands(1, 0.0, (Command((5.0,) * 4),))), service.now_s)
     wire.waiting.append((b"driver", None))
     run(server, wire, 100)
@@ -292,9 +278,7 @@ def test_robots_in_lock_step_obey_the_next_one_once_their_driver_is_gone():
 
 
 def test_what_a_driver_has_sent_before_is_none_of_the_next_ones(monkeypatch):
-    server, service, wire, _ = serve(waits=False)
-    wire.waiting.append((b"driver", pack(Hello(1))))
-    run(server, wire, 1)
+    server, service, wire, _ = driven(waits=False, looks=1)
     wire.waiting.append((b"driver", pack(Commands(2**53, 0.0, (Command((5.0,) * 4),)))))
     wire.waiting.append((b"driver", pack(Bye())))
     wire.waiting.append((b"other", pack(Hello(1))))
@@ -304,9 +288,7 @@ def test_what_a_driver_has_sent_before_is_none_of_the_next_ones(monkeypatch):
 
 
 def test_nobody_takes_the_referee_from_the_driver():
-    server, service, wire, _ = serve(waits=False)
-    wire.waiting.append((b"driver", pack(Hello(1))))
-    run(server, wire, 1)
+    server, service, wire, _ = driven(waits=False, looks=1)
     (welcome,) = (sent for sent in wire.sent[b"driver"] if isinstance(sent, Welcome))
     wire.waiting.append((b"judge", pack(Follow(welcome.ticket))))
     wire.waiting.extend((f"watcher {n}".encode(), pack(Follow())) for n in range(100))
@@ -353,7 +335,6 @@ def greeting(cars: tuple, **values):
     ("answer", "why"),
     [
         (greeting((CAR._replace(x=math.nan),) * 2), r"dropped: measurements: key 'cars\[0\].x"),
-        (greeting((CAR._replace(z=1e308),) * 2), r"dropped: measurements: key 'cars\[0\].z"),
         (greeting((CAR,)), "measurements of 1 cars; there are 2"),
         (greeting((CAR, CAR), slopes=3), "know of 3 slopes"),
         (greeting((CAR, CAR), period_s=0.01), "control period is 0.01 s"),

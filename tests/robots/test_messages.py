@@ -78,20 +78,14 @@ def test_what_is_no_message_is_refused_in_words():
             unpack(data)
 
 
-MANY = {str(number): None for number in range(7_000)}
-
-
 def test_a_message_full_of_mistakes_is_not_looked_through():
+    many = {str(number): None for number in range(7_000)}
     for data in (
-        changed(**MANY),
-        changed(cars=[None] * 60_000),
+        changed(**many),
         changed(cars=[{}] * 60_000),
-        changed(cars=[{}] * 192),
-        changed(cars=[dict(list(MANY.items())[:30])] * 192),
-        changed(3, cars=[{}] * 60_000),
+        changed(cars=[dict(list(many.items())[:30])] * 192),
         changed(3, cars=[{}] * 192),
         changed(8, things=[[None] * 7] * 7_000),
-        changed(8, things=[[None] * 7] * 192),
         changed(8, hinges=[None] * 60_000),
     ):
         assert len(data) <= MESSAGE_BYTES
@@ -125,17 +119,11 @@ def test_whatever_is_of_another_type_or_beyond_all_reason_is_refused_by_its_key(
 
 
 def test_what_cannot_be_is_refused_by_its_key():
-    still = {"wheels": [0.0] * 4, "board": 0.0, "hinge": 0.0}
     for number, values, where in (
-        (4, {"cars": [{**still, "wheels": [0.0, 0.0, 0.0, -1001.0]}]}, "wheels[3]"),
-        (4, {"cars": [{**still, "hinge": 101.0}]}, "hinge"),
-        (4, {"number": -1}, "number"),
+        (4, {"cars": [{"wheels": [0.0, 0.0, 0.0, -1001.0], "board": 0.0, "hinge": 0.0}]}, "wheels[3]"),
         (4, {"number": 2**53 + 1}, "number"),
-        (4, {"at_s": 1e10}, "at_s"),
         (3, {"cars": [{**CAR._asdict(), "slope": -1}]}, "slope"),
-        (3, {"cars": [{**CAR._asdict(), "lines": [0.0, 0.0, -math.inf, 0.0]}]}, "lines[2]"),
         (1, {"period_s": 1e-9}, "period_s"),
-        (1, {"watchdog_s": 1e9}, "watchdog_s"),
         (8, {"cars": [(0.0,) * 7]}, "cars[0]"),
     ):
         with pytest.raises(MessageError, match=re.escape(f"{where}'")):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from pettingzoo.test import api_test, parallel_api_test
+from registered import forget
 
 import craftsim
 from craftsim.discrete.actions import footprint
@@ -280,6 +281,42 @@ def test_a_deadlock_ends_the_episode_and_says_who_waits_for_whom():
     _, _, _, truncated, infos = envs.step(np.full((3, 2), STOP))
     assert infos["deadlock"].all()
     assert truncated.all()
+
+
+def test_registered_actions_run_beside_the_others_and_claim_their_cells():
+    def beside(grid, car):
+        return None if grid.cars[car, 2] == 1 and grid.cars[car, 4] == 0 else "the car is not free"
+
+    def about(grid, car):
+        grid.cars[car, 3] = (grid.cars[car, 3] + 2) % 4
+
+    def around(before, after, car):
+        x, y, z = before.cars[car, :3].tolist()
+        return [(x + dx, y + dy, z) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+
+    own = craftsim.register_action("SPIN", beside, about, duration_s=4.0, footprint=around)
+    try:
+        env = craftsim.parallel_env(
+            "simple_two_story", "grid", execution="asynchronous", actions=(own,), wait_s=9.0
+        )
+        grid = Grid.empty(make_task("simple_two_story").starts[0].size, 2)
+        grid.cars[:, :4] = (1, 1, 1, 0), (3, 1, 1, 0)
+        grid.derive_marks()
+        seen, _ = env.reset(options={"grid": grid})
+        assert seen["car_0"]["action_mask"][15] == 1
+        seen, _, _, _, infos = env.step({"car_0": 15, "car_1": int(Action.ROTATE_LEFT)})
+        assert env.agents_to_act == ["car_1"]
+        assert seen["car_1"]["claimed"][0:3, 0:3, 1].all()
+        assert seen["car_0"]["doing"][0, 0] == 15
+        # The other car spins beside this one only if no cell of the two is the same.
+        mask = seen["car_1"]["action_mask"]
+        assert (mask[Action.MOVE_LEFT], mask[Action.ROTATE_LEFT], mask[15]) == (0, 1, 0)
+        seen, _, _, _, infos = env.step({"car_1": int(Action.MOVE_LEFT)})
+        assert (infos["car_1"]["blocked"], infos["car_0"]["decides"]) == (True, True)
+        assert env.core.episodes.time_s[0] == 4.0
+        assert env.grid.cars[0, 3] == 2
+    finally:
+        forget()
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,5 @@
-"""What a registered action, which Python decides, costs on the grid beside the compiled ones."""
+"""What a registered action, which Python decides, costs on the grid beside the compiled ones; decisions a second in
+ticks and without."""
 
 import sys
 from pathlib import Path
@@ -31,3 +32,24 @@ def test_a_registered_action(benchmark, own, registered, what):
     work = episodes.offered if what == "masks" else lambda: episodes.step(pick(rng, masks))
     benchmark.pedantic(work, rounds=5, warmup_rounds=1)
     benchmark.extra_info["us_a_world"] = 1e6 * benchmark.stats.stats.median / WORLDS
+
+
+@pytest.mark.parametrize("task", ["simple_two_story", "complex_two_story"])
+@pytest.mark.parametrize("helper", [None, 10])
+@pytest.mark.parametrize("execution", ["synchronous", "asynchronous"])
+def test_decisions_of_a_batch(benchmark, task, helper, execution):
+    """A call is a step of masked random play in ``worlds`` worlds; cars whose actions run do not decide."""
+    options = {} if execution == "synchronous" else {"execution": execution, "jitter": 0.1}
+    envs = craftsim.vector_env(task, WORLDS, helper_depth=helper, **options)
+    seen, infos = envs.reset(seed=0)
+    rng, decisions = np.random.default_rng(0), []
+
+    def step():
+        nonlocal seen, infos
+        decisions.append(infos["decides"].sum() if infos else seen["action_mask"].shape[0] * n_cars)
+        seen, _, _, _, stepped = envs.step(pick(rng, seen["action_mask"]))
+        infos = {"decides": stepped["decides"]} if "decides" in stepped else {}
+
+    n_cars = seen["action_mask"].shape[1]
+    benchmark.pedantic(step, rounds=60, warmup_rounds=20)
+    benchmark.extra_info["decisions_a_second"] = np.mean(decisions[20:]) / benchmark.stats.stats.mean

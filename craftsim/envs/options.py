@@ -154,7 +154,8 @@ class Options:
         """Raise InputError where an option is given that a form of the environment has no place for."""
         for name in names:
             if getattr(self, name) is not None:
-                raise InputError(f"{form} knows no '{name}'; leave it out")
+                option = "execution" if name == "timing" else name
+                raise InputError(f"{form} knows no '{option}'; leave it out")
 
     def action_form(self, task: Task) -> ActionForm:
         """Return the action form of a task."""

@@ -282,7 +282,7 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         now. Raises InputError for a task, an option or an option value that there is not.
         """
         chosen = Options(render_mode=render_mode, **options)
-        chosen.refuse("the text form", "observe", "images", "helper_depth", "local_view")
+        chosen.refuse("the text form", "observe", "images", "helper_depth", "local_view", "timing")
         self._prepare(task, chosen)
         self.render_mode = chosen.render_mode
         self.observation_space = spaces.Text(_MAX_TEXT, charset=_CHARACTERS)

@@ -8,7 +8,6 @@ each audit: ``python -m craftsim.audit.neighbours [FILE]``, as ``make neighbours
 from __future__ import annotations
 
 import csv
-import io
 import re
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -317,15 +316,13 @@ def table(of: Collection[str] = ()) -> Iterator[dict[str, Any]]:
             continue
         # Negative: by so much it is in the way; empty: out of reach.
         clearance = "" if one.clearance is None else f"{one.clearance.distance_m * 1e3:.1f}"
-        said = {"situation": one.situation.id, "occupant": one.occupant.name}
-        yield (
-            said
-            | dict(zip(("dx", "dy", "dz"), one.at, strict=True))
-            | {
-                "clearance_mm": clearance,
-                "closest": one.closest,
-            }
-        )
+        yield {
+            "situation": one.situation.id,
+            "occupant": one.occupant.name,
+            **dict(zip(("dx", "dy", "dz"), one.at, strict=True)),
+            "clearance_mm": clearance,
+            "closest": one.closest,
+        }
 
 
 def read_table() -> list[dict[str, str]]:
@@ -403,11 +400,7 @@ def _cropped(grid: Grid) -> Grid:
 
 
 if __name__ == "__main__":
-    text = io.StringIO()
-    rows = list(table())
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_whole(
-        Path(sys.argv[1]) if len(sys.argv) > 1 else Path(str(files("craftsim.data"))) / NAME, text.getvalue()
-    )
+    from pandas import DataFrame
+
+    place = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(str(files("craftsim.data"))) / NAME
+    write_whole(place, DataFrame(table()).to_csv(index=False))

@@ -58,6 +58,14 @@ class Paired:
         """By how much more trials agree under the second setting than under the first, as a share of the pairs."""
         return paired_difference(self.only_first, self.only_second, self.pairs)
 
+    def words(self, first: str, second: str) -> str:
+        """Return the counts as a sentence that goes on after "of"; the arguments say where the settings are."""
+        return (
+            f"{self.pairs} paired trials {self.both} agree with the rules in both, {self.only_first} only {first}, "
+            f"{self.only_second} only {second}, {self.neither} in neither; McNemar's exact test: "
+            f"p = {self.p_value:.3g}."
+        )
+
 
 @dataclass(frozen=True)
 class Difference:
@@ -124,12 +132,7 @@ class Comparison:
     """The earlier run is the first here, too."""
 
     def __str__(self) -> str:
-        trials = self.trials
-        return (
-            f"Against {self.against}: of {trials.pairs} paired trials {trials.both} agree with the rules in both, "
-            f"{trials.only_first} only there, {trials.only_second} only here, {trials.neither} in neither; "
-            f"McNemar's exact test: p = {trials.p_value:.3g}.\n{self.actions}"
-        )
+        return f"Against {self.against}: of {self.trials.words('there', 'here')}\n{self.actions}"
 
 
 @dataclass(frozen=True)

@@ -11,35 +11,26 @@ from craftsim.experiments.compare import ErrorShift, RealityGap
 from craftsim.experiments.intervals import Estimate, Proportion
 from craftsim.experiments.sections import bounds_text, changes_table, difference_text
 from craftsim.experiments.statistics import ERRORS
+from craftsim.reports import report as parts
 from craftsim.reports.json_file import document
-from craftsim.reports.report import (
-    Block,
-    DataTable,
-    Headline,
-    KeyFigure,
-    Report,
-    Section,
-    Tone,
-    interval,
-    numbers,
-    percent,
-)
+from craftsim.reports.report import Block, DataTable, Section, Tone, numbers
 
 _KS_AT_5_PERCENT: Final = 1.358
 """Kolmogorov's constant: times the root of (n + m) / (n m) it is the least distance that the test finds at 5 %."""
 
 
-def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
+def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> parts.Report:
     """Return the report of how a simulation and reality agree; ``seed`` is the bootstrap's."""
-    trials = gap.trials
-    shares = (trials.first, trials.second)
-    return Report(
+    badge, tone = ("No difference shows", Tone.CAUTION) if gap.agrees else ("Differs", Tone.BAD)
+    return parts.Report(
         "Simulation and reality",
         f"{sim} and {real}",
-        _headline(gap),
+        parts.Headline(badge, tone, difference_text(gap.trials, "the simulation", "reality")),
         [
-            KeyFigure(percent(p.rate), f"agree in {where}", interval(p.wilson_low, p.wilson_high))
-            for where, p in zip(("the simulation", "reality"), shares, strict=True)
+            parts.KeyFigure(
+                parts.percent(p.rate), f"agree in {where}", parts.interval(p.wilson_low, p.wilson_high)
+            )
+            for where, p in (("the simulation", gap.trials.first), ("reality", gap.trials.second))
         ],
         [_outcomes(gap), _verbs(gap), _errors(gap.error_shifts), _plans(gap)],
         document=document({"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}),
@@ -47,24 +38,11 @@ def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
     )
 
 
-def _headline(gap: RealityGap) -> Headline:
-    text = difference_text(gap.trials, "the simulation", "reality")
-    if gap.agrees:
-        return Headline("No difference shows", Tone.CAUTION, text)
-    return Headline("Differs", Tone.BAD, text)
-
-
 def _outcomes(gap: RealityGap) -> Section:
-    trials = gap.trials
-    text = (
-        f"Of {trials.pairs} paired trials {trials.both} agree with the rules in both, {trials.only_first} only in the "
-        f"simulation, {trials.only_second} only in reality, {trials.neither} in neither; McNemar's exact test: "
-        f"p = {trials.p_value:.3g}."
-    )
+    text = f"Of {gap.trials.words('in the simulation', 'in reality')}"
+    table = changes_table(gap.changed, "simulation", "reality")
     lead = "The same trials in both, paired by their names."
-    return Section(
-        "outcomes", "Outcomes", lead, [text, changes_table(gap.changed, "simulation", "reality")], True
-    )
+    return Section("outcomes", "Outcomes", lead, [text, table], True)
 
 
 def _verbs(gap: RealityGap) -> Section:
@@ -108,27 +86,22 @@ def _least_distance(one: ErrorShift) -> float:
 
 
 def _plans(gap: RealityGap) -> Section:
-    blocks: list[Block] = []
-    if gap.plans:
-        rates = [(one, [round(rate * one.runs) for rate in (one.sim, one.real)]) for one in gap.plans]
-        blocks.append(
-            DataTable(
-                numbers("world: plan or policy", "runs", "success: sim", "real"),
-                [
-                    (one.plan, one.runs, *(_share(Proportion.of(good, one.runs)) for good in both))
-                    for one, both in rates
-                ],
-                "Plans and policies",
-            )
+    rates = [(one, [round(rate * one.runs) for rate in (one.sim, one.real)]) for one in gap.plans]
+    table = DataTable(
+        numbers("world: plan or policy", "runs", "success: sim", "real"),
+        [
+            (one.plan, one.runs, *(_share(Proportion.of(good, one.runs)) for good in both))
+            for one, both in rates
+        ],
+        "Plans and policies",
+    )
+    ranks = "Ranks: at least three plans are needed."
+    if gap.ranks is not None:
+        ranks = (
+            f"Ranks of {gap.ranks.policies} plans: Pearson {_estimate(gap.ranks.pearson)}, Spearman "
+            f"{_estimate(gap.ranks.spearman)}, mean maximum rank violation {gap.ranks.mmrv:.3f}"
         )
-    if gap.ranks is None:
-        blocks.append("Ranks: at least three plans are needed.")
-    else:
-        pearson, spearman = (_estimate(one) for one in (gap.ranks.pearson, gap.ranks.spearman))
-        blocks.append(
-            f"Ranks of {gap.ranks.policies} plans: Pearson {pearson}, Spearman {spearman}, mean maximum rank violation "
-            f"{gap.ranks.mmrv:.3f}"
-        )
+    blocks: list[Block] = [*([table] if rates else []), ranks]
     return Section("plans", "Plans and policies", "Success, and whether both rank alike.", blocks, True)
 
 

@@ -15,18 +15,6 @@ from craftsim.experiments import statistics
 from craftsim.experiments.compare import Comparison, Paired
 from craftsim.experiments.durations import Duration
 from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, least_detectable
-from craftsim.experiments.statistics import (
-    ERRORS,
-    Distribution,
-    Figures,
-    LegalityMatrix,
-    MatrixRow,
-    PlanSurvival,
-    PolicyScore,
-    Precision,
-    Survival,
-    in_thousandths,
-)
 from craftsim.reports.json_file import plain, versions
 from craftsim.reports.plots import (
     ACCENT,
@@ -88,7 +76,7 @@ def result_cells(row: Any) -> list[Value]:
     return cells
 
 
-def results_table(title: str, name: str, rows: Mapping[str, MatrixRow]) -> DataTable:
+def results_table(title: str, name: str, rows: Mapping[str, statistics.MatrixRow]) -> DataTable:
     """Return a table of how many attempts of each kind had which result."""
     return DataTable(
         (Column(name), *RESULTS, *SHARE),
@@ -97,13 +85,13 @@ def results_table(title: str, name: str, rows: Mapping[str, MatrixRow]) -> DataT
     )
 
 
-def legality_table(matrix: LegalityMatrix) -> DataTable:
+def legality_table(matrix: statistics.LegalityMatrix) -> DataTable:
     """Return the results of what the rules allow, and of what they forbid and was tried on purpose."""
     rows = {"allowed by the rules": matrix.legal, "forbidden, tried on purpose": matrix.forbidden}
     return results_table("Legality and result", "attempts", rows)
 
 
-def success_drawing(by_verb: Mapping[str, MatrixRow]) -> Drawing:
+def success_drawing(by_verb: Mapping[str, statistics.MatrixRow]) -> Drawing:
     """Return a drawing of the success of each verb with its interval."""
     rows = {
         verb: (row.success.successes / row.trials, row.success.wilson_low, row.success.wilson_high)
@@ -133,10 +121,10 @@ def error_tables(errors: Mapping[str, int]) -> list[Block]:
     return [DataTable(numbers("error", "trials"), rows, "Trials that did not come to an end", note)]
 
 
-def precision_table(found: Precision) -> DataTable:
+def precision_table(found: statistics.Precision) -> DataTable:
     """Return a table of errors."""
-    named: dict[str, Distribution | None] = {
-        label: getattr(found, in_thousandths(name)) for name, label in ERRORS.items()
+    named: dict[str, statistics.Distribution | None] = {
+        label: getattr(found, statistics.in_thousandths(name)) for name, label in statistics.ERRORS.items()
     }
     named["duration against the median of its kind, s"] = found.duration_error_s
     named["peak contact force, N (all attempts)"] = found.peak_force_n
@@ -218,7 +206,7 @@ def duration_name(row: Duration) -> str:
     return f"{row.verb}{load}, {'slope' if row.slope else 'flat'}, level {row.level}"
 
 
-def survival_section(found: PlanSurvival) -> Section:
+def survival_section(found: statistics.PlanSurvival) -> Section:
     """Return a section of how long a plan is good for."""
 
     def draw(axes: Axes) -> None:
@@ -238,14 +226,14 @@ def survival_section(found: PlanSurvival) -> Section:
     return Section("survival", "Survival", "How long a plan is good for.", [drawing])
 
 
-def _curve(axes: Axes, curve: Survival, colour: str, label: str) -> None:
+def _curve(axes: Axes, curve: statistics.Survival, colour: str, label: str) -> None:
     steps = [0, *curve.actions]
     axes.step(steps, [1.0, *curve.share], where="post", color=colour, lw=1.8, label=label)
     low, high = (np.array([1.0, *bound], dtype=float) for bound in (curve.low, curve.high))
     axes.fill_between(steps, low, high, step="post", color=colour, alpha=0.16, lw=0)
 
 
-def policies_section(figures: Figures) -> list[Section]:
+def policies_section(figures: statistics.Figures) -> list[Section]:
     """Return a section of how policies do in the grid world and in physics; none where there are no policies."""
     scores = figures.policies
     if not scores:
@@ -284,7 +272,7 @@ def policies_section(figures: Figures) -> list[Section]:
     return [Section("policies", "Policies in both worlds", lead, blocks)]
 
 
-def _policies(scores: Sequence[PolicyScore], axes: Axes) -> None:
+def _policies(scores: Sequence[statistics.PolicyScore], axes: Axes) -> None:
     axes.plot((0, 1), (0, 1), color=GRID, lw=1.2, zorder=1)
     look: dict[str, Any] = {"color": ACCENT, "ms": 8, "mec": PAPER, "clip_on": False, "zorder": 3}
     for score, marker in zip(scores, cycle(_MARKERS)):

@@ -44,7 +44,7 @@ def _world() -> Grid:
     return grid
 
 
-CALM, NOISY = setup_of("none", "published"), setup_of("strong", "published", assume="mild", drive="reduced")
+CALM, NOISY = setup_of("none", "published"), setup_of("strong", "published", assume="mild")
 
 
 def _recipe(setup=CALM) -> Recipe:

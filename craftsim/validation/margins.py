@@ -308,7 +308,7 @@ def work(job: MarginSearch) -> Done:
 
 
 def find(one: MarginSearch) -> Done:
-    """MarginSearch a margin."""
+    """Search a margin."""
     rig, (axis,) = one.rig, one.axes
     base = axis.value(rig.setup.randomization)
     values = [base, *(value for value in axis.levels if value > base)]
@@ -450,7 +450,7 @@ def run_margins(
     options: RunOptions,
     pair: Pair | None = None,
 ) -> Margins:
-    """MarginSearch the margin of each scenario along each axis, and write report.json and replay bundles into a folder.
+    """Search the margin of each scenario along each axis, and write report.json and replay bundles into a folder.
 
     Args:
         scenarios: what is done where.

@@ -285,7 +285,7 @@ def _situation(scenario: Scenario, rules: RuleSet) -> Situation:
 
 
 @dataclass(frozen=True, slots=True)
-class Search:
+class MarginSearch:
     """The search of a margin along one axis, or a row of the map of two; goes to a worker."""
 
     rig: Rig
@@ -303,12 +303,12 @@ class Search:
         return Item(key, scenario.action, self.rig.seed, self, context=scenario.name)
 
 
-def work(job: Search) -> Done:
+def work(job: MarginSearch) -> Done:
     """Do one item of the campaign."""
     return find_row(job) if len(job.axes) > 1 else find(job)
 
 
-def find(one: Search) -> Done:
+def find(one: MarginSearch) -> Done:
     """Search a margin."""
     rig, (axis,) = one.rig, one.axes
     base = axis.value(rig.setup.randomization)
@@ -346,7 +346,7 @@ def values_of(axis: Axis) -> tuple[float, ...]:
     return (0.0, *axis.levels[::-1][::STRIDE][::-1])
 
 
-def find_row(row: Search) -> Done:
+def find_row(row: MarginSearch) -> Done:
     """Try all pairs of levels of one row of a map."""
     rig, (right, up) = row.rig, row.axes
     base, value, stood = rig.setup.randomization, values_of(up)[row.up], []
@@ -467,9 +467,9 @@ def run_margins(
     earlier = _earlier(options.against, out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     rigs = [Rig(scenario, setup, seed) for scenario in scenarios]
-    searches = [Search(rig, (axis,), trials) for rig in rigs for axis in axes]
+    searches = [MarginSearch(rig, (axis,), trials) for rig in rigs for axis in axes]
     ups = range(len(values_of(pair[1]))) if pair else range(0)
-    rows = [Search(rig, pair or (), min(trials, MAP_TRIALS), up) for rig in rigs for up in ups]
+    rows = [MarginSearch(rig, pair or (), min(trials, MAP_TRIALS), up) for rig in rigs for up in ups]
     items = [job.item for job in (*searches, *rows)]
     experiment = Experiment(COMMAND, seed, config, items, work, MARGINS, TIMEOUT_S)
     with open_session(experiment, out, options) as session:
@@ -509,7 +509,7 @@ def _earlier(folder: Path | None, out: Path) -> dict[str, Limit]:
 
 
 def _bundles(
-    session: Session, result: Margins, ended: Iterable[tuple[Search, TrialRecord]]
+    session: Session, result: Margins, ended: Iterable[tuple[MarginSearch, TrialRecord]]
 ) -> dict[str, str]:
     """Write the replay bundle of what fails first of each action along each axis.
 

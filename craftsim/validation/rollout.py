@@ -91,7 +91,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Rollout:
+class RolloutResult:
     """An episode, and what was recorded of it where that was asked for."""
 
     task: Task
@@ -157,7 +157,7 @@ def do_run(run: Run) -> Done:
     )
 
 
-def _write(run: Run, done: Rollout, out: Path) -> str | None:
+def _write(run: Run, done: RolloutResult, out: Path) -> str | None:
     """Write what was recorded, a random world, and the bundle of the first disagreement; return the latter's folder."""
     if done.trajectory is not None:
         folder = directory_within(out, TRAJECTORIES)
@@ -175,7 +175,7 @@ def _write(run: Run, done: Rollout, out: Path) -> str | None:
     return bundle
 
 
-def roll_out(run: Run, record: bool = False, watch: Watch = unwatched) -> Rollout:
+def roll_out(run: Run, record: bool = False, watch: Watch = unwatched) -> RolloutResult:
     """Return an episode in physics, and by the rules alone; with ``record`` what moved, and what cars measured, too.
 
     Raises StartError for a world that cannot be, and NoPlanError where a planner has no plan from the start.
@@ -215,9 +215,9 @@ def roll_out(run: Run, record: bool = False, watch: Watch = unwatched) -> Rollou
     else:
         episode = _asked(task, by, terms.setup, (number, policy_number), begin)
     if not record:
-        return Rollout(task, grid, played, episode)
+        return RolloutResult(task, grid, played, episode)
     trajectory = recorder.trajectory(run.key, episode.recipe, episode.attempts, task.design)
-    return Rollout(task, grid, played, episode, trajectory, logs[-1].logs())
+    return RolloutResult(task, grid, played, episode, trajectory, logs[-1].logs())
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
         *(Column(unit, "number") for unit in ("s", "mm", "mrad")),
         Column("reason", "wide", terminal=False),
     )
-    rows: list[Sequence[Cell | str]] = []
+    rows: list[tuple[Value, ...]] = []
     for one in attempts:
         result = "agrees" if one.agrees else one.result if one.legal else "not tried"
         errors = (one.duration_s, 1e3 * one.car_error_m, 1e3 * one.heading_error_rad)

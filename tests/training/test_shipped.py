@@ -33,7 +33,7 @@ def test_a_name_is_a_shipped_policy_where_there_is_no_such_file(tmp_path, monkey
     (tmp_path / "random_block").mkdir()
     assert policy_file("random_block") == SHIPPED / "random_block.safetensors"
     pilot = policy_pilot("random_block", subjects_of(["random_block@test"]), "sequential")
-    assert pilot.policy == "random_block"
+    assert pilot.by == "random_block"
     (tmp_path / "random_block" / "policy.safetensors").write_text("no policy")
     with pytest.raises(InputError, match="not a file that"):
         make_policy("random_block", 0, task)

@@ -19,8 +19,8 @@ from craftsim.validation.margins import (
     RANKS,
     SHARE,
     TRIALS,
+    MarginSearch,
     Rig,
-    Search,
     confidence,
     find,
     scenarios,
@@ -45,7 +45,7 @@ def test_names_of_scenarios_are_their_own():
 
 def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
     rig, (axis,) = Rig(scenarios("lift a block")[0], NOMINAL, 0), axes_of(["position-bias"])
-    found = find(Search(rig, (axis,), 7)).extra
+    found = find(MarginSearch(rig, (axis,), 7)).extra
     assert found["end"] == "edge"
     assert all(not rig.attempt(number, [(axis, found["margin"])])[1] for number in range(7))
     assert rig.attempt(found["trial"], [(axis, found["fails_at"])])[1] == found["reason"]
@@ -53,7 +53,7 @@ def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
 
 def test_an_imperfection_that_changes_nothing_has_no_effect():
     rig = Rig(scenarios("move unloaded")[0], NOMINAL, 0)
-    found = find(Search(rig, axes_of(["hinge-bias"]), 7)).extra
+    found = find(MarginSearch(rig, axes_of(["hinge-bias"]), 7)).extra
     assert (found["end"], found["tried"]) == ("no effect", 6)
 
 
@@ -85,7 +85,9 @@ def test_a_search_finds_the_same_in_any_process(searched):
     out, _ = searched
     first = json.loads((out / "trials.jsonl").read_text().splitlines()[0])
     (axis,) = axes_of(["position-bias"])
-    assert find(Search(Rig(scenarios("lift a block")[0], NOMINAL, 2), (axis,), 1)).extra == first["extra"]
+    assert (
+        find(MarginSearch(Rig(scenarios("lift a block")[0], NOMINAL, 2), (axis,), 1)).extra == first["extra"]
+    )
 
 
 def test_a_finished_search_is_compared_with_an_earlier_one(searched, tmp_path, capsys):

@@ -417,7 +417,7 @@ def test_a_hidden_delay_shows_in_the_outcomes(tmp_path, capsys):
         "--randomize",
         "mild",
         "--trials",
-        "3",
+        "6",
         "--video",
         "none",
     ]

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.footprint import Footprint
+from craftsim.discrete.footprint import Footprint, cell_of
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.grid_checks import check_values
 from craftsim.discrete.kernel.codes import N_ACTIONS
@@ -80,7 +80,7 @@ class ActionSpec:
 
 def _stands(grid: Grid, car: int, *kinds: Kind) -> bool:
     """Return whether one of some kinds is in the cell of a car."""
-    return grid.kind_at(space.cell_of(grid, car)) in kinds
+    return grid.kind_at(cell_of(grid, car)) in kinds
 
 
 def _nothing_to_lift(grid: Grid, car: int) -> str:

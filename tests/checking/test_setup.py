@@ -4,6 +4,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from craftsim.models.floor import Floor
 from drawn import draw
 
 from craftsim.checking.attempt import Thresholds
@@ -12,7 +13,6 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError, StartError
 from craftsim.models.config import SimulationConfig
-from craftsim.models.imperfection import Floor
 from craftsim.models.randomization import NONE
 from craftsim.models.sensing import ASSUMED, MILD, SensorNoise
 from craftsim.models.world import _kept

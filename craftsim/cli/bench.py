@@ -18,7 +18,7 @@ from craftsim.options import OptionalDir, Seeded, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
 from craftsim.storage.folders import output_directory, owning
-from craftsim.storage.limits import BATCH, BENCH_S, DESIGNS, TRIALS, WORKERS
+from craftsim.storage.limits import BATCH, BENCH_S
 from craftsim.storage.writing import write_whole
 
 if TYPE_CHECKING:
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 
 TASKS: Final = ("simple_two_story", "complex_two_story")
 """Those with two and with four cars."""
+WORLDS: Final = 1000
+"""Of a batch, unless given."""
+EPISODES: Final = 100
+"""Of each policy in each mode, unless given."""
 DEPTH: Final = 20
 """The search depth of CraftEnv's published training settings, the costlier of the two."""
 
@@ -41,14 +45,11 @@ Case = tuple[str, int, bool, Step]
 @owning
 def bench(
     what: Literal["rules", "env", "physics", "execution"],
+    policies: Annotated[tuple[str, ...], Parameter(metavar="POLICY")] = (),
     *,
     rules: RuleSet = "published",
-    worlds: Annotated[int, number(BATCH)] = 1000,
+    worlds: Annotated[int | None, number(BATCH)] = None,
     seconds: Annotated[float, number(BENCH_S)] = 2.0,
-    designs: Annotated[int, number(DESIGNS)] = 0,
-    policies: Annotated[tuple[str, ...], Parameter(metavar="NAME|PATH")] = (),
-    trials: Annotated[int, number(TRIALS)] = 100,
-    workers: Annotated[int, number(WORKERS)] = 1,
     chance: Seeded = Seeded(),  # noqa: B008
     out: OptionalDir = None,
 ) -> int:
@@ -67,18 +68,16 @@ def bench(
 
     execution: makespans in physics of the plans of the six tasks and of random designs: one action after the other,
     tick after tick, and each action as early as those that it depends on have ended, beside the predicted makespans.
-    With --policies instead: their success on the grid and in physics, where all cars decide together, tick by tick, and
+    Of policies instead: their success on the grid and in physics, where all cars decide together, tick by tick, and
     where each decides when its own action has ended. Reduced drive, mild randomization, paired starts.
 
     Args:
         what: what to measure.
+        policies: shipped or trained policies to execute in place of plans.
         rules: the rule set to run; rules only.
-        worlds: how many worlds a batch has; rules and env only.
+        worlds: how many a batch has, 1000 unless given; of execution how many random designs are built besides the six
+            tasks, none unless given, or how many episodes each policy has in each mode, 100 unless given.
         seconds: how long each measurement runs.
-        designs: how many random designs are planned and built besides the six tasks; execution only.
-        policies: shipped or trained policies in place of plans; execution only.
-        trials: episodes of each policy in each mode; execution only.
-        workers: processes to share the work; execution only.
         out: folder for report.json, and for the table in Markdown.
     """
     from craftsim.cli.calibration import COLUMNS, measure
@@ -86,7 +85,8 @@ def bench(
 
     seed = chance.seed
     if what == "execution":
-        return _execution(designs, policies, trials, seed, workers).publish(out)
+        return _execution(policies, worlds, seed).publish(out)
+    worlds = WORLDS if worlds is None else worlds
     rates: dict[str, dict[str, Any]] = {task: {} for task in TASKS}
     rows = []
     for task in TASKS:
@@ -109,13 +109,14 @@ def bench(
     ).publish(out)
 
 
-def _execution(designs: int, policies: Sequence[str], trials: int, seed: int, workers: int) -> Report:
+def _execution(policies: Sequence[str], worlds: int | None, seed: int) -> Report:
     from craftsim.checking.setup import setup_of
     from craftsim.validation.execution import plans_report, policies_report
 
+    workers = os.cpu_count() or 1
     if policies:
-        return policies_report(policies, trials, seed, workers)
-    setup = setup_of("mild", drive="reduced")
+        return policies_report(policies, EPISODES if worlds is None else worlds, seed, workers)
+    setup, designs = setup_of("mild", drive="reduced"), worlds or 0
     return plans_report(
         designs, seed, setup, workers, {"what": "execution", "designs": designs, "setup": setup}
     )

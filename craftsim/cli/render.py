@@ -69,7 +69,7 @@ def render(
         fps: frames a second.
         speed: simulated seconds in a second of film; unless given it follows what the cars do.
         at: simulated times of pictures to take, in seconds; for .png only.
-        hide: what the design still lacks, translucent; what the cars do and how it is judged, beside the picture; the
+        hide: what the design still lacks, translucent; what the cars do and how it is judged, beside a film; the
             cards at the start and at the end of a film.
         title: in place of the trajectory's own.
         run: name of one of the trajectories in a run's folder.
@@ -84,7 +84,8 @@ def render(
     from craftsim.rendering.render import render as render_file
     from craftsim.storage.folders import output_directory
 
-    shown = ("ghost" not in hide, "captions" not in hide, "cards" not in hide)
+    captions = False if "captions" in hide else None  # films have them, pictures not
+    shown = ("ghost" not in hide, captions, "cards" not in hide)
     look = Look(_pixels(size), fps, camera, layout, quality, speed, None, *shown, title)
     check_format(out, at)
     choose_backend()

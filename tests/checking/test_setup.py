@@ -4,7 +4,6 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from craftsim.models.floor import Floor
 from drawn import draw
 
 from craftsim.checking.attempt import Thresholds
@@ -13,6 +12,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError, StartError
 from craftsim.models.config import SimulationConfig
+from craftsim.models.floor import Floor
 from craftsim.models.randomization import NONE
 from craftsim.models.sensing import ASSUMED, MILD, SensorNoise
 from craftsim.models.world import _kept

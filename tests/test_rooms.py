@@ -47,6 +47,7 @@ ALLOWED = {
     "audit": {"storage", "checking", "skills", "mjcf", "models", "discrete"},
     "validation": {
         "options",
+        "designs",
         "storage",
         "audit",
         "experiments",

@@ -22,7 +22,7 @@ from craftsim.discrete.kernel.events import (
     ILLEGAL,
     RUNS,
     WAITS,
-    Clock,
+    EventTimes,
     Decisions,
     Running,
 )
@@ -173,7 +173,7 @@ class AsynchronousEpisodes(Episodes):
             factor = self.timing.factors(self.rng, acts.shape) if self.timing.jitter else factor
             fails = self.timing.fails(self.rng, acts.shape) if self.timing.failures else fails
         nominal = self.timing.nominal_s if timed else self._unknown
-        clock = Clock(self.time_s, nominal, factor, fails, self._wait_s)
+        clock = EventTimes(self.time_s, nominal, factor, fails, self._wait_s)
         out = np.full(acts.shape, RUNS, np.int64)
         done = 0
         some = np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else []
@@ -189,13 +189,13 @@ class AsynchronousEpisodes(Episodes):
                     self._decide(slice(i, i + 1), turns[:, place : place + 1], acts, clock, out)
         return out
 
-    def _decide(self, worlds: slice, turns: Any, acts: Any, clock: Clock, out: Any) -> None:
+    def _decide(self, worlds: slice, turns: Any, acts: Any, clock: EventTimes, out: Any) -> None:
         grids, depth = self.grids, NO_HELPER if self.depth is None else self.depth
         events.decide(
             *(grids.cells[worlds], grids.cars[worlds], self.corrections),
             Running._make(array[worlds] for array in self.running),
             Decisions._make(array[worlds] for array in self.decisions),
-            Clock(
+            EventTimes(
                 clock.time_s[worlds], clock.nominal_s, clock.factor[worlds], clock.fails[worlds], clock.wait_s
             ),
             np.ascontiguousarray(turns[worlds]),
@@ -206,7 +206,7 @@ class AsynchronousEpisodes(Episodes):
             out[worlds],
         )
 
-    def _decide_own(self, i: int, car: int, action: int, clock: Clock) -> int:
+    def _decide_own(self, i: int, car: int, action: int, clock: EventTimes) -> int:
         """Let a car begin a registered action, which is a user's code."""
         running, before = self.running, self.grid(i)
         result, end_s = ILLEGAL, clock.time_s[i] + clock.wait_s[0]

@@ -77,7 +77,7 @@ class Decisions(NamedTuple):
     """(B, n): the rewards since then."""
 
 
-class Clock(NamedTuple):
+class EventTimes(NamedTuple):
     """Times of B worlds, and how long what begins now takes."""
 
     time_s: NDArray[np.float64]
@@ -205,7 +205,7 @@ def decide(
     corrections: int,
     running: Running,
     decisions: Decisions,
-    clock: Clock,
+    clock: EventTimes,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
     queues: Queues,
@@ -264,7 +264,7 @@ def decide(
 def note(
     running: Running,
     decisions: Decisions,
-    clock: Clock,
+    clock: EventTimes,
     i: int,
     car: int,
     asked: int,

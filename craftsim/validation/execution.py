@@ -181,7 +181,6 @@ MODES: Final = (
     Mode("grid", "asynchronous", "none"),
     Mode("physics", "synchronous", "mild"),
     Mode("physics", "asynchronous", "mild"),
-    Mode("physics", "asynchronous", "workshop_floor"),
 )
 
 

@@ -22,8 +22,8 @@ from craftsim.discrete.kernel.events import (
     ILLEGAL,
     RUNS,
     WAITS,
-    EventTimes,
     Decisions,
+    EventTimes,
     Running,
 )
 from craftsim.discrete.kernel.state import DERIVED_MARKS

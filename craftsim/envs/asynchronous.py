@@ -111,7 +111,7 @@ class AsynchronousCore(Core):
             time_s = round(happened.time_s - self._zero_s, 6)
             ended = episodes.finish(0, time_s, happened.cars, happened.confirmed)
             infos, problems = infos | happened.infos, happened.problems
-        self._told = [infos.get(car, told) for car, told in enumerate(self._told)]
+        self._told = [infos.get(car, {}) for car in range(self.n_cars)]
         failed = {car for car, info in infos.items() if info.get("failed")}
         episodes.queue[0, list(failed)] = -1  # what was planned starts from where the car is not
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)

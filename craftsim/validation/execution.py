@@ -197,12 +197,11 @@ class PolicyCase:
 def episode(case: PolicyCase) -> dict[str, Any]:
     """Play an episode and return its success, simulated seconds, decisions, and what went wrong.
 
-    ``blocked`` counts decisions that a claim stood against, ``disagreed`` actions that did not do what the rules
-    predict.
+    ``blocked`` counts decisions that a claim stood against, ``failed`` actions whose skill did not succeed.
     """
     policy, env = _policy(case.policy), _env(case.policy, case.mode)
     observations, _ = env.reset(seed=case.seed)
-    found: dict[str, Any] = {"success": False, "seconds": 0.0, "decisions": 0, "blocked": 0, "disagreed": 0}
+    found: dict[str, Any] = {"success": False, "seconds": 0.0, "decisions": 0, "blocked": 0, "failed": 0}
     while env.agents:
         acting = list(getattr(env, "agents_to_act", env.agents))
         actions = policy(observations)
@@ -212,7 +211,7 @@ def episode(case: PolicyCase) -> dict[str, Any]:
         found["seconds"] += info["duration_s"]
         found["decisions"] += len(acting)
         found["blocked"] += sum(bool(infos[agent].get("blocked")) for agent in acting)
-        found["disagreed"] += sum(one.get("outcome") not in (None, "succeeded") for one in infos.values())
+        found["failed"] += sum(one.get("outcome") not in (None, "succeeded") for one in infos.values())
     found["deadlock"] = str(info["deadlock"].words) if info.get("deadlock") else ""
     found["unreadable"] = "; ".join(info["problems"])
     return found | {"seconds": round(found["seconds"], 3)}
@@ -242,7 +241,7 @@ def policy_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "success": Proportion.of(len(won), len(records)),
         "makespan_s": float(np.mean([one["seconds"] for one in won])) if won else None,
         "blocked_share": sum(one["blocked"] for one in records) / max(1, decisions),
-        "disagreed": sum(one["disagreed"] for one in records),
+        "failed": sum(one["failed"] for one in records),
         "deadlocks": sum(bool(one["deadlock"]) for one in records),
         "unreadable": sum(bool(one["unreadable"]) for one in records),
     }
@@ -267,7 +266,7 @@ def policies_report(policies: Sequence[str | Path], episodes: int, seed: int, wo
             share: Proportion = own["success"]
             shown = f"{share.rate:.3f} ({share.wilson_low:.3f} to {share.wilson_high:.3f})"
             makespan = "" if own["makespan_s"] is None else f"{own['makespan_s']:.1f}"
-            counts = (own["deadlocks"], own["disagreed"], own["unreadable"])
+            counts = (own["deadlocks"], own["failed"], own["unreadable"])
             rows.append(
                 (policy, str(mode), shown, makespan, f"{100 * own['blocked_share']:.1f}", *map(str, counts))
             )

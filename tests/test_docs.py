@@ -33,7 +33,7 @@ DOCUMENTS = [
 ]
 MADE = ("docs/reference/actions.md", "docs/gallery.md", "docs/results/")
 """Pages that scripts write."""
-MOST_WORDS = 29_000
+MOST_WORDS = 28_000
 LONGEST_LINE = 160
 
 

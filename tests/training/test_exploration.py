@@ -91,7 +91,7 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
     assert trainer.identity.rules == "published"
     assert trainer.worlds.episodes.depth == 20
     monkeypatch.setattr("craftsim.training.trainer.evaluate", lambda *given: given)
-    assert trainer.evaluate(3)[-3:] == ("published", 20, "greedy")
+    assert trainer.evaluate(3)[-4:] == ("published", 20, "greedy", "synchronous")
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ def test_records_are_those_of_local_workers_whatever_goes_wrong(tmp_path, ray_cl
     faults = {"i3": "raise", "i5": "die", "i9": "hang"}
     faults = {**faults, "i7": ("die once", tmp_path / "died")}
     items = cheap_work.items(12, **faults)
-    own = cheap_work.experiment(items, timeout_s=1, batch=2)
+    own = cheap_work.experiment(items, timeout_s=3, batch=2)
     records = run_experiment(own, tmp_path / "ray", RunOptions(2, "ray"))
     assert [record["error"] is None for record in records] == [i not in (3, 5, 9) for i in range(12)]
     (tmp_path / "died").unlink()

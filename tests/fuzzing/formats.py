@@ -263,10 +263,10 @@ FORMATS = {
     "trajectory": Format(
         lambda: _written(_trajectory), lambda folder: Trajectory.read(folder / "run.npz"), 100
     ),
-    "replay bundle": Format(lambda: [replays.bundle_files()], read_bundle, 150),
+    "replay bundle": Format(lambda: [replays.bundle_files()], read_bundle, 40),
     "resume": Format(lambda: [campaign_folders.files()], campaign_folders.resume, 60),
     "against": Format(
-        lambda: [campaign_folders.files(), campaign_folders.old_files()], campaign_folders.against, 200
+        lambda: [campaign_folders.files(), campaign_folders.old_files()], campaign_folders.against, 50
     ),
 }
 """By name."""

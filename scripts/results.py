@@ -53,6 +53,8 @@ MEASURED: Final = {
     "audit_physical": "audit --quick --rules physical --drive reduced",
     "audit_published": "audit --quick --drive reduced",
     "margins": "audit margins --quick",
+    "execution_plans": "bench execution --worlds 12",
+    "execution_policies": "bench execution random_strip random_block random_simple_two_story random_breaking_barrier",
 }
 """What is measured, each in less than four minutes of CPU time."""
 STUDIES: Final = {
@@ -136,6 +138,7 @@ def tables() -> dict[str, str]:
     return {
         "physics": physics_table(),
         "margins": margins_table(),
+        "execution": execution_table(),
         "earlier": earlier_table(),
         **{
             f"speed_{what}": rates_table(_read(RESULTS / f"speed_{what}.json"))
@@ -189,6 +192,8 @@ def _said(figures: dict[str, Any]) -> str:
         "audit": _audit,
         "validation": _validation,
         "agree": _demo,
+        "concurrent_by": _orders,
+        "modes": lambda figures: f"{len(figures['modes'])} policies, below",
     }
     return next(say(figures) for key, say in sayings.items() if figures.get(key) is not None)
 
@@ -209,6 +214,33 @@ def _validation(figures: dict[str, Any]) -> str:
         f"{actions['successes']:,} of {actions['trials']:,} actions as predicted ({_interval(actions)}), "
         f"{runs['successes']} of {runs['trials']} runs; 99 % of cars within {errors['p99']:.2f} mm"
     )
+
+
+def _orders(figures: dict[str, Any]) -> str:
+    found = figures["concurrent_by"]
+    said = [
+        f"{one['value']:.2f} ({one['low']:.2f} to {one['high']:.2f}) times {name}"
+        for name, one in found.items()
+    ]
+    return f"makespans of {figures['compared']} plans, asynchronously: {', '.join(said)}"
+
+
+def execution_table() -> str:
+    """Return how often policies succeed in each mode of execution, and how long that takes."""
+    found = _read(RUNS / "execution_policies.json")["figures"]["modes"]
+    rows = [
+        (
+            f"`{policy}`",
+            mode,
+            f"{one['success']['successes']} of {one['success']['trials']}",
+            f"{one['makespan_s']:.1f}",
+            one["failed"],
+            one["deadlocks"],
+        )
+        for policy, modes in found.items()
+        for mode, one in modes.items()
+    ]
+    return table(("policy", "mode", "built", "makespan, s", "failed actions", "deadlocks"), *rows)
 
 
 def _interval(share: dict[str, float]) -> str:

@@ -21,6 +21,19 @@ def test_a_plan_is_executed_in_each_order_from_the_same_start(tmp_path, monkeypa
     assert "times sequential" in capsys.readouterr().out
 
 
+def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, capsys):
+    assert (
+        main(["bench", "execution", "random_strip", "--worlds", "1", "--seed", "3", "--out", str(tmp_path)])
+        == 0
+    )
+    modes = json.loads((tmp_path / "report.json").read_text())["modes"]["random_strip"]
+    assert list(modes) == [*map(str, execution.MODES)]
+    assert all(one["success"]["trials"] == 1 for one in modes.values())
+    built = [one["makespan_s"] for one in modes.values()]
+    assert built[0] < built[2], "in physics cars take longer than the table of durations says"
+    assert "physics asynchronous" in capsys.readouterr().out
+
+
 def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():
     def record(sequential_s, agrees=True):
         named = {"sequential": sequential_s, "ticks": sequential_s / 2, "concurrent": 2.0}

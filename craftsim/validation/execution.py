@@ -258,33 +258,30 @@ def policies_report(policies: Sequence[str | Path], episodes: int, seed: int, wo
     with Pool(workers) as pool:
         found = dict(pool.map_unordered(episode, cases, batch=min(10, episodes)))
     figures: dict[str, Any] = {}
-    rows = []
+    tables = []
+    names = ("success", "makespan, s", "blocked, %", "deadlocks", "failed")
+    columns = (Column("mode"), *(Column(name, "number") for name in names))
     for policy in map(str, policies):
+        rows = []
         for mode in MODES:
             some = [answered(found[one]) for one in cases if one.policy == policy and one.mode == mode]
             own = figures.setdefault(policy, {})[str(mode)] = policy_figures(some)
             share: Proportion = own["success"]
-            shown = f"{share.rate:.3f} ({share.wilson_low:.3f} to {share.wilson_high:.3f})"
+            shown = f"{share.rate:.2f} ({share.wilson_low:.2f} to {share.wilson_high:.2f})"
             makespan = "" if own["makespan_s"] is None else f"{own['makespan_s']:.1f}"
-            counts = (own["deadlocks"], own["failed"], own["unreadable"])
-            rows.append(
-                (policy, str(mode), shown, makespan, f"{100 * own['blocked_share']:.1f}", *map(str, counts))
-            )
-    names = ("success", "makespan, s", "blocked, %", "deadlocks", "failed actions", "unreadable")
-    table = DataTable(
-        (Column("policy", "path"), Column("mode"), *(Column(name, "number") for name in names)),
-        rows,
-        f"{episodes} episodes each",
-        "makespan: mean of the episodes that succeeded; blocked: decisions that a running action stood against",
+            blocked = f"{100 * own['blocked_share']:.1f}"
+            rows.append((str(mode), shown, makespan, blocked, str(own["deadlocks"]), str(own["failed"])))
+        tables.append(DataTable(columns, rows, f"{policy}, {episodes} episodes each"))
+    note = (
+        "Paired: same starts. Makespan: mean of the episodes that succeed; blocked: decisions that a running action "
+        "stood against; failed: actions whose skill did not succeed."
     )
-    sentence = (
-        f"{len(policies)} policies in {len(MODES)} modes, {episodes} episodes each, from the same starts."
-    )
+    sentence = f"{', '.join(map(str, policies))}: {len(MODES)} modes, {episodes} episodes each, from the same starts."
     return Report(
         "Execution of policies",
         "synchronous and asynchronous, on the grid and in physics",
         Headline("Measured", Tone.PLAIN, sentence),
-        sections=[Section("modes", "Modes", "Paired: same starts.", [table], terminal=True)],
+        sections=[Section("modes", "Modes", note, tables, terminal=True)],
         document=document(
             {"modes": figures},
             command="bench",

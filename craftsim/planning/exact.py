@@ -45,7 +45,7 @@ from craftsim.discrete.schedule import nominal_durations
 from craftsim.planning.planned import BuildingGoal
 
 MOST_WORLDS: Final = 400_000
-"""So many worlds are looked at unless told otherwise."""
+"""How many worlds are looked at unless given."""
 
 _MOST_BYTES: Final = 1 << 28
 """Worlds that are kept take no more than that; only large ones come to it before their number counts."""

@@ -9,7 +9,7 @@ from craftsim.extras import need
 LOOPBACK: Final = "127.0.0.1"
 """The address that only this machine reaches."""
 PORT: Final = 5555
-"""Where robots are reached unless told otherwise."""
+"""Where robots are reached unless another address is given."""
 
 
 def need_network() -> None:

@@ -358,7 +358,7 @@ class Service:
             self._deliver(now_s)
 
     def _act(self, now_s: float) -> None:
-        """Let the robots do what they were told for now; stop them once they are told nothing."""
+        """Let the robots follow the commands of now; stop them once there are none."""
         before = self.inbox.stops
         commands = self.inbox.obey(now_s)
         if self.inbox.stops > before:

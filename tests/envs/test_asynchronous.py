@@ -9,6 +9,7 @@ from pettingzoo.test import api_test, parallel_api_test
 from registered import forget
 
 import craftsim
+from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.actions import footprint
 from craftsim.discrete.asynchronous import BEGUN, BLOCKED, WAITS, AsynchronousEpisodes, Timing
 from craftsim.discrete.grid import Grid, Kind, Piece
@@ -395,6 +396,21 @@ def test_pettingzoo_takes_both_forms_in_physics():
         warnings.simplefilter("ignore")
         api_test(aec("strip", backend="physics"), num_cycles=6)
         parallel_api_test(craftsim.parallel_env("strip", execution="asynchronous"), num_cycles=4)
+
+
+def test_equal_seeds_are_bit_equal_in_physics():
+    env = craftsim.parallel_env("strip", execution="asynchronous", randomization=RANDOMIZE["mild"][1])
+    runs = []
+    for seed in (5, 5, 6):
+        rng, (seen, _), states = np.random.default_rng(0), env.reset(seed=seed), []
+        for _ in range(8):
+            seen, *_ = env.step({agent: pick(rng, one["action_mask"]) for agent, one in seen.items()})
+            data = env.core.backend.judge.physics.data
+            states.append(data.qpos.tobytes() + np.float64(data.time).tobytes())
+        runs.append(states)
+    env.close()
+    assert runs[0] == runs[1]
+    assert runs[0] != runs[2]
 
 
 def test_a_batch_in_physics_says_who_decides():

@@ -16,6 +16,13 @@ TURN, TURN_BACK = Action.ROTATE_LEFT, Action.ROTATE_RIGHT
 ROLLERS, REDUCED = "rollers", "reduced"
 
 
+def _on_both(*cases):
+    """Yield cases, whose last value is a drive, and each on the other drive as a slow one."""
+    yield from cases
+    for *case, drive in cases:
+        yield pytest.param(*case, REDUCED if drive == ROLLERS else ROLLERS, marks=pytest.mark.slow)
+
+
 def _perform(judge, actions):
     """Perform actions one by one and hold each against the bands."""
     for action in actions:
@@ -36,14 +43,14 @@ def _loaded(cell, yaw, load):
     return (*cell, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0)
 
 
-@pytest.mark.parametrize(("yaw", "drive"), [(0, ROLLERS), (1, REDUCED), (2, REDUCED), (3, ROLLERS)])
+@pytest.mark.parametrize(("yaw", "drive"), _on_both((0, ROLLERS), (1, REDUCED), (2, REDUCED), (3, ROLLERS)))
 def test_moves_in_all_directions_and_turns_both_ways(make_checked, yaw, drive):
     judge = make_checked((3, 3, 1), [(1, 1, 1, yaw)], drive=drive)
     _perform(judge, [RIGHT, LEFT, FORWARD, BACK, TURN, TURN_BACK, STOP])
 
 
 @pytest.mark.parametrize(
-    ("load", "drive"), [(Kind.BLOCK, REDUCED), (Kind.FLAG, REDUCED), (Kind.FSLOPE, ROLLERS)]
+    ("load", "drive"), _on_both((Kind.BLOCK, REDUCED), (Kind.FLAG, REDUCED), (Kind.FSLOPE, ROLLERS))
 )
 def test_carries_a_load_in_all_directions_turns_with_it_and_sets_it_down(make_checked, load, drive):
     judge = make_checked((5, 5, 2), [_loaded((2, 2, 1), 0, load)], drive=drive)
@@ -52,7 +59,7 @@ def test_carries_a_load_in_all_directions_turns_with_it_and_sets_it_down(make_ch
     )
 
 
-@pytest.mark.parametrize(("kind", "drive"), [(Kind.BLOCK, ROLLERS), (Kind.FLAG, REDUCED)])
+@pytest.mark.parametrize(("kind", "drive"), _on_both((Kind.BLOCK, ROLLERS), (Kind.FLAG, REDUCED)))
 def test_drives_in_and_out_under_a_table_turns_lifts_and_sets_it_down_again(make_checked, kind, drive):
     judge = make_checked((3, 3, 2), [(0, 1, 1, 0)], [(kind, (1, 1, 1))], drive)
     _perform(judge, [RIGHT, RIGHT, LEFT, TURN, TURN_BACK, LIFT, DROP, LIFT, DROP, LEFT])
@@ -70,15 +77,15 @@ def test_lifts_brings_unfolds_and_folds_a_slope(make_checked):
 
 @pytest.mark.parametrize(
     ("direction", "load", "drive"),
-    [
-        *((0, Kind.BLOCK, ROLLERS), (1, Kind.FLAG, REDUCED), (2, Kind.FSLOPE, REDUCED)),
-        *(
-            (3, Kind.FSLOPE, ROLLERS),
-            (3, Kind.BLOCK, REDUCED),
-            (2, Kind.AIR, ROLLERS),
-            (1, Kind.AIR, REDUCED),
-        ),
-    ],
+    _on_both(
+        (0, Kind.BLOCK, ROLLERS),
+        (1, Kind.FLAG, REDUCED),
+        (2, Kind.FSLOPE, REDUCED),
+        (3, Kind.FSLOPE, ROLLERS),
+        (3, Kind.BLOCK, REDUCED),
+        (2, Kind.AIR, ROLLERS),
+        (1, Kind.AIR, REDUCED),
+    ),
 )
 def test_climbs_a_ramp_works_on_top_and_comes_back_down(make_checked, direction, load, drive):
     """Two cells of floor, foot and body of a slope, and three blocks, in each direction and with each load."""

@@ -52,7 +52,7 @@ class InRange:
                 raise ValueError(f"allowed: {self.allowed}")
 
 
-RUN: Final = Group("What is run", sort_key=9)
+RUN: Final = Group("Rollouts", sort_key=9)
 PHYSICS: Final = Group("Physics", sort_key=10)
 TRIALS: Final = Group("Trials", sort_key=11)
 RESULTS: Final = Group("Results", sort_key=20)
@@ -66,24 +66,24 @@ Shown = Annotated[bool, Parameter(group=RESULTS)]
 
 
 def number(allowed: Range, metavar: str = "N", **more: Any) -> Parameter:
-    """Return the annotation of an option that is a number, or several, within a range."""
+    """Return the annotation of a numeric option with a range."""
     return Parameter(validator=InRange(allowed), metavar=metavar, **more)
 
 
 def range_of(parameter: Parameter) -> Range | None:
-    """Return the range of an option's numbers, if it has one."""
+    """Return the range of a numeric option, if it has one."""
     checks = parameter.validator
     return next((check.allowed for check in checks if isinstance(check, InRange)), None)  # type: ignore[union-attr]
 
 
 def option_name(parameter: Parameter, name: str) -> str:
-    """Return what the option of a field of this name is called on the command line, without dashes before it."""
+    """Return the name of a field's option on the command line, without dashes."""
     own: Any = parameter.name
     return (own[0] if own else name).strip("-").replace("_", "-")
 
 
 def option_ranges(options: Any) -> Iterator[tuple[str, Range]]:
-    """Yield the names of the options of a function or of a class that are numbers, and their ranges."""
+    """Yield the names and ranges of the numeric options of a function or class."""
     for name, hint in get_type_hints(options, include_extras=True).items():
         for part in (hint, *get_args(hint)):
             if is_dataclass(part):
@@ -95,41 +95,41 @@ def option_ranges(options: Any) -> Iterator[tuple[str, Range]]:
 @Parameter(name="*", group=PHYSICS)
 @dataclass(frozen=True, kw_only=True)
 class Seeded:
-    """What decides all that is drawn at random."""
+    """The random seed."""
 
     seed: Annotated[int, number(SEED, help="random seed")] = 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Physics(Seeded):
-    """What decides a world in physics besides its start."""
+    """Configuration of the physics."""
 
     randomize: Annotated[Randomize, Parameter(alias="--level", metavar="LEVEL|NAME|FILE")] = "mild"
-    """What is drawn of physics, floor, machines, motors and sensors; sets the limits of the errors, too. Names are
-    none (exact), mild, strong, lab_floor and workshop_floor, levels 0 to 4."""
+    """Randomization of physics, floor, machines, motors and sensors, and with it the error limits: none (exact), mild,
+    strong, lab_floor or workshop_floor, which are levels 0 to 4, or a YAML file."""
     noise: Annotated[Noise | None, Parameter(metavar="FILE")] = None
-    """YAML file of the sensors' and motors' noise; what it leaves out is that of --randomize."""
+    """YAML file of sensor and motor noise; missing values are those of --randomize."""
     assume: Annotated[Noise | None, Parameter(metavar="NAME|FILE")] = None
-    """What the cars take that noise to be before they estimate it, whatever it is; with none they take each measured
-    pose as it is."""
+    """Noise that the cars' estimators assume at first: a preset or a YAML file; with none they use measured poses
+    unfiltered."""
     gains: Annotated[GainsChoice | None, Parameter(metavar="{robust,fast}|FILE")] = None
-    """Gains of the skills: a preset, or a YAML file; robust unless given, as is what a file leaves out."""
+    """Gains of the skills: a preset or a YAML file; default, also for missing values: robust."""
     machines: Annotated[MachinesChoice | None, Parameter(metavar="FILE")] = None
     """YAML file of machine parameters: masses, friction, torques, speeds, lengths."""
     drive: Drive | None = None
-    """How cars touch the ground: by forty free rollers, or reduced to one body, which is several times as fast; rollers
-    unless given here or by --machines."""
+    """Model of the mecanum wheels: forty free rollers, or the reduced model, several times as fast; default: rollers,
+    or as in --machines."""
     skills: Annotated[SkillsChoice | None, Parameter(metavar="MODULE:NAME")] = None
-    """Skills of your own in place of built-in ones: a mapping from actions, or from cars to such mappings."""
+    """User-defined skills: a mapping from actions, or from cars to such mappings."""
     rules: RuleSet = "physical"
-    """The rule set that predicts: CraftEnv's own, or the one that physics supports."""
+    """Rule set for the predictions: CraftEnv's own, or the corrected one."""
 
     def __post_init__(self) -> None:
         if isinstance(self.randomize, str):
             object.__setattr__(self, "randomize", preset_of_level(self.randomize))
 
     def setup(self) -> "Setup":
-        """Return the configuration of the physics; raise InputError for a file that says what it should not."""
+        """Return the configuration of the physics. Raises InputError for an invalid file."""
         from craftsim.checking.setup import setup_of
 
         return setup_of(
@@ -138,22 +138,22 @@ class Physics(Seeded):
         )
 
 
-_WORKERS: Final = "processes to share the work; results do not depend on it"
-_ENGINE: Final = "processes of this machine, or an existing Ray cluster to which the output folder is shared"
-_RESUME: Final = "go on with what an interrupted run has left in the output folder"
+_WORKERS: Final = "number of processes; results do not depend on it"
+_ENGINE: Final = "local processes, or an existing Ray cluster that shares the output folder"
+_RESUME: Final = "continue an interrupted run in the output folder"
 
 
 @Parameter(name="*", group=TRIALS)
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """Where trials are run, which decides no result."""
+    """Where trials are run; results do not depend on it."""
 
     workers: Annotated[int, number(WORKERS, help=_WORKERS)] = 1
     engine: Annotated[Engine, Parameter(help=_ENGINE)] = "local"
     resume: Annotated[bool, Parameter(help=_RESUME)] = False
 
     def run(self, progress: "Progress") -> "RunOptions":
-        """Return how an experiment is run, and what shows how far it is."""
+        """Return the options of an experiment."""
         from craftsim.experiments.experiment import RunOptions
 
         return RunOptions(self.workers, self.engine, self.resume, progress=progress)
@@ -164,72 +164,71 @@ class Trials(Work):
     """How many trials are run and where."""
 
     trials: Annotated[int, number(TRIAL_COUNT)] = 10
-    """How many of each."""
+    """Number of trials of each case."""
     baseline: Annotated[Folder | None, Parameter(metavar="DIR")] = None
-    """Folder of an earlier run under other settings, to compare trial by trial."""
+    """Folder of an earlier run for a paired comparison."""
 
     def run(self, progress: "Progress") -> "RunOptions":
-        """Return how an experiment is run, and what shows how far it is."""
+        """Return the options of an experiment."""
         return replace(super().run(progress), against=None if self.baseline is None else Path(self.baseline))
 
 
 _PLAN: Final = (
-    "plan to carry out, a file of 'tick car ACTION' lines; auto plans, acts, reads the world, and plans again from "
-    "what is there where something went wrong"
+    "plan to execute: a file of 'tick car ACTION' lines, or auto: plan, act, read the world, and plan again after a "
+    "failure"
 )
 _ORDER: Final = (
-    "how plans are carried out: one action after the other; tick after tick, the cars of one at the same time; or "
-    "each action as early as those that it depends on have ended"
+    "execution of plans: one action after the other; tick by tick; or concurrent, each action as soon as those that it "
+    "depends on have ended"
 )
 
 
 @Parameter(name="*", group=RUN)
 @dataclass(frozen=True, kw_only=True)
 class CarriedPlan:
-    """The plan that is carried out, and how."""
+    """The plan and its execution."""
 
     plan: Annotated[PlanChoice | None, Parameter(metavar="FILE|auto", help=_PLAN)] = None
     order: Annotated[PlanOrder, Parameter(help=_ORDER)] = "concurrent"
 
     @property
     def plan_file(self) -> Path | None:
-        """The plan where it is a file."""
+        """The plan, if it is a file."""
         return None if self.plan is None else Path(str(self.plan))
 
 
 @Parameter(name="*", group=RUN)
 @dataclass(frozen=True, kw_only=True)
 class GoalFile:
-    """The design to build, where it is not a task's own."""
+    """The design to build."""
 
     goal: Annotated[
-        Path | None, Parameter(metavar="FILE", help="design to build, in place of the task's goal")
+        Path | None, Parameter(metavar="FILE", help="design to build instead of the task's goal")
     ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rollouts(CarriedPlan):
-    """What is run in a world, and for how long."""
+    """What is run in each world."""
 
     actions: Annotated[ActionsFile | None, Parameter(metavar="FILE")] = None
-    """File with one 'car ACTION' a line, tried one after the other."""
+    """File with one 'car ACTION' per line, executed in sequence."""
     policy: Annotated[PolicyChoice, Parameter(metavar="NAME")] = ()
-    """planner (the shipped plan, or where there is none a plan made then, and again where physics disagrees), random,
-    play (random play by the rules, weighted towards rare actions), module:function, or what 'craftsim train' wrote;
-    several are compared with each other. The planner unless given, in random worlds play."""
+    """planner (the shipped plan, or one made at the start, with replanning after failures), random, play (random legal
+    play, weighted towards rare actions), module:function, or a trained policy; several are compared. Default: planner,
+    in random worlds play."""
     n_cars: Annotated[int | None, number(CARS, name="--cars")] = None
-    """Other than a world's number of cars; those that its start does not list are drawn at random. Random worlds have 1
-    to 12."""
+    """Number of cars; those not listed in the start are placed at random. Random worlds have 1 to 12."""
     n_blocks: Annotated[int | None, number(BLOCKS, name="--blocks")] = None
-    """The same for blocks; of a random world's stacks, about."""
+    """Number of blocks; in random worlds approximate."""
     max_steps: Annotated[int, number(EPISODE_TICKS)] = 14
-    """Length of an episode in random worlds, less two ticks."""
+    """Ticks of an episode in random worlds, without the last two."""
     timeout_s: Annotated[float, number(TIMEOUT_S, "SECONDS", name="--timeout")] = 600.0
-    """Seconds after which a run counts as hanging."""
+    """Time limit of a run in seconds."""
 
 
 def changed(groups: tuple[Any, ...], given: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return groups of options with other values in place of some; raise InputError for a name that none has."""
+    """Return groups of options with some values replaced. Raises InputError for an unknown name."""
     names = [field.name for group in groups for field in fields(group)]
     for name in given:
         if name not in names:

@@ -78,21 +78,21 @@ def audit(
     minimize: Shown = False,
     out: Dir = Path("out/audit"),
 ) -> int:
-    """Try every action in every situation in physics, where the rules allow it and where they forbid it.
+    """Try every action in every situation in physics, both where the rules allow it and where they forbid it.
 
-    A rule that allows what physics refuses is unsound; one that forbids what would have worked is conservative. By
-    default CraftEnv's own rules are audited, with the 20 trials a row that make a verdict final. Exit status 0 when no
-    rule is unsound and every trial came to an end, 1 when not, 2 for wrong input.
+    A rule is unsound if it allows an action that fails in physics, and conservative if it forbids one that works. The
+    default is CraftEnv's own rule set with 20 trials a row, enough for a final verdict. Exit status: 0 if no rule is
+    unsound and every trial finished, 1 if not, 2 for invalid input.
 
     Args:
         actions: only these actions.
-        situations: only rows whose name matches, such as '*load=block*room=tight'.
-        only: where the rules allow the action, where they forbid it, or both.
-        quick: try the rows that cover the boundaries of the rules, once each, instead of all: two minutes on two cores.
-        video: films of the disagreements, a few seconds of work each.
+        situations: only rows whose name matches this pattern, such as '*load=block*room=tight'.
+        only: rows that the rules allow, rows that they forbid, or both.
+        quick: one trial of each row at a boundary of the rules: two minutes on two cores.
+        video: film the disagreements.
         record: write the trajectories of the disagreements, for 'craftsim render' and 'view'.
-        minimize: find the smallest world in which the first failure of each kind still happens.
-        out: folder for report.html, report.json, trials.jsonl, durations.csv and the bundles of the disagreements.
+        minimize: reduce the first failure of each kind to the smallest world in which it occurs.
+        out: folder for report.html, report.json, trials.jsonl, durations.csv and replay bundles.
     """
     _check_actions(actions)
     from craftsim.audit.plan import audit_plan
@@ -115,7 +115,7 @@ def audit(
         asked=asked | {"randomize": physics.randomize},
         options=campaign.run(counting("trials", without_error)),
         batch=1 if quick else BATCH,
-        shrink=counting_kinds() if minimize else None,
+        minimize=counting_kinds() if minimize else None,
     )
     if filming or record == "trajectory":
         record_failures(out, result.records, campaign.workers, filming)
@@ -159,27 +159,27 @@ def margins(
     campaign: MarginTrials = MarginTrials(),
     out: Dir = Path("out/margins"),
 ) -> int:
-    """Search by how much each imperfection of the world may grow until an action fails.
+    """Search the largest value of each imperfection at which every action still works.
 
-    An imperfection is one parameter of --randomize that grows, with all else as in that. A margin is its largest value
-    that every one of the trials stands: of 59 trials, so that 95 % of all worlds do with 95 % confidence. Exit status
-    0 when all actions stand --randomize itself and every search came to an end, 1 when not, 2 for wrong input.
+    An imperfection is one parameter of --randomize, varied alone. Its margin is the largest value at which all trials
+    succeed; with 59 trials at least 95 % of all worlds pass it, with 95 % confidence. Exit status: 0 if all actions
+    work at --randomize itself and every search finished, 1 if not, 2 for invalid input.
 
     Args:
-        imperfections: only these, such as lippage, position-bias or delay, or all of them; eighteen unless given.
-        situations: only those whose name matches, such as 'lift*' or '*between*'.
-        pair: draw a map of two imperfections that grow together; unless others are named, only these are searched.
+        imperfections: names such as lippage, position-bias or delay, or 'all'; default: a selection of eighteen.
+        situations: only scenarios whose name matches this pattern, such as 'lift*' or '*between*'.
+        pair: draw a map of two imperfections; unless others are named, only these two are searched.
         quick: six imperfections in the first scenario of each action, with 20 trials: two minutes on two cores.
-        out: folder for report.html, report.json, trials.jsonl and the bundles of what fails first.
+        out: folder for report.html, report.json, trials.jsonl and the replay bundles of the first failures.
     """
-    from craftsim.validation.imperfections import WORTH, axes_of
+    from craftsim.validation.imperfections import DEFAULT_IMPERFECTIONS, imperfections_of
     from craftsim.validation.margins import run_margins, scenarios
     from craftsim.validation.margins_report import margins_report
 
-    over = axes_of(pair or ())
+    over = imperfections_of(pair or ())
     if pair is not None and len(over) != len(pair):
         raise InputError(f"--map is {' '.join(pair)}; allowed: two different imperfections")
-    chosen = axes_of(imperfections or pair or (QUICK if quick else WORTH))
+    chosen = imperfections_of(imperfections or pair or (QUICK if quick else DEFAULT_IMPERFECTIONS))
     rows, setup = scenarios(situations, quick), physics.setup()
     asked = {"axes": imperfections, "scenarios": situations, "pair": pair, "quick": quick}
     result = run_margins(
@@ -199,16 +199,16 @@ def clearance(
     machines: File = None,
     out: Dir = Path("out/clearance"),
 ) -> int:
-    """Compare the volume that each action sweeps with all that may be near, and with what the rules forbid.
+    """Compare the volume that each action sweeps with its possible neighbours and with the rules.
 
-    Geometry alone decides: the solids of the machines on their way, one neighbour at a time. It takes about a minute.
-    Exit status 0 when every collision is forbidden, 1 when not, 2 for wrong input.
+    This is geometry alone: the swept solids of the machines against one neighbour at a time; about a minute. Exit
+    status: 0 if the rules forbid every collision, 1 if not, 2 for invalid input.
 
     Args:
         actions: only these actions.
-        rules: the rule set that is compared.
-        machines: YAML file of machine parameters, for machines of other dimensions.
-        out: folder for report.json, which lists every neighbour within reach.
+        rules: the rule set to compare with.
+        machines: YAML file of machine parameters.
+        out: folder for report.json, with every neighbour within reach.
     """
     from craftsim.audit.neighbours import neighbours
     from craftsim.discrete.rules import Rules
@@ -306,16 +306,15 @@ def conformance(
     show: Annotated[int, number(SHOWN)] = 3,
     out: OptionalDir = None,
 ) -> int:
-    """Replay recorded ticks or plans and compare all that they tell: masks, effects, rewards, plans.
+    """Replay recordings of CraftEnv and compare masks, effects, rewards and plans.
 
-    With the physical rule set, records are left out in which something happened that only the published rules follow,
-    or in which a correction changes what is legal or what follows. Exit status 0 when nothing differs, 1 when anything
-    does, 2 for wrong input.
+    With the physical rule set, records in which a correction changes the outcome are left out. Exit status: 0 if
+    nothing differs, 1 if anything does, 2 for invalid input.
 
     Args:
-        files: recordings, gzip-compressed JSON lines; one or more.
+        files: recordings: gzip-compressed JSON lines.
         rules: the rule set to compare.
-        show: how many of the first mismatches to draw.
+        show: number of mismatches to draw.
         out: folder for report.json.
     """
     from craftsim.discrete.conformance import Checker, read_records

@@ -7,13 +7,13 @@ from typing import Final
 
 HEADINGS: Final[dict[str, dict[str, str]]] = {
     "Run": {
-        "demo": "Build the paper's tasks in physics, check every action, film it.",
+        "demo": "Build the paper's tasks in physics, check every action, make a film.",
         "validate": "Run plans, policies or random play; judge every action.",
         "compare": "Compare two runs: two settings, two drives, simulation and lab.",
         "replay": "Re-run a recorded failure bit for bit; find its smallest world.",
     },
     "Check the rules": {
-        "audit": "Try every action in every situation; audit margins, clearance.",
+        "audit": "Try every action in every situation; margins, clearance.",
         "conformance": "Compare the grid rules with recordings of CraftEnv.",
     },
     "Worlds and plans": {
@@ -21,39 +21,39 @@ HEADINGS: Final[dict[str, dict[str, str]]] = {
         "design": "Write a design and its start: library, picture, mesh, random.",
         "show": "Show a world as coloured text; draw, film or export it.",
     },
-    "See": {
-        "render": "Make films, pictures and figures of what happened in physics.",
-        "view": "Watch a recorded run or a running one in the browser.",
+    "Visualize": {
+        "render": "Make films, pictures and figures of runs.",
+        "view": "Show a recorded or live run in the browser.",
     },
     "Learn and tune": {
-        "train": "Train a policy; train study: tasks, algorithms and seeds.",
-        "tune": "Tune the gains of skills by objectives, on held-out seeds.",
+        "train": "Train a policy; train study: many tasks, algorithms and seeds.",
+        "tune": "Tune the gains of skills, checked on held-out seeds.",
         "robot": "Serve simulated robots; excite and identify a car.",
     },
-    "This machine": {
-        "doctor": "Say what works on this machine, and what fixes what does not.",
-        "bench": "Measure how fast rules, environments and physics are.",
+    "Machine": {
+        "doctor": "Check physics, rendering and packages on this machine.",
+        "bench": "Benchmark rules, environments, physics and execution.",
     },
 }
 COMMANDS: Final[dict[str, str]] = {
     name: text for heading in HEADINGS.values() for name, text in heading.items()
 }
-"""One line on every command, in the order of the help text."""
+"""One line for each command, in the order of the help."""
 BELOW: Final[dict[str, dict[str, str]]] = {
     "audit": {
-        "margins": "Search by how much imperfections may grow until actions fail.",
-        "clearance": "Compare what each action sweeps with what the rules forbid.",
+        "margins": "Search the largest imperfections at which actions work.",
+        "clearance": "Compare swept volumes with what the rules forbid.",
     },
-    "train": {"study": "Train over tasks, algorithms and seeds; with intervals."},
+    "train": {"study": "Train over tasks, algorithms and seeds, with intervals."},
     "robot": {
-        "serve": "Simulate robots on a network, for skills elsewhere to drive.",
-        "excite": "Drive a car so that its log tells much about it.",
+        "serve": "Serve simulated robots on a network.",
+        "excite": "Drive an excitation trajectory and log it.",
         "identify": "Fit a car's parameters, delays and biases to its log.",
     },
 }
-"""Commands below a command."""
+"""Subcommands."""
 ALONE: Final = ("robot",)
-"""Commands that do nothing without one below them."""
+"""Commands that need a subcommand."""
 MODULES: Final = {
     "compare": "replay",
     "margins": "audit",
@@ -68,15 +68,15 @@ MODULES: Final = {
     "identify": "tune",
     "doctor": "bench",
 }
-"""Where a command stands, if not in the module of its name."""
+"""The module of a command, if it does not have its name."""
 
 
 def overview() -> str:
-    """Return what ``craftsim --help`` says: each heading's commands with one line on each."""
+    """Return the text of ``craftsim --help``."""
     lines = [
         "usage: craftsim COMMAND [OPTIONS]",
         "",
-        "Small robots that build: on a grid, and in contact physics.",
+        "Cooperative construction with smartcars, on a grid and in contact physics.",
     ]
     for heading, commands in HEADINGS.items():
         lines += ["", heading, *(f"  {name:<12}{text}" for name, text in commands.items())]
@@ -84,11 +84,11 @@ def overview() -> str:
     return "\n".join(
         [
             *lines,
-            *("", *textwrap.wrap(f"Commands below a command: {below_them}.", 79)),
-            *("", "craftsim COMMAND --help           explains a command"),
-            "craftsim COMMAND --config FILE    repeats a run: each writes its config.yaml",
-            "craftsim --plugins MODULE,... ... imports modules first that register something",
-            "craftsim completion bash|zsh|fish prints what completes words at the tab key",
-            "craftsim --version                says which craftsim this is",
+            *("", *textwrap.wrap(f"Subcommands: {below_them}.", 79)),
+            *("", "craftsim COMMAND --help           shows the help of a command"),
+            "craftsim COMMAND --config FILE    repeats a run from its config.yaml",
+            "craftsim --plugins MODULE,... ... imports user modules first",
+            "craftsim completion bash|zsh|fish prints a script for tab completion",
+            "craftsim --version                prints the version",
         ]
     )

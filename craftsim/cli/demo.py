@@ -32,18 +32,17 @@ def demo(
     video: Shown = True,
     out: Dir = Path("out/demo"),
 ) -> int:
-    """Build one of the paper's tasks in physics, or all six, and check every action against the rules.
+    """Build one of the paper's tasks in physics, or all six, and compare every action with its prediction.
 
-    The same seed gives the same film every time. Exit status 0 when every action
-    did what the rules predict, within all limits, and each goal is reached, 1 when not, 2 for wrong input.
+    The same seed gives the same film. Exit status: 0 if every action is as predicted, within all limits, and each goal
+    is reached, 1 if not, 2 for invalid input.
 
     Args:
-        task: what to build: a shipped task's name; a start or task file of your own or 'module:factory', then with
-            --plan; all builds the six.
-        robot: address of robots elsewhere that are driven in place of simulated ones, such as those of craftsim robot.
-        timeout: seconds; without a message from these robots for so long they count as lost.
-        video: make a film of each task; without a rendering backend the demo goes on without.
-        out: folder for report.json, the films, the trajectories that they show, and the cars' logs.
+        task: name of a task, or 'all' for all six; or a start or task file or 'module:factory', then with --plan.
+        robot: address of robots to drive instead of simulated ones, such as those of 'craftsim robot serve'.
+        timeout: seconds without a message after which these robots count as lost.
+        video: make a film of each task; skipped if rendering does not work on this machine.
+        out: folder for report.html, report.json, films, trajectories and logs.
     """
     from craftsim.checking.setup import set_up
     from craftsim.cli.films import rendering_works

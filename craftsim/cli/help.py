@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _INDENT: Final = 26
 """Where explanations begin, in characters."""
-REFERRED: Final = ("What is run", "Physics", "Trials")
+REFERRED: Final = ("Rollouts", "Physics", "Trials")
 """Groups of options that the help of validate explains; the help of other commands lists them with their defaults."""
 
 
@@ -47,7 +47,7 @@ def command_help(app: App, found: Iterable[Argument], words: Sequence[str], belo
         lines += ["", heading]
         if heading in REFERRED and words != ["validate"]:
             listed = ", ".join(_brief(one) for one in its)
-            text = f"{listed}: as explained by 'craftsim validate --help'"
+            text = f"{listed}: see 'craftsim validate --help'"
             lines += textwrap.wrap(
                 text, width, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False
             )
@@ -138,5 +138,5 @@ def _heading(one: Argument) -> str:
 
 def _rank(one: Argument) -> int:
     """Return where a heading stands: arguments first, then the command's own options, then groups."""
-    order = ("Arguments", "Options", "What is run", "Physics", "Trials", "Results")
+    order = ("Arguments", "Options", "Rollouts", "Physics", "Trials", "Results")
     return order.index(_heading(one)) if _heading(one) in order else len(order)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 from craftsim.cli.progress import counting
-from craftsim.cli.text import say, warn_of_strangers
+from craftsim.cli.text import print_safe, warn_if_exposed
 from craftsim.errors import InputError
 from craftsim.options import CarriedPlan, Physics, number
 from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
@@ -47,38 +47,35 @@ def render(
     workers: Annotated[int, number(WORKERS)] = 1,
     physics: Physics = Physics(),  # noqa: B008
 ) -> int:
-    """Make a film, an animation, pictures or figures of a recorded trajectory, of a run's folder, of a replay bundle,
-    or of a task or start file whose plan or policy is carried out now.
+    """Make films, animations, pictures or figures.
 
-    A name without an ending is a folder for figures: paths, tracking errors, wheel torques, boards, hinges and contact
-    forces, each as PDF and PNG, and all of them in all.pdf.
+    The source is a recorded trajectory, the folder of a run, a replay bundle, or a task or start file: its plan or
+    policy is then executed first, and its trajectory is written beside the film.
 
-    What is carried out now is also written beside the film as a trajectory, from which other films can be rendered.
-    Exit status 0, or 2 for wrong input.
+    If OUT has no suffix it is a folder for figures: paths, tracking errors, wheel torques, boards, hinges and contact
+    forces, each as PDF and PNG, and all together in all.pdf. Exit status: 0, or 2 for invalid input.
 
     Args:
-        what: a trajectory (.npz), a folder of a run or of a replay bundle, a shipped task's name, or a blueprint.
-        out: the file to write; its name ends in .mp4 (H.264), .webm (VP9), .webp or .gif (animations), or .png (a
-            contact sheet, or with --at pictures); or a folder for figures, such as figures/.
-        camera: one or several views: overview, top, orbit, follow:CAR, closeup:CAR, a YAML file, or grid, which is what
-            the rules predict.
-        layout: several views side by side; the first one large with the others in a column; or as insets in a corner of
-            the first one, where they hide none of the area.
-        quality: draft, or paper with shadows, materials, coordinates and the design as a ghost.
+        what: a trajectory (.npz), the folder of a run or of a replay bundle, the name of a task, or a blueprint.
+        out: file to write: .mp4 (H.264), .webm (VP9), .webp or .gif (animations), or .png (a contact sheet, or pictures
+            with --at); or a folder for figures, such as figures/.
+        camera: one or several views: overview, top, orbit, follow:CAR, closeup:CAR, a YAML file, or grid for the
+            predicted grid world.
+        layout: several views side by side; one large with the others in a column; or insets in the corners.
+        quality: draft, or paper with materials, coordinates and the design as a ghost.
         size: width and height of a frame in pixels.
-        fps: frames a second.
-        speed: simulated seconds in a second of film; unless given it follows what the cars do.
-        at: simulated times of pictures to take, in seconds; for .png only.
-        hide: what the design still lacks, translucent; what the cars do and how it is judged, beside a film; the
-            cards at the start and at the end of a film.
-        title: in place of the trajectory's own.
+        fps: frames per second.
+        speed: simulated seconds per second of film; default: adapted to the activity.
+        at: simulated times of pictures in seconds; for .png only.
+        hide: the translucent design, the captions beside the film, or the cards at its start and end.
+        title: title; default: that of the trajectory.
         run: name of one of the trajectories in a run's folder.
-        policy: in place of a plan, as of 'craftsim validate'.
-        workers: processes to share the work; the pictures do not depend on it.
+        policy: policy to execute instead of a plan, as in 'craftsim validate'.
+        workers: number of processes; the pictures do not depend on it.
     """
     if out.suffix == "":
         return _draw_figures(Path(what), run, out)
-    from craftsim.rendering.film import Look
+    from craftsim.rendering.film import FilmOptions
     from craftsim.rendering.offscreen import choose_backend
     from craftsim.rendering.render import check_format
     from craftsim.rendering.render import render as render_file
@@ -86,13 +83,13 @@ def render(
 
     captions = False if "captions" in hide else None  # films have them, pictures not
     shown = ("ghost" not in hide, captions, "cards" not in hide)
-    look = Look(_pixels(size), fps, camera, layout, quality, speed, None, *shown, title)
+    look = FilmOptions(_pixels(size), fps, camera, layout, quality, speed, None, *shown, title)
     check_format(out, at)
     choose_backend()
     output_directory(out.parent)
     trajectory = _find_trajectory(what, out, run, physics, carried, policy)
     for path in render_file(trajectory, out, look, workers=workers, at=at, progress=counting("frames", bool)):
-        say(f"Written: {path}")
+        print_safe(f"Written: {path}")
     return 0
 
 
@@ -117,7 +114,7 @@ def _draw_figures(recorded: Path, run: str | None, out: Path) -> int:
         for file in files:
             written = list(write_figures(directory_within(out, file.stem), Signals.of(Trajectory.read(file))))
             on_trajectory(written)
-            say(f"{file.stem}: {len(written)} files in {out / file.stem}")
+            print_safe(f"{file.stem}: {len(written)} files in {out / file.stem}")
     return 0
 
 
@@ -127,15 +124,15 @@ def view(
     host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
     port: Annotated[int, number(PORTS)] = PORT,
 ) -> int:
-    """Watch a run in the browser: play, pause, go from action to action, and look at what each car does and feels.
+    """Show a run in the browser: play, pause, step from action to action, and inspect each car.
 
-    It says which address to open, and serves it until Ctrl-C. Exit status 0 then, and 2 for wrong input.
+    Prints the address to open, and serves it until Ctrl-C. Exit status: 0, or 2 for invalid input.
 
     Args:
-        what: a trajectory, the folder of a run that was recorded, that of a replay bundle, or a task, whose plan is
-            then carried out while one looks on.
-        host: address to listen on. Only this machine reaches the usual one; there is no password.
-        port: 0 takes one that is free.
+        what: a trajectory, the folder of a recorded run or of a replay bundle, or a task, whose plan is then executed
+            live.
+        host: address to listen on; the default is reachable from this machine only. There is no password.
+        port: port; 0 takes a free one.
     """
     need_viser()
     from craftsim.discrete.tasks import TASK_NAMES
@@ -151,8 +148,8 @@ def view(
     runs = _runs(path) if building is None else {}
     with LiveView(host, port, REAL_TIME) as live:
         try:
-            say(f"Watch at {live.address} (Ctrl-C ends it)")
-            warn_of_strangers(host, "look on and press the buttons")
+            print_safe(f"Watch at {live.address} (Ctrl-C ends it)")
+            warn_if_exposed(host, "look on and press the buttons")
             if building is not None:
                 done = _carry_out(building, live)
                 runs[building.name] = lambda: done
@@ -228,7 +225,7 @@ def _find_trajectory(
     trajectory = record_once(
         what, physics.setup(), physics.seed, plan=carried.plan_file, policy=policy, order=carried.order
     )
-    say(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
+    print_safe(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
     return trajectory
 
 

@@ -35,19 +35,19 @@ def replay(
     skills: Annotated[str | None, Parameter(metavar="MODULE:NAME")] = None,
     out: Dir = Path("out/replay"),
 ) -> int:
-    """Re-run what a replay bundle shows, bit for bit, and compare it with what was recorded.
+    """Re-run a replay bundle and compare it with the recording.
 
-    With the versions of the bundle everything must be the same bit for bit; with others, poses must agree within 2 mm
-    and 10 mrad, and every action must come out as it did. Exit status 0 when it is reproduced, 1 when it differs, 2
-    for a bundle that cannot be read.
+    With the versions of the bundle everything must be bit-equal; with others, poses must agree within 2 mm and 10 mrad,
+    and every action must have the same result. Exit status: 0 if it is reproduced, 1 if it differs, 2 for an invalid
+    bundle.
 
     Args:
         bundle: folder of the bundle.
-        view: watch it in MuJoCo's viewer, as fast as it happens; needs a display.
-        video: film it, in three seconds.
-        minimize: find the smallest world in which its first failure still happens, instead of comparing.
-        skills: the skills of your own that the bundle was made with; a bundle alone has nothing imported.
-        out: folder for report.json and the film, or the smallest world.
+        view: show it in MuJoCo's viewer in real time; needs a display.
+        video: film it, three seconds.
+        minimize: instead of comparing, reduce its first failure to the smallest world in which it occurs.
+        skills: the user-defined skills with which the bundle was made; nothing named in a bundle is imported.
+        out: folder for report.json and the film, or for the smallest world.
     """
     if view + video + minimize > 1:
         raise InputError("--view, --video and --minimize exclude each other; give one of them")
@@ -56,7 +56,7 @@ def replay(
 
         own_skills(skills)
     if minimize:
-        return _shrink(bundle, out)
+        return _minimize(bundle, out)
     if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("--view needs a display, and there is none here; try --video")
     from craftsim.cli.films import film_bundle, rendering_works
@@ -75,16 +75,16 @@ def replay(
     return _report(recorded, result, written, files).publish(out)
 
 
-def _shrink(folder: Path, out: Path) -> int:
+def _minimize(folder: Path, out: Path) -> int:
     """Shrink what a bundle shows; exit status 0 when it fails from a fresh start, too."""
     from craftsim.experiments.bundle import read_bundle
     from craftsim.reports.json_file import document
-    from craftsim.validation.minimize import MOST_TRIALS, shrink_bundle
+    from craftsim.validation.minimize import MOST_TRIALS, minimize_bundle
     from craftsim.validation.sections import smallest_section
 
     bundle = read_bundle(folder).bundle
     with counting("trials", bool)(MOST_TRIALS) as on_trial:
-        found = shrink_bundle(bundle, out, ".", on_trial)
+        found = minimize_bundle(bundle, out, ".", on_trial)
     written = document({"bundle": folder.name, "smallest": found}, command="replay", config={"shrink": True})
     made = found.folder is not None
     headline = (
@@ -184,15 +184,15 @@ def compare(
     chance: Seeded = Seeded(),  # noqa: B008
     out: Dir = Path("out/compare"),
 ) -> int:
-    """Compare a simulation with reality, or any two runs of the same plans: outcomes, durations, errors and ranks.
+    """Compare two runs of the same trials, such as a simulation and a laboratory.
 
-    Trials are paired by their names: worlds, plans or policies, and numbers. The seed decides the bootstrap of the
-    correlations' intervals. Exit status 0 when no difference in how
-    many trials agree with the rules shows at 5 %, 1 when one does, 2 for runs that cannot be compared.
+    Trials are paired by world, plan or policy, and number; outcomes, durations, errors and ranks are compared. The seed
+    is that of the bootstrap. Exit status: 0 if the share of trials that agree does not differ at the 5 % level, 1 if it
+    does, 2 for runs that cannot be compared.
 
     Args:
         run: folder of 'craftsim validate' or 'craftsim audit'.
-        other: folder of the other run of the same trials.
+        other: folder of the other run.
         out: folder for report.json.
     """
     from craftsim.experiments.compare import compare_with_reality

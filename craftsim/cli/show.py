@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Drive, Objective
-from craftsim.cli.text import say
+from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.options import RESULTS, Dir, File, GoalFile, OptionalDir, Seeded, Shown, number
 from craftsim.storage.folders import owning
@@ -53,21 +53,21 @@ def show(
     export: Annotated[tuple[Path, ...], Parameter(metavar="FILE")] = (),
     drive: Drive = "rollers",
 ) -> int:
-    """Print the world that a blueprint describes, level by level; with --out draw it as a PNG.
+    """Print the world of a blueprint, level by level; with --out draw it as PNG.
 
-    With --plan also say how long the plan takes at nominal physics, and what of it the rules forbid; with --out draw
-    its Gantt chart (PNG and SVG), and film it on the grid, without physics. Exit status 0, 1 where the plan has an
-    action that is forbidden, or 2 for wrong input.
+    With --plan also print the duration of the plan at nominal physics and its forbidden actions; with --out draw its
+    Gantt chart (PNG and SVG) and film it on the grid. Exit status: 0, 1 if the plan has a forbidden action, or 2 for
+    invalid input.
 
     Args:
-        start: start file, or the name of a shipped one such as simple_two_story, or of a task that varies, such as
-            random_strip; or a machine alone, for --export: smartcar, block, flag, wall or slope.
-        plan: plan file, or the name of a shipped plan such as simple_two_story; judged by the physical rules.
-        out: folder for the picture, which is named after the blueprint, and those of the plan.
-        export: files for the world's start, or the machine: as MJCF that opens alone in MuJoCo's viewer, or where the
-            name ends in .urdf as URDF, its meshes in a folder beside it, for RViz, Gazebo or Isaac: links, inertias,
-            shapes and joints; without contacts, motors besides their limits, and gears that lock themselves.
-        drive: of the cars that are written.
+        start: start file, or the name of a task such as simple_two_story or random_strip; or, for --export, a machine:
+            smartcar, block, flag, wall or slope.
+        plan: plan file, or the name of a shipped plan such as simple_two_story; checked by the physical rules.
+        out: folder for the pictures.
+        export: files to write the start or machine to: MJCF, or with the suffix .urdf URDF with a folder of meshes, for
+            RViz, Gazebo or Isaac. URDF has links, inertias, shapes and joints, but no contacts, motors or self-locking
+            gears.
+        drive: drive of the exported cars.
     """
     name = str(start)
     if name in MACHINES:
@@ -101,20 +101,20 @@ def show(
     grid = drawing.grid(rng) if task is None else task.draw(rng)
     read = None if plan is None else read_plan(plan, grid.n_cars)
     Terminal(highlight=False).print(world_text(grid, drawing.goal))
-    say(LEGEND)
+    print_safe(LEGEND)
     blocks, slopes = drawing.n_blocks, drawing.n_slopes
     if varied:
         blocks, slopes = (int((grid.kind == kind).sum()) for kind in (Kind.BLOCK, Kind.FSLOPE))
     _say_size(drawing.size, {"cars": drawing.n_cars, "blocks": blocks, "slopes": slopes})
     for note in drawing.notes:
-        say(f"note: {note}")
+        print_safe(f"note: {note}")
     if out is not None:
         from craftsim.rendering.grid_picture import wanted_of
         from craftsim.rendering.plots.levels import draw_blueprint
         from craftsim.storage.folders import output_directory
 
         file = output_directory(out) / f"{path.stem}.png"
-        say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(wanted))}")
+        print_safe(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(wanted))}")
     if export:
         from craftsim.models.composition import WorldSpec, check_extent
         from craftsim.models.config import SimulationConfig
@@ -126,7 +126,7 @@ def show(
 
 def _say_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
     length, width, height = size
-    say(
+    print_safe(
         f"{length} x {width} cells, {height} levels: {', '.join(f'{n} {what}' for what, n in counts.items())}"
     )
 
@@ -139,10 +139,10 @@ def _export(spec_of: Callable[[Machines], MjSpec], files: Iterable[Path], drive:
     machines = replace(NOMINAL, drive=drive)
     for file in files:
         if file.suffix == ".urdf":
-            say(f"URDF: {write_urdf(file, spec_of(machines))}")
-            say(LACKS)
+            print_safe(f"URDF: {write_urdf(file, spec_of(machines))}")
+            print_safe(LACKS)
         else:
-            say(f"MJCF: {write_mjcf(file, spec_of(machines))}")
+            print_safe(f"MJCF: {write_mjcf(file, spec_of(machines))}")
 
 
 def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) -> int:
@@ -153,12 +153,12 @@ def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) 
     rules = Rules("physical")
     schedule = make_schedule(grid, plan.ticks, rules, after=plan.after)
     took, name = schedule.makespan(), plan.path.stem
-    say(f"plan {name}: {len(schedule.acts)} actions in {len(plan.ticks)} ticks, makespan {took:.1f} s")
+    print_safe(f"plan {name}: {len(schedule.acts)} actions in {len(plan.ticks)} ticks, makespan {took:.1f} s")
     for step in schedule.forbidden[:_NAMED]:
         why = rules.explain(step.before, step.car, step.action).why
-        say(f"forbidden: car {step.car} {step.action.name} in tick {step.tick}: {why}")
+        print_safe(f"forbidden: car {step.car} {step.action.name} in tick {step.tick}: {why}")
     if more := len(schedule.forbidden[_NAMED:]):
-        say(f"and {more} more")
+        print_safe(f"and {more} more")
     if out is not None:
         from craftsim.cli.films import draw_plan
 
@@ -182,22 +182,22 @@ def design(
     chance: Seeded = Seeded(),  # noqa: B008
     out: Dir = Path("out/design"),
 ) -> int:
-    """Write a design as goal.yaml, and as start.yaml a world with what it takes; print and draw them.
+    """Write a design as goal.yaml, and a start with all that it needs as start.yaml; print and draw both.
 
-    WHAT is a building of the library, PNG files of a level each from the floor up, a mesh (.obj or .stl), or random.
-    Exit status 0, or 2 for wrong input.
+    WHAT is the name of a building, PNG files with one level each from the floor up, a mesh (.obj or .stl), or random.
+    Exit status: 0, or 2 for invalid input.
 
     Args:
         what: name of a building, files, or random.
-        size: sizes of the building in cells, in the order of --list; of a mesh the cells of its longer side.
-        text: what letters say.
+        size: size of the building in cells, in the order given by --list; for a mesh the cells of its longer side.
+        text: text of the building 'letters'.
         difficulty: of a random design, 0 to 1: sets area, blocks, levels, ramps and cars.
-        area: length, width and height in cells; as large as the pieces need unless given.
-        cars: 2 unless given, or as many as the random design draws.
-        spare_blocks: blocks beyond those of the design, such as for a scaffold.
-        spare_slopes: slopes beyond those of the design; one for each upper level without one of its own unless given.
-        barrier: put walls from side to side across the middle of the design.
-        names: print the names of the library with their sizes, and write nothing.
+        area: length, width and height in cells; default: as large as needed.
+        cars: number of cars; default: 2, or drawn for a random design.
+        spare_blocks: blocks beyond those of the design, for instance for a scaffold.
+        spare_slopes: slopes beyond those of the design; default: one for each upper level without one.
+        barrier: put a wall across the middle of the design.
+        names: list the buildings with their sizes, and write nothing.
         out: folder for goal.yaml, start.yaml, design.png and report.json.
     """
     import numpy as np
@@ -208,7 +208,7 @@ def design(
     from craftsim.errors import InputError
 
     if names:
-        say(listing())
+        print_safe(listing())
         return 0
     seed = chance.seed
     rng = np.random.default_rng(seed)
@@ -244,7 +244,7 @@ def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) 
     console.print(world_text(goal.finished(grid.size)), soft_wrap=True)
     console.print("start", style="bold")
     console.print(world_text(grid), soft_wrap=True)
-    say(LEGEND)
+    print_safe(LEGEND)
     counts = {
         "cars": grid.n_cars,
         "blocks": int((grid.kind == Kind.BLOCK).sum()),
@@ -252,15 +252,17 @@ def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) 
     }
     _say_size(grid.size, counts)
     for name, text in (("goal", design_text(goal)), ("start", blueprint_text(grid))):
-        say(f"{name}: {write_whole(out / f'{name}.yaml', text)}")
+        print_safe(f"{name}: {write_whole(out / f'{name}.yaml', text)}")
     if math.prod(grid.size) <= PHYSICS_CELLS:
         from craftsim.rendering.grid_picture import wanted_of
         from craftsim.rendering.plots.levels import draw_blueprint
 
-        say(f"picture: {draw_blueprint(out / 'design.png', grid, goal.path.stem, None, wanted_of(goal))}")
+        print_safe(
+            f"picture: {draw_blueprint(out / 'design.png', grid, goal.path.stem, None, wanted_of(goal))}"
+        )
     targets = {kind.name.lower(): len(goal.of_kind(kind)) for kind in (Kind.BLOCK, Kind.BODY)}
     figures = {"size": grid.size, "design": targets, **counts}
-    say(f"report: {write_report(out, figures, command='design', seed=seed, config=config)}")
+    print_safe(f"report: {write_report(out, figures, command='design', seed=seed, config=config)}")
 
 
 _ENDING: Final = ".plan"
@@ -277,19 +279,19 @@ def plan(
     video: Shown = False,
     out: Annotated[Path, Parameter(metavar="DIR|FILE", group=RESULTS)] = Path("out/plan"),
 ) -> int:
-    """Find a plan for a building: what goes where in which order, which car does it, and every move.
+    """Find a plan for a building: the order of assembly, the car for each piece, and every move.
 
-    Better plans come with time; Ctrl-C keeps the best so far. The plan obeys the physical rules, and says which action
-    waits for which. Without a goal the flag goes to the goal of the start file, or all blocks become one platform.
-    Exit status 0, or 2 for wrong input and where there is no plan, which says why.
+    The plan improves with time; Ctrl-C keeps the best so far. It obeys the physical rules and contains the dependencies
+    between actions. Without a goal the flag goes to its goal in the start file, or all blocks become one platform. Exit
+    status: 0, or 2 for invalid input or if no plan is found, with the reason.
 
     Args:
         start: start file, or the name of a task such as simple_two_story.
-        objective: what is to be small: the time until all is done, or the sum of all actions' durations.
-        time_limit: no attempt begins after so many seconds, once there is a plan.
-        attempts: attempts at most; with the same seed and enough time, the same plan.
+        objective: minimize the makespan, or the sum of all actions' durations.
+        time_limit: seconds after which no further attempt begins once there is a plan.
+        attempts: maximum number of attempts; the same seed and number give the same plan if the time suffices.
         video: film the plan on the grid, too.
-        out: file for the plan that ends with .plan, or folder for plan, report and Gantt chart.
+        out: file with the suffix .plan, or folder for plan, report and Gantt chart.
     """
     import numpy as np
 
@@ -310,7 +312,7 @@ def plan(
         nonlocal best
         if planned is not None and planned.cost(objective)[0] < best - 1e-9:
             best = planned.cost(objective)[0]
-            say(f"{time.monotonic() - begun:6.1f} s  attempt {number}: {_figures(planned)}")
+            print_safe(f"{time.monotonic() - begun:6.1f} s  attempt {number}: {_figures(planned)}")
 
     file = out if out.suffix == _ENDING else out / f"{task.name}{_ENDING}"
     with nullcontext() if file is out else owned(out):
@@ -318,12 +320,12 @@ def plan(
             grid, task, objective=objective, rounds=attempts, time_s=time_limit, seed=seed, report=report
         )
         if not planned.ticks:
-            say("the goal is reached already; there is nothing to do")
+            print_safe("the goal is reached already; there is nothing to do")
             return 0
         known = (
             "proved to be the best" if planned.optimal else f"none can take less than {planned.bound_s:.1f} s"
         )
-        say(f"best: {_figures(planned)}; {known}")
+        print_safe(f"best: {_figures(planned)}; {known}")
         if file is not out:
             from craftsim.cli.films import draw_plan
 
@@ -338,9 +340,9 @@ def plan(
             config = {"start": task.name, "objective": objective, "rounds": attempts, "rules": "physical"}
             wall = {"planning_s": time.monotonic() - begun}
             written = write_report(out, figures, command="plan", seed=seed, config=config, wall=wall)
-            say(f"report: {written}")
+            print_safe(f"report: {written}")
         write_plan(planned.ticks, file, planned.schedule)
-        say(f"plan: {file}")
+        print_safe(f"plan: {file}")
         return 0
 
 

@@ -16,7 +16,7 @@ from cyclopts import Parameter
 from craftsim.choices import AlgoName, Backend, PresetName
 from craftsim.cli.app import FOLDER
 from craftsim.cli.progress import counting
-from craftsim.cli.text import say
+from craftsim.cli.text import print_safe
 from craftsim.errors import InputError, suggestion
 from craftsim.options import Dir, OptionalDir, Record, Seeded, Shown, Work, number
 from craftsim.reports.report import (
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from craftsim.experiments.experiment import TrialRecord
     from craftsim.studies.study import Study, StudyRun
     from craftsim.training.config import Protocol, TrainConfig
-    from craftsim.training.curve import Point
+    from craftsim.training.curve import CurvePoint
     from craftsim.training.trainer import Trainer
 
 INTERRUPTED: Final = 130
@@ -68,41 +68,37 @@ def train(
     resume: Shown = False,
     out: OptionalDir = None,
 ) -> int:
-    """Train a policy on the grid or in physics, and report its success rate there on fresh episodes.
+    """Train a policy on the grid or in physics, and evaluate it on fresh episodes.
 
-    Ctrl-C ends it after the current iteration with everything saved; --resume goes on as if it had never stopped. Exit
-    status 0 when training ended by itself.
+    Ctrl-C saves everything after the current iteration; --resume continues bit for bit. Exit status: 0 if training
+    ended by itself.
 
-    --set takes, each as NAME=VALUE: worlds (stepped side by side in a rollout; 32 in physics, on the grid 500 with
-    ippo and mappo, 100 with pqn, 25 with the others), network (map, or relative, which serves any number of cars),
-    width (of its layers; 128), rules (physical), helper_depth (search depth of the action helper; none),
-    evaluate_every (steps from one evaluation to the next; ten rollouts), evaluation_episodes (of each; 500 on the
-    grid, 64 in physics), novelty (exploration bonus for a building never seen; 0), explore (ticks of random
-    exploration before learning; 0), imitate (plans of the planner that are imitated before learning; 0),
-    shown_share (of the episodes that start on the way of such a plan; 0.5), starts (a plan or a file of reached
-    worlds with which every second episode starts), pretrained (a policy to begin with), stages (easier tasks
-    before, divided by commas) and stage_steps (on each), acting (greedy or sampled, in evaluations), cars and
-    blocks (other than the task's), in physics drive (reduced), randomize (none) and workers (one for each
-    processor), tensorboard (true for its log), settings (a YAML file of hyperparameters), and each hyperparameter
+    Settings for --set, each as NAME=VALUE, with their defaults: worlds (parallel worlds; 32 in physics; on the grid 500
+    for ippo and mappo, 100 for pqn, 25 for the others), network (map, or relative, for any number of cars), width (of
+    the layers; 128), rules (physical), helper_depth (search depth of the action helper; none), execution (synchronous,
+    or asynchronous for ippo and mappo on the grid), evaluate_every (steps; ten rollouts), evaluation_episodes (500 on
+    the grid, 64 in physics), novelty (exploration bonus for new buildings; 0), explore (ticks of random exploration
+    before learning; 0), imitate (number of the planner's plans for imitation before learning; 0), shown_share (share of
+    episodes that start along such a plan; 0.5), starts (a plan or a file of reached worlds for every second episode),
+    pretrained (initial policy), stages (easier tasks first, separated by commas), stage_steps (steps on each), acting
+    (greedy or sampled evaluation), cars, blocks, in physics drive (reduced), randomize (none) and workers (one per
+    processor), tensorboard (true writes its log), settings (a YAML file of hyperparameters), and every hyperparameter
     of the algorithm, such as learning_rate.
 
     Args:
-        task: one of the paper's six, one that varies such as random_strip, or a task of one's own: a registered name, a
-            file, or module:factory.
+        task: name of a task, such as strip or random_strip, a task file, or module:factory.
         algo: independent or multi-agent PPO, COMA, QMIX, QTRAN, VDN, independent Q-learning, or PQN-VDN.
-        steps: ticks to play at most, all worlds together; 3,000,000 unless given, or what the preset says.
-        until: end when this success rate is reached in an evaluation; 0.99 unless given, with a preset never.
-        backend: where it is trained and evaluated.
+        steps: maximum number of ticks over all worlds; default: 3,000,000, or that of the preset.
+        until: stop when an evaluation reaches this success rate; default: 0.99, with a preset never.
+        backend: where to train and evaluate.
         preset: paper is the protocol of CraftEnv's paper: published rules, action helper of depth 20, the task's own
-            starts, no demonstrations, 20 episodes every 10,000 steps, no end at the first success; paper_plus explores
-            at random before.
-        settings: any other setting; see above.
-        episodes: how many episodes the final evaluation has.
-        record: write the trajectories of the final evaluation's episodes, in physics only.
-        resume: go on with the run in the output folder, begun with the same options; where nothing has been saved yet,
-            begin it.
-        out: folder for policy.safetensors, run.pt, curve.csv, curve.png and report.json; out/train/TASK-ALGO if not
-            given.
+            starts, no demonstrations, 20 episodes every 10,000 steps, no early stop; paper_plus adds random exploration
+            before.
+        settings: other settings, see above.
+        episodes: number of episodes of the final evaluation.
+        record: write the trajectories of the final evaluation, in physics only.
+        resume: continue the run in the output folder, with the same options; start it if nothing is saved yet.
+        out: folder for policy.safetensors, run.pt, curve.csv, curve.png and report.json; default: out/train/TASK-ALGO.
     """
     need_torch()
     from craftsim.discrete.tasks import as_task
@@ -147,7 +143,7 @@ def train(
             _run(trainer, steps, until, folder, besides.get("tensorboard") in (True, "true"))
         except KeyboardInterrupt:
             trainer.save(folder)
-            say(f"Interrupted; --resume goes on. Policy: {folder / 'policy.safetensors'}")
+            print_safe(f"Interrupted; --resume goes on. Policy: {folder / 'policy.safetensors'}")
             return INTERRUPTED
         trainer.save(folder)
         asked = config.as_dict() | {"steps": steps, "until": until, "starts": reached, "episodes": episodes}
@@ -236,7 +232,7 @@ def _trainer(
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
     if resume:
         # As with a campaign: what was cut off before anything was kept begins again.
-        say(f"Nothing is saved in {folder} yet: the run begins.")
+        print_safe(f"Nothing is saved in {folder} yet: the run begins.")
     return Trainer(config, other, task, workers, progress, stages)
 
 
@@ -321,7 +317,7 @@ def _evaluate(
     return 0
 
 
-def _curve_section(curve: Sequence[Point]) -> Section:
+def _curve_section(curve: Sequence[CurvePoint]) -> Section:
     from craftsim.reports.plots import ACCENT, percent_ticks
 
     steps, success = [point.steps for point in curve], [point.success for point in curve]
@@ -355,16 +351,16 @@ def study(
     timeout: Annotated[float, number(TIMEOUT_S, "SECONDS")] = 7200.0,
     out: Dir = Path("out/study"),
 ) -> int:
-    """Train on every task of a study by every algorithm with every seed, evaluate, and say what may be concluded.
+    """Train on every task of a study with every algorithm and seed, evaluate, and report statistics.
 
-    Results are over training runs, each of another seed: the interquartile mean with its stratified bootstrap interval,
-    learning curves and performance profiles. What is evaluated counts once where it repeats itself. Ctrl-C keeps what
-    is finished, and --resume goes on, within a run too. Exit status 0 when all runs reached the study's success rate, 1
-    when not, 2 for wrong input.
+    Results are over training runs with different seeds: interquartile means with stratified bootstrap intervals,
+    learning curves and performance profiles. Repeated episodes count once. Ctrl-C keeps what is finished; --resume
+    continues, also within a run. Exit status: 0 if all runs reached the study's success rate, 1 if not, 2 for invalid
+    input.
 
     Args:
-        what: a YAML file, or a shipped study such as paper or quick.
-        timeout: seconds after which a run counts as hanging.
+        what: a YAML file, or the name of a shipped study such as paper or quick.
+        timeout: time limit of a run in seconds.
         out: folder for report.json, study.md, curves.png, profiles.png, trials.jsonl and a folder of each run.
     """
     need_torch()
@@ -400,7 +396,7 @@ def watching(study: Study, out: Path, total: int) -> Iterator[Callable[[TrialRec
     from rich.text import Text
 
     from craftsim.reports.terminal import Terminal
-    from craftsim.reports.text import clean
+    from craftsim.reports.text import escape
     from craftsim.studies.runs import RUNS
 
     console = Terminal()
@@ -419,7 +415,7 @@ def watching(study: Study, out: Path, total: int) -> Iterator[Callable[[TrialRec
 
     if console.is_terminal:
         with Live(
-            get_renderable=lambda: Text(clean("\n".join(lines()))),
+            get_renderable=lambda: Text(escape("\n".join(lines()))),
             console=console,
             refresh_per_second=1,
             transient=True,

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from craftsim.choices import Drive
 from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, without_error
-from craftsim.cli.text import say
+from craftsim.cli.text import print_safe
 from craftsim.options import Dir, File, Physics, Work, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import EXCITE_M, EXCITE_S, LOGGED_CARS, TRIAL_COUNT
@@ -39,22 +39,21 @@ def tune(
     work: Work = Work(),  # noqa: B008
     out: Dir = Path("out/tune"),
 ) -> int:
-    """Tune the gains of skills in random physics, and write a file of them that --gains takes.
+    """Tune the gains of skills in randomized physics, and write them to a file for --gains.
 
-    The search starts from --gains. Its best are tried again on fresh seeds, and the choice among them is
-    evaluated on held-out seeds: gains that do no better there than the start are never written. The same physics and
-    noise are drawn for all candidates. The drive is the reduced one unless asked otherwise; look at the result on
-    rollers, too, with
-    'craftsim validate'. Exit status 0 when better gains were found, 1 when not, 2 for wrong input.
+    The search starts from --gains. The best candidates are tried again on fresh seeds, and the chosen one is evaluated
+    on held-out seeds: gains that are not better there are never written. All candidates face the same physics and
+    noise. The default drive is the reduced one; check the result on rollers with 'craftsim validate'. Exit status: 0 if
+    better gains were found, 1 if not, 2 for invalid input.
 
     Args:
-        subject: skills of driving, of the board, of the hinge, or all; tolerances and times of giving up stay.
-        weights: objectives, multiplied with these exponents, such as time=1 energy=0.5; time=1 error=0.2 margin=0.2
-            unless given. Objectives are time, error, margin, energy and force.
-        objectives: at least two, whose Pareto front is searched instead, such as time margin.
-        choose: the point of the front that is taken: its knee, or the best by an objective.
-        evaluations: candidates that the search tries.
-        trials: of each situation, for every candidate.
+        subject: skills to tune: driving, board, hinge, or all; tolerances and timeouts stay fixed.
+        weights: exponents of the objectives time, error, margin, energy and force, which are multiplied; default:
+            time=1 error=0.2 margin=0.2.
+        objectives: at least two objectives, whose Pareto front is searched instead, such as time margin.
+        choose: the point of the front to take: its knee, or the best for one objective.
+        evaluations: number of candidates.
+        trials: trials of each situation for each candidate.
         out: folder for gains.yaml, report.html, report.json and trials.jsonl.
     """
     from craftsim.tuning.goal import Goal
@@ -87,17 +86,17 @@ def excite(
     physics: Physics = Physics(),  # noqa: B008
     out: Dir = Path("out/excite"),
 ) -> int:
-    """Drive a car through an identification drive by wheel commands alone, and log what is commanded and measured.
+    """Drive a car along an excitation trajectory with wheel commands alone, and log commands and measurements.
 
-    Out and back in all directions, at several speeds and accelerations, with rests; the board goes up and down once.
-    The commands can be replayed on a robot, and 'craftsim robot identify' takes its log. Exit status 0, 1 when the car
-    left its area, 2 for wrong input.
+    The car drives back and forth in all directions, at several speeds and accelerations, with rests; the board goes up
+    and down once. The commands can be replayed on a robot; 'craftsim robot identify' reads the log. Exit status: 0, 1
+    if the car left its area, 2 for invalid input.
 
     Args:
-        duration: of the drive.
-        length: metres of the free area along the car's heading, the car in its centre.
-        width: metres of the free area across.
-        load: the car begins under a block behind the area, lifts it, moves with it, puts it down and drives out.
+        duration: duration in seconds.
+        length: length of the free area along the car's heading in metres, centred on the car.
+        width: width of the free area in metres.
+        load: the car starts under a block behind the area, lifts it, drives with it, puts it down and drives out.
         out: folder for log.csv, commands.csv and report.json.
     """
     import numpy as np
@@ -122,8 +121,8 @@ def excite(
     config = {"setup": setup, "time_s": duration, "length_m": length, "width_m": width, "load": load}
     config |= {"digests": setup.digests}
     report = write_report(out, figures, command="excite", seed=physics.seed, config=config)
-    say(f"Log:      {out / 'log.csv'}\nCommands: {out / 'commands.csv'}\nReport:   {report}")
-    say(
+    print_safe(f"Log:      {out / 'log.csv'}\nCommands: {out / 'commands.csv'}\nReport:   {report}")
+    print_safe(
         f"{log.duration_s:.1f} s; the car came {reach[0]:.2f} m along and {reach[1]:.2f} m across from the centre, "
         f"and ended {np.hypot(*way[-1]):.2f} m from it"
     )
@@ -142,21 +141,21 @@ def identify(
     drive: Drive = "reduced",
     out: Dir = Path("out/identify"),
 ) -> int:
-    """Fit a car's parameters, and the delay, lags and biases of its sensors and motors, to a log of it.
+    """Fit a car's parameters, and the delay, lags and biases of its sensors and motors, to a log.
 
-    Says how sure each figure is, what the log cannot tell and why, and how well the identified car predicts the log.
-    Exit status 0, 1 when the log tells nothing, 2 for wrong input.
+    Reports the uncertainty of each estimate, which parameters the log cannot identify and why, and the prediction error
+    of the identified car. Exit status: 0, 1 if nothing is identifiable, 2 for invalid input.
 
     Args:
-        log: CSV table or ROS 2 bag (.mcap); docs/reference/reports.md has its columns.
-            'craftsim robot excite' makes a drive to log.
-        held_out: another log of the same car, to be predicted and not to be fitted to.
-        car: its number in the log.
-        load: the car began under a block and lifted it, as with 'robot excite --load'.
-        topics: YAML file that says which topics of a bag hold what.
-        machines: YAML file of machine parameters that are assumed: where the search begins, and what is held.
-        drive: how the car is simulated; rollers take several times as long.
-        out: folder for parameters.yaml (for --machines), noise.yaml (for --noise), report.json and the figures.
+        log: CSV table or ROS 2 bag (.mcap), as docs/reference/reports.md describes. 'craftsim robot excite' makes a
+            suitable trajectory.
+        held_out: another log of the same car, for validation.
+        car: number of the car in the log.
+        load: the car started under a block and lifted it, as with 'robot excite --load'.
+        topics: YAML file that maps the topics of a bag.
+        machines: YAML file of machine parameters: initial values, and values that are not fitted.
+        drive: drive of the simulated car; rollers take several times as long.
+        out: folder for parameters.yaml (for --machines), noise.yaml (for --noise), report.json and figures.
     """
     import time
     from dataclasses import replace

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from craftsim.choices import Backend
 from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, counting_kinds
-from craftsim.cli.text import say
+from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.options import RESULTS, Dir, GoalFile, Name, Physics, Rollouts, Shown, Trials, number
 from craftsim.storage.folders import owning
@@ -50,34 +50,31 @@ def validate(
     minimize: Shown = False,
     out: Dir = Path("out/validate"),
 ) -> int:
-    """Run plans, lists of actions or policies in physics, judge each action on poses, and report.
+    """Run plans, action lists, policies or random play in physics, and compare each action with its prediction.
 
-    After each step the prediction goes on from what was read. An action agrees when the grid that was read is the
-    predicted one and every error is within its limit. Exit status 0 when everything agrees, 1 when something does not
-    or a trial timed out, 2 for wrong input.
+    After each step the next prediction starts from the grid read from poses. An action agrees if that grid is the
+    predicted one and every error is within its limit. Exit status: 0 if everything agrees, 1 if something disagrees or
+    a trial timed out, 2 for invalid input.
 
-    With --plan auto the goal is built: plan, act, read the world, and plan again; status 0 when all is built. With
-    --backend grid, trained policies play on the grid, and different starts and trajectories are counted. With --record
-    minari, episodes become a dataset for offline learning.
+    With --plan auto the goal is built with replanning: plan, act, read the world, plan again; status 0 if everything is
+    built. With --backend grid, trained policies are evaluated on the grid. With --record minari, episodes are written
+    as a dataset for offline learning.
 
     Args:
-        worlds: names of shipped tasks, files, or 'module:factory'; or 'random' for worlds that each trial draws anew;
-            all six tasks unless given.
-        backend: contact physics, or the grid by its rules for trained policies and datasets.
-        area: length, width and height of another area, of tasks that vary, on the grid.
-        replans: plans after the first one with --plan auto, at most.
-        attempts: attempts at each plan with --plan auto, of which the best is taken.
-        disturb: what goes wrong on purpose with --plan auto: a block is shoved by one cell, a slope is folded again, or
-            a car gets no commands any more.
-        acting: on the grid, do what a policy rates highest, or draw by its probabilities; as it was trained for unless
-            given.
-        record: write the trajectory of every run and its cars' log, for 'craftsim render' and 'view'; or a Minari
-            dataset of the episodes.
-        dataset: name of the dataset, with a version; craftsim/TASK/POLICY-v0 unless given.
-        video: films of the failures, or besides of every run from its start to its end.
-        minimize: find the smallest world in which the first failure of each kind still happens.
-        out: folder for report.html, report.json, config.yaml, trials.jsonl, durations.csv, the bundles of the
-            disagreements, and of random play the worlds and plans.
+        worlds: names of tasks, files, or 'module:factory'; or 'random', a new random world for each trial; default: all
+            six tasks.
+        backend: contact physics, or the grid (for trained policies and datasets).
+        area: length, width and height of the area, for random tasks on the grid.
+        replans: maximum number of further plans with --plan auto.
+        attempts: attempts at each plan with --plan auto; the best is used.
+        disturb: disturbance with --plan auto: shove a block by one cell, fold a slope again, or disable a car.
+        acting: on the grid, take the most probable action or sample; default: as the policy was trained.
+        record: write the trajectory and logs of every run, for 'craftsim render' and 'view', or a Minari dataset.
+        dataset: name of the dataset with its version; default: craftsim/TASK/POLICY-v0.
+        video: film the failures, or every run as well.
+        minimize: reduce the first failure of each kind to the smallest world in which it occurs.
+        out: folder for report.html, report.json, config.yaml, trials.jsonl, durations.csv and replay bundles; for
+            random play also worlds and plans.
     """
     if record == "minari":
         world = _only(worlds, "--record minari")
@@ -292,9 +289,11 @@ def _write_dataset(
     config |= {"rules": rules, "name": name, "task_digest": task.digest}
     wall = {"playing_s": time.perf_counter() - begun}
     report = write_report(written.path, figures, command="export", seed=seed, config=config, wall=wall)
-    say(f"{name}: {written.episodes} episodes, {written.steps} steps, {written.successes} reach the goal.")
-    say(f"Report: {report}")
-    say(f"To load it: MINARI_DATASETS_PATH={out.resolve()}, then minari.load_dataset('{name}')")
+    print_safe(
+        f"{name}: {written.episodes} episodes, {written.steps} steps, {written.successes} reach the goal."
+    )
+    print_safe(f"Report: {report}")
+    print_safe(f"To load it: MINARI_DATASETS_PATH={out.resolve()}, then minari.load_dataset('{name}')")
     return 0
 
 

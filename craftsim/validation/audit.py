@@ -1,4 +1,4 @@
-"""The audit of rules: each situation is tried in physics, and every row of situations gets a verdict on its rule."""
+"""The audit of the rules: each situation is tried in physics, and each row of situations gets a verdict on its rule."""
 
 from __future__ import annotations
 
@@ -24,89 +24,88 @@ from craftsim.errors import StartError
 from craftsim.experiments.bundle import write_bundles
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.durations import write_durations
-from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import wilson
 from craftsim.experiments.records import select
 from craftsim.experiments.session import Session, open_session
 from craftsim.experiments.statistics import RESULTS, Figures, campaign_figures, capped_steps, retried
 from craftsim.models.world import PhysicsWorld
 from craftsim.validation.forms import TRIALS
-from craftsim.validation.minimize import ShrinkProgress, Shrunk, kind_of, shrink_failures
+from craftsim.validation.minimize import Counterexample, MinimizeProgress, kind_of, minimize_failures
 
 BATCH: Final = 20
-"""Items that a worker takes at once: those of a few situations, so that each world is compiled about once."""
+"""Trials sent to a worker together: those of few situations, so that each world is compiled about once."""
 TIMEOUT_S: Final = 120.0
 SOUND_SHARE: Final = 0.95
-"""A rule that allows an action is sound where at least this share of trials does what it predicts. One that forbids an
-action is conservative where, by the same bar, it could have allowed it. Set before any audit was run."""
+"""A rule that allows an action is sound if at least this share of trials is as predicted. A rule that forbids one is
+conservative if, by the same threshold, it could have allowed it. Fixed before any audit was run."""
 MIN_TRIALS: Final = 20
-"""Trials of a row from which its verdict counts as found, and is provisional with fewer: 20 of 20 put the success rate
-above 0.83 with 95 % confidence."""
-SUSPECTS: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")
-"""Hypotheses from before anything was tried: a question, and the rows that decide on it as patterns of their names."""
+"""With fewer trials a row's verdict is provisional: 20 of 20 put the success rate above 0.83 with 95 % confidence."""
+HYPOTHESES: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")
+"""Hypotheses made before any trial: a question, and patterns of the names of the rows that decide it."""
 _AT_ONCE: Final = "order=at-once"
-"""How the names of rows end that are evidence only."""
+"""Suffix of the names of rows that are evidence only."""
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
-    """One trial, as it goes to a worker."""
+class AuditTrial:
+    """The payload of one trial."""
 
     situation: Situation
     legal: bool
     number: int
-    """Which trial of the situation it is; with the seed it decides the physics and the noise."""
+    """Index within the situation; with the seed it decides physics and noise."""
     seed: int
     setup: Setup
 
     @property
     def placed(self) -> Situation:
-        """The situation at the place on the map where all its trials are."""
+        """The situation at its place on the map, the same for all its trials."""
         return self.situation.placed(np.random.default_rng([self.seed, self.situation.digest]))
 
 
-def items_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> list[Item]:
-    """Return the items of an audit: at least ``trials`` for each row; one, that tries nothing, without a prediction."""
+def trials_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> list[Trial]:
+    """Return the trials of an audit: at least ``trials`` a row, and an empty one for a row without prediction."""
     items = []
     for row in rows:
         if row.no_prediction:
-            items.append(Item(row.name, row.name, seed, None))
+            items.append(Trial(row.name, row.name, seed, None))
             continue
         for situation, number in distribute_trials(row, trials):
-            trial = Trial(situation, row.legal, number, seed, setup)
-            items.append(Item(f"{situation.id}#{number}", row.name, seed, trial, context=situation.id))
+            trial = AuditTrial(situation, row.legal, number, seed, setup)
+            items.append(Trial(f"{situation.id}#{number}", row.name, seed, trial, context=situation.id))
     return items
 
 
-def recipe_of(trial: Trial) -> Recipe:
-    """Return what a trial does: performing it gives what :func:`try_it` judges."""
+def recipe_of(trial: AuditTrial) -> Recipe:
+    """Return the recipe of a trial, whose attempts :func:`try_it` judges."""
     placed = trial.placed
     seed = Seed((trial.seed, trial.situation.digest, trial.number))
     return Recipe(blueprint_text(placed.grid), placed.steps(trial.legal), trial.setup, seed)
 
 
-def try_it(trial: Trial | None) -> Done:
-    """Try one action, or one tick, and judge it; nothing for no trial, and nothing in a world that does not stand."""
+def try_it(trial: AuditTrial | None) -> Result:
+    """Run one trial and judge it. There are no attempts for None, and in a world that is not stable."""
     if trial is None:
-        return Done(agrees=True)
+        return Result(agrees=True)
     shared = trial.situation, trial.seed, trial.setup
     if problems := _problems(*shared):
-        return Done(agrees=True, extra={"does_not_stand": list(problems)})
+        return Result(agrees=True, extra={"does_not_stand": list(problems)})
     recipe = recipe_of(trial)
     attempts = do(run_up(recipe, _physics(*shared)), recipe.steps[-1])
-    return Done(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
+    return Result(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
 
 
 @lru_cache(maxsize=1)
 def _physics(situation: Situation, seed: int, setup: Setup) -> PhysicsWorld:
-    """Return the PhysicsWorld of a situation, which its other trials use again."""
-    return compile_world(Trial(situation, True, 0, seed, setup).placed.grid, setup)
+    """Return the PhysicsWorld of a situation, shared by its trials."""
+    return compile_world(AuditTrial(situation, True, 0, seed, setup).placed.grid, setup)
 
 
 @lru_cache(maxsize=1)
 def _problems(situation: Situation, seed: int, setup: Setup) -> tuple[str, ...]:
-    """Return how a situation's world, at rest and at nominal physics, differs from what was drawn; or nothing."""
-    grid = Trial(situation, True, 0, seed, setup).placed.grid
+    """Return how a situation's world, at rest in nominal physics, differs from its grid; empty if it does not."""
+    grid = AuditTrial(situation, True, 0, seed, setup).placed.grid
     world = _physics(situation, seed, setup)
     try:
         reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
@@ -114,27 +113,27 @@ def _problems(situation: Situation, seed: int, setup: Setup) -> tuple[str, ...]:
         return (str(error),)
     if reading.problems or reading.grid.same_visible(grid):
         return reading.problems
-    return ("the world reads otherwise than it was drawn",)
+    return ("the grid read from poses differs from the blueprint",)
 
 
-class Judgement(StrEnum):
-    """The verdict on a rule in a context."""
+class RuleVerdict(StrEnum):
+    """The verdict on a rule in a situation."""
 
     UNSOUND = "unsound"
-    """It allows what physics refuses."""
+    """It allows what fails in physics."""
     CONSERVATIVE = "conservative"
-    """It forbids what would have worked."""
+    """It forbids what works in physics."""
     SOUND = "sound"
     """It allows what works."""
     RIGHTLY_FORBIDDEN = "rightly forbidden"
-    """It forbids what does not work."""
+    """It forbids what fails in physics."""
     NO_PREDICTION = "no prediction"
-    """It forbids what has no intended effect: there is nothing to try."""
+    """It forbids an action without an intended effect, which cannot be tried."""
     NOT_TRIED = "not tried"
-    """Errors kept all trials from an end, or the solver gave up in all."""
+    """All trials ended with an error, or the solver did not converge in any."""
 
 
-DISAGREEMENTS: Final = (Judgement.UNSOUND, Judgement.CONSERVATIVE)
+DISAGREEMENTS: Final = (RuleVerdict.UNSOUND, RuleVerdict.CONSERVATIVE)
 
 
 @dataclass(frozen=True)
@@ -146,33 +145,33 @@ class AuditRow:
     legal: bool
     has_prediction: bool
     trials: int
-    """Those that were carried out and solved; of each, the worst result of its attempts counts."""
+    """Trials without error in which the solver converged; the worst attempt of each counts."""
     as_predicted: int
     failed: int
     side_effect: int
     unsafe: int
     wilson_low: float
     wilson_high: float
-    """Of the share that did as predicted, at 95 % confidence."""
+    """95 % interval of the share as predicted."""
     verdict: str
-    """A :class:`Judgement`."""
+    """A :class:`RuleVerdict`."""
     reason: str
-    """A reason of the commonest kind why trials did not do as predicted, counted where there are other kinds."""
+    """The most frequent reason why trials were not as predicted, with its count if there are others."""
     bundles: tuple[str, ...]
     """Folders that replay disagreements."""
     numerics: int = 0
-    """Trials that were not solved: they say nothing of the rule."""
+    """Trials in which the solver did not converge; they do not count for the rule."""
     errors: int = 0
-    """Trials that an exception, a timeout or a lost worker kept from an end."""
+    """Trials that ended with an exception, a timeout or a lost worker."""
 
     @property
     def name(self) -> str:
-        """As in the plan of the audit."""
+        """Name of the row, ``action/context``."""
         return f"{self.action}/{self.context}"
 
     @property
     def evidence(self) -> str:
-        """How many trials did as predicted, and why others did not."""
+        """The number of trials as predicted, and the reason of the others."""
         did = f"{self.as_predicted} of {self.trials} as predicted"
         return f"{did}; {self.reason}" if self.reason else did
 
@@ -183,21 +182,21 @@ class AuditRow:
 
 
 def verdict_counts(rows: Iterable[AuditRow]) -> dict[str, int]:
-    """Return how many rows have each verdict, in the order of :class:`Judgement`, zeros included."""
+    """Return how many rows have each verdict, in the order of :class:`RuleVerdict`, zeros included."""
     found = Counter(row.verdict for row in rows)
-    return {str(judgement): found[judgement] for judgement in Judgement}
+    return {str(judgement): found[judgement] for judgement in RuleVerdict}
 
 
-def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> Judgement:
+def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> RuleVerdict:
     """Return the verdict on a rule from its trials, by :data:`SOUND_SHARE`."""
     if not has_prediction:
-        return Judgement.NO_PREDICTION
+        return RuleVerdict.NO_PREDICTION
     if not trials:
-        return Judgement.NOT_TRIED
+        return RuleVerdict.NOT_TRIED
     works = as_predicted >= SOUND_SHARE * trials
     if legal:
-        return Judgement.SOUND if works else Judgement.UNSOUND
-    return Judgement.CONSERVATIVE if works else Judgement.RIGHTLY_FORBIDDEN
+        return RuleVerdict.SOUND if works else RuleVerdict.UNSOUND
+    return RuleVerdict.CONSERVATIVE if works else RuleVerdict.RIGHTLY_FORBIDDEN
 
 
 def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
@@ -214,14 +213,14 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
 
 @dataclass
 class _Group:
-    """What is counted of the trials of one row."""
+    """Counts over the trials of one row."""
 
     results: Counter[Verdict] = field(default_factory=Counter)
     errors: int = 0
     legal: bool = True
     bundles: list[str] = field(default_factory=list)
     reasons: dict[str, str] = field(default_factory=dict)
-    """Why trials did not do as predicted, the first reason of each kind."""
+    """The first reason of each kind of failure."""
     kinds: Counter[str] = field(default_factory=Counter)
 
     def add(self, record: TrialRecord) -> None:
@@ -257,23 +256,23 @@ class _Group:
 
 
 @dataclass(frozen=True)
-class SuspectFinding:
-    """What was found on a hypothesis."""
+class HypothesisFinding:
+    """The finding on one hypothesis."""
 
     number: int
     question: str
     rows: int
-    """How many were tried."""
+    """Number of rows tried."""
     trials: int
     verdict: str
     evidence: str
-    """The clearest row of the gravest kind, with its figures and reason."""
+    """The clearest row of the most serious verdict, with its counts and reason."""
 
 
-def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[SuspectFinding]:
-    """Return what was found on each of :data:`SUSPECTS`; ``at_once`` are rows that count as evidence only."""
+def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[HypothesisFinding]:
+    """Return the finding on each of :data:`HYPOTHESES`; the rows ``at_once`` count as evidence only."""
     found = []
-    for number, suspect in enumerate(SUSPECTS, start=1):
+    for number, suspect in enumerate(HYPOTHESES, start=1):
         mine, together = (
             [r for r in some if r.trials and any(fnmatchcase(r.name, p) for p in suspect["rows"])]
             for some in (rows, at_once)
@@ -286,13 +285,13 @@ def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[SuspectF
         verdict = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n) or "not tried"
         trials = sum(row.trials for row in mine)
         found.append(
-            SuspectFinding(number, suspect["question"], len(mine), trials, verdict, "; ".join(evidence))
+            HypothesisFinding(number, suspect["question"], len(mine), trials, verdict, "; ".join(evidence))
         )
     return found
 
 
 def _clarity(row: AuditRow) -> tuple[int, str]:
-    """Sort first what disagrees with the rules in most trials."""
+    """Sort key: rows that disagree in most trials first."""
     return row.as_predicted if row.legal else row.trials - row.as_predicted, row.name
 
 
@@ -302,33 +301,33 @@ class Audit:
 
     records: Sequence[TrialRecord]
     rows: tuple[AuditRow, ...]
-    """Of actions as the rules have them: one after the other, or by the schedule that keeps them apart."""
-    suspects: tuple[SuspectFinding, ...]
+    """Rows of actions in sequence, or concurrent by the schedule; not those begun all at once."""
+    suspects: tuple[HypothesisFinding, ...]
     figures: Figures
     config: dict[str, Any]
     seed: int
     corrections: Mapping[str, Sequence[str]]
-    """The corrections that would each concern an unsound row, by its name."""
+    """The corrections of the rules that concern each unsound row, by its name."""
     comparison: Comparison | None
-    smallest: tuple[Shrunk, ...] = ()
-    """The first failure of each kind in its smallest world, where that was asked for."""
+    smallest: tuple[Counterexample, ...] = ()
+    """The first failure of each kind in its smallest world, with the option ``minimize``."""
 
     @property
     def rows_by_flag(self) -> dict[str, int]:
-        """How many unsound rows each correction concerns."""
+        """The number of unsound rows by correction."""
         return rows_by_flag(self.corrections)
 
 
 def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
-    """Return the records without those of what is begun all at once: the rules say nothing of it."""
+    """Return the records without those of actions begun all at once, of which the rules say nothing."""
     return select(records, lambda record: not record["group"].endswith(_AT_ONCE))
 
 
 def corrected(
     rows: Iterable[AuditRow], plan: Sequence[PlanRow], rules: RuleSet
 ) -> dict[str, tuple[str, ...]]:
-    """Return the flags that would each correct an unsound row, by its name."""
-    unsound = {row.name for row in rows if row.verdict == Judgement.UNSOUND}
+    """Return the corrections that concern each unsound row, by its name."""
+    unsound = {row.name for row in rows if row.verdict == RuleVerdict.UNSOUND}
     return corrections((row for row in plan if row.name in unsound), rules)
 
 
@@ -342,29 +341,29 @@ def run_audit(
     asked: Mapping[str, Any],
     options: RunOptions,
     batch: int = BATCH,
-    shrink: ShrinkProgress | None = None,
+    minimize: MinimizeProgress | None = None,
 ) -> Audit:
     """Try the rows of a plan in physics, and write report.json, durations.csv and replay bundles into a folder.
 
     Args:
         plan: the rows.
         setup: configuration of the physics; its rules are audited.
-        trials: at least how many for each row; each of its contexts is tried at least once.
-        seed: decides the places, the physics and the noise of all trials.
+        trials: least number of trials of each row; each of its situations is tried at least once.
+        seed: random seed of places, physics and noise.
         out: the folder.
         asked: the options that chose the rows, for the report.
-        options: how.
-        batch: trials that a worker takes at once; the default suits rows of many trials.
-        shrink: shows how the first failure of each kind is shrunk to its smallest world; unless given, none is.
+        options: how the experiment is run.
+        batch: trials sent to a worker together; the default suits rows of many trials.
+        minimize: progress of the minimization of the first failure of each kind; None for no minimization.
     """
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
-    items = items_of(plan, trials, seed, setup)
+    items = trials_of(plan, trials, seed, setup)
     experiment = Experiment("audit", seed, config, items, try_it, TRIALS, TIMEOUT_S, batch)
     earlier = read_earlier(experiment, out, options)
     with open_session(experiment, out, options) as session:
         records = session.run()
         records = records.with_bundles(_bundle_disagreements(session, records))
-        smallest = () if shrink is None else shrink_failures(session, records, shrink)
+        smallest = () if minimize is None else minimize_failures(session, records, minimize)
         every = audit_rows(records)
         together = tuple(row for row in every if row.context.endswith(_AT_ONCE))
         rows = tuple(row for row in every if row not in together)
@@ -401,7 +400,7 @@ def run_audit(
 def _bundle_disagreements(session: Session, records: Sequence[TrialRecord]) -> dict[int, str]:
     """Write the replay bundle of the first disagreement of each unsound or conservative row.
 
-    Returns the folders of the bundles, relative to the run's, by the number of their record.
+    Returns the folders of the bundles, relative to the run's, by the index of the record.
     """
     rows = [row for row in audit_rows(records) if not row.context.endswith(_AT_ONCE)]
     shown = {row.name for row in rows if row.verdict in DISAGREEMENTS}

@@ -1,7 +1,7 @@
-"""The imperfections that can grow: every figure of a DomainRandomization and of its parts, found by itself.
+"""The imperfections that can be varied: every numeric field of a DomainRandomization and of its parts.
 
-What stands in :data:`_SAID` has a name, a largest value or companions of its own; any other figure, one that is added
-later included, takes them from its own name and unit.
+Fields in :data:`_SAID` have a name, a largest value or companions given there; any other field, including one added
+later, takes them from its name and unit.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ PREFERRED: Final = (
     *(1.0, 1.12, 1.25, 1.4, 1.6, 1.8, 2.0, 2.24, 2.5, 2.8),
     *(3.15, 3.55, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1, 8.0, 9.0),
 )
-"""The preferred numbers of ISO 3's series R20, which grow by 12 %: levels are these, times a power of ten."""
+"""Preferred numbers of ISO 3's series R20, in steps of 12 %: levels are these times a power of ten."""
 DECADES: Final = 2
-"""From the smallest level to the largest."""
+"""Decades from the smallest level to the largest."""
 _UNITS: Final = {
     "_m": ("mm", 1e3, 0.02),
     "_rad": ("mrad", 1e3, 0.1),
@@ -29,46 +29,46 @@ _UNITS: Final = {
     "_share": ("%", 1e2, 0.8),
     "": ("%", 1e2, 0.8),
 }
-"""By how a figure's name ends: the unit for people, how many of them make one of the figure, the largest value."""
+"""By suffix of a field's name: the displayed unit, its factor, the largest value."""
 _SHAPES: Final = ("floor.tile_m", "floor.wavelength_m", "sensors.min_delay_s")
-"""Figures that say how another imperfection looks, and are none by themselves."""
+"""Fields that shape another imperfection and are not varied alone."""
 
 
 @dataclass(frozen=True)
-class Axis:
-    """One imperfection that grows, with all else as in a base; hashable."""
+class Imperfection:
+    """One imperfection that is varied, all others nominal; hashable."""
 
     name: str
-    """For people and for options, such as ``position-bias``."""
+    """Name in reports and options, such as ``position-bias``."""
     figure: str
-    """Of a DomainRandomization, with a dot where it is in a part, such as ``sensors.position_bias_m``."""
+    """Field of a DomainRandomization, with a dot for a nested one, such as ``sensors.position_bias_m``."""
     unit: str
     scale: float
-    """How many of the unit make one of the figure."""
+    """Factor from the field's own unit to ``unit``."""
     largest: float
-    """The largest value that is tried, in the figure's own unit."""
+    """The largest value tried, in the field's own unit."""
     also: tuple[tuple[str, float | None], ...] = ()
-    """Figures that go with it: at a value of their own, or None for the same."""
+    """Companion fields: with a fixed value, or None for the same value."""
 
     @property
     def words(self) -> str:
-        """The name as people write it."""
+        """The name in words."""
         return self.name.replace("-", " ")
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """The values that are tried, from the smallest to the largest."""
+        """The values tried, ascending."""
         exponents = range(-12, 12)
         every = [number * 10.0**power for power in exponents for number in PREFERRED]
         low = self.largest / 10.0**DECADES
         return tuple(float(f"{v:.3g}") for v in every if low * (1 - 1e-9) <= v <= self.largest * (1 + 1e-9))
 
     def value(self, base: DomainRandomization) -> float:
-        """Return the value that a base has."""
+        """Return the value in a nominal randomization."""
         return float(reduce(getattr, self.figure.split("."), base))  # type: ignore[arg-type]
 
     def on(self, base: DomainRandomization, value: float) -> DomainRandomization:
-        """Return the base with this figure at a value. Raises InputError for a value that the figure cannot have."""
+        """Return the nominal randomization with this field set. Raises InputError for a value out of its range."""
         for figure, own in ((self.figure, value), *self.also):
             base = _with(base, figure, value if own is None else own)
         return base
@@ -109,26 +109,26 @@ _SAID: Final[dict[str, tuple[str, float, dict[str, float | None]]]] = {
     "sensors.hinge_rad": ("hinge-noise", 0, {}),
     "sensors.undocked_share": ("lost-plug-contact", 0, {}),
 }
-"""By figure: a name, a largest value, and companions with their values, each where it has one of its own."""
-WORTH: Final = (
+"""By field: name, largest value and companions, where they differ from the defaults."""
+DEFAULT_IMPERFECTIONS: Final = (
     *("lippage", "unevenness", "floor-tilt", "friction", "mass", "motor-strength", "backlash", "motor-lag"),
     *("wheel-radius", "underside-height", "pocket-place", "position-noise", "heading-noise", "position-bias"),
     *("heading-bias", "delay", "localisation-period", "lost-localisations"),
 )
-"""The axes that are searched where nothing else is asked for."""
+"""The imperfections that are searched by default."""
 ALL: Final = "all"
 
 
 @cache
-def axes() -> dict[str, Axis]:
-    """Return all axes by name, in the order of the figures."""
+def imperfections() -> dict[str, Imperfection]:
+    """Return all imperfections by name, in the order of the fields."""
     found = [_axis(figure) for figure in _figures(NONE) if figure not in _SHAPES]
     return {axis.name: axis for axis in found}
 
 
-def axes_of(names: Sequence[str]) -> tuple[Axis, ...]:
-    """Return the axes of these names; for ``all`` every one. Raises InputError for one that there is not."""
-    known = axes()
+def imperfections_of(names: Sequence[str]) -> tuple[Imperfection, ...]:
+    """Return the imperfections of these names; ``all`` gives every one. Raises InputError for an unknown name."""
+    known = imperfections()
     for name in names:
         if name not in known and name != ALL:
             raise InputError(
@@ -137,16 +137,16 @@ def axes_of(names: Sequence[str]) -> tuple[Axis, ...]:
     return tuple(known[name] for name in dict.fromkeys(known if ALL in names else names))
 
 
-def _axis(figure: str) -> Axis:
+def _axis(figure: str) -> Imperfection:
     name, largest, also = _SAID.get(figure, ("", 0, {}))
     ending = next(end for end in _UNITS if figure.endswith(end))
     unit, scale, usual = _UNITS[ending]
     name = name or figure.rpartition(".")[2].removesuffix(ending).replace("_", "-")
-    return Axis(name, figure, unit, scale, largest or usual, tuple(also.items()))
+    return Imperfection(name, figure, unit, scale, largest or usual, tuple(also.items()))
 
 
 def _figures(part: Any, prefix: str = "") -> Iterator[str]:
-    """Yield the names of the numbers in nested dataclasses."""
+    """Yield the dotted names of the fields of nested dataclasses."""
     for one in fields(part):
         value = getattr(part, one.name)
         if is_dataclass(value):

@@ -1,20 +1,17 @@
-"""By how much each imperfection of the world may grow until an action fails.
+"""Robustness margins: the largest value of each imperfection at which an action still works.
 
-Trial number i has the same draws at every level (common random numbers), so it stands low levels and, from its own
-*critical level* on, fails. Critical levels of independent trials are independent, and their order statistics bound the
-quantiles of their distribution, whatever that is (S. S. Wilks, "Determination of sample sizes for setting tolerance
-limits", 1941):
+Trial i uses the same random draws at every level (common random numbers): it passes low levels and fails from its own
+*critical level* on. Critical levels of independent trials are independent, so their order statistics give
+distribution-free tolerance bounds (S. S. Wilks, "Determination of sample sizes for setting tolerance limits", 1941):
 
-- the smallest of n is stood by at least 95 % of all worlds, with confidence 1 - 0.95**n, which is 95 % for n = 59;
-- from the k-th smallest of m on more than 5 % fail, with 95 % confidence, where k or more of m would fail with a
-  probability of 5 % at most if 5 % failed: the third smallest of 16.
+- at least 95 % of all worlds pass the smallest of n critical levels, with confidence 1 - 0.95**n: 95 % for n = 59;
+- above the third smallest of 16 more than 5 % of all worlds fail, with 95 % confidence.
 
-That a trial which fails at a level fails at all higher ones is used to search, not to conclude: at the margin itself
-every trial is run.
+The search assumes that a trial which fails at a level fails at all higher ones; the result does not: at the margin
+itself every trial is run.
 
-In a scenario the car gets to its place by itself, and then does what is judged: one that has just driven under a block
-stands there as well as it knows its place, which decides what it can lift. Mirror images are left out, for the machines
-are alike left and right; diagonal moves are never legal.
+In a scenario the car first drives to its place, so that its pose error there is that of its own localisation. Mirror
+images are left out, since the machines are symmetric; diagonal moves are never legal.
 """
 
 from __future__ import annotations
@@ -39,7 +36,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, StartError
 from craftsim.experiments.bundle import write_bundles
-from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.schema import STRICT, Form
 from craftsim.experiments.session import Session, open_session
@@ -48,49 +45,49 @@ from craftsim.models.randomization import Making
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.paths import resolved
 from craftsim.validation.forms import Judged
-from craftsim.validation.imperfections import Axis
+from craftsim.validation.imperfections import Imperfection
 
 COMMAND: Final = "margins"
 TIMEOUT_S: Final = 600.0
-"""For a search, which takes seconds; or for a bundle."""
+"""Limit of a search, which takes seconds, and of writing a bundle."""
 SHARE: Final = 0.95
-"""Of all worlds that stand a margin."""
+"""Share of all worlds that pass a margin."""
 TRIALS: Final = 59
-"""So many trials must all stand a level for 95 % confidence that 95 % of all worlds do."""
+"""Trials that must all pass a level for 95 % confidence that 95 % of all worlds pass it."""
 RANKS: Final = ((16, 3), (7, 2), (1, 1))
-"""Of the first so many trials the critical level of this rank is the upper end; the first that there are trials for."""
+"""(trials, rank): the upper bound is the critical level of this rank among the first trials; first pair that fits."""
 BASE: Final = 0
-"""Number of the level at which the imperfection is that of the base."""
+"""Index of the level at which the imperfection has its nominal value, that of ``--randomize``."""
 PROBES: Final = 3
-"""Trials that must come out at the largest level as they do in the base, bit for bit, for no effect at all."""
+"""Trials that must be bit-equal at the largest and the nominal level for the verdict "no effect"."""
 MAP_TRIALS: Final = 20
-"""Of each pair of levels of a map, at most."""
+"""Largest number of trials of each pair of levels of a map."""
 STRIDE: Final = 4
-"""Every fourth level of an axis is on a map: those of the preferred numbers R5, which grow by 60 %."""
+"""A map has every fourth level: the preferred numbers R5, a factor of 1.6 apart."""
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
-Levels = Sequence[tuple[Axis, float]]
+Levels = Sequence[tuple[Imperfection, float]]
 """Imperfections and their values."""
-Pair = tuple[Axis, Axis]
-"""The axes of a map: to the right, and up."""
+Pair = tuple[Imperfection, Imperfection]
+"""The imperfections on a map's horizontal and vertical axis."""
 
 
 class Scenario(NamedTuple):
-    """A situation by the names that people have for it; its last action is judged."""
+    """A situation with a readable name; its last action is judged."""
 
     action: str
-    """Of the data sheet's row, such as ``lift``."""
+    """Row of the data sheet, such as ``lift``."""
     where: str
     """Such as ``a block between blocks``."""
     row: Row
 
     @property
     def name(self) -> str:
-        """Both, as people say it."""
+        """Action and place."""
         return f"{self.action} {self.where}"
 
     def situation(self, rules: RuleSet) -> Situation:
-        """Return the situation. Raises CraftsimError where there is none, or the rules forbid what is done first."""
+        """Return the situation. Raises CraftsimError if there is none, or if the rules forbid its first actions."""
         if self.row.scene:
             return next(scene for scene in SCENES if scene.row == self.row)
         return situation_of(self.row, rules)
@@ -101,13 +98,13 @@ CHOSEN: Final = tuple(
     for action, places in shipped("margins.yaml").items()
     for where, said in places.items()
 )
-"""Those of ``craftsim/data/margins.yaml``."""
+"""The scenarios of ``craftsim/data/margins.yaml``."""
 
 
 def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
-    """Return the scenarios whose names match a pattern as of file names; quick: the first one of each action.
+    """Return the scenarios whose names match a glob pattern; quick: the first one of each action.
 
-    Raises InputError where none does.
+    Raises InputError if none matches.
     """
     first = {one.action: one for one in reversed(CHOSEN)}
     found = tuple(
@@ -120,49 +117,49 @@ def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
 
 
 class Found(NamedTuple):
-    """The result of a search; levels by number, from :data:`BASE` to the largest."""
+    """The result of a search, in indices of levels."""
 
     margin: int | None
-    """The largest level that all trials stand; None where the base itself is not stood."""
+    """The largest level that all trials pass; None if a trial fails at the nominal level."""
     upper: int | None
-    """The level from which on more than 5 % of all worlds fail; None where too few trials fail at the largest."""
+    """The level above which more than 5 % of all worlds fail; None if too few trials fail at the largest level."""
     edge: tuple[int, int] | None
-    """A trial that fails at the level next to the margin, and that level; None where all stand the largest."""
+    """A trial that fails at the level above the margin, and that level; None if all pass the largest level."""
 
 
 def confidence(trials: int) -> float:
-    """Return how sure it is that 95 % of all worlds stand what so many trials stand."""
+    """Return the confidence that 95 % of all worlds pass a level that all of so many trials pass."""
     return 1.0 - SHARE**trials
 
 
 class _BaseFailsError(Exception):
-    """A trial fails at the base: its number."""
+    """A trial fails at the nominal level: its number."""
 
 
-def search(stands: Callable[[int, int], bool], levels: int, trials: int) -> Found:
-    """Return the margin among levels 0 (the base) to ``levels``, of so many trials.
+def search(passes: Callable[[int, int], bool], levels: int, trials: int) -> Found:
+    """Return the margin among the levels 0 (nominal) to ``levels``.
 
-    ``stands`` says whether a trial stands a level, both by their numbers; it is asked once for each.
+    ``passes(trial, level)`` is called at most once for each pair.
     """
     known: dict[tuple[int, int], bool] = {}
 
-    def stood(trial: int, level: int) -> bool:
+    def passed(trial: int, level: int) -> bool:
         if (trial, level) not in known:
-            known[trial, level] = stands(trial, level)
+            known[trial, level] = passes(trial, level)
         return known[trial, level]
 
     def critical(trial: int, most: int) -> int:
-        """Return the largest level that a trial stands, or ``most`` if it stands that."""
-        if stood(trial, most):
+        """Return the largest level up to ``most`` that a trial passes."""
+        if passed(trial, most):
             return most
         fails, step = most, 1
-        while not stood(trial, level := max(fails - step, BASE)):
+        while not passed(trial, level := max(fails - step, BASE)):
             if level == BASE:
                 raise _BaseFailsError(trial)
             fails, step = level, 2 * step
         while fails - level > 1:
             middle = (level + fails) // 2
-            level, fails = (middle, fails) if stood(trial, middle) else (level, middle)
+            level, fails = (middle, fails) if passed(trial, middle) else (level, middle)
         return level
 
     first, rank = next(pair for pair in RANKS if pair[0] <= trials)
@@ -173,7 +170,7 @@ def search(stands: Callable[[int, int], bool], levels: int, trials: int) -> Foun
         lowest = min(ends)
         for trial in range(first, trials):
             lowest = critical(trial, lowest)
-        while (failed := next((n for n in range(trials) if not stood(n, lowest)), None)) is not None:
+        while (failed := next((n for n in range(trials) if not passed(n, lowest)), None)) is not None:
             lowest = critical(failed, lowest)
     except _BaseFailsError as error:
         return Found(None, None, (error.args[0], BASE))
@@ -186,66 +183,66 @@ class End(StrEnum):
     """How a search ended."""
 
     EDGE = "edge"
-    """A trial fails at the level next to the margin."""
+    """A trial fails at the level above the margin."""
     LARGEST = "largest"
-    """All trials stand the largest level."""
+    """All trials pass the largest level."""
     NO_EFFECT = "no effect"
-    """At the largest level nothing differs from the base."""
+    """The largest level gives the results of the nominal level, bit for bit."""
     BASE = "base"
-    """Not even the base is stood."""
+    """A trial fails at the nominal level."""
 
 
 @dataclass(frozen=True)
-class Limit:
-    """A margin with its interval; values in the figure's own unit."""
+class MarginResult:
+    """A margin with its interval; values in the parameter's own unit."""
 
     __pydantic_config__ = STRICT
     end: End
     margin: float | None
-    """The largest value that all trials stood; None where they did not even stand the base."""
+    """The largest value that all trials passed; None if one failed at the nominal level."""
     upper: float | None
-    """The value from which on more than 5 % fail; None where too few trials failed to say so."""
+    """The value above which more than 5 % fail; None if too few trials failed to tell."""
     fails_at: float | None
-    """The value next to the margin, at which a trial failed; None where none did."""
+    """The next value above the margin, at which a trial failed; None if none failed."""
     trial: int | None
-    """Number of that trial, or of the one that failed in the base."""
+    """The trial that failed there, or at the nominal level."""
     reason: str
-    """Why it failed."""
+    """Its reason."""
     tried: _Count
-    """How many times a trial was run."""
+    """Number of trials run."""
 
 
 @dataclass(frozen=True)
 class RowFound:
-    """What is found of one row of a map."""
+    """One row of a map."""
 
     __pydantic_config__ = STRICT
     stood: tuple[_Count, ...]
-    """How many trials stand, by the level to the right."""
+    """Number of trials that pass, by horizontal level."""
     of: _Count
-    """Trials of each."""
+    """Number of trials of each."""
 
 
-MARGINS: Final = Form(Judged, Limit | RowFound)
-"""What the records of a search for margins hold."""
+MARGINS: Final = Form(Judged, MarginResult | RowFound)
+"""Schema of the records of a search for margins."""
 
 
-def limit_of(record: TrialRecord) -> Limit:
-    """Return what the record of a search says."""
-    return Limit(**{**record["extra"], "end": End(record["extra"]["end"])})
+def margin_of_record(record: TrialRecord) -> MarginResult:
+    """Return the result in the record of a search."""
+    return MarginResult(**{**record["extra"], "end": End(record["extra"]["end"])})
 
 
 @dataclass(frozen=True, slots=True)
-class Rig:
-    """A scenario under a base's setup, in which levels are tried; hashable."""
+class ScenarioSetup:
+    """A scenario with its nominal setup; hashable."""
 
     scenario: Scenario
     setup: Setup
-    """Of the base."""
+    """The nominal setup."""
     seed: int
 
     def recipe(self, number: int, levels: Levels = ()) -> Recipe:
-        """Return what a trial does; those of one number draw the same at all levels."""
+        """Return the recipe of a trial; a trial has the same random draws at all levels."""
         drawn = self.setup.randomization
         for axis, value in levels:
             drawn = axis.on(drawn, value)
@@ -255,9 +252,9 @@ class Rig:
         return Recipe(blueprint_text(placed.grid), placed.steps(), imperfect(self.setup, drawn), seed)
 
     def attempt(self, number: int, levels: Levels = ()) -> tuple[tuple[Attempt, ...], str]:
-        """Perform a trial; return its attempts at the last step, whatever came before it, and why it failed if it did.
+        """Run a trial; return its attempts at the last step, and the reason if it failed.
 
-        There are no attempts in a world that cannot be.
+        There are no attempts in a world in which solids overlap at the start.
         """
         recipe = self.recipe(number, levels)
         drawn = recipe.setup.randomization
@@ -272,8 +269,8 @@ class Rig:
 
 
 @lru_cache(maxsize=2)
-def _physics(rig: Rig, floor: Floor, making: Making) -> PhysicsWorld:
-    """Return the compiled world of a rig, which all trials on the same kind of floor use again."""
+def _physics(rig: ScenarioSetup, floor: Floor, making: Making) -> PhysicsWorld:
+    """Return the compiled world, shared by all trials on the same kind of floor."""
     recipe = rig.recipe(0)
     drawn = replace(recipe.setup.randomization, floor=floor, making=making)
     return compile_world(recipe.grid, imperfect(recipe.setup, drawn))
@@ -286,29 +283,29 @@ def _situation(scenario: Scenario, rules: RuleSet) -> Situation:
 
 @dataclass(frozen=True, slots=True)
 class MarginSearch:
-    """The search of a margin along one axis, or a row of the map of two; goes to a worker."""
+    """The search of the margin of one imperfection, or a row of the map of two; sent to a worker."""
 
-    rig: Rig
-    axes: tuple[Axis, ...]
+    rig: ScenarioSetup
+    axes: tuple[Imperfection, ...]
     trials: int
     up: int = 0
-    """Number of a row's level."""
+    """Index of the row's level."""
 
     @property
-    def item(self) -> Item:
-        """It, as a campaign's item."""
+    def item(self) -> Trial:
+        """This search as a trial of the experiment."""
         scenario, names = self.rig.scenario, " x ".join(axis.name for axis in self.axes)
         row = f"/{self.up}" if len(self.axes) > 1 else ""
         key = f"{scenario.name}/{names}{row}"
-        return Item(key, scenario.action, self.rig.seed, self, context=scenario.name)
+        return Trial(key, scenario.action, self.rig.seed, self, context=scenario.name)
 
 
-def work(job: MarginSearch) -> Done:
-    """Do one item of the campaign."""
+def work(job: MarginSearch) -> Result:
+    """Run one trial of the experiment."""
     return find_row(job) if len(job.axes) > 1 else find(job)
 
 
-def find(one: MarginSearch) -> Done:
+def find(one: MarginSearch) -> Result:
     """Search a margin."""
     rig, (axis,) = one.rig, one.axes
     base = axis.value(rig.setup.randomization)
@@ -322,16 +319,16 @@ def find(one: MarginSearch) -> Done:
 
     def done(
         end: End, margin: int | None, upper: int | None = None, edge: tuple[int, int] | None = None
-    ) -> Done:
+    ) -> Result:
         attempts, reason = result(*edge) if edge else ((), "")
         fails_at = values[edge[1]] if edge and edge[1] != BASE else None
-        limit = Limit(
+        limit = MarginResult(
             end,
             None if margin is None else values[margin],
             None if upper is None else values[upper],
             *(fails_at, edge[0] if edge else None, reason, len(results)),
         )
-        return Done(end is not End.BASE, attempts, extra=asdict(limit) | {"end": end.value})
+        return Result(end is not End.BASE, attempts, extra=asdict(limit) | {"end": end.value})
 
     largest, probes = len(values) - 1, range(min(PROBES, one.trials))
     if all(result(n, BASE) == result(n, largest) and not result(n, BASE)[1] for n in probes):
@@ -341,66 +338,66 @@ def find(one: MarginSearch) -> Done:
     return done(end, *found)
 
 
-def values_of(axis: Axis) -> tuple[float, ...]:
-    """Return the values of an axis that are on a map; 0 stands for the base's."""
+def values_of(axis: Imperfection) -> tuple[float, ...]:
+    """Return the values of an imperfection on a map; 0 means the nominal value."""
     return (0.0, *axis.levels[::-1][::STRIDE][::-1])
 
 
-def find_row(row: MarginSearch) -> Done:
+def find_row(row: MarginSearch) -> Result:
     """Try all pairs of levels of one row of a map."""
     rig, (right, up) = row.rig, row.axes
     base, value, stood = rig.setup.randomization, values_of(up)[row.up], []
     for other in values_of(right):
         levels = [(axis, v) for axis, v in ((right, other), (up, value)) if v > axis.value(base)]
         stood.append(sum(not rig.attempt(n, levels)[1] for n in range(row.trials)))
-    return Done(agrees=True, extra=asdict(RowFound(tuple(stood), row.trials)))
+    return Result(agrees=True, extra=asdict(RowFound(tuple(stood), row.trials)))
 
 
 class Map(NamedTuple):
-    """How many trials of a scenario stand each pair of levels."""
+    """The number of trials of a scenario that pass each pair of levels."""
 
     scenario: str
     pair: Pair
     stood: tuple[tuple[int, ...], ...]
-    """By the level up, then by the level to the right."""
+    """By vertical, then by horizontal level."""
     of: int
-    """Trials of each."""
+    """Number of trials of each."""
 
 
 @dataclass(frozen=True)
 class Margin:
-    """The margin of a scenario along an axis."""
+    """The margin of a scenario for one imperfection."""
 
     action: str
     scenario: str
-    axis: Axis
-    limit: Limit
-    before: Limit | None = None
-    """That of an earlier campaign, where there is one to compare with."""
+    axis: Imperfection
+    limit: MarginResult
+    before: MarginResult | None = None
+    """That of the run given as baseline."""
     bundle: str = ""
-    """Folder of the replay bundle of the trial that fails next to it, relative to the campaign's; empty without one."""
+    """Replay bundle of the trial that fails above it, relative to the run's folder; empty without one."""
 
     @property
     def key(self) -> str:
-        """Of its record."""
+        """Key of its record."""
         return f"{self.scenario}/{self.axis.name}"
 
     @property
     def number(self) -> str:
-        """The margin as a table has it, in the axis' unit."""
+        """The margin for a table, in the imperfection's unit."""
         if self.limit.margin is None or self.limit.end is End.NO_EFFECT:
             return "base" if self.limit.margin is None else "-"
         return f"{'>= ' * (self.limit.end is End.LARGEST)}{self.axis.scale * self.limit.margin:.3g}"
 
     @property
     def text(self) -> str:
-        """The margin as a data sheet says it, such as ``1.6 mm``."""
-        words = {"base": "not even the base", "-": "no effect"}
+        """The margin with its unit, such as ``1.6 mm``."""
+        words = {"base": "below the nominal level", "-": "no effect"}
         return words.get(self.number, f"{self.number} {self.axis.unit}")
 
     @property
     def rank(self) -> tuple[int, float]:
-        """By which the weakest scenario of an action comes first."""
+        """Sort key: the weakest scenario first."""
         order = (End.BASE, End.EDGE, End.LARGEST, End.NO_EFFECT)
         return order.index(self.limit.end), self.limit.margin or 0.0
 
@@ -411,37 +408,37 @@ class Margins:
 
     records: Sequence[TrialRecord]
     margins: tuple[Margin, ...]
-    """Of each scenario along each axis that came to an end."""
+    """One for each finished search."""
     maps: tuple[Map, ...]
-    """Of each scenario over the pair of axes that was asked for."""
+    """One for each scenario, if a pair of imperfections was given."""
     config: dict[str, Any]
     seed: int
 
     @property
     def weakest(self) -> dict[str, dict[str, Margin]]:
-        """For each action and each axis by name the scenario that stands least."""
+        """The weakest scenario by action and by name of the imperfection."""
         found: dict[str, dict[str, Margin]] = {one.action: {} for one in self.margins}
         for one in sorted(self.margins, key=lambda one: one.rank):
             found[one.action].setdefault(one.axis.name, one)
         return found
 
     @property
-    def telling(self) -> list[Axis]:
-        """The axes that have an effect on any action."""
+    def with_effect(self) -> list[Imperfection]:
+        """The imperfections that have an effect on any action."""
         tells = {one.axis for one in self.margins if one.limit.end is not End.NO_EFFECT}
         ranked = sorted(self.margins, key=lambda one: -one.rank[0])
         return [axis for axis in dict.fromkeys(one.axis for one in ranked) if axis in tells]
 
     @property
-    def stands(self) -> bool:
-        """Whether every search came to an end, and every scenario stands the base."""
+    def passed(self) -> bool:
+        """Whether every search finished, and every scenario passes the nominal level."""
         ended = all(record["error"] is None for record in self.records)
         return ended and all(one.limit.end is not End.BASE for one in self.margins)
 
 
 def run_margins(
     scenarios: Sequence[Scenario],
-    axes: Sequence[Axis],
+    axes: Sequence[Imperfection],
     setup: Setup,
     trials: int,
     seed: int,
@@ -451,22 +448,22 @@ def run_margins(
     options: RunOptions,
     pair: Pair | None = None,
 ) -> Margins:
-    """Search the margin of each scenario along each axis, and write report.json and replay bundles into a folder.
+    """Search the margin of each scenario for each imperfection; write report.json and replay bundles into a folder.
 
     Args:
-        scenarios: what is done where.
-        axes: the imperfections that grow, one at a time.
-        setup: of the base.
-        trials: of each scenario, all of which must stand a margin.
-        seed: decides the places and all that is drawn.
+        scenarios: the scenarios.
+        axes: the imperfections, varied one at a time.
+        setup: the nominal setup.
+        trials: number of trials of each scenario, all of which must pass a margin.
+        seed: random seed.
         out: the folder.
-        asked: the options that chose all this, for the report.
-        options: how.
-        pair: two axes of which a map is drawn for each scenario, too.
+        asked: the given options, for the report.
+        options: how the experiment is run.
+        pair: two imperfections of which a map is drawn for each scenario, too.
     """
     earlier = _earlier(options.against, out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
-    rigs = [Rig(scenario, setup, seed) for scenario in scenarios]
+    rigs = [ScenarioSetup(scenario, setup, seed) for scenario in scenarios]
     searches = [MarginSearch(rig, (axis,), trials) for rig in rigs for axis in axes]
     ups = range(len(values_of(pair[1]))) if pair else range(0)
     rows = [MarginSearch(rig, pair or (), min(trials, MAP_TRIALS), up) for rig in rigs for up in ups]
@@ -476,7 +473,7 @@ def run_margins(
         records = session.run()
         ended = [(one, r) for one, r in zip(searches, records, strict=False) if r["error"] is None]
         margins = [
-            Margin(r["group"], r["context"] or "", one.axes[0], limit_of(r), earlier.get(r["key"]))
+            Margin(r["group"], r["context"] or "", one.axes[0], margin_of_record(r), earlier.get(r["key"]))
             for one, r in ended
         ]
         found = [records[len(searches) + number] for number in range(len(rows))]
@@ -491,27 +488,27 @@ def run_margins(
 
 
 def _map(pair: Pair, rows: Sequence[TrialRecord]) -> Map | None:
-    """Return the map of some rows; None where one of them has an error."""
+    """Return the map with these rows; None if one of them has an error."""
     if any(row["error"] is not None for row in rows):
         return None
     stood = tuple(tuple(row["extra"]["stood"]) for row in rows)
     return Map(rows[0]["context"] or "", pair, stood, rows[0]["extra"]["of"])
 
 
-def _earlier(folder: Path | None, out: Path) -> dict[str, Limit]:
-    """Return the margins that an earlier search found, by the keys of their records."""
+def _earlier(folder: Path | None, out: Path) -> dict[str, MarginResult]:
+    """Return the margins of an earlier run, by the keys of their records."""
     if folder is None:
         return {}
     if resolved(folder) == resolved(out):
         raise InputError(f"--against {folder} is the folder of this run; choose another --out")
     records = read_finished(folder, COMMAND, MARGINS).records
-    return {r["key"]: limit_of(r) for r in records if r["error"] is None and "margin" in r["extra"]}
+    return {r["key"]: margin_of_record(r) for r in records if r["error"] is None and "margin" in r["extra"]}
 
 
 def _bundles(
     session: Session, result: Margins, ended: Iterable[tuple[MarginSearch, TrialRecord]]
 ) -> dict[str, str]:
-    """Write the replay bundle of what fails first of each action along each axis.
+    """Write the replay bundle of the weakest scenario of each action for each imperfection.
 
     Returns the folders of the bundles, relative to the run's, by the keys of their margins.
     """
@@ -519,7 +516,7 @@ def _bundles(
     wanted = {}
     for one, record in ended:
         if record["key"] in shown and record["attempts"]:
-            limit = limit_of(record)
+            limit = margin_of_record(record)
             levels = () if limit.fails_at is None else ((one.axes[0], limit.fails_at),)
             assert limit.trial is not None
             wanted[record["index"]] = partial(one.rig.recipe, limit.trial, levels)
@@ -528,7 +525,7 @@ def _bundles(
 
 
 def _figures(result: Margins, trials: int) -> dict[str, Any]:
-    """Return what ``report.json`` holds."""
+    """Return the metrics of ``report.json``."""
     return {
         "share": SHARE,
         "confidence": confidence(trials),

@@ -1,4 +1,4 @@
-"""The report of a search for margins: a data sheet of what the machines and their skills stand."""
+"""The report of robustness margins: a data sheet of the machines and their skills."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from craftsim.reports.report import (
     count,
     percent,
 )
-from craftsim.validation.imperfections import Axis
+from craftsim.validation.imperfections import Imperfection
 from craftsim.validation.margins import SHARE, Map, Margin, Margins, confidence, values_of
 from craftsim.validation.sections import case_of
 
@@ -35,9 +35,9 @@ _SIDE_IN: Final = 5.4
 
 
 def margins_report(result: Margins, command: str) -> Report:
-    """Return the report of a search; ``command`` is how it can be run again."""
+    """Return the report of a search; ``command`` is the command line that repeats it."""
     weakest = {
-        action: [by_axis[axis.name] for axis in result.telling if axis.name in by_axis]
+        action: [by_axis[axis.name] for axis in result.with_effect if axis.name in by_axis]
         for action, by_axis in result.weakest.items()
     }
     compared, trials = any(one.before for one in result.margins), result.config["trials"]
@@ -49,11 +49,11 @@ def margins_report(result: Margins, command: str) -> Report:
             KeyFigure(
                 f"{len({one.scenario for one in result.margins})}", "scenarios", f"{len(weakest)} actions"
             ),
-            KeyFigure(f"{len(result.telling)}", "imperfections that matter", "to one action or more"),
+            KeyFigure(f"{len(result.with_effect)}", "imperfections that matter", "to one action or more"),
             KeyFigure(
                 f"{trials}",
-                "trials stand each margin",
-                f"{percent(confidence(trials))} sure of {percent(SHARE)}",
+                "trials pass each margin",
+                f"{percent(SHARE)} of worlds pass, {percent(confidence(trials))} confidence",
             ),
             KeyFigure(f"{sum(one.limit.tried for one in result.margins):,}", "trials in all"),
         ],
@@ -64,51 +64,47 @@ def margins_report(result: Margins, command: str) -> Report:
             Section(
                 "actions",
                 "By action",
-                "The weakest scenario of each action along each axis, and what fails there first. A margin's "
-                "interval: all trials stand it, and from the value under 'over 5 % fail at' on, more than 5 % of all "
+                "The weakest scenario of each action for each imperfection, and its first failure. A margin's "
+                "interval: all trials pass it, and above the value under 'over 5 % fail at' more than 5 % of all "
                 "worlds fail, with 95 % confidence. Replay the bundles from the folder of this page.",
                 [_limits(rows, action, compared) for action, rows in weakest.items()],
             ),
             Section(
                 "scenarios",
                 "By scenario",
-                "All that was searched.",
+                "All scenarios and imperfections.",
                 [_limits(result.margins, "All scenarios", compared)],
             ),
             provenance_section(command, result.seed, result.config),
         ],
         [*_notes(result)],
-        exit_code=0 if result.stands else 1,
+        exit_code=0 if result.passed else 1,
     )
 
 
 def _headline(result: Margins) -> Headline:
     weak = sorted({one.scenario for one in result.margins if one.limit.margin is None})
     if weak:
-        sentence = f"{count(len(weak), 'scenario')} not stood even in the base: {', '.join(weak)}."
-        return Headline("Fails in the base", Tone.BAD, sentence)
+        sentence = f"{count(len(weak), 'scenario')} failed at the nominal level: {', '.join(weak)}."
+        return Headline("Fails at the nominal level", Tone.BAD, sentence)
     lost = sum(record["error"] is not None for record in result.records)
-    sentence = "How far each imperfection may grow, alone, until an action fails."
-    sentence += f" {count(lost, 'search', 'searches')} did not come to an end." if lost else ""
+    sentence = "The largest value of each imperfection, alone, at which each action still works."
+    sentence += f" {count(lost, 'search', 'searches')} did not finish." if lost else ""
     return Headline("Data sheet", Tone.CAUTION if lost else Tone.GOOD, sentence)
 
 
 def _sheet(result: Margins) -> Section:
     trials = result.config["trials"]
     note = (
-        f"Of each margin one may be {100 * confidence(trials):.1f} % sure that {100 * SHARE:.0f} % of all worlds "
-        "stand it. A sign before a number: no trial failed at the largest value that was tried. A dash: no effect. "
-        "base: not stood even without the imperfection."
+        f"At least {100 * SHARE:.0f} % of all worlds pass a margin, with {100 * confidence(trials):.1f} % confidence. "
+        ">=: no trial failed at the largest value tried. A dash: no effect. base: a trial failed at the nominal level."
     )
     rows = [
         (f"{axis.words}, {axis.unit}", *(_sheet_cell(by.get(axis.name)) for by in result.weakest.values()))
-        for axis in result.telling
+        for axis in result.with_effect
     ]
     columns = (Column("up to"), *(Column(action, "number") for action in result.weakest))
-    lead = (
-        "The largest value of each imperfection, alone, that all trials stand in the weakest scenario of each action: "
-        "by so much a machine and its floor may be worse."
-    )
+    lead = "The largest value of each imperfection, alone, that all trials pass in the weakest scenario of each action."
     table = DataTable(columns, rows, "Margins", note)
     blocks = [table, *error_tables(error_counts(result.records))]
     return Section("sheet", "Data sheet", lead, blocks, terminal=True)
@@ -122,16 +118,18 @@ def _sheet_cell(one: Margin | None) -> Value:
 
 
 def _first_failures(result: Margins) -> Section:
-    """Return what fails first along each axis, over all actions."""
+    """Return the first failure for each imperfection, over all actions."""
     weakest = result.weakest.values()
     first = [
         min((by[axis.name] for by in weakest if axis.name in by), key=lambda one: one.rank)
-        for axis in result.telling
+        for axis in result.with_effect
     ]
     cases = [
         case_of(
             f"{one.axis.words}: {one.scenario}",
-            "in the base" if one.limit.fails_at is None else f"at {one.axis.text(one.limit.fails_at)}",
+            "at the nominal level"
+            if one.limit.fails_at is None
+            else f"at {one.axis.text(one.limit.fails_at)}",
             Tone.BAD if one.limit.fails_at is None else Tone.CAUTION,
             one.limit.reason,
             one.bundle,
@@ -139,7 +137,7 @@ def _first_failures(result: Margins) -> Section:
         for one in first
         if one.limit.reason
     ]
-    lead = "The scenario that fails first along each axis, and at which value."
+    lead = "The scenario that fails first for each imperfection, and at which value."
     return Section("first", "First failures", lead, [Cases(cases, most=40)], terminal=bool(cases))
 
 
@@ -151,17 +149,17 @@ def _maps(maps: Sequence[Map]) -> list[Section]:
             partial(_map, one),
             _SIDE_IN,
             f"{one.scenario}: {one.of} trials of each pair.",
-            f"{one.scenario}: share that stands {one.pair[0].words} and {one.pair[1].words}",
+            f"{one.scenario}: share that passes, by {one.pair[0].words} and {one.pair[1].words}",
             _SIDE_IN + 1.0,
         )
         for one in maps
     ]
-    lead = "Share of trials in percent that stand two imperfections which grow together; green where all do."
-    return [Section("maps", "Two at once", lead, drawings)]
+    lead = "Percentage of trials that pass under two imperfections together; green where all pass."
+    return [Section("maps", "Two together", lead, drawings)]
 
 
 def _map(one: Map, figure: Figure) -> None:
-    """Draw the share of trials that stand each pair of levels, and where all do."""
+    """Draw the share of trials that pass each pair of levels."""
     import numpy as np
 
     axes, (right, up) = figure.subplots(), one.pair
@@ -201,16 +199,18 @@ def _limits(margins: Iterable[Margin], title: str, compared: bool) -> DataTable:
     return DataTable(columns, rows, title, folded=True, tall=True)
 
 
-def _text(axis: Axis, value: float | None, otherwise: str) -> str:
+def _text(axis: Imperfection, value: float | None, otherwise: str) -> str:
     return otherwise if value is None else axis.text(value)
 
 
 def _notes(result: Margins) -> Iterator[str]:
-    quiet = [axis for axis in dict.fromkeys(one.axis for one in result.margins) if axis not in result.telling]
+    quiet = [
+        axis for axis in dict.fromkeys(one.axis for one in result.margins) if axis not in result.with_effect
+    ]
     if quiet:
         yield f"no effect on any action: {', '.join(axis.words for axis in quiet)}"
     for one in result.margins:
         if one.before is not None and one.before.margin != one.limit.margin:
-            was = "not even the base" if one.before.margin is None else one.axis.text(one.before.margin)
+            was = "below the nominal level" if one.before.margin is None else one.axis.text(one.before.margin)
             upper = "" if one.limit.upper is None else f" (over 5 % fail at {one.axis.text(one.limit.upper)})"
             yield f"{one.scenario}, {one.axis.words}: {one.text}{upper}, was {was}"

@@ -218,7 +218,7 @@ def command_names() -> list[tuple[str, ...]]:
     """Return the commands that ``craftsim --help`` lists, each with those below it."""
     text = help_text()
     names = re.findall(r"^  ([a-z]+) +[A-Z]", text, re.MULTILINE)
-    below = re.search(r"Commands below a command: ([^.]*)\.", text)
+    below = re.search(r"Subcommands: ([^.]*)\.", text)
     pairs = [tuple(words.split()) for words in below[1].split(",")] if below else []
     return [words for name in names for words in ((name,), *(pair for pair in pairs if pair[0] == name))]
 

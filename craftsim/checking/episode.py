@@ -302,7 +302,7 @@ class Episode:
     problems: tuple[str, ...]
     """Why the world at the end cannot be read as a grid; empty when it can."""
     ending: Mapping[str, str | float] | None = None
-    """How a building that was planned, and planned again, came to its end; None where no plans were made on the way.
+    """How a building that was planned, and planned again, ended; None where no plans were made on the way.
 
     ``ended`` is ``built``, ``gave up`` or ``not readable``, and ``why`` says why it is not built; ``replans`` counts
     further plans, ``planned_s`` is the makespan of the first one by the table of durations, and ``disturbed`` says in
@@ -377,7 +377,7 @@ def limit_time(judge: Judge, most_s: float, what: str) -> Callable[[], float]:
         nonlocal n_periods
         n_periods += 1
         if passed_s() > most_s:
-            raise OverrunError(f"{what} has not come to its end after {most_s:.4g} s of simulated time")
+            raise OverrunError(f"{what} has not finished after {most_s:.4g} s of simulated time")
 
     judge.executor.observers.append(count)
     return passed_s

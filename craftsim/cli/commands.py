@@ -7,7 +7,7 @@ from typing import Final
 
 HEADINGS: Final[dict[str, dict[str, str]]] = {
     "Run": {
-        "demo": "Build the paper's tasks in physics, check every action, make a film.",
+        "demo": "Build the paper's tasks in physics, check every action, film it.",
         "validate": "Run plans, policies or random play; judge every action.",
         "compare": "Compare two runs: two settings, two drives, simulation and lab.",
         "replay": "Re-run a recorded failure bit for bit; find its smallest world.",

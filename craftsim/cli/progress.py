@@ -26,7 +26,7 @@ def counting(what: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> P
 
 
 def without_error(record: Any) -> bool:
-    """Return whether a trial came to an end."""
+    """Return whether a trial finished."""
     return record["error"] is None
 
 

@@ -120,7 +120,7 @@ def select(records: Iterable[TrialRecord], wanted: Callable[[TrialRecord], bool]
 
 @dataclass(frozen=True)
 class Finished:
-    """A run that has come to its end."""
+    """A finished run."""
 
     folder: Path
     manifest: Mapping[str, Any]

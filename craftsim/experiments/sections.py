@@ -118,7 +118,7 @@ def error_tables(errors: Mapping[str, int]) -> list[Block]:
         f" {more} more kinds of error are in trials.jsonl." if more > 0 else ""
     )
     rows = list(errors.items())[:_MOST_ERRORS]
-    return [DataTable(numbers("error", "trials"), rows, "Trials that did not come to an end", note)]
+    return [DataTable(numbers("error", "trials"), rows, "Unfinished trials", note)]
 
 
 def precision_table(found: statistics.Precision) -> DataTable:

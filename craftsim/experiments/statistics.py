@@ -114,7 +114,7 @@ def retried(records: Iterable[TrialRecord]) -> int:
 
 
 def error_counts(records: Iterable[TrialRecord]) -> dict[str, int]:
-    """Return how many trials did not come to an end, by what kept them from it, commonest first."""
+    """Return how many trials did not finish, by error, most frequent first."""
     found = Counter(str(record["error"]) for record in records if record["error"] is not None)
     return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
 
@@ -341,7 +341,7 @@ class Figures:
 
     trials: int
     errors: dict[str, int]
-    """Trials that did not come to an end, by what kept them from it; they count in no other figure."""
+    """Unfinished trials, by error; they count in no other metric."""
     capped_steps: int
     """Physics steps in which the solver gave up, summed over all attempts."""
     retried: int

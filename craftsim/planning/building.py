@@ -102,7 +102,7 @@ class Construction:
         return max(self.plan.ready)
 
     def run(self) -> bool:
-        """Make the plan; return whether it came to its end."""
+        """Make the plan; return whether it finished."""
         for turn in self._script:
             if turn is None:
                 self._place()

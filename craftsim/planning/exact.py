@@ -72,7 +72,7 @@ class Exact:
     n_worlds: int
     """How many worlds were met."""
     complete: bool
-    """Whether the search came to its end: without a plan, that proves that there is none."""
+    """Whether the search finished: without a plan, that proves that there is none."""
 
 
 def is_small(start: Grid, rules: Rules) -> bool:

@@ -189,7 +189,7 @@ def _headline(audit: Audit) -> Headline:
         f"{conservative:,} that they forbid would have worked, {found[RuleVerdict.RIGHTLY_FORBIDDEN]:,} are rightly "
         "forbidden."
     )
-    sentence += f" {count(errors, 'trial')} did not come to an end." if errors else ""
+    sentence += f" {count(errors, 'trial')} did not finish." if errors else ""
     if few:
         are = "row is" if few == 1 else "rows are"
         sentence += f" {few:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."

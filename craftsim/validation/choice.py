@@ -38,7 +38,7 @@ World = Task | Grid | RandomWorlds | str | Path
 
 
 @dataclass(frozen=True)
-class WorldSpec:
+class RolloutWorld:
     """A world to run in."""
 
     name: str
@@ -64,7 +64,7 @@ def subjects_of(
     n_cars: int | None = None,
     n_blocks: int | None = None,
     max_steps: int | None = None,
-) -> list[WorldSpec]:
+) -> list[RolloutWorld]:
     """Return the subjects that worlds, or names of them, stand for.
 
     ``n_cars`` and ``n_blocks`` set the numbers of what is drawn at random, ``max_steps`` the length of an episode in
@@ -72,7 +72,7 @@ def subjects_of(
 
     Raises InputError for what names no world, and for two of one name.
     """
-    found: dict[str, WorldSpec] = {}
+    found: dict[str, RolloutWorld] = {}
     for world in worlds:
         one = _subject(world, n_cars, n_blocks, max_steps)
         if one.name in found:
@@ -83,24 +83,24 @@ def subjects_of(
     return list(found.values())
 
 
-def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None) -> WorldSpec:
+def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None) -> RolloutWorld:
     if isinstance(world, str) and world == RANDOM:
         world = RandomWorlds(n_cars, n_blocks, RandomWorlds.max_steps if max_steps is None else max_steps)
     if isinstance(world, RandomWorlds):
-        return WorldSpec(RANDOM, world, _digest(repr(world).encode()), world.n_cars or MAX_CARS)
+        return RolloutWorld(RANDOM, world, _digest(repr(world).encode()), world.n_cars or MAX_CARS)
     if isinstance(world, Grid):
         world = free_play("grid", (parse_blueprint(blueprint_text(world), "grid"),))
     if isinstance(world, str | Path) and (n_cars is not None or n_blocks is not None):
         world = as_task(str(world), n_cars, n_blocks)
     if isinstance(world, Task):
-        return WorldSpec(world.name, world, world.digest, world.layout.n_cars)
+        return RolloutWorld(world.name, world, world.digest, world.layout.n_cars)
     name = str(resolved(world)) if exists(world) and world not in TASK_NAMES else str(world)
     task = as_task(name)
     digest = SHIPPED if name in TASK_NAMES else task.digest
-    return WorldSpec(task.name, name, digest, task.layout.n_cars)
+    return RolloutWorld(task.name, name, digest, task.layout.n_cars)
 
 
-def check_starts(subjects: Sequence[WorldSpec], setup: Setup, seed: int) -> None:
+def check_starts(subjects: Sequence[RolloutWorld], setup: Setup, seed: int) -> None:
     """Raise StartError for a world of one's own in which something stands in something else, and InputError for a skill
     for a car that it has not."""
     for subject in subjects:
@@ -121,7 +121,7 @@ def plan_pilot(plan: Plan, order: PlanOrder) -> PolicySpec:
 
 def policy_pilot(
     policy: str | Policy,
-    subjects: Sequence[WorldSpec],
+    subjects: Sequence[RolloutWorld],
     order: PlanOrder,
     rules: RuleSet = "physical",
     timeout_s: float = 600.0,
@@ -155,7 +155,7 @@ def policy_pilot(
 
 
 def items_of(
-    subjects: Sequence[WorldSpec], pilots: Sequence[PolicySpec], trials: int, terms: Terms
+    subjects: Sequence[RolloutWorld], pilots: Sequence[PolicySpec], trials: int, terms: Terms
 ) -> Iterator[Trial]:
     """Yield all runs: every pilot in every subject, so many times."""
     for episode in range(trials):

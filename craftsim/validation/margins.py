@@ -386,13 +386,13 @@ class Margin:
     def number(self) -> str:
         """The margin for a table, in the imperfection's unit."""
         if self.limit.margin is None or self.limit.end is End.NO_EFFECT:
-            return "base" if self.limit.margin is None else "-"
+            return "fails" if self.limit.margin is None else "-"
         return f"{'>= ' * (self.limit.end is End.LARGEST)}{self.axis.scale * self.limit.margin:.3g}"
 
     @property
     def text(self) -> str:
         """The margin with its unit, such as ``1.6 mm``."""
-        words = {"base": "below the nominal level", "-": "no effect"}
+        words = {"fails": "fails at nominal", "-": "no effect"}
         return words.get(self.number, f"{self.number} {self.axis.unit}")
 
     @property

@@ -97,7 +97,7 @@ def _sheet(result: Margins) -> Section:
     trials = result.config["trials"]
     note = (
         f"At least {100 * SHARE:.0f} % of all worlds pass a margin, with {100 * confidence(trials):.1f} % confidence. "
-        ">=: no trial failed at the largest value tried. A dash: no effect. base: a trial failed at the nominal level."
+        ">=: no trial failed at the largest value tried. A dash: no effect. fails: at the nominal level."
     )
     rows = [
         (f"{axis.words}, {axis.unit}", *(_sheet_cell(by.get(axis.name)) for by in result.weakest.values()))
@@ -113,7 +113,7 @@ def _sheet(result: Margins) -> Section:
 def _sheet_cell(one: Margin | None) -> Value:
     if one is None:
         return None
-    tone = {"-": Tone.MUTED, "base": Tone.BAD}.get(one.number, Tone.PLAIN)
+    tone = {"-": Tone.MUTED, "fails": Tone.BAD}.get(one.number, Tone.PLAIN)
     return Cell(one.number, tone, tip=": ".join(filter(None, (one.scenario, one.limit.reason))))
 
 
@@ -211,6 +211,6 @@ def _notes(result: Margins) -> Iterator[str]:
         yield f"no effect on any action: {', '.join(axis.words for axis in quiet)}"
     for one in result.margins:
         if one.before is not None and one.before.margin != one.limit.margin:
-            was = "below the nominal level" if one.before.margin is None else one.axis.text(one.before.margin)
+            was = "fails at nominal" if one.before.margin is None else one.axis.text(one.before.margin)
             upper = "" if one.limit.upper is None else f" (over 5 % fail at {one.axis.text(one.limit.upper)})"
             yield f"{one.scenario}, {one.axis.words}: {one.text}{upper}, was {was}"

@@ -51,7 +51,7 @@ _TIMEOUT_S: Final = 3600.0
 """After which the search for a smallest world is given up."""
 
 MOST_TRIALS: Final = 150
-"""Trials after which the search ends with the smallest world so far; also after :data:`MINIMIZE_S` simulated seconds."""
+"""Trials after which the search ends with the smallest world so far; also after :data:`MINIMIZE_S`."""
 
 OnTrial = Callable[[bool], None]
 """Called after each trial: whether the action still failed."""

@@ -126,9 +126,9 @@ def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
     runs = figures.all.runs
     missed = actions.trials - actions.as_predicted
     errors = sum(figures.errors.values())
-    lost = f" {count(errors, 'more trial')} did not come to an end." if errors else ""
+    lost = f" {count(errors, 'more trial')} did not finish." if errors else ""
     if not runs.trials:
-        return Headline("Nothing to judge", Tone.CAUTION, "No trial was carried out to its end." + lost)
+        return Headline("Nothing to judge", Tone.CAUTION, "No trial finished." + lost)
     if runs.successes == runs.trials:
         sentence = f"All {count(runs.trials, 'run')} did in physics what the rules predict."
         return Headline("Agrees", Tone.CAUTION if errors else Tone.GOOD, sentence + lost)
@@ -273,7 +273,7 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
     columns = (Column("building"), *(Column(name, "number") for name in names), Column("ended"))
     note = "good: actions as predicted; planned: makespan of the first plan; both times in simulated seconds"
     table = DataTable(columns, rows, "Buildings", note)
-    return Section("buildings", "Buildings", "Each from its start to its end.", [table], terminal=True)
+    return Section("buildings", "Buildings", "One row for each building.", [table], terminal=True)
 
 
 def demo_report(

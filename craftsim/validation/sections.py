@@ -68,7 +68,7 @@ def case_of(
 
 
 class RunFailure(NamedTuple):
-    """One action that did not go as predicted, or a run that did not come to its end."""
+    """One action that did not go as predicted, or a run that did not finish."""
 
     run: str
     attempt: Mapping[str, Any] | None
@@ -143,7 +143,7 @@ def failures_section(
     table = DataTable(columns, rows, "All failures", note, tall=True, most=_ON_TERMINAL)
     blocks: list[Block] = [Cases(filmed, unfilmed=1), table if listed else "None.", *errors]
     title = f"Failures: {len(listed) + more:,}" if listed else "Failures"
-    lead = "Each action that did not go as predicted, and each run that did not come to its end; the first in detail."
+    lead = "Each action that did not go as predicted, and each run that did not finish; the first in detail."
     return Section("failures", title, lead, blocks, terminal=bool(listed))
 
 
@@ -203,7 +203,7 @@ class RecordedRun(NamedTuple):
 
 
 def recorded_runs(items: Sequence[Trial], records: Sequence[TrialRecord]) -> list[RecordedRun]:
-    """Return the runs that were recorded and came to an end, those first that disagree."""
+    """Return the runs that were recorded and finished, those first that disagree."""
     ended = [
         RecordedRun(item.key, f"{TRAJECTORIES}/{item.job.file_name}{SUFFIX}", record["agrees"])
         for item, record in zip(items, records, strict=False)
@@ -230,7 +230,7 @@ def _recorded(out: Path, run: RecordedRun, first: bool) -> Group:
     try:
         signals = Signals.of(Trajectory.read(out / run.file))
     except InputError as error:
-        # A campaign that has come to its end gets its page, whatever became of a trajectory.
+        # A finished campaign gets its page, whatever became of a trajectory.
         return Group(run.title, [f"No figures: {error}"], badge, tone, first)
     drawings = [
         Drawing(

@@ -65,7 +65,7 @@ class BuildFigures:
     """What all buildings of a campaign came to; times are medians, in simulated seconds."""
 
     built: Proportion
-    """Of all that came to an end, however many plans they took."""
+    """Of all that finished, however many plans they took."""
     endings: dict[str, int]
     """How many were built, given up, or could not be read any more."""
     replans: int

@@ -12,7 +12,7 @@ from craftsim import cli
 from craftsim.checking.attempt import Thresholds
 from craftsim.checking.setup import RANDOMIZE, Setup, imperfect, setup_of
 from craftsim.models.randomization import NONE, DomainRandomization
-from craftsim.validation.imperfections import axes, imperfections_of
+from craftsim.validation.imperfections import imperfections, imperfections_of
 from craftsim.validation.margins import (
     BASE,
     CHOSEN,
@@ -192,14 +192,14 @@ def _numbers(part, prefix=""):
 
 def test_every_figure_is_an_axis_or_says_how_another_one_looks():
     figures = [name for name, _ in _numbers(NONE)]
-    missing = set(figures) - {axis.figure for axis in axes().values()}
+    missing = set(figures) - {axis.figure for axis in imperfections().values()}
     assert missing == {"floor.tile_m", "floor.wavelength_m", "sensors.min_delay_s"}
-    assert len(axes()) == len(figures) - len(missing)
+    assert len(imperfections()) == len(figures) - len(missing)
 
 
 def test_an_axis_changes_its_figure_and_those_that_go_with_it_alone():
     before = dict(_numbers(NONE))
-    for axis in axes().values():
+    for axis in imperfections().values():
         mine = {axis.figure, *(name for name, _ in axis.also)}
         assert list(axis.levels) == sorted(set(axis.levels))
         assert len(axis.levels) == 41

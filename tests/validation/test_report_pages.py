@@ -178,7 +178,7 @@ FAILED = attempt(Verdict.FAILED)
         (
             [record("a", error="killed", agrees=False)],
             "Nothing to judge",
-            "1 more trial did not come to an end.",
+            "1 more trial did not finish.",
         ),
         (
             [record("a", attempt(), FORBIDDEN)],

@@ -163,7 +163,7 @@ def test_a_replay_ends_soon_after_the_bundle_says_it_does(folder):
     turns = [{"ticks": [[{"car": 0, "action": "ROTATE_LEFT"}]], "order": None, "intended": None, "number": 0}]
     _edit(folder, ["recipe", "steps"], lambda steps: turns * 100 + steps)
     begun = time.process_time()
-    with pytest.raises(InputError, match=r"bundle\.json: the recipe.* has not come to its end after"):
+    with pytest.raises(InputError, match=r"bundle\.json: the recipe.* has not finished after"):
         replay(read_bundle(folder))
     assert time.process_time() - begun < 10
 

@@ -1,7 +1,7 @@
-"""Replay bundles: a folder with all that it takes to see again what went wrong, and to check that it is the same.
+"""Replay bundles: folders with everything needed to reproduce a failure and to check the reproduction.
 
 A bundle holds the recipe, the attempts of its last step, the drawn physics, the full state before and after, the
-contacts, and the scene as MJCF for people. Nothing in it is code: text, and NumPy arrays that are read without pickles.
+contacts, and the scene as MJCF. It contains no code: text, and NumPy arrays that are read without pickle.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from craftsim.storage.records import Listed, read_json_record, to_json
 from craftsim.storage.writing import write_whole
 
 SCHEMA_VERSION: Final = 6
-"""Raised whenever something in a bundle changes its meaning or goes away."""
+"""Incremented whenever something in a bundle changes its meaning or is removed."""
 
 TEXT: Final = "bundle.json"
 PHYSICS: Final = "physics.npz"
@@ -45,10 +45,10 @@ CONTACTS: Final = "contacts.csv"
 SCENE: Final = "scene"
 FILM: Final = "film.mp4"
 TRAJECTORY: Final = "trajectory.npz"
-"""Of the last step and what follows, where one was recorded; the film shows it."""
+"""Optional trajectory of the last step and a short time after it, shown in the film."""
 
 BUNDLE_S: Final = 600.0
-"""After which a worker that writes a bundle is given up."""
+"""Time limit for writing a bundle."""
 _LATE: Final = 1.25
 _LATE_S: Final = 4.0
 """By what factor, and by how much more, a replay may take longer than what it shows: versions differ."""
@@ -56,22 +56,22 @@ _LATE_S: Final = 4.0
 
 @dataclass(frozen=True)
 class Bundle:
-    """What a bundle says in words and numbers, as it stands in ``bundle.json``."""
+    """The contents of ``bundle.json``."""
 
     schema_version: int
     key: str
-    """Name of the trial that it is from."""
+    """Key of the trial."""
     versions: dict[str, str]
     recipe: Recipe
     attempts: Listed[Attempt]
-    """Of the last step, for each of its actions."""
+    """One for each action of the last step."""
     start_s: float
     """Simulated time at which the last step began."""
     end_s: float
 
     @property
     def most_s(self) -> float:
-        """The most simulated time that a replay may take."""
+        """Limit of the simulated time of a replay."""
         # Where the simulation broke down it started over, and so did its time.
         ends = (attempt.start_s + attempt.duration_s for attempt in self.attempts)
         return _LATE * max(self.start_s, self.end_s, *ends) + _LATE_S
@@ -79,7 +79,7 @@ class Bundle:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A bundle with its arrays, as read from a folder."""
+    """A bundle with its arrays."""
 
     folder: Path
     bundle: Bundle
@@ -89,37 +89,36 @@ class Recorded:
 
     @property
     def arrays(self) -> dict[str, Arrays]:
-        """The arrays by the names of their files."""
+        """The arrays by file name."""
         return {PHYSICS: self.physics, BEFORE: self.before, AFTER: self.after}
 
 
 def state_of(physics: PhysicsWorld) -> Arrays:
-    """Return copies of all that decides how a PhysicsWorld goes on, that MuJoCo's state vector leaves out included."""
+    """Return copies of the complete state of a PhysicsWorld, including what MuJoCo's state vector omits."""
     names = ("time", "qpos", "qvel", "act", "ctrl", "qacc_warmstart", "tree_asleep")
     state = {name: np.array(getattr(physics.data, name)) for name in names}
     return state | {"sleep_policy": physics.model.tree_sleep_policy.copy()}
 
 
 def physics_of(physics: PhysicsWorld) -> Arrays:
-    """Return copies of the figures of a PhysicsWorld that randomised physics draws."""
+    """Return copies of the model parameters that randomization draws."""
     return {name: array.copy() for name, array in vars(physics.baseline).items()}
 
 
 def write_bundle(
     folder: Path, key: str, recipe: Recipe, attempts: tuple[Attempt, ...] | None = None
 ) -> Bundle:
-    """Perform a recipe and write the bundle of its last step; return what it says.
+    """Run a recipe, write the bundle of its last step, and return its contents.
 
     Args:
-        folder: is made; files of an older bundle in it are replaced.
-        key: name of the trial.
-        recipe: what led to the disagreement.
-        attempts: of the last step when it was first done. That they come out the same again is then
-            checked, for a bundle that shows something else is worse than none.
+        folder: created if missing; files of an older bundle are replaced.
+        key: key of the trial.
+        recipe: the recipe that leads to the disagreement.
+        attempts: the original attempts of the last step; the re-run must reproduce them.
 
     Raises:
         InputError: the folder cannot be written.
-        ReplayError: the last step came out otherwise.
+        ReplayError: the re-run gave other attempts.
     """
     judge = run_up(recipe)
     before, start_s = state_of(judge.physics), judge.physics.time_s
@@ -136,7 +135,7 @@ def write_bundle(
 
 
 class ReplayError(RuntimeError):
-    """Something came out otherwise when it was re-run, on the same machine and version."""
+    """A re-run on the same machine and version gave another result."""
 
 
 def _write(folder: Path, bundle: Bundle, judge: Judge, before: Arrays) -> None:
@@ -161,8 +160,8 @@ def _write(folder: Path, bundle: Bundle, judge: Judge, before: Arrays) -> None:
 def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
     """Read and check a bundle. Raises InputError, naming the file, for one that is missing, damaged or too large.
 
-    Modules of skills that it names are imported only where it is of a run that this process, or the one that started
-    it, has made; of others they must have been imported before.
+    Modules of skills that it names are imported only for a bundle of this run (``of_own_run``); otherwise they must
+    have been imported before.
     """
     path = folder / TEXT
     if not exists(path):
@@ -179,7 +178,7 @@ def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
 
 
 def _check_text(bundle: Bundle) -> None:
-    """Raise InputError for a bundle that contradicts itself, or claims more than a replay may take."""
+    """Raise InputError for an inconsistent bundle, or one whose replay would exceed the limits."""
     recipe = bundle.recipe
     if bundle.schema_version != SCHEMA_VERSION:
         raise InputError(
@@ -220,9 +219,9 @@ def _check_times(bundle: Bundle) -> None:
 
 
 def write_bundles(session: Session, recipes: Mapping[int, Callable[[], Recipe]]) -> dict[int, str]:
-    """Write the bundles of trials, by their numbers, each with what returns its recipe, unless they are there.
+    """Write the missing bundles of trials, given functions that return their recipes, by trial index.
 
-    Returns the folders, relative to the run's, by the same numbers. Raises InputError for one that cannot be written.
+    Returns the folders, relative to the run's, by index. Raises InputError for one that cannot be written.
     """
     out, records = session.out, session.records
     assert out is not None
@@ -246,7 +245,7 @@ def write_bundles(session: Session, recipes: Mapping[int, Callable[[], Recipe]])
 
 
 def _write_one(job: tuple[Path, TrialRecord, Callable[[], Recipe]]) -> Result:
-    """Write one bundle; it must come out as its record has it."""
+    """Write one bundle, whose attempts must equal those of its record."""
     folder, record, recipe = job
     write_bundle(folder, record["key"], recipe(), tuple(map(Attempt.of, record["attempts"])))
     return Result(agrees=True)

@@ -1,4 +1,4 @@
-"""What an experiment consists of: trials, the result of each and its record, and how all of them are run."""
+"""Experiments: trials, their results and records, and the options of a run."""
 
 from __future__ import annotations
 
@@ -20,41 +20,41 @@ from craftsim.workers.pool import Engine
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One thing to try, independent of all others."""
+    """One independent trial."""
 
     key: str
     """Stable name, unique in the run."""
     group: str
-    """The row that the trial counts in."""
+    """Row of the statistics."""
     seed: int
     job: Any
-    """What the work function is given; goes to a worker, so it must be picklable."""
+    """Picklable argument of the work function."""
     context: str | None = None
     episode: int | None = None
 
 
 @dataclass(frozen=True)
 class Result:
-    """The result of an item that was tried; made of what JSON knows, and equal whenever the item is."""
+    """The result of a trial: JSON values, a deterministic function of the trial."""
 
     agrees: bool
-    """Whether everything went as the rules predicted."""
+    """Whether everything was as predicted by the rules."""
     attempts: Sequence[Any] = ()
-    """Each action that was tried, a dataclass or a dictionary."""
+    """The attempts: dataclasses or dictionaries."""
     bundle: str | None = None
-    """Folder of the first disagreement's replay bundle, relative to the run's."""
+    """Replay bundle of the first disagreement, relative to the run's folder."""
     extra: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why an item has no result."""
+    """The reason why a trial has no result."""
 
     text: str
     stops: bool = False
-    """Whether the run cannot go on at all, such as on a full disk."""
+    """Whether the run must stop, for instance on a full disk."""
     traceback: str = ""
-    """Of what the work raised."""
+    """Traceback of the exception."""
 
 
 Answer = Result | Failure
@@ -62,47 +62,47 @@ Work = Callable[[Any], Result]
 
 
 Progress = Callable[[int], AbstractContextManager[Callable[[TrialRecord], None]]]
-"""Given the number of trials, opens what is called with each one's record."""
+"""Given the number of trials, returns a context whose value is called with each record."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """Trials, and all that decides their results."""
+    """Trials with everything that determines their results."""
 
     command: str
     seed: int
     config: Mapping[str, Any]
-    """What else decides the results, for the report; a run is only resumed by an experiment of an equal one."""
+    """Further configuration, for the report; a run is only resumed with an equal configuration."""
     items: Sequence[Trial]
     work: Work
-    """Gives a trial's job its result; a picklable function, called in the workers. What it raises becomes the record's
-    error. A trial whose worker dies is tried once more."""
+    """Picklable function from a trial's job to its result, called in the workers. An exception becomes the record's
+    error. A trial whose worker dies is repeated once."""
     form: Form = ANY
-    """What the records must hold; those of an earlier run are checked before anything is tried."""
+    """Schema of the records; those of an earlier run are checked before any trial."""
     timeout_s: float = 600.0
-    """After which a trial's worker is killed and the trial recorded as an error."""
+    """Time limit after which the worker is killed and the trial recorded as an error."""
     batch: int = 1
-    """Trials that a worker takes at once: more than one where they are short, or share what a worker keeps."""
+    """Trials sent to a worker together, more than one if they are short or share cached data."""
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How an experiment is run; its results do not depend on it."""
+    """Options of a run on which its results do not depend."""
 
     workers: int = 1
-    """Processes to share the work."""
+    """Number of processes."""
     engine: Engine = "local"
-    """Processes of this machine, or actors of an existing Ray cluster."""
+    """Local processes, or actors of an existing Ray cluster."""
     resume: bool = False
-    """Go on with the run in the folder, if there is one; what has an error there is tried again."""
+    """Continue the run in the folder; trials with an error are repeated."""
     against: Path | None = None
-    """Folder of an earlier run to compare with."""
+    """Folder of the baseline run for a paired comparison."""
     progress: Progress = lambda total: nullcontext(lambda record: None)
-    """Shows what is done."""
+    """Progress display."""
 
 
 def make_record(item: Trial, index: int, answer: Answer) -> TrialRecord:
-    """Return the record of an item; a failure has no attempts and does not agree."""
+    """Return the record of a trial; one with an error has no attempts and does not agree."""
     failure = answer if isinstance(answer, Failure) else None
     traced = {"traceback": failure.traceback} if failure is not None and failure.traceback else {}
     done = answer if isinstance(answer, Result) else Result(agrees=False, extra=traced)
@@ -122,7 +122,7 @@ def make_record(item: Trial, index: int, answer: Answer) -> TrialRecord:
 
 
 def text_of(item: Trial, index: int, answer: Answer) -> str:
-    """Return the record of an item as JSON; one that is longer than a line may be gives way to one of a failure."""
+    """Return the record of a trial as JSON; a record above the limit is replaced by an error."""
     text = json.dumps(make_record(item, index, answer), sort_keys=True, allow_nan=False)
     if len(text) < TRIALS.line_bytes:
         return text
@@ -131,14 +131,15 @@ def text_of(item: Trial, index: int, answer: Answer) -> str:
 
 
 def shortened(text: str) -> str:
-    """Return an error's message as a record may hold it: of a long one the beginning and the end, all in UTF-8."""
+    """Return an error message for a record: valid UTF-8, a long one without its middle."""
     half = MAX_ERROR_CHARACTERS // 2
     whole = text if len(text) <= MAX_ERROR_CHARACTERS else f"{text[:half]} [...] {text[-half:]}"
     return str(plain(whole))
 
 
 def answer_of(work: Work, job: Any, interruptible: bool = False) -> Answer:
-    """Do the work of one item; what it raises is its answer, but an interrupt where that is meant for the caller."""
+    """Run one trial and return its result, or a Failure for an exception; KeyboardInterrupt passes if
+    ``interruptible``."""
     try:
         done = work(job)
         return replace(done, attempts=plain(done.attempts), extra=plain(done.extra))

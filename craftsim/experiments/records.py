@@ -1,4 +1,4 @@
-"""The records of a run, read from its folder one at a time: a million of them fit into no memory."""
+"""The records of a run, read lazily from its folder, since a million of them do not fit into memory."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from craftsim.storage.reading import open_file, read_bytes, read_lines
 
 DATABASE: Final = "session.db"
 LOG: Final = f"{DATABASE}-wal"
-"""What is not in the database's own file yet; there is one for as long as a run goes on."""
+"""SQLite's write-ahead log; exists while a run is open."""
 TRIALS: Final = "trials.jsonl"
 OLD: Final = "campaign.json"
-"""Manifest of a run of craftsim 0.2, whose records stood in ``trials.jsonl`` alone."""
+"""Manifest of a run of craftsim 0.2, whose records are in ``trials.jsonl``."""
 
 _TABLES: Final = (
     "CREATE TABLE manifest (text TEXT NOT NULL)",
@@ -32,28 +32,28 @@ _TABLES: Final = (
     "CREATE TABLE further (stage TEXT, key TEXT, answer TEXT NOT NULL, PRIMARY KEY (stage, key))",
 )
 _PAGE: Final = 64
-"""Records that are read at once."""
+"""Records read in one query."""
 
 
 class Records(Sequence[TrialRecord]):
-    """The records of a run in the order of its trials; each is read when it is asked for.
+    """The records of a run in the order of its trials, each read on access.
 
-    They stay as they are when another run begins in the folder. Changes to a record that was given are lost.
+    They remain valid when another run starts in the folder. Changes to a returned record are lost.
     """
 
     def __init__(self, database: sqlite3.Connection, where: Path, length: int) -> None:
-        """Take them from the open database of a run."""
+        """Read from the open database of a run."""
         self._databases, self._where, self._length = [database], where, length
         self._bundles: Mapping[int, str] = {}
 
     def with_bundles(self, bundles: Mapping[int, str]) -> Records:
-        """Return the same records, some of them with the folders of bundles, by index."""
+        """Return these records with the folders of bundles added, by index."""
         made = Records(self._databases[0], self._where, self._length)
         made._databases, made._bundles = self._databases, {**self._bundles, **bundles}
         return made
 
     def read_from(self, database: sqlite3.Connection) -> None:
-        """Read from another database from now on, as all that were made of these do."""
+        """Read from another database from now on, also for records derived from these."""
         self._databases[0] = database
 
     def __len__(self) -> int:
@@ -114,7 +114,7 @@ class _Selected:
 
 
 def select(records: Iterable[TrialRecord], wanted: Callable[[TrialRecord], bool]) -> Iterable[TrialRecord]:
-    """Return those of some records that are wanted, to be gone through more than once without holding them."""
+    """Return a re-iterable filter of some records, without keeping them in memory."""
     return _Selected(records, wanted)
 
 
@@ -124,15 +124,15 @@ class Finished:
 
     folder: Path
     manifest: Mapping[str, Any]
-    """What the run was: command, seed, versions, config."""
+    """Command, seed, versions, config."""
     records: Records
 
 
 def read_finished(folder: Path, command: str, form: Form = ANY) -> Finished:
-    """Return the finished run of a command; of craftsim 0.2, too.
+    """Return the finished run of a command, also of craftsim 0.2.
 
     Raises:
-        InputError: the folder holds no run, an unfinished one or another command's, or what is no record.
+        InputError: the folder holds no run, an unfinished run, one of another command, or invalid records.
     """
     with described(folder, f"give the --out of an earlier 'craftsim {command}'") as (database, manifest):
         if manifest["command"] != command:
@@ -155,9 +155,9 @@ def read_finished(folder: Path, command: str, form: Form = ANY) -> Finished:
 
 @contextmanager
 def described(folder: Path, remedy: str) -> Iterator[tuple[sqlite3.Connection, Manifest]]:
-    """Give the database in a folder, to be read alone, and what its run is.
+    """Open the database in a folder for reading; yield it with its manifest.
 
-    Raises InputError, with the remedy, for a folder without a run, and for what is none.
+    Raises InputError, with the remedy, for a folder without a valid run.
     """
     path = folder / DATABASE
     with disk_errors(folder):
@@ -174,7 +174,7 @@ def described(folder: Path, remedy: str) -> Iterator[tuple[sqlite3.Connection, M
 
 
 def old_manifest(folder: Path) -> Manifest:
-    """Return what the run of craftsim 0.2 in a folder is; raise InputError for what says nothing of the kind."""
+    """Return the manifest of a run of craftsim 0.2. Raises InputError if it is invalid."""
     return _manifest(read_bytes(folder / OLD, HEADER), folder / OLD)
 
 
@@ -186,7 +186,7 @@ def _manifest(data: bytes, path: Path) -> Manifest:
 
 
 def _take_lines(database: sqlite3.Connection, path: Path, n: int, form: Form) -> int:
-    """Put the lines that craftsim 0.2 wrote into a database; return of how many of ``n`` trials there are any."""
+    """Copy the lines of a run of craftsim 0.2 into a database; return how many of its ``n`` trials have a record."""
     with database:
         for number, line in read_lines(path, TRIALS_LIMITS) if exists(path) else ():
             if not line.endswith(b"\n"):
@@ -201,7 +201,7 @@ def _take_lines(database: sqlite3.Connection, path: Path, n: int, form: Form) ->
 def checked(
     database: sqlite3.Connection, path: Path, n: int, form: Form, remedy: str
 ) -> Iterator[TrialRecord]:
-    """Yield the records that a database holds of ``n`` trials; raise InputError, with the remedy, for what is none."""
+    """Yield the records of ``n`` trials in a database. Raises InputError, with the remedy, for an invalid one."""
     numbers = "SELECT ifnull(min(number), 0), ifnull(max(number), -1) FROM trials"
     ((first, last),) = database.execute(numbers).fetchall()
     if first < 0 or last >= n:
@@ -227,7 +227,7 @@ def _checked(form: Form, data: bytes, where: str, n: int, remedy: str) -> TrialR
 
 
 def differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[Any, Any]]]:
-    """Yield the dotted names of what differs, with both values."""
+    """Yield the dotted names of differing values, with both values."""
     if isinstance(old, dict) and isinstance(new, dict):
         for name in sorted({*old, *new}):
             yield from differences(old.get(name), new.get(name), f"{key}.{name}" if key else name)
@@ -236,7 +236,7 @@ def differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[
 
 
 def connected(uri: str) -> sqlite3.Connection:
-    """Return a connection to a database; the empty name is that of a temporary one."""
+    """Return a connection to a database; an empty URI gives a temporary one."""
     # Without waiting: who has it locked has it for as long as a run takes.
     database = sqlite3.connect(uri, timeout=0, isolation_level=None, check_same_thread=False, uri=True)
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, TRIALS_LIMITS.line_bytes)
@@ -245,7 +245,7 @@ def connected(uri: str) -> sqlite3.Connection:
 
 
 def as_it_is(path: Path) -> sqlite3.Connection:
-    """Return a connection that reads a file as it is now, without locks, whatever takes its place."""
+    """Return a connection that reads the present file without locks, even after it is replaced."""
     database = connected(f"{path.absolute().as_uri()}?immutable=1")
     database.execute("PRAGMA user_version").fetchall()
     return database
@@ -254,7 +254,7 @@ def as_it_is(path: Path) -> sqlite3.Connection:
 def with_tables(
     database: sqlite3.Connection, manifest: Mapping[str, Any] | None = None
 ) -> sqlite3.Connection:
-    """Make the tables of a run in an empty database, all of them or none, and return it."""
+    """Create the tables of a run in an empty database, in one transaction, and return it."""
     database.execute("BEGIN")
     for table in _TABLES:
         database.execute(table)
@@ -265,9 +265,9 @@ def with_tables(
 
 
 def has_tables(database: sqlite3.Connection, path: Path) -> bool:
-    """Return whether a database is one of a run, and not empty; raise InputError for one of something else.
+    """Return whether a database has the tables of a run; False if it is empty. Raises InputError for any other.
 
-    No view and no trigger is in it, which would do work of their own.
+    Views and triggers are refused, since they could execute code.
     """
     found = {sql for (sql,) in database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
     if found and found != set(_TABLES):
@@ -276,15 +276,15 @@ def has_tables(database: sqlite3.Connection, path: Path) -> bool:
 
 
 def stored_manifest(database: sqlite3.Connection, path: Path) -> Manifest:
-    """Return what a run is, as its database says; raise InputError where it does not."""
+    """Return the manifest in a database. Raises InputError if it is missing or invalid."""
     found = [text for (text,) in database.execute("SELECT text FROM manifest LIMIT 2")]
     return _manifest(found[0].encode() if len(found) == 1 and isinstance(found[0], str) else b"", path)
 
 
 def texts(database: sqlite3.Connection, first: int, end: int) -> list[tuple[int, str]]:
-    """Return the records of some trials as JSON, with their numbers, in their order.
+    """Return the records of some trials as JSON, with their indices, in order.
 
-    All at once: a statement that is not read to its end would keep a database from being written.
+    Fetched completely, because an unfinished statement would block writes to the database.
     """
     query = "SELECT number, record FROM trials WHERE number >= ? AND number < ? ORDER BY number"
     return database.execute(query, (first, end)).fetchall()
@@ -292,7 +292,7 @@ def texts(database: sqlite3.Connection, first: int, end: int) -> list[tuple[int,
 
 @contextmanager
 def disk_errors(out: Path) -> Iterator[None]:
-    """Turn what the disk or a database refuses into a message for people."""
+    """Turn errors of the disk or the database into InputError."""
     try:
         yield
     except OSError as error:

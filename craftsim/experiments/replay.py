@@ -1,4 +1,4 @@
-"""Re-running what a replay bundle shows, and comparing the two."""
+"""Replay of bundles: re-run the recipe and compare with the recording."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from craftsim.skills.executor import Observer
 from craftsim.storage.reading import Arrays
 
 DECISIVE: Final = ("craftsim", "mujoco", "numpy")
-"""Packages whose version decides every bit; with other versions poses are compared with a tolerance."""
+"""Packages whose versions determine bit equality; with other versions poses are compared with a tolerance."""
 POSITION_M: Final = 0.002
-"""How far poses may be apart with other versions: what a finer time step changes at most."""
+"""Tolerance of positions with other versions: the effect of a finer time step."""
 ANGLE_RAD: Final = 0.01
 
 Watch = Callable[[Judge], AbstractContextManager[Observer | None]]
-"""Opens what watches the last step, on the world that stands before it."""
+"""Given the world before the last step, returns a context whose value observes it."""
 
 
 @dataclass(frozen=True)
@@ -36,35 +36,34 @@ class Replay:
     """A bundle's last step, re-run."""
 
     changed: dict[str, tuple[str, str]]
-    """Versions that decide and differ: (the bundle's, this one)."""
+    """Decisive versions that differ: (the bundle's, the installed)."""
     differing: tuple[str, ...]
-    """What is not the same bit for bit, by file and name."""
+    """Arrays that are not bit-equal, by file and name."""
     position_m: float
-    """The furthest that anything ends from where it ended."""
+    """Largest difference of a final position."""
     angle_rad: float
-    """The largest angle between where anything points and where it pointed."""
+    """Largest difference of a final orientation."""
     attempts: tuple[Attempt, ...]
     same_results: bool
-    """Whether every action came out as it did: its result and its finding."""
+    """Whether every action has the recorded result and finding."""
 
     @property
     def reproduced(self) -> bool:
-        """Whether all is the same bit for bit; with other versions, whether it is within the tolerance."""
+        """Whether everything is bit-equal, or, with other versions, within the tolerance."""
         if not self.changed:
             return not self.differing and self.same_results
         return self.same_results and self.position_m <= POSITION_M and self.angle_rad <= ANGLE_RAD
 
 
 def unwatched(judge: Judge) -> AbstractContextManager[None]:
-    """Watch nothing."""
+    """Observe nothing."""
     return nullcontext()
 
 
 def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
-    """Re-run what a bundle shows, and compare.
+    """Re-run a bundle and compare.
 
-    Raises InputError for a bundle whose recipe makes no world or takes longer than it says, or whose arrays are of
-    another one.
+    Raises InputError if the recipe gives no valid world or takes longer than recorded, or if arrays do not fit it.
     """
     bundle = recorded.bundle
     try:

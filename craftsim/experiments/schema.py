@@ -1,4 +1,4 @@
-"""What a run's folder may say: each value of its manifest and of its records is checked when it is read."""
+"""The schemas of a run's manifest and records, checked on reading."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from craftsim.storage.reading import parse_json
 from craftsim.storage.records import first_mistake
 
 STRICT: Final = ConfigDict(strict=True, allow_inf_nan=False)
-"""A number is a number and no text, and finite."""
+"""No conversion from text to numbers, and finite numbers only."""
 
 
 def _bundle(folder: str) -> str:
@@ -36,11 +36,11 @@ def _bundle(folder: str) -> str:
 
 @with_config(STRICT)
 class TrialRecord(TypedDict):
-    """A line of ``trials.jsonl``, with the conditions that hold for all commands."""
+    """A line of ``trials.jsonl``: the fields common to all commands."""
 
     key: str
     index: Annotated[int, Field(ge=0)]
-    """Place of the item in the run."""
+    """Index of the trial in the run."""
     group: str
     seed: int
     context: str | None
@@ -48,15 +48,15 @@ class TrialRecord(TypedDict):
     attempts: list[dict[str, Any]]
     agrees: bool
     error: str | None
-    """Why there is no result: what the work raised, that it took too long, or that its worker died twice."""
+    """The reason if there is no result: an exception, a timeout, or a worker that died twice."""
     bundle: Annotated[str, AfterValidator(_bundle)] | None
     extra: dict[str, Any]
-    """What the work has to tell besides; ``traceback`` where it raised something."""
+    """Further results; ``traceback`` after an exception."""
 
 
 @with_config(STRICT)
 class Manifest(TypedDict):
-    """What a run is."""
+    """Identity of a run."""
 
     schema_version: int
     command: str
@@ -65,7 +65,7 @@ class Manifest(TypedDict):
     config: dict[str, Any]
     items: Annotated[int, Field(ge=0, le=int(RUNS.high))]
     keys: str
-    """Digest of the items' keys."""
+    """Digest of the trials' keys."""
 
 
 _RECORD: Final = TypeAdapter(TrialRecord)
@@ -74,21 +74,21 @@ _MANIFEST: Final = TypeAdapter(Manifest)
 
 @dataclass(frozen=True)
 class Form:
-    """What the trials of a command leave in its records, besides what those of all have in common."""
+    """Schema of what is specific to a command in its records."""
 
     attempt: Any = dict[str, Any]
-    """Type of an attempt, which pydantic knows how to check."""
+    """Type of an attempt, checked by pydantic."""
     extra: Any = dict[str, Any]
 
     @cached_property
     def _outcome(self) -> TypeAdapter[Any]:
-        """Return what only a trial without an error must hold."""
+        """Adapter for the fields of a trial without error."""
         attempts, extra = list[self.attempt], self.extra  # type: ignore[name-defined]
         made = create_model("Outcome", __config__=STRICT, attempts=(attempts, ...), extra=(extra, ...))
         return TypeAdapter(made)
 
     def record(self, line: bytes, where: str) -> TrialRecord:
-        """Return the record that a line holds; raise InputError, beginning with ``where``, for one that is none."""
+        """Return the record in a line. Raises InputError, beginning with ``where``, for an invalid one."""
         record: TrialRecord = _read(_RECORD, line, where)
         if record["error"] is None:
             _read(self._outcome, line, where)
@@ -98,11 +98,11 @@ class Form:
 
 
 ANY: Final = Form()
-"""Of trials of which nothing more is known."""
+"""Accepts any attempts and results."""
 
 
 def manifest_of(data: bytes, where: str) -> Manifest:
-    """Return what a run is; raise InputError, beginning with ``where``, for what is no manifest."""
+    """Return a manifest. Raises InputError, beginning with ``where``, for an invalid one."""
     manifest: Manifest = _read(_MANIFEST, data, where)
     return manifest
 

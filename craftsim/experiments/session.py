@@ -1,8 +1,8 @@
-"""The folder of a run: a parallel map whose results are kept on disk, each as soon as it is known.
+"""The folder of a run: a parallel map with persistent results.
 
-``session.db``, a file of SQLite, holds what the run is and its results; a trial is one transaction. Whatever cuts a run
-off, what it has finished is kept, and what is missing is done when it goes on. ``trials.jsonl`` is written beside it
-while the run goes on, a line a trial, for people and other tools; nothing here reads it.
+The SQLite file ``session.db`` holds the run's manifest and its results, one transaction for each trial. After an
+interruption all finished trials are kept, and a resumed run computes the missing ones. ``trials.jsonl`` is written
+meanwhile, one line for each trial, for people and other tools; it is never read here.
 """
 
 from __future__ import annotations
@@ -62,24 +62,24 @@ from craftsim.workers.pool import NoAnswer, Pool
 
 SCHEMA_VERSION: Final = 2
 ALONE: Final = RunOptions()
-"""One worker of this machine, from the beginning."""
+"""One local process, no resume."""
 _ASIDE: Final = tuple(f"{DATABASE}-{name}" for name in ("journal", "wal", "shm"))
 _FILES: Final = ("report.json", "report.html", "durations.csv")
 _FOLDERS: Final = ("bundles", "films", "trajectories", "worlds", "smallest")
-"""What a run leaves besides; it goes when another one begins in its folder."""
+"""Further output of a run, removed when another run starts in its folder."""
 _PAGE: Final = 1024
 
 
 @contextmanager
 def open_session(experiment: Experiment, out: Path | None, options: RunOptions = ALONE) -> Iterator[Session]:
-    """Begin the run of an experiment in a folder, or go on with it; the folder is owned until the block ends.
+    """Start or resume the run of an experiment in a folder; the folder is locked until the block ends.
 
-    Without a folder all is in memory, and tried in this process.
+    Without a folder everything is kept in memory and computed in this process.
 
     Raises:
-        InputError: the folder cannot be written to; somebody else owns it; it holds results of no run, a run of
-            craftsim 0.2, or an unfinished run without ``resume``; or, with it, another run, or what is no record.
-        KeyboardInterrupt: interrupted or terminated; the message says how to go on.
+        InputError: the folder is not writable or in use; it holds foreign files, a run of craftsim 0.2, or an
+            unfinished run without ``resume``; or, with ``resume``, a different run or invalid records.
+        KeyboardInterrupt: interrupted or terminated; the message says how to resume.
     """
     items = experiment.items
     if len({item.key for item in items}) != len(items):
@@ -110,13 +110,13 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
 
 
 def run_experiment(experiment: Experiment, out: Path, options: RunOptions = ALONE) -> Records:
-    """Run an experiment in a folder, and return the records of its trials, see :meth:`Session.run`."""
+    """Run an experiment in a folder and return the records of its trials, see :meth:`Session.run`."""
     with open_session(experiment, out, options) as session:
         return session.run()
 
 
 class Session:
-    """A run while it is open; made by :func:`open_session`."""
+    """An open run; made by :func:`open_session`."""
 
     def __init__(
         self,
@@ -126,10 +126,10 @@ class Session:
         manifest: Mapping[str, Any],
         database: sqlite3.Connection,
     ) -> None:
-        """Go on with what a database holds."""
+        """Start from the results in a database."""
         self.experiment, self.out, self.options, self.manifest = experiment, out, options, manifest
         self.records = Records(database, (out or Path()) / DATABASE, len(experiment.items))
-        """Of all trials, in their order; each can be read once its trial is done."""
+        """Records of all trials, in their order; each can be read once its trial is done."""
         self._database, self._begun_s = database, time.perf_counter()
         self._done = bytearray(len(experiment.items))
         for (number,) in database.execute("SELECT number FROM trials"):
@@ -143,18 +143,18 @@ class Session:
 
     @property
     def state(self) -> str:
-        """How far the run is, for people."""
+        """The progress of the run, as text."""
         if self._doing:
             return f"while {self._doing}; all trials are kept in {self.out}"
         return f"{sum(self._done)} of {len(self._done)} trials are kept in {self.out}"
 
     def run(self) -> Records:
-        """Try all trials that have no result yet, and return the records of all, in the order of the trials.
+        """Run all trials that have no result yet, and return the records of all, in the order of the trials.
 
-        Each record is on disk as soon as it is known. The records depend on nothing but the experiment: not on the
-        number of workers, the engine, the batches, or whether the run was cut off and resumed.
+        Each record is on disk as soon as it is known. Records depend on the experiment alone: not on the number of
+        workers, the engine, the batches, or interruptions.
 
-        Raises InputError where the disk is full, or the cluster is not as it should be.
+        Raises InputError if the disk is full or the cluster is invalid.
         """
         items = self.experiment.items
         with self.options.progress(len(items)) as on_record:
@@ -168,9 +168,9 @@ class Session:
     def run_some(
         self, jobs: Mapping[int, Any], on_record: Callable[[TrialRecord], None]
     ) -> list[TrialRecord]:
-        """Do the same with some trials alone, by their numbers, each with this job, and return their records.
+        """Run some trials alone, by index, each with the given job, and return their records.
 
-        Raises InputError for a trial without a result, too.
+        Raises InputError as :meth:`run`, and for a trial without a result.
         """
         for number in jobs:
             if self._done[number]:
@@ -203,18 +203,18 @@ class Session:
         timeout_s: float,
         on_answer: Callable[[int, Answer], None] = lambda number, answer: None,
     ) -> list[Answer]:
-        """Do what a run needs besides its trials, and return the answers; what was done before is not done again.
+        """Run a further stage, such as bundles or films, and return the answers; finished items are not repeated.
 
         Args:
-            stage: what the items are part of; their keys are unique in it. None where what they leave on disk says
-                which of them are done, and only the others are given.
-            items: what to do.
-            work: does an item's job, as in :meth:`run`.
-            doing: what is done, for messages.
-            timeout_s: after which an item's worker is killed; its answer is a failure.
-            on_answer: called with each answer and its item's number, as they come.
+            stage: name of the stage, in which the items' keys are unique. None if the output on disk tells which items
+                are done, and only the others are given.
+            items: the items.
+            work: function from an item's job to its result, as in :meth:`run`.
+            doing: description for messages.
+            timeout_s: time limit after which an item's worker is killed; its answer is a failure.
+            on_answer: called with the index and answer of each item as it finishes.
 
-        Raises InputError where the disk is full, or the cluster is not as it should be.
+        Raises InputError if the disk is full or the cluster is invalid.
         """
         self._doing, answers = doing, dict[int, Answer]()
         query = "SELECT answer FROM further WHERE stage = ? AND key = ?"
@@ -233,7 +233,7 @@ class Session:
         return [answers[number] for number in range(len(items))]
 
     def write_report(self, figures: Mapping[str, Any]) -> None:
-        """Write ``report.json`` into the folder, if there is one, and say what was compared with."""
+        """Write ``report.json`` into the folder, if there is one."""
         if self.out is None:
             return
         options, experiment = self.options, self.experiment
@@ -245,7 +245,7 @@ class Session:
         )
 
     def close(self) -> None:
-        """End the workers, and let others open the database; its records are read as they are then."""
+        """Stop the workers and unlock the database; its records remain readable."""
         assert self.out is not None
         if self._pool is not None:
             self._pool.close()
@@ -257,12 +257,12 @@ class Session:
         self._database.close()
 
     def _keep(self, statement: str, *values: object) -> None:
-        """Write down for good, in a transaction."""
+        """Execute a statement in a transaction of its own."""
         with disk_errors(self.out or Path()):
             self._database.execute(statement, values)
 
     def _append(self, text: str) -> None:
-        """Write a line, whole or not at all."""
+        """Append a line to ``trials.jsonl``, completely or not at all."""
         if self.out is None:
             return
         with disk_errors(self.out):
@@ -275,7 +275,7 @@ class Session:
                 raise
 
     def _export(self) -> None:
-        """Write the lines of all that is done in the order of the trials."""
+        """Write ``trials.jsonl`` in the order of the trials."""
         assert self.out is not None
         path = self.out / TRIALS
         if not any(self._done):
@@ -288,7 +288,7 @@ class Session:
     def _answers(
         self, items: Iterable[tuple[int, Trial]], work: Work, timeout_s: float, batch: int
     ) -> Iterator[tuple[int, Answer]]:
-        """Yield the answers to numbered items; nothing is started where there are none."""
+        """Yield the answers to numbered items; no worker is started if there are none."""
         rest = iter(items)
         for first in rest:
             numbered = chain([first], rest)
@@ -308,7 +308,7 @@ class Session:
 
     @property
     def pool(self) -> Pool:
-        """The workers of the run, which may keep something from one map to the next."""
+        """The workers of the run, kept from one stage to the next."""
         if self._pool is None:
             self._pool = Pool(self.options.workers, self.options.engine)
         return self._pool
@@ -319,7 +319,7 @@ def _answer(work: Work, numbered: tuple[int, Any]) -> Answer:
 
 
 def _manifest(experiment: Experiment) -> dict[str, Any]:
-    """Return what a folder says that its run is."""
+    """Return the manifest of an experiment."""
     keys = hashlib.sha256()
     for number, item in enumerate(experiment.items):
         keys.update(("\n" * (number > 0) + item.key).encode("utf-8", "backslashreplace"))
@@ -339,7 +339,7 @@ def _manifest(experiment: Experiment) -> dict[str, Any]:
 def _begun(
     experiment: Experiment, out: Path, resume: bool, manifest: Mapping[str, Any]
 ) -> sqlite3.Connection:
-    """Return the database of a folder, locked: a new one, or that of the run to go on with."""
+    """Return the locked database of a folder: a new one, or that of the run to resume."""
     _check_places(out)
     path = out / DATABASE
     if path.exists():
@@ -357,7 +357,7 @@ def _begun(
 
 
 def _goes_on(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any], resume: bool) -> bool:
-    """Return whether a run goes on with what a database holds, or else may begin in its place."""
+    """Return whether to resume the run in a database; False if a new run may replace it."""
     path = out / DATABASE
     if not has_tables(database, path):
         return False
@@ -378,21 +378,21 @@ def _goes_on(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any
 
 
 def _locked(path: Path) -> sqlite3.Connection:
-    """Return a database that nobody else can use from the first reading on until it is closed."""
+    """Return a database with an exclusive lock, taken by the first read."""
     database = connected(path.absolute().as_uri())
     database.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
     return database
 
 
 def _safe(database: sqlite3.Connection) -> sqlite3.Connection:
-    """Let what is written stay, whatever happens next, and return the database."""
+    """Make writes durable, and return the database."""
     for mode in ("journal_mode = WAL", "synchronous = FULL"):
         database.execute(f"PRAGMA {mode}").fetchall()
     return database
 
 
 def _check_kept(database: sqlite3.Connection, path: Path, experiment: Experiment) -> None:
-    """Check all records, and remove those of an error, whose trials are tried again."""
+    """Check all records, and remove those with an error, whose trials are repeated."""
     wrong, items = [], experiment.items
     for record in checked(database, path, len(items), experiment.form, "choose another --out"):
         number, item = record["index"], items[record["index"]]
@@ -409,7 +409,7 @@ def _check_kept(database: sqlite3.Connection, path: Path, experiment: Experiment
 
 
 def _check_places(out: Path) -> None:
-    """Raise InputError where something else is in the place of a file or folder of a run, or a stranger's."""
+    """Raise InputError for foreign files in the place of a run's files."""
     for name in (DATABASE, *_ASIDE, TRIALS, *_FILES, *_FOLDERS):
         path, what = out / name, "folder" if name in _FOLDERS else "regular file"
         fits = path.is_dir() if name in _FOLDERS else path.is_file()
@@ -433,7 +433,7 @@ def _check_places(out: Path) -> None:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Let the signal to terminate interrupt as Ctrl-C does."""
+    """Treat SIGTERM as Ctrl-C within the block."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
 _SHOWN: Final = 6
-"""How many kinds of difference the text shows."""
+"""Kinds of difference listed in the text."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Paired:
 
     pairs: int
     unpaired: int
-    """Trials that only one of the runs carried out; they are left out."""
+    """Trials of only one of the runs, left out."""
     both: int
     """Trials that agree under both settings."""
     only_first: int
@@ -50,16 +50,15 @@ class Paired:
     first: Proportion
     second: Proportion
     p_value: float
-    """Of McNemar's exact test, two-sided: how likely a split of the differing pairs at least as uneven as this one is,
-    if the settings do equally well."""
+    """Two-sided p-value of McNemar's exact test."""
 
     @property
     def difference(self) -> Estimate:
-        """By how much more trials agree under the second setting than under the first, as a share of the pairs."""
+        """Difference of the shares that agree, second minus first."""
         return paired_difference(self.only_first, self.only_second, self.pairs)
 
     def words(self, first: str, second: str) -> str:
-        """Return the counts as a sentence that goes on after "of"; the arguments say where the settings are."""
+        """Return the counts as a sentence after "of"; the arguments name the settings."""
         return (
             f"{self.pairs} paired trials {self.both} agree with the rules in both, {self.only_first} only {first}, "
             f"{self.only_second} only {second}, {self.neither} in neither; McNemar's exact test: "
@@ -69,10 +68,10 @@ class Paired:
 
 @dataclass(frozen=True)
 class Difference:
-    """One kind of action that went as predicted in one run alone."""
+    """One kind of action that was as predicted in only one of the runs."""
 
     kind: str
-    """The verb, what was carried and whether on a slope, and the two results."""
+    """Verb, load, slope, and the two results."""
     actions: int
     example: str
     """Key of the first trial with such an action."""
@@ -80,25 +79,25 @@ class Difference:
 
 @dataclass(frozen=True)
 class Alike:
-    """Actions that both runs tried, paired in the order of each trial for as long as both try the same."""
+    """Paired actions of two runs: those of each trial, in order, up to the first that differs in kind."""
 
     actions: int
     as_predicted_alike: int
-    """How many went as predicted in both runs or in neither."""
+    """Number as predicted in both runs or in neither."""
     legal: Proportion
     """The same among the actions that the rules allow."""
     duration_ratio: float | None
-    """Of the second run by the first, the median over the actions as predicted in both; None where there are none."""
+    """Second by first run, the median over actions as predicted in both; None without any."""
     error_ratio: float | None
     """The same of the car's distance from its cell's centre."""
     peak_force_ratio: float | None
     """The same of the largest force between two machines."""
     differences: tuple[Difference, ...]
-    """Commonest first."""
+    """Most frequent first."""
 
     @property
     def share(self) -> float:
-        """The share of actions that went as predicted in both runs or in neither."""
+        """Share as predicted in both runs or in neither."""
         return self.as_predicted_alike / self.actions if self.actions else 1.0
 
     def __str__(self) -> str:
@@ -140,43 +139,43 @@ class VerbAgreement:
     """One kind of action in both worlds, of what the rules allow."""
 
     agreement: Proportion
-    """Share of the paired actions that went as predicted in both or in neither."""
+    """Share of the paired actions as predicted in both or in neither."""
     sim: Proportion
-    """Share that went as predicted in the simulation."""
+    """Share as predicted in the simulation."""
     real: Proportion
     duration_ratio: Estimate
-    """Of reality by the simulation: the median over actions as predicted in both, and its exact 95 % interval."""
+    """Reality by simulation: the median over actions as predicted in both, with its exact 95 % interval."""
 
 
 @dataclass(frozen=True)
 class ErrorShift:
-    """How one error is distributed in both worlds, over actions as predicted."""
+    """The distribution of one error in both worlds, over actions as predicted."""
 
     sim: Distribution
     real: Distribution
     distance: float
-    """Kolmogorov and Smirnov's: the largest difference between the two shares of errors up to a size."""
+    """Kolmogorov-Smirnov statistic."""
     p_value: float
-    """How likely a distance at least as large is if both are distributed alike."""
+    """p-value of the Kolmogorov-Smirnov test."""
 
 
 @dataclass(frozen=True)
 class PlanScore:
-    """How many of the paired runs of a plan or policy in a world succeed: reach the goal, or without one agree."""
+    """Success of the paired runs of a plan or policy in a world: goal reached, or, without a goal, agreement."""
 
     plan: str
     runs: int
     sim: float
-    """Share of them in the simulation."""
+    """Share in the simulation."""
     real: float
 
 
 @dataclass(frozen=True)
 class RealityGap:
-    """How a simulation and reality, or two runs of any kind, agree on the same trials."""
+    """The agreement of a simulation and reality, or of any two runs, on the same trials."""
 
     changed: Mapping[str, tuple[Any, Any]]
-    """Settings and versions that differ, by their dotted names, as far as both declare them."""
+    """Settings and versions that differ, by dotted name, as far as both declare them."""
     trials: Paired
     """The simulation is the first."""
     actions: Alike
@@ -186,18 +185,18 @@ class RealityGap:
     """By the field of an attempt, in thousandths of its unit: millimetres or milliradians."""
     plans: Sequence[PlanScore]
     ranks: RankAgreement | None
-    """Over these plans; None for fewer than three."""
+    """Rank agreement over these plans; None for fewer than three."""
 
     @property
     def agrees(self) -> bool:
-        """Whether no difference in how many trials agree with the rules shows, by McNemar's test at 5 %."""
+        """Whether McNemar's test at 5 % finds no difference in the trials that agree with the rules."""
         return self.trials.p_value >= 1 - CONFIDENCE
 
 
 def read_earlier(experiment: Experiment, out: Path | None, options: RunOptions) -> Finished | None:
-    """Return the earlier run to compare with, if one is wanted; call this before the other one begins in ``out``.
+    """Return the baseline run, if one is given; call this before a run starts in ``out``.
 
-    Raises InputError where the folder holds none, or none that has pairs with the trials of the experiment.
+    Raises InputError if the folder holds no run, or none with trials of this experiment.
     """
     folder, seed = options.against, experiment.seed
     if folder is None:
@@ -223,7 +222,7 @@ def compare_runs(
     session: Session,
     chosen: Callable[[Iterable[TrialRecord]], Iterable[TrialRecord]] = lambda records: records,
 ) -> Comparison:
-    """Return how the records of a run compare with those of an earlier one; ``chosen`` says which count."""
+    """Compare the records of a run with those of its baseline; ``chosen`` selects records."""
     first, second = chosen(earlier.records), chosen(session.records)
     return Comparison(
         str(earlier.folder),
@@ -234,25 +233,25 @@ def compare_runs(
 
 
 def changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Return the settings and versions that differ between two manifests, by their dotted names."""
+    """Return the settings and versions that differ between two manifests, by dotted name."""
     old, new = ({key: manifest.get(key) for key in ("config", "versions")} for manifest in (before, after))
     return dict(differences(old, new))
 
 
 def compare_paired(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> Paired:
-    """Return how two runs of the same trials under two settings compare; trials that tried nothing are left out."""
+    """Compare two runs of the same trials; trials without attempts are left out."""
     return _paired(_trials(first), _trials(second))
 
 
 def alike(first: Iterable[TrialRecord], second: Iterable[TrialRecord]) -> Alike:
-    """Return how alike the actions of two runs of the same trials are."""
+    """Compare the actions of two runs of the same trials."""
     return _alike(_pairs(_attempts(first), _attempts(second)))
 
 
 def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> RealityGap:
-    """Return how two runs agree on the trials that they share, paired by their keys; ``seed`` is the bootstrap's.
+    """Compare two runs on their common trials, paired by key; ``seed`` is that of the bootstrap.
 
-    Raises InputError for runs that share no trial.
+    Raises InputError for runs without a common trial.
     """
     trials, attempts = (list(map(of, (sim.records, real.records))) for of in (_trials, _attempts))
     shared = set(trials[0].key) & set(trials[1].key)
@@ -275,12 +274,12 @@ def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> Realit
 
 
 def _trials(run: Iterable[TrialRecord]) -> DataFrame:
-    """Return the trials that were carried out, each with its ``key``."""
+    """Return the trials without error, with their ``key``."""
     return trials_frame(run).assign(key=_keys(run))
 
 
 def _attempts(run: Iterable[TrialRecord]) -> DataFrame:
-    """Return their attempts, each with the ``key`` of its trial."""
+    """Return the attempts, with the ``key`` of their trial."""
     frame = attempts_frame(run)
     texts = dict.fromkeys(("action", "verb", "load", "result"), object)
     return frame.assign(key=_keys(run)[frame.trial.to_numpy()]).astype(texts)
@@ -309,11 +308,11 @@ def _paired(first: DataFrame, second: DataFrame) -> Paired:
 
 
 def _pairs(first: DataFrame, second: DataFrame) -> DataFrame:
-    """Return the actions of each trial that both runs tried, for as long as both try the same.
+    """Return the paired actions of each trial, up to the first that differs in kind.
 
-    A row for each, in the order of the second run: ``key``, and every column of
-    :func:`~craftsim.experiments.statistics.attempts_frame` of either run, which ends with ``_a`` or ``_b``; ``good_a``
-    and ``good_b`` say whether it went as predicted, ``alike`` whether in both or in neither.
+    One row each, in the order of the second run: ``key``, the columns of
+    :func:`~craftsim.experiments.statistics.attempts_frame` of both runs with the suffixes ``_a`` and ``_b``, ``good_a``
+    and ``good_b`` for as predicted, and ``alike`` for equal in both.
     """
     pairs = second.merge(first, on=["key", "number"], suffixes=("_b", "_a"))
     same = (pairs.tick_a == pairs.tick_b) & (pairs.car_a == pairs.car_b) & (pairs.action_a == pairs.action_b)
@@ -338,7 +337,7 @@ def _alike(pairs: DataFrame) -> Alike:
 
 
 def _kind(row: Any) -> str:
-    """Return what differs between the two attempts of an action."""
+    """Return the kind of a difference between two attempts, as text."""
     load = "" if row.load_a == "none" else f" with a {row.load_a}"
     slope, forbidden = " on a slope" * row.slope_a, ", forbidden" * (not row.legal_a)
     return f"{row.verb_a}{load}{slope}{forbidden}: {row.result_a} there, {row.result_b} here"

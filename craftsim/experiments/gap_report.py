@@ -21,7 +21,7 @@ _KS_AT_5_PERCENT: Final = 1.358
 
 def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> parts.Report:
     """Return the report of how a simulation and reality agree; ``seed`` is the bootstrap's."""
-    badge, tone = ("No difference shows", Tone.CAUTION) if gap.agrees else ("Differs", Tone.BAD)
+    badge, tone = ("No significant difference", Tone.CAUTION) if gap.agrees else ("Differs", Tone.BAD)
     return parts.Report(
         "Simulation and reality",
         f"{sim} and {real}",

@@ -1,4 +1,4 @@
-"""Shares and other figures with their 95 % intervals, and how two worlds rank policies."""
+"""95 % intervals of shares and differences, and the rank agreement of two worlds over policies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CONFIDENCE: Final = 0.95
 """Confidence of all intervals."""
 RESAMPLES: Final = 9999
 MIN_POLICIES: Final = 3
-"""Of fewer policies a correlation says nothing."""
+"""Fewest policies for a correlation."""
 
 
 @dataclass(frozen=True)
@@ -25,19 +25,19 @@ class Proportion:
     successes: int
     trials: int
     rate: float | None
-    """None when nothing was tried."""
+    """None without trials."""
     wilson_low: float
     wilson_high: float
 
     @classmethod
     def of(cls, successes: int, trials: int) -> Proportion:
-        """Return the proportion of so many successes among so many trials."""
+        """Return the proportion of successes among trials."""
         low, high = wilson(successes, trials)
         return cls(successes, trials, successes / trials if trials else None, low, high)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """Return Wilson's score interval of a success rate at 95 % confidence; (0, 1) when nothing was tried."""
+    """Return Wilson's 95 % score interval of a success rate; (0, 1) without trials."""
     from scipy.stats import binomtest
 
     if trials == 0:
@@ -48,7 +48,7 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure with its 95 % bootstrap interval over policies; None where it is not defined."""
+    """A value with its 95 % interval; None if undefined."""
 
     value: float | None
     low: float | None
@@ -57,17 +57,17 @@ class Estimate:
 
 @dataclass(frozen=True)
 class RankAgreement:
-    """How success in the grid world and success in physics go together over several policies."""
+    """Agreement of success in the grid world and in physics over several policies."""
 
     policies: int
     pearson: Estimate
     spearman: Estimate
     mmrv: float
-    """Mean maximum rank violation; 0 when physics ranks no two policies otherwise than the grid world."""
+    """Mean maximum rank violation; 0 if physics ranks all policies as the grid world does."""
 
 
 def agreement_of(predicted: Sequence[float], actual: Sequence[float], seed: int) -> RankAgreement | None:
-    """Return the same of success rates by policy, in a world that stands for another one and in that one."""
+    """Return the rank agreement of success rates by policy, in a model world and in the world that it models."""
     if len(predicted) < MIN_POLICIES:
         return None
     x, y = np.array(predicted, float), np.array(actual, float)
@@ -84,10 +84,10 @@ def mean_maximum_rank_violation(
 ) -> float:
     """Return the mean maximum rank violation of success rates, both of shape (n,), by policy.
 
-    If the worlds order two policies differently, their rank violation is the distance of their success rates in
-    physics, else 0. Of each policy the largest counts, and the mean of these is returned: 0 is best, 1 worst. As
-    Li et al., "Evaluating Real-World Robot Manipulation Policies in Simulation" (2024), with the grid world in the
-    place of the simulation and physics in that of reality.
+    If the worlds rank two policies differently, their rank violation is the difference of their success rates in
+    physics, else 0. The maximum of each policy is averaged over policies: 0 is best, 1 worst. From Li et al.,
+    "Evaluating Real-World Robot Manipulation Policies in Simulation" (2024), with the grid world as the simulation and
+    physics as reality.
     """
     x, y = np.asarray(grid, float), np.asarray(physics, float)
     differs = (x[:, None] < x) != (y[:, None] < y)
@@ -110,7 +110,7 @@ def _spearman(x: _Samples, y: _Samples, axis: int = -1) -> _Samples:
 
 
 def _estimate(statistic: Callable[..., _Samples], grid: _Samples, physics: _Samples, seed: int) -> Estimate:
-    """Return a statistic and its percentile interval; resamples in which all policies score alike have none."""
+    """Return a statistic with its percentile interval; resamples with constant scores are left out."""
     from scipy.stats import ConstantInputWarning, bootstrap
 
     with warnings.catch_warnings():
@@ -135,18 +135,18 @@ def _estimate(statistic: Callable[..., _Samples], grid: _Samples, physics: _Samp
 
 
 POWER: Final = 0.8
-"""Of the least detectable difference: a test at 5 % would find it in four of five repetitions."""
+"""Power of the least detectable difference: a test at 5 % finds it in four of five repetitions."""
 
 
 def paired_difference(only_first: int, only_second: int, pairs: int) -> Estimate:
-    """Return by how much the share of successes of the second of two paired samples exceeds that of the first.
+    """Return the difference of the success rates of two paired samples, second minus first.
 
-    The interval is Agresti and Min's (2005): Wald's, with half a pair added to each of the four kinds.
+    The interval is Agresti and Min's (2005): Wald's, with half a pair added to each of the four cells.
 
     Args:
-        only_first: pairs in which the first succeeds alone.
-        only_second: pairs in which the second does.
-        pairs: all.
+        only_first: number of pairs in which only the first succeeds.
+        only_second: number of pairs in which only the second succeeds.
+        pairs: number of pairs.
     """
     if not pairs:
         return Estimate(None, None, None)
@@ -156,7 +156,7 @@ def paired_difference(only_first: int, only_second: int, pairs: int) -> Estimate
 
 
 def least_detectable(low: float, high: float) -> float:
-    """Return the least true difference that a test at 5 % finds with a probability of :data:`POWER`.
+    """Return the least detectable difference: a test at 5 % finds it with probability :data:`POWER`.
 
     Args:
         low: lower bound of a difference's 95 % interval.

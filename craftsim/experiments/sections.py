@@ -48,11 +48,11 @@ if TYPE_CHECKING:
 
 RESULTS: Final = (
     Column("trials", "number"),
-    Column("as predicted", "number", "did what the rules predict, and nothing else"),
-    Column("failed", "number", "the intended effect is missing, or out of its limits"),
-    Column("side effect", "number", "did what was predicted, and something else moved or changed"),
-    Column("unsafe", "number", "something tipped, fell, or hit harder than it may"),
-    Column("numerics", "number", "the solver gave up, which says nothing of the action"),
+    Column("as predicted", "number", "the predicted effect and no other"),
+    Column("failed", "number", "the intended effect is missing or outside its limits"),
+    Column("side effect", "number", "the predicted effect, and something else moved or changed"),
+    Column("unsafe", "number", "something tipped or fell, or a contact force exceeded its limit"),
+    Column("numerics", "number", "the solver did not converge: inconclusive"),
 )
 """The columns of :func:`result_cells`."""
 _TONES: Final = {
@@ -68,7 +68,7 @@ _MOST_ERRORS: Final = 20
 
 
 def result_cells(row: Any) -> list[Value]:
-    """Return how many trials there are, and how many of each result, what is zero set back."""
+    """Return the number of trials and of each result, zeros muted."""
     cells: list[Value] = [row.trials]
     for name, tone in _TONES.items():
         number = getattr(row, name)
@@ -77,7 +77,7 @@ def result_cells(row: Any) -> list[Value]:
 
 
 def results_table(title: str, name: str, rows: Mapping[str, statistics.MatrixRow]) -> DataTable:
-    """Return a table of how many attempts of each kind had which result."""
+    """Return a table of results by kind of attempt."""
     return DataTable(
         (Column(name), *RESULTS, *SHARE),
         [(key, *result_cells(row), *share_cells(row.success)) for key, row in rows.items() if row.trials],
@@ -86,7 +86,7 @@ def results_table(title: str, name: str, rows: Mapping[str, statistics.MatrixRow
 
 
 def legality_table(matrix: statistics.LegalityMatrix) -> DataTable:
-    """Return the results of what the rules allow, and of what they forbid and was tried on purpose."""
+    """Return the results of legal attempts, and of forbidden ones tried on purpose."""
     rows = {"allowed by the rules": matrix.legal, "forbidden, tried on purpose": matrix.forbidden}
     return results_table("Legality and result", "attempts", rows)
 
@@ -105,16 +105,16 @@ def success_drawing(by_verb: Mapping[str, statistics.MatrixRow]) -> Drawing:
         axes.set_xlim(math.floor(10 * low) / 10 - 0.02, 1.02)
         axes.xaxis.set_major_formatter(percent_ticks)
 
-    caption = "Share of legal actions that did what the rules predicted, and its 95 % interval."
+    caption = "Share of legal actions as predicted, with 95 % interval."
     return Drawing.of_axes(draw, rows_height_in(len(rows)), caption, "success by action, with intervals")
 
 
 def error_tables(errors: Mapping[str, int]) -> list[Block]:
-    """Return a table of what kept trials from an end; nothing where nothing did."""
+    """Return a table of the errors of unfinished trials; empty without any."""
     if not errors:
         return []
     more = len(errors) - _MOST_ERRORS
-    note = "They count in no figure." + (
+    note = "They count in no other metric." + (
         f" {more} more kinds of error are in trials.jsonl." if more > 0 else ""
     )
     rows = list(errors.items())[:_MOST_ERRORS]
@@ -136,7 +136,7 @@ def precision_table(found: statistics.Precision) -> DataTable:
             if one is not None
         ],
         "Errors",
-        "Of the legal attempts that did as predicted, unless it says all.",
+        "Of the legal attempts as predicted, unless marked (all attempts).",
     )
 
 
@@ -145,7 +145,7 @@ def _figure(value: float) -> str:
 
 
 def error_drawing(attempts: DataFrame) -> Drawing:
-    """Return a drawing of how the errors of the attempts that did as predicted are distributed."""
+    """Return a drawing of the error distributions of the attempts as predicted."""
     found = statistics.errors(attempts)
     kinds = (
         ("car_error_m", "car", ACCENT),
@@ -162,11 +162,11 @@ def error_drawing(attempts: DataFrame) -> Drawing:
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.set_xlim(left=0)
         axes.yaxis.set_major_formatter(percent_ticks)
-        axes.set_xlabel("at most so many millimetres off")
+        axes.set_xlabel("error, mm")
         if axes.lines:
             axes.legend(loc="lower right")
 
-    caption = "Share of attempts that did as predicted with errors of at most so many millimetres."
+    caption = "Cumulative distribution of the errors of the attempts as predicted."
     return Drawing.of_axes(draw, 2.9, caption, "distribution of errors")
 
 
@@ -179,9 +179,7 @@ def duration_blocks(table: Sequence[Duration]) -> list[Block]:
         axes.set_xlim(left=0)
         axes.set_xlabel("seconds")
 
-    caption = (
-        "Durations of the actions that did as predicted: median, and from the 5th to the 95th percentile."
-    )
+    caption = "Durations of the actions as predicted: median, and 5th to 95th percentile."
     return [
         Drawing.of_axes(draw, rows_height_in(len(rows), 0.23), caption, "durations by kind of action"),
         DataTable(
@@ -207,11 +205,11 @@ def duration_name(row: Duration) -> str:
 
 
 def survival_section(found: statistics.PlanSurvival) -> Section:
-    """Return a section of how long a plan is good for."""
+    """Return a section on the survival of plans."""
 
     def draw(axes: Axes) -> None:
-        _curve(axes, found.with_resync, GOOD, "re-synchronised")
-        _curve(axes, found.without_resync, ACCENT, "not re-synchronised")
+        _curve(axes, found.with_resync, GOOD, "closed loop")
+        _curve(axes, found.without_resync, ACCENT, "open loop")
         axes.set_ylim(-0.02, 1.04)
         axes.set_xlim(left=0)
         axes.yaxis.set_major_formatter(percent_ticks)
@@ -219,11 +217,11 @@ def survival_section(found: statistics.PlanSurvival) -> Section:
         axes.legend(loc="lower left")
 
     caption = (
-        "Share of runs still good after so many actions (Kaplan-Meier, 95 % band). Without re-synchronising a run ends "
-        "with its first disagreement; with it, with the first action that is no longer possible, or unsafe."
+        "Share of runs that survive so many actions (Kaplan-Meier, 95 % band). Open loop, a run ends with its first "
+        "disagreement; closed loop, with the first action that is forbidden in the world as read, or unsafe."
     )
     drawing = Drawing.of_axes(draw, 2.9, caption, "plan survival")
-    return Section("survival", "Survival", "How long a plan is good for.", [drawing])
+    return Section("survival", "Survival", "Number of actions until a plan fails.", [drawing])
 
 
 def _curve(axes: Axes, curve: statistics.Survival, colour: str, label: str) -> None:
@@ -234,7 +232,7 @@ def _curve(axes: Axes, curve: statistics.Survival, colour: str, label: str) -> N
 
 
 def policies_section(figures: statistics.Figures) -> list[Section]:
-    """Return a section of how policies do in the grid world and in physics; none where there are no policies."""
+    """Return a section on the success of policies in the grid world and in physics; empty without policies."""
     scores = figures.policies
     if not scores:
         return []
@@ -250,7 +248,7 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
         ],
         "Success",
     )
-    caption = "Each policy's success in both worlds; on the line they agree."
+    caption = "Success of each policy in both worlds; on the line they agree."
     label = "success of policies in the grid world and in physics"
     blocks: list[Block] = [Drawing.of_axes(partial(_policies, scores), 3.4, caption, label), table]
     agreement = figures.rank_agreement
@@ -264,8 +262,8 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
                     ("mean maximum rank violation", f"{agreement.mmrv:.3f}", None),
                 ],
                 f"Agreement over {agreement.policies} policies",
-                "Intervals by bootstrap over policies. A rank violation is the distance in physics of two policies "
-                "that the worlds order differently.",
+                "Intervals by bootstrap over policies. A rank violation is the difference in physics of two policies "
+                "that the two worlds rank differently.",
             )
         )
     lead = "Does a policy that does better in the grid world also do better in physics?"
@@ -297,21 +295,21 @@ def bounds_text(one: Estimate, digits: int = 2) -> str:
 
 
 def difference_text(paired: Paired, first: str, second: str) -> str:
-    """Return by how much the shares of trials that agree differ, and what difference so many pairs could show."""
+    """Return the difference of the shares of trials that agree, with the least detectable difference."""
     found = paired.difference
     if found.value is None or found.low is None or found.high is None:
-        return "Nothing is paired, so that no difference could show."
+        return "There are no pairs."
     least = least_detectable(found.low, found.high)
     text = (
-        f"Share of trials that agree, {second} less {first}: {100 * found.value:+.1f} points (95 % interval "
+        f"Share of trials that agree, {second} minus {first}: {100 * found.value:+.1f} points (95 % interval "
         f"{100 * found.low:+.1f} to {100 * found.high:+.1f}); the least detectable difference is "
         f"{100 * least:.1f} points."
     )
-    return text if paired.p_value < 1 - CONFIDENCE else f"{text} So no difference shows."
+    return text if paired.p_value < 1 - CONFIDENCE else f"{text} The difference is not significant."
 
 
 def paired_sections(comparison: Comparison | None) -> list[Section]:
-    """Return how the same trials went under other settings; nothing without an earlier run."""
+    """Return the paired comparison with a baseline run; empty without one."""
     if comparison is None:
         return []
     trials = comparison.trials
@@ -325,8 +323,8 @@ def paired_sections(comparison: Comparison | None) -> list[Section]:
                 ("neither", trials.neither),
             ],
             f"{trials.pairs:,} pairs",
-            f"McNemar's exact test, two-sided: p = {trials.p_value:.3g}. {trials.unpaired:,} trials that only one of "
-            "the runs carried out are left out.",
+            f"McNemar's exact test, two-sided: p = {trials.p_value:.3g}. {trials.unpaired:,} trials of only one of the "
+            "runs are left out.",
         ),
         DataTable(
             (Column("run"), *SHARE),
@@ -354,30 +352,30 @@ def changes_table(changed: Mapping[str, tuple[Any, Any]], first: str, second: st
 
 
 def comparison_notes(comparison: Comparison | None) -> list[str]:
-    """Return in short how the same trials went under other settings."""
+    """Return the paired comparison in short."""
     if comparison is None:
         return []
     return [str(comparison), difference_text(comparison.trials, "there", "here")]
 
 
 def run_notes(capped_steps: int, retried: int) -> list[str]:
-    """Return in how many physics steps the solver gave up and how many actions were tried again, if any."""
+    """Return notes on unconverged physics steps and repeated actions, if any."""
     notes = []
     if capped_steps:
         notes.append(f"Note: {capped_text(capped_steps)}; failures there are reported as numerics.")
     if retried:
         actions = "1 action was" if retried == 1 else f"{retried} actions were"
-        notes.append(f"Note: {actions} tried again; what counts is how the last try ended.")
+        notes.append(f"Note: {actions} tried again; the last try counts.")
     return notes
 
 
 def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Section:
-    """Return what decides the figures of a run, each by its dotted name: thresholds, configuration, and versions.
+    """Return a section with thresholds, configuration and versions of a run by dotted name.
 
     Args:
-        command: as it can be typed again.
-        seed: of the run.
-        config: of the run, the ``setup`` of the physics included.
+        command: the command line that repeats it.
+        seed: its seed.
+        config: its configuration, with the ``setup`` of the physics.
     """
     setup = config["setup"]
     brief = {key: value for key, value in config.items() if key != "setup"}
@@ -390,8 +388,8 @@ def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Se
     return Section(
         "provenance",
         "Thresholds and provenance",
-        "The thresholds were set before the run. Seed, configuration and versions decide every figure: on one machine, "
-        "the same ones give this page again, byte for byte.",
+        "The thresholds were fixed before the run. On one machine the same seed, configuration and versions give the same "
+        "page, byte for byte.",
         [
             DataTable((Column(name, "path"), Column("value", "path")), list(flat(plain(values))), title)
             for (title, name), values in described.items()
@@ -400,7 +398,7 @@ def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Se
 
 
 def flat(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the leaves of nested mappings with their dotted names."""
+    """Yield the leaves of nested mappings with dotted names."""
     if isinstance(value, Mapping) and value:
         for key, item in value.items():
             yield from flat(item, f"{prefix}.{key}" if prefix else str(key))

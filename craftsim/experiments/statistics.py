@@ -1,7 +1,7 @@
-"""Statistics of a run: shares, errors, durations, survival and ranks, of data frames of its trials and attempts.
+"""Statistics of a run: shares, errors, durations, survival and ranks, from data frames of its trials and attempts.
 
-All are made of the records alone. Trials that an exception, a timeout or a lost worker kept from an end are counted
-apart, and in nothing else.
+They are computed from the records alone. Trials that ended with an exception, a timeout or a lost worker are counted
+separately and enter no other metric.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 RESULTS: Final = (Verdict.AS_PREDICTED, Verdict.FAILED, Verdict.SIDE_EFFECT, Verdict.UNSAFE, Verdict.SOLVER)
-"""Results from the best to the worst, the order of columns; the last proves nothing."""
+"""Results from best to worst, the order of columns; the last is inconclusive."""
 ERRORS: Final = {
     "car_error_m": "car's place, mm",
     "heading_error_rad": "car's heading, mrad",
@@ -38,22 +38,22 @@ ERRORS: Final = {
     "bystander_turn_rad": "turn of anything else, mrad",
     "drift_m": "anything else from where it was left, mm",
 }
-"""Fields of an attempt that say how far physics was from the prediction, in words; older records lack some."""
+"""Errors of an attempt with their labels; older records lack some."""
 _TEXTS: Final = ("action", "verb", "load", "result", "finding")
 _NUMBERS: Final = ("tick", "car", "level", "duration_s", "peak_force_n", *ERRORS)
 _FLAGS: Final = ("slope", "legal", "performed")
 _ROWS: Final = 10_000
-"""That wait to become columns."""
+"""Rows buffered before they are converted to columns."""
 
 
 def carried_out(records: Iterable[TrialRecord]) -> Iterator[TrialRecord]:
-    """Yield the records of trials that were carried out: those without an error."""
+    """Yield the records without an error."""
     return (record for record in records if record["error"] is None)
 
 
 def trials_frame(records: Iterable[TrialRecord]) -> DataFrame:
-    """Return a row for each trial that was carried out: ``group``, ``context``, ``agrees``, how many ``attempts``, and,
-    NaN where it is not known, whether it succeeded in the grid world and in physics (``grid``, ``physics``)."""
+    """Return a row for each trial without error: ``group``, ``context``, ``agrees``, the number of ``attempts``, and
+    its success in the grid world and in physics (``grid``, ``physics``; NaN if unknown)."""
     rows = (
         (
             *(r["agrees"], len(r["attempts"])),
@@ -67,10 +67,10 @@ def trials_frame(records: Iterable[TrialRecord]) -> DataFrame:
 
 
 def attempts_frame(records: Iterable[TrialRecord]) -> DataFrame:
-    """Return a row for each attempt of the trials that were carried out, in their order.
+    """Return a row for each attempt of the trials without error, in order.
 
-    ``trial`` is the row of :func:`trials_frame`, ``number`` the place in it, ``group`` that of the trial; what was not
-    measured is NaN. Texts are categories, in the order of the alphabet.
+    ``trial`` is the row in :func:`trials_frame`, ``number`` the index in the trial, ``group`` that of the trial.
+    Missing values are NaN. Texts are categories in alphabetical order.
     """
     rows = (
         (
@@ -93,7 +93,7 @@ def legal_attempts(records: Iterable[TrialRecord]) -> DataFrame:
 
 
 def _frame(rows: Iterable[Sequence[Any]], numbers: Sequence[str], texts: Sequence[str]) -> DataFrame:
-    """Return rows of numbers, None for NaN, and then texts, as a frame; there may be millions."""
+    """Return rows of numbers (None for NaN) followed by texts as a data frame; there may be millions."""
     from pandas import DataFrame, concat
 
     kinds = dict.fromkeys(numbers, float) | dict.fromkeys(texts, object)
@@ -104,24 +104,24 @@ def _frame(rows: Iterable[Sequence[Any]], numbers: Sequence[str], texts: Sequenc
 
 
 def capped_steps(records: Iterable[TrialRecord]) -> int:
-    """Return in how many physics steps the solver gave up, summed over all attempts."""
+    """Return the number of physics steps in which the solver did not converge, over all attempts."""
     return sum(int(attempt.get("capped_steps", 0)) for record in records for attempt in record["attempts"])
 
 
 def retried(records: Iterable[TrialRecord]) -> int:
-    """Return how many actions were tried more than once."""
+    """Return the number of actions with more than one try."""
     return sum(attempt.get("tries", 1) > 1 for record in records for attempt in record["attempts"])
 
 
 def error_counts(records: Iterable[TrialRecord]) -> dict[str, int]:
-    """Return how many trials did not finish, by error, most frequent first."""
+    """Return the number of unfinished trials by error, most frequent first."""
     found = Counter(str(record["error"]) for record in records if record["error"] is not None)
     return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
 
 
 @dataclass(frozen=True)
 class MatrixRow:
-    """How many attempts of one kind had each result."""
+    """The number of attempts of one kind with each result."""
 
     trials: int
     as_predicted: int
@@ -130,7 +130,7 @@ class MatrixRow:
     unsafe: int
     numerics: int
     success: Proportion
-    """Share that did as predicted."""
+    """Share as predicted."""
 
     @classmethod
     def of(cls, attempts: DataFrame) -> MatrixRow:
@@ -143,7 +143,7 @@ class MatrixRow:
 
 @dataclass(frozen=True)
 class LegalityMatrix:
-    """Results of what the rules allow, and of what they forbid and was tried on purpose."""
+    """Results of legal attempts, and of forbidden ones that were tried on purpose."""
 
     legal: MatrixRow
     forbidden: MatrixRow
@@ -157,7 +157,7 @@ def legality_matrix(attempts: DataFrame) -> LegalityMatrix:
 
 @dataclass(frozen=True)
 class Distribution:
-    """How a figure is distributed: number of values, median, 95th and 99th percentile, and maximum."""
+    """Summary of a distribution: number of values, median, 95th and 99th percentile, and maximum."""
 
     n: int
     median: float
@@ -167,7 +167,7 @@ class Distribution:
 
     @classmethod
     def of(cls, values: Any) -> Distribution | None:
-        """Return the distribution of some values, None of none."""
+        """Return the summary of some values; None without any."""
         known = np.asarray(values, float)
         if not known.size:
             return None
@@ -176,32 +176,31 @@ class Distribution:
 
 @dataclass(frozen=True)
 class Precision:
-    """Errors of the attempts that did as predicted, and the peak contact forces of all."""
+    """Errors of the attempts as predicted, and the peak contact forces of all attempts."""
 
     car_error_mm: Distribution | None
-    """Distance of the car from where it was predicted, in the plane."""
+    """Horizontal distance of the car from its prediction."""
     heading_error_mrad: Distribution | None
     height_error_mm: Distribution | None
     placed_error_mm: Distribution | None
     """Of what was set down, folded or unfolded."""
     bystander_displacement_mm: Distribution | None
-    """The furthest that anything moved which the action does not concern."""
+    """Largest displacement of a bystander."""
     duration_error_s: Distribution | None
-    """Distance of an attempt's duration from the median of its kind (verb, load, level and slope): what a planner
-    errs by that takes durations from the table."""
+    """Deviation of an attempt's duration from the median of its kind (verb, load, level and slope)."""
     peak_force_n: Distribution | None
-    """Of all attempts, also those that did not do as predicted."""
+    """Of all attempts."""
     thing_heading_mrad: Distribution | None = None
     """Of what was set down, folded or unfolded, and of what is carried against its car."""
     reach_mm: Distribution | None = None
-    """How much nearer the same comes to a neighbouring cell than it should."""
+    """Excess reach of the same towards a neighbouring cell."""
     bystander_turn_mrad: Distribution | None = None
     drift_mm: Distribution | None = None
-    """The furthest that anything which the action does not concern was from where it was left, at any time."""
+    """Largest distance of a bystander from where it was last put, at any time."""
 
 
 def drift(trials: DataFrame, attempts: DataFrame) -> dict[str, Distribution | None]:
-    """Return how far off in mm things were set down, folded or unfolded in each third of the runs: does it grow?"""
+    """Return the placement errors in mm in each third of the runs, to show a drift."""
     placed = attempts[attempts.performed & attempts.placed_error_m.notna()]
     third = 3 * placed.number // trials.attempts.reindex(placed.trial).to_numpy()
     return {
@@ -222,19 +221,19 @@ def precision(attempts: DataFrame) -> Precision:
 
 
 def in_thousandths(name: str) -> str:
-    """Return what an error is called in thousandths, such as ``drift_mm`` for ``drift_m``."""
+    """Return the name of an error in thousandths of its unit, such as ``drift_mm`` for ``drift_m``."""
     stem, _, unit = name.rpartition("_")
     return f"{stem}_m{unit}"
 
 
 def errors(attempts: DataFrame) -> dict[str, NDArray[np.float64]]:
-    """Return the errors of the attempts that did as predicted, in thousandths, by field."""
+    """Return the errors of the attempts as predicted, in thousandths, by field."""
     good = as_predicted(attempts)
     return {name: 1e3 * np.abs(good[name].dropna().to_numpy()) for name in ERRORS}
 
 
 def as_predicted(attempts: DataFrame) -> DataFrame:
-    """Return the attempts that did what was predicted, and nothing else."""
+    """Return the attempts as predicted."""
     return attempts[attempts.result == Verdict.AS_PREDICTED]
 
 
@@ -245,30 +244,31 @@ class Survival:
     runs: int
     ended: int
     actions: list[int]
-    """Number of actions at which the curve steps, and at which runs leave it."""
+    """Numbers of actions at which the curve steps or runs are censored."""
     share: list[float]
-    """Share of runs that are still good after so many actions."""
+    """Share of runs that survive so many actions."""
     low: list[float | None]
-    """None where the formula has no band: at shares of 0 and 1."""
+    """None at shares of 0 and 1, where the formula has no band."""
     high: list[float | None]
 
 
 @dataclass(frozen=True)
 class PlanSurvival:
-    """Survival of plans with and without re-synchronising."""
+    """Open-loop and closed-loop survival of plans."""
 
     without_resync: Survival
-    """A run ends with the first action that does not do as predicted: from there on a planner that does not look again
-    believes in a world that is not there."""
+    """Open loop: a run ends with the first action that is not as predicted."""
     with_resync: Survival
-    """A run goes on from what was read. It ends with the first action that the rules forbid there, that is unsafe, or
-    that leaves a world that cannot be read."""
+    """Closed loop: a run continues from the world that was read. It ends with the first action that is forbidden there,
+    is unsafe, or leaves an unreadable world."""
 
 
 def survival(actions: NDArray[np.int64], ended: NDArray[np.bool_]) -> Survival:
-    """Return the Kaplan-Meier curve of some runs, from how many actions each got through, both of shape (n,).
+    """Return the Kaplan-Meier curve of some runs.
 
-    A run that ended with its n-th action steps at n; the others were over (censored).
+    Args:
+        actions: (n,) number of actions of each run.
+        ended: (n,) whether the run ended with its last action; otherwise it is censored.
     """
     from scipy.stats import CensoredData, ecdf
 
@@ -292,7 +292,7 @@ def survival(actions: NDArray[np.int64], ended: NDArray[np.bool_]) -> Survival:
 
 
 def plan_survival(trials: DataFrame, attempts: DataFrame) -> PlanSurvival:
-    """Return the survival of the runs that were carried out."""
+    """Return the survival of the runs without error."""
     unreadable = attempts.finding.isin(("unreadable", "numerics", "diverged"))
     return PlanSurvival(
         _survival(trials, attempts[attempts.result != Verdict.AS_PREDICTED]),
@@ -301,7 +301,7 @@ def plan_survival(trials: DataFrame, attempts: DataFrame) -> PlanSurvival:
 
 
 def _survival(trials: DataFrame, ends: DataFrame) -> Survival:
-    """Return the survival of trials, each of which ends with the first of some attempts that it has."""
+    """Return the survival of trials that end with their first attempt in ``ends``."""
     last = (ends.groupby("trial").number.min() + 1).reindex(trials.index)
     return survival(last.fillna(trials.attempts).to_numpy(int), last.notna().to_numpy())
 
@@ -317,7 +317,7 @@ class PolicyScore:
 
 
 def policy_scores(trials: DataFrame) -> list[PolicyScore]:
-    """Return the scores of the policies, the groups of trials that succeed or not in either world, by name."""
+    """Return the scores of the policies by name: groups of trials with a known success in both worlds."""
     known = trials[trials.grid.notna() & trials.physics.notna()].groupby("group", observed=True)
     return [
         PolicyScore(str(policy), float(found.grid.mean()), float(found.physics.mean()), len(found))
@@ -327,25 +327,25 @@ def policy_scores(trials: DataFrame) -> list[PolicyScore]:
 
 @dataclass(frozen=True)
 class GroupFigures:
-    """Figures of the trials of one plan, policy or context."""
+    """Metrics of the trials of one plan, policy or context."""
 
     runs: Proportion
-    """Share of trials in which every attempt agrees; those with an error are left out."""
+    """Share of trials without error in which every attempt agrees."""
     actions: Proportion
-    """Share of legal attempts that did what was predicted, and nothing else."""
+    """Share of legal attempts as predicted."""
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What the trials of a campaign say together."""
+    """Metrics of all trials of a run."""
 
     trials: int
     errors: dict[str, int]
     """Unfinished trials, by error; they count in no other metric."""
     capped_steps: int
-    """Physics steps in which the solver gave up, summed over all attempts."""
+    """Physics steps in which the solver did not converge, over all attempts."""
     retried: int
-    """Actions that were tried more than once."""
+    """Actions with more than one try."""
     all: GroupFigures
     by_group: dict[str, GroupFigures]
     by_verb: dict[str, MatrixRow]
@@ -362,13 +362,13 @@ class Figures:
 
 
 def rank_agreement(scores: Sequence[PolicyScore], seed: int) -> RankAgreement | None:
-    """Return how two worlds agree on some policies, None for fewer than three; ``seed`` is the bootstrap's."""
+    """Return the rank agreement of two worlds over some policies; None for fewer than three."""
     return agreement_of([score.grid for score in scores], [score.physics for score in scores], seed)
 
 
 def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
-    """Return the figures of a run's records; ``seed`` is that of the bootstrap."""
-    # Gone through again and again, and never held: there may be a million.
+    """Return the metrics of a run's records; ``seed`` is that of the bootstrap."""
+    # Iterated several times and never kept in memory: there may be a million.
     known = list(records) if isinstance(records, Iterator) else records
     trials, attempts = trials_frame(known), attempts_frame(known)
     legal = attempts[attempts.legal]

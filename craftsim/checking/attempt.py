@@ -1,4 +1,4 @@
-"""Attempts: one action tried in physics, judged against limits that were set beforehand, in a form that JSON knows."""
+"""Attempts: actions tried in physics and judged against limits fixed beforehand, as JSON values."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 _SHOWN: Final = 2
-"""How many hazards, and how many contacts, a reason names."""
+"""Hazards, and contacts, named in a reason."""
 
 
 class Verdict(StrEnum):
     """The judge's verdict on an action."""
 
     AS_PREDICTED = "as predicted"
-    """The grid that was read is the predicted one, and every error is within its limit."""
+    """The grid read from poses is the predicted one, and every error is within its limit."""
     FAILED = "failed"
     SIDE_EFFECT = "side effect"
-    """It did what was predicted, and something else moved or changed."""
+    """The predicted effect occurred, and something else moved or changed."""
     UNSAFE = "unsafe"
-    """Something tipped, fell, or hit harder than it may."""
+    """Something tipped or fell, or a contact force exceeded its limit."""
     SOLVER = "numerics"
-    """The simulation broke down or was not solved, and it did not end as predicted: this says nothing of the action."""
+    """Not as predicted, and the simulation diverged or its solver did not converge: inconclusive."""
 
 
 Finding = Literal[
@@ -48,9 +48,9 @@ Finding = Literal[
     "numerics",
     "diverged",
 ]
-"""What is found where prediction and reading are compared."""
+"""Findings of the comparison of prediction and reading."""
 Cause = tuple[Finding, tuple[str, ...]]
-"""What a verdict rests on: what was found, and in words what differs."""
+"""The cause of a verdict: the finding, and the differences in words."""
 
 VERDICTS: Final[Mapping[Finding, Verdict]] = {
     "agrees": Verdict.AS_PREDICTED,
@@ -63,13 +63,13 @@ VERDICTS: Final[Mapping[Finding, Verdict]] = {
     "numerics": Verdict.SOLVER,  # no convergence, or forces that nothing could have produced: this proves nothing
     "diverged": Verdict.SOLVER,
 }
-"""The verdict that each finding means for an action that did itself what it should."""
+"""The verdict for each finding, for an action whose own effect is as predicted."""
 AGREES: Final[Cause] = ("agrees", ())
 
 
 @dataclass(frozen=True, repr=False)
 class Attempt:
-    """One action tried in physics; made of what JSON knows. Errors are those at the action's end.
+    """One action tried in physics, as JSON values. Errors are those at the action's end.
 
     Example:
         >>> import craftsim
@@ -86,31 +86,31 @@ class Attempt:
     action: str
     """Name of the primitive action."""
     verb: str
-    """The same whatever the map direction: LIFT, DROP, FOLD, UNFOLD, ROTATE_LEFT, ROTATE_RIGHT, MOVE or STOP."""
+    """The action without its map direction: LIFT, DROP, FOLD, UNFOLD, ROTATE_LEFT, ROTATE_RIGHT, MOVE or STOP."""
     level: int
     """The car's level before the action."""
     load: str
-    """What it carried before the action: none, block, flag or fslope."""
+    """The load before the action: none, block, flag or fslope."""
     slope: bool
-    """Whether it starts on a slope, or should end on one."""
+    """Whether it starts, or should end, on a slope."""
     legal: bool
-    """By the rule set in use."""
+    """Whether the rule set in use allows it."""
     performed: bool
-    """Whether the skill was begun: what is forbidden is not, nor what waits for something that failed."""
+    """Whether the skill was started; not for a forbidden action, or one that depends on a failed one."""
     result: str
     """A :class:`Verdict`."""
     finding: str
-    """What the verdict rests on, a key of :data:`VERDICTS`."""
+    """The finding, a key of :data:`VERDICTS`."""
     skill: str
-    """What the skill reports: succeeded, or failed for a stated reason."""
+    """The skill's report: succeeded, or failed with a reason."""
     reason: str
-    """What went wrong physically, in one line; empty when it went as predicted."""
+    """The physical cause of a failure, in one line; empty if as predicted."""
     differences: tuple[str, ...]
-    """What reads otherwise than predicted."""
+    """Differences between reading and prediction."""
     predicted: str
-    """The acting car as the rules predict it: cell, heading, load, place on a slope."""
+    """The predicted acting car: cell, heading, load, place on a slope."""
     read: str
-    """The acting car as its pose reads."""
+    """The acting car as read from its pose."""
     car_error_m: float
     """Distance of the car from its cell's centre."""
     heading_error_rad: float
@@ -118,44 +118,43 @@ class Attempt:
     placed_error_m: float | None
     """Distance of what was set down, folded or unfolded from its cell's centre; None for other actions."""
     bystander_displacement_m: float
-    """The furthest that anything moved which no action of that time concerns."""
+    """Largest displacement of a bystander: a thing that no action of that time concerns."""
     start_s: float
     """Simulated time since the world was set up."""
     duration_s: float
     peak_force_n: float
-    """The largest force between any two machines, the ground included, of all that ran at the same time."""
+    """The largest force between two machines, the ground included, during the action."""
     capped_steps: int = 0
-    """Physics steps meanwhile in which the solver gave up, at ``SimulationConfig.solver_iterations``."""
+    """Physics steps that reached ``SimulationConfig.solver_iterations``."""
     tries: int = 1
-    """How often the car tried: a failed try may have been made up for by another one."""
+    """Number of tries of the skill."""
     tilt_error_rad: float | None = None
-    """How far the car leans away from level or from the incline. This and what follows are None in older records."""
+    """Lean of the car against level or the incline. This and the following are None in older records."""
     seat_error_m: float | None = None
-    """Distance of what it carries at the end from its seat on the board; None where it carries nothing."""
+    """Distance of the load from its seat on the board at the end; None without a load."""
     thing_heading_rad: float | None = None
-    """Of what the action handled: against the grid where that was set down, folded or unfolded, and against the car
-    where it is carried; None where it handled nothing."""
+    """Heading error of the handled thing: against the grid if set down, folded or unfolded, against the car if carried;
+    None without one."""
     thing_tilt_rad: float | None = None
-    """Lean of the same, or by how much its hinge is short of its end where that is more."""
+    """Lean of the same, or, if larger, the distance of its hinge from its stop."""
     thing_height_m: float | None = None
-    """Height of the same above its floor or its seat."""
+    """Height of the same above its floor or seat."""
     reach_m: float | None = None
-    """How much nearer the same comes to a neighbouring cell than it should."""
+    """Excess reach of the same towards a neighbouring cell."""
     bystander_reach_m: float | None = None
-    """The same of what stands and no action of that time concerns, as far as an action before has not left it so."""
+    """Excess reach of a bystander, unless an earlier action left it so."""
     bystander_tilt_rad: float | None = None
-    """The same of the lean, or of the hinge, of such a thing."""
+    """Lean or hinge error of a bystander, unless an earlier action left it so."""
     bystander_turn_rad: float | None = None
-    """The largest turn, about any axis, of anything that no action of that time concerns."""
+    """Largest rotation of a bystander about any axis."""
     drift_m: float | None = None
-    """The furthest, at any time since the action began, that such a thing was from where what last handled it left
-    it."""
+    """Largest distance of a bystander, at any time since the action began, from where it was last put."""
     drift_rad: float | None = None
-    """The same of its turn."""
+    """The same for its rotation."""
 
     @classmethod
     def of(cls, fields: Mapping[str, Any]) -> Attempt:
-        """Return the attempt that was written as JSON."""
+        """Return an attempt from JSON values."""
         return cls(**{**fields, "differences": tuple(fields["differences"])})
 
     def to_frame(self) -> DataFrame:
@@ -179,56 +178,55 @@ class Attempt:
 
     @property
     def agrees(self) -> bool:
-        """Whether physics did what the rules predict, within all limits, and nothing else."""
+        """Whether the result is as predicted, within all limits."""
         return self.result == Verdict.AS_PREDICTED
 
 
 @record()
 class Thresholds:
-    """The largest errors with which an action still agrees with its prediction; set before anything is run.
+    """Limits of the errors of an action that agrees with its prediction; fixed before a run.
 
-    Things in neighbouring cells stand 2.5 mm apart: a cell is 322.5 mm wide, a block or slope 320. So each may come
-    nearer to the other by half of that, 1.25 mm, all taken together: place, heading times half a cell, and lean times
-    a level (:attr:`craftsim.discrete.readback.CellFit.reach_m`). That is ``placed_m``, for what is set down, what is
-    carried and what stands; a car alone is far narrower than its cell. A heading off by ``placed_heading_rad`` takes
-    0.8 mm of the 1.25, and leaning by ``tilt_rad`` more than all of it.
+    Things in neighbouring cells are 2.5 mm apart: a cell is 322.5 mm wide, a block or slope 320. So each may use half
+    of the gap, 1.25 mm, for all its errors together: position, heading times half a cell, and lean times a level
+    (:attr:`craftsim.discrete.readback.CellFit.reach_m`). That is ``placed_m``, for things set down, carried or
+    standing; a car alone is much narrower than its cell. A heading error of ``placed_heading_rad`` uses 0.8 mm of the
+    1.25.
 
-    Raises InputError for what is no finite number.
+    Raises InputError for a value that is not finite.
     """
 
     car_m: float = 0.001
     """Distance of the car from its cell's centre."""
     heading_rad: float = 0.003
     placed_m: float = 0.00125
-    """Of what was set down, folded or unfolded its distance from its cell's centre, and of what is carried that from
-    its seat; of these, and of all that stands, how much nearer it comes to a neighbouring cell."""
+    """Distance from the cell's centre of a thing set down, folded or unfolded; distance of a load from its seat; excess
+    reach of these and of bystanders."""
     bystander_m: float = 0.001
-    """Displacement of anything that the action does not concern, from the action's start to its end; and from where it
-    was left by what last handled it, at any time since the action began."""
+    """Displacement of bystanders from the action's start to its end, and, at any time, from where they were last put."""
     height_m: float = 0.002
-    """Of the car above the ground, of what was set down above the floor, of a load above its seat."""
+    """Height error of the car, of a thing set down, and of a load."""
     tilt_rad: float = 0.010
-    """Lean of the car, and of all that stands or is carried, away from level or from the incline; and by how much a
-    slope's hinge is short of its end. Over the 0.2 m between a car's axles it is ``height_m``."""
+    """Lean of the car and of all things against level or the incline, and distance of a slope's hinge from its stop.
+    Over the 0.2 m between a car's axles it equals ``height_m``."""
     placed_heading_rad: float = 0.005
-    """Of what was set down, folded or unfolded against the grid, and of what is carried against its car."""
+    """Heading error of a thing set down, folded or unfolded, and of a load against its car."""
     bystander_rad: float = 0.004
-    """Turn about any axis of the same over the same times: a corner, 0.23 m from the middle, then moves by 0.9 mm."""
+    """Rotation of bystanders about any axis, over the same times: a corner at 0.23 m then moves by 0.9 mm."""
     force: float = 1.0
-    """The hardest that two machines may press on each other, as a share of what weights and motors of the nominal
-    machines can do (:func:`craftsim.checking.contacts.impact_limit_n`)."""
+    """Contact force between two machines, as a share of the largest force that weights and motors of the nominal
+    machines can exert (:func:`craftsim.checking.contacts.impact_limit_n`)."""
 
 
 class BoundedError(NamedTuple):
-    """An error of an action, and the limit that it is held against."""
+    """An error of an action with its limit."""
 
     field: str
-    """Of :class:`Attempt`; its unit is the end of its name."""
+    """Field of :class:`Attempt`, with its unit as suffix."""
     limit: str
-    """Of :class:`~craftsim.checking.attempt.Thresholds`."""
+    """Field of :class:`Thresholds`."""
     words: str
     of_bystanders: bool = False
-    """Whether it is about what the action does not concern."""
+    """Whether it is an error of bystanders."""
 
 
 BOUNDED_ERRORS: Final = (
@@ -249,74 +247,74 @@ BOUNDED_ERRORS: Final = (
     BoundedError("bystander_reach_m", "placed_m", "{name} is {} too near to a neighbouring cell", True),
     BoundedError("bystander_tilt_rad", "tilt_rad", "{name} leans, or its hinge stands, {} off", True),
 )
-"""All errors with their limits, in the order in which reasons name them: those of the car first."""
+"""All errors with their limits, in the order of reasons: those of the car first."""
 
 
 @dataclass
 class Watched:
-    """An action, with the world as it was at its start and what was measured of it at its end."""
+    """An action being judged: the world at its start and the measurements at its end."""
 
     index: int
-    """In the schedule."""
+    """Index in the schedule."""
     step: ScheduledAction
     start_s: float
     capped_steps: int
-    """Of the PhysicsWorld until the start; at the end, of the action."""
+    """Unconverged steps: of the PhysicsWorld before the action, at its end those of the action."""
     poses: Floats
-    """(n, 7) of cars and objects; of what has been moved by an action that ended meanwhile, where that left it."""
+    """(n, 7) poses of cars and objects; for an object moved by an action that ended meanwhile, its pose after that."""
     reading: Reading
     about: list[int]
-    """Objects that the action is about, by their index."""
+    """Indices of the objects that the action handles."""
     own: tuple[str, ...]
-    """The car and these, by name."""
+    """Names of the car and these objects."""
     below: set[int]
-    """Objects that the car stands and drives on: a stack sways under it until it has come to rest."""
+    """Objects below the car: a stack sways under it until it is at rest."""
     cars: set[int]
-    """Those that act meanwhile, its own included."""
+    """Cars that act meanwhile, its own included."""
     meant: set[int]
-    """Objects that may move though no acting car carries them: what the action and those beside it are about."""
+    """Objects that may move: those handled by this action and by concurrent ones."""
     legal: bool = True
     outcome: Outcome | None = None
-    """Of the skill; None where it was never begun."""
+    """Outcome of the skill; None if it was never started."""
     differences: tuple[str, ...] = ()
-    """What reads otherwise of what the action was to change, whatever else happened."""
+    """Differences in the part of the world that the action changes."""
     read: str = ""
     errors: dict[str, Any] = field(default_factory=dict)
-    """A number, or None, by field of :data:`BOUNDED_ERRORS`."""
+    """Value, or None, by field of :data:`BOUNDED_ERRORS`."""
     bystanders: dict[str, str] = field(default_factory=dict)
-    """Names of what errors of bystanders are about; empty ones where there is nothing else."""
+    """Name of the bystander with the largest error, by field; empty without bystanders."""
     strayed_m: float | None = None
-    """The furthest that the car was beside its path; None on an even floor."""
+    """Largest lateral distance of the car from its path; None on an even floor."""
     contacts: tuple[Contact, ...] = ()
-    """Unexpected ones of the car and what it handles, hardest first."""
+    """Unexpected contacts of the car and what it handles, largest force first."""
     hazards: tuple[Hazard, ...] = ()
     peak_force_n: float = 0.0
 
     @property
     def applied(self) -> bool:
-        """Whether the skill succeeded and the world reads as it should where the action changes it."""
+        """Whether the skill succeeded and the part of the world that it changes reads as predicted."""
         return not self.differences and self.outcome is not None and self.outcome.succeeded
 
     def exceeded(self, limits: Thresholds) -> list[BoundedError]:
-        """Return the errors that are over their limits, or no numbers."""
+        """Return the errors above their limits, or not finite."""
         values = ((one, self.errors[one.field]) for one in BOUNDED_ERRORS)
         return [one for one, value in values if value is not None and not value <= getattr(limits, one.limit)]
 
     def excesses(self, exceeded: Iterable[BoundedError], limits: Thresholds, of_others: bool) -> list[str]:
-        """Describe what is over its limit of this action or of bystanders; of each of these a distance and an angle."""
+        """Describe the errors above their limits, of this action or of bystanders (one distance and one angle each)."""
         found: dict[Any, str] = {}
         for one in exceeded:
             if one.of_bystanders is of_others:
                 unit = "mm" if one.field.endswith("_m") else "mrad"
                 name, value = self.bystanders.get(one.field, ""), self.errors[one.field]
                 what = one.words.format(f"{1e3 * value:.2f} {unit}", name=name)
-                told = f"{what} (allowed {1e3 * getattr(limits, one.limit):.2f})"
-                found.setdefault((name, unit) if name else one, told)
+                text = f"{what} (allowed {1e3 * getattr(limits, one.limit):.2f})"
+                found.setdefault((name, unit) if name else one, text)
         return list(found.values())[:_SHOWN]
 
 
 def compare(before: Grid, predicted: Grid, reading: Reading) -> Cause:
-    """Return what is found of one action: the Grid before it, the one the rules predict, and what was read after it."""
+    """Compare the reading after an action with the predicted Grid; ``before`` is the Grid at its start."""
     if reading.problems:
         return "unreadable", reading.problems
     read = reading.grid
@@ -331,7 +329,7 @@ def compare(before: Grid, predicted: Grid, reading: Reading) -> Cause:
 
 
 def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
-    """Return the attempt that what was measured of an action makes, by limits set beforehand."""
+    """Return the attempt of a measured action."""
     step, outcome = watched.step, watched.outcome
     row, after = step.before.cars[step.car], step.after.cars[step.car]
     load = int(row[CarField.LOAD])
@@ -364,9 +362,9 @@ def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
 
 
 def verdict_of(watched: Watched, cause: Cause, exceeded: Iterable[BoundedError]) -> Verdict:
-    """Return the verdict on an action; what is unsafe is so even if all ended as predicted.
+    """Return the verdict on an action. Hazards make it unsafe even if the reading is as predicted.
 
-    Whatever is wrong after a step in which the solver gave up is held against the solver.
+    A disagreement after an unconverged step is attributed to the solver.
     """
     finding, lines = cause
     verdict = VERDICTS[finding]
@@ -381,10 +379,7 @@ def verdict_of(watched: Watched, cause: Cause, exceeded: Iterable[BoundedError])
 
 
 def reason_of(watched: Watched, cause: Cause, exceeded: Iterable[BoundedError], limits: Thresholds) -> str:
-    """Return what went wrong: first what was broken and by how much, then what the car and its load touched.
-
-    What was broken are hazards, limits of errors, what the skill reports, or what reads otherwise than predicted.
-    """
+    """Return the reason of a failure: hazards, exceeded limits, the skill's report or differences, then contacts."""
     (finding, differences), outcome = cause, watched.outcome
     if outcome is None:
         return differences[0]
@@ -406,5 +401,5 @@ def reason_of(watched: Watched, cause: Cause, exceeded: Iterable[BoundedError], 
 
 
 def capped_text(steps: int) -> str:
-    """Return the reason that an unsolved step gives."""
-    return f"the solver gave up in {steps} physics step{'s' * (steps != 1)}"
+    """Return the text for unconverged steps."""
+    return f"the solver did not converge in {steps} physics step{'s' * (steps != 1)}"

@@ -1,5 +1,4 @@
-"""What decides a world in physics besides its Grid: limits, noise and what cars assume of it, gains, the seed;
-and the one place where a world is set up from all of it."""
+"""The configuration of a world in physics, and the one place where a world is set up from it."""
 
 from __future__ import annotations
 
@@ -38,7 +37,7 @@ from craftsim.storage.yaml import read_document
 nominal_gains = cache(load_gains)
 
 _BASE_M: Final = 0.2
-"""How far apart a car's axles, or the feet of what stands, are at least."""
+"""Least distance between the axles of a car, or the feet of a thing."""
 
 
 @dataclass(frozen=True)
@@ -46,24 +45,23 @@ class Setup:
     """Configuration of a world in physics; hashable, and written into every report and replay bundle."""
 
     rules: RuleSet = "physical"
-    """The rule set that predicts."""
+    """Rule set for the predictions."""
     thresholds: Thresholds = field(default_factory=Thresholds)
     randomization: DomainRandomization = NONE
-    """What each seed draws: the physics, the floor, and what sensors and motors lack."""
+    """Randomization of physics and floor, and imperfections of sensors and motors."""
     assumed: SensorNoise = ASSUMED
-    """What the cars' pose estimate takes the noise of their sensors to be before it finds out, whatever it is; with
-    none they take each measured pose as it is."""
+    """Sensor noise that the cars' pose estimators assume at first; with none they use measured poses unfiltered."""
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     gains: Gains = field(default_factory=nominal_gains)
     machines: Machines = NOMINAL
     disturbance: Disturbance | None = None
-    """What happens to cars or blocks that nobody planned."""
+    """A declared disturbance."""
     skills: tuple[OwnSkill, ...] = field(default=(), metadata={LEFT_OUT_IF_EMPTY: True})
-    """Of a user's own, in place of built-in ones."""
+    """User-defined skills."""
 
     @property
     def digests(self) -> dict[str, str]:
-        """SHA-256 of what a user may bring."""
+        """SHA-256 of the user's files and skills."""
         return {"gains": self.gains.digest, "machines": self.machines.digest}
 
 
@@ -93,14 +91,14 @@ _BASES: Final[dict[Randomize, _Terms]] = {
 
 @record(kw_only=True)
 class _File(DomainRandomization):
-    """Any of what is drawn, and of the limits of errors; what is left out is that of the base."""
+    """A randomization file with optional limits; missing values are those of its base."""
 
     base: Randomize = "none"
     limits: Thresholds
 
 
 def _read(file: str | Path, bases: Mapping[Randomize, _Terms]) -> _Terms:
-    """Return what a YAML file draws that starts from one of some bases, with limits that suit it."""
+    """Return the randomization in a YAML file, based on a preset, with its limits."""
     document = read_document(Path(file))
     base = document.plain.get("base", "none")
     limits, randomization = next((terms for name, terms in bases.items() if name == base), bases["none"])
@@ -119,14 +117,13 @@ RANDOMIZE: Final[Mapping[Randomize, _Terms]] = {
     "lab_floor": _shipped("lab_floor"),
     "workshop_floor": _shipped("workshop_floor"),
 }
-"""What the option ``--randomize`` stands for: limits of the errors, before they are widened, and what is drawn."""
+"""The presets of ``--randomize``: limits, before they are widened, and randomization."""
 
 
 def widened(limits: Thresholds, randomization: DomainRandomization) -> Thresholds:
-    """Return limits that hold what no car can know: its localisation's bias, the height of the floor below it, and by
-    how much machines are drawn heavier or stronger.
+    """Return limits widened by what no car can know: localisation bias, floor relief, drawn masses and motors.
 
-    What stands on a floor that is lower by its relief at one axle, or at one foot, leans, or rocks by as much.
+    A thing whose one axle or foot is lower by the relief of the floor leans, or rocks, by that much.
     """
     sensors, relief_m = randomization.sensors, randomization.floor.relief_m
     lean = relief_m / _BASE_M
@@ -147,7 +144,7 @@ def widened(limits: Thresholds, randomization: DomainRandomization) -> Threshold
 
 
 def imperfect(setup: Setup, randomization: DomainRandomization) -> Setup:
-    """Return the same in a world that is imperfect otherwise: with limits widened for that, as much as they were."""
+    """Return a setup with another randomization, and its limits widened for that."""
     nothing = Thresholds(**dict.fromkeys(asdict(setup.thresholds), 0.0))
     before, after = (asdict(widened(nothing, drawn)) for drawn in (setup.randomization, randomization))
     limits = {name: limit - before[name] + after[name] for name, limit in asdict(setup.thresholds).items()}
@@ -164,22 +161,20 @@ def setup_of(
     drive: Drive | None = None,
     skills: SkillChoice | None = None,
 ) -> Setup:
-    """Return the configuration that the options of the commands stand for.
+    """Return the configuration for the options of the commands.
 
     Args:
-        randomize: what is drawn, with limits that suit it: a preset's name, or a YAML file
-            (docs/explanation/imperfections.md).
-        rules: the rule set that predicts.
-        gains: of the skills, a preset's name, or a file of them; those of the file of the machines, if it has some,
-            unless given.
-        machines: their parameters, or a file of them; the nominal ones unless given.
-        noise: of the sensors and motors, or a file of it, in place of that of ``randomize``.
-        assume: what the cars take that noise to be before they find out: none, mild, strong, noise, or a file of it;
-            ASSUMED of :mod:`craftsim.models.sensing` unless given, whatever ``randomize`` and ``noise`` say.
-        drive: rollers or reduced; that of the machines unless given.
-        skills: of one's own in place of built-in ones, as :class:`craftsim.Executor` takes them.
+        randomize: name of a preset, or a YAML file (docs/explanation/imperfections.md).
+        rules: rule set for the predictions.
+        gains: name of a preset, or a file; default: those in the file of the machines, or robust.
+        machines: parameters, or a file of them; default: nominal.
+        noise: noise of sensors and motors, or a file; default: that of ``randomize``.
+        assume: noise that the cars assume at first: none, mild, strong, noise, or a file; default: ASSUMED of
+            :mod:`craftsim.models.sensing`, independent of ``randomize`` and ``noise``.
+        drive: rollers or reduced; default: that of the machines.
+        skills: user-defined skills, as for :class:`craftsim.Executor`.
 
-    Raises InputError for what no file should say.
+    Raises InputError for an invalid file.
     """
     if gains is None and isinstance(machines, str | Path):
         gains = machines
@@ -220,7 +215,7 @@ def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> Sen
 
 
 def _is_preset(given: str | Path, what: str) -> bool:
-    """Return whether this is a preset's name; raise InputError for what has no suffix either, as a file would."""
+    """Return whether this is the name of a preset. Raises InputError for an unknown name without a file suffix."""
     if given not in RANDOMIZE and not Path(given).suffix:
         known = ", ".join(RANDOMIZE)
         raise InputError(
@@ -272,7 +267,7 @@ SetUp = Callable[[Grid, Setup, Seed, Sequence[Cell]], Judge]
 
 
 def compile_world(grid: Grid, setup: Setup, goals: Sequence[Cell] = ()) -> PhysicsWorld:
-    """Return the compiled world of a grid, to be set up again and again; it stands nowhere yet."""
+    """Return the compiled world of a grid, to be set up repeatedly."""
     floor = setup.randomization.floor
     return PhysicsWorld(grid, setup.simulation, goals, reset=False, machines=setup.machines, floor=floor)
 
@@ -313,7 +308,7 @@ def set_up(
 
 
 def check_start(physics: PhysicsWorld) -> None:
-    """Raise StartError where something stood in something else when a PhysicsWorld was reset."""
+    """Raise StartError if solids overlapped when a PhysicsWorld was reset."""
     if physics.overlaps:
         raise StartError(
             f"this world cannot be: {'; '.join(map(str, physics.overlaps))} (allowed {1e3 * ALLOWED_M:.0f} mm); "
@@ -328,11 +323,11 @@ def judge_on(
     watch_contacts: bool = True,
     fleet: Fleet | None = None,
 ) -> Judge:
-    """Return the judge on a world as it stands, whose machines and simulation are its own; sensors are exact if None.
+    """Return the judge on a world in its present state, with its own machines and simulation; None: exact sensors.
 
     A ``fleet`` are robots elsewhere, of which the PhysicsWorld shows where they are.
 
-    Raises StartError where something stood in something else when the PhysicsWorld was reset.
+    Raises StartError if solids overlapped when the PhysicsWorld was reset.
     """
     check_start(physics)
     physics.set_drivetrain(setup.randomization.drivetrain)

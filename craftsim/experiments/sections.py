@@ -388,8 +388,8 @@ def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Se
     return Section(
         "provenance",
         "Thresholds and provenance",
-        "The thresholds were fixed before the run. On one machine the same seed, configuration and versions give the same "
-        "page, byte for byte.",
+        "The thresholds were fixed before the run. On one machine the same seed, configuration and versions give "
+        "the same page, byte for byte.",
         [
             DataTable((Column(name, "path"), Column("value", "path")), list(flat(plain(values))), title)
             for (title, name), values in described.items()

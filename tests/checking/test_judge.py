@@ -135,7 +135,7 @@ def test_what_fails_while_the_solver_gives_up_is_numerics_and_counted():
     attempt = judge.perform(0, RIGHT)
     assert attempt.capped_steps > 0
     assert (attempt.finding, attempt.result) == ("numerics", Verdict.SOLVER)
-    assert attempt.reason.startswith("the solver gave up in ")
+    assert attempt.reason.startswith("the solver did not converge in ")
 
 
 def test_a_force_that_nothing_could_have_produced_is_numerics_and_not_unsafe():

@@ -202,7 +202,7 @@ class Thresholds:
     """Distance from the cell's centre of a thing set down, folded or unfolded; distance of a load from its seat; excess
     reach of these and of bystanders."""
     bystander_m: float = 0.001
-    """Displacement of bystanders from the action's start to its end, and, at any time, from where they were last put."""
+    """Displacement of bystanders from the action's start to its end, and at any time from where they were last put."""
     height_m: float = 0.002
     """Height error of the car, of a thing set down, and of a load."""
     tilt_rad: float = 0.010

@@ -1,4 +1,4 @@
-"""What a validation runs: worlds, and the plans, lists of actions or policies that say what their cars do."""
+"""The worlds of a validation, and the plans, action lists or policies that are executed in them."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from craftsim.validation.rollout import By, PlanOrder, RandomPlay, Run, Terms, s
 from craftsim.validation.worlds import MAX_CARS, RandomWorlds
 
 PLAY: Final = "play"
-"""Stands for :class:`RandomPlay`."""
+"""Name of :class:`RandomPlay`."""
 SHIPPED: Final = "shipped"
-"""Stands for the digest of what belongs to a version of craftsim."""
+"""Digest of everything that belongs to a version of craftsim."""
 
 World = Task | Grid | RandomWorlds | str | Path
-"""A task, a start without a goal, or what names one: a task's name, a file, ``module:factory``, or ``random``."""
+"""A task, a start without a goal, or a reference: a task's name, a file, ``module:factory``, or ``random``."""
 
 
 @dataclass(frozen=True)
@@ -49,14 +49,14 @@ class RolloutWorld:
 
 @dataclass(frozen=True)
 class PolicySpec:
-    """What decides the cars' actions."""
+    """A source of actions: a plan, an action list or a policy."""
 
     name: str
     digest: str
-    """Of the files that it is made of, so that a changed one is noticed."""
+    """Digest of its files, so that a change is noticed."""
     by: By
     plans: Mapping[str, By] = field(default_factory=dict)
-    """By subject, where it has a plan of its own."""
+    """Plans by world, where they differ."""
 
 
 def subjects_of(
@@ -65,12 +65,12 @@ def subjects_of(
     n_blocks: int | None = None,
     max_steps: int | None = None,
 ) -> list[RolloutWorld]:
-    """Return the subjects that worlds, or names of them, stand for.
+    """Return the worlds for some references.
 
-    ``n_cars`` and ``n_blocks`` set the numbers of what is drawn at random, ``max_steps`` the length of an episode in
+    ``n_cars`` and ``n_blocks`` set the numbers of things placed at random, ``max_steps`` the length of an episode in
     ``random`` worlds.
 
-    Raises InputError for what names no world, and for two of one name.
+    Raises InputError for an unknown world, and for two of one name.
     """
     found: dict[str, RolloutWorld] = {}
     for world in worlds:
@@ -101,8 +101,7 @@ def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: 
 
 
 def check_starts(subjects: Sequence[RolloutWorld], setup: Setup, seed: int) -> None:
-    """Raise StartError for a world of one's own in which something stands in something else, and InputError for a skill
-    for a car that it has not."""
+    """Raise StartError for a user's world in which solids overlap, and InputError for a skill for a missing car."""
     for subject in subjects:
         world = subject.world
         if not isinstance(world, RandomWorlds):
@@ -113,7 +112,7 @@ def check_starts(subjects: Sequence[RolloutWorld], setup: Setup, seed: int) -> N
 
 
 def plan_pilot(plan: Plan, order: PlanOrder) -> PolicySpec:
-    """Return what carries out a plan, whatever happens."""
+    """Return the source of a fixed plan."""
     said = (plan.ticks, *plan.after.items()) if plan.after else plan.ticks
     steps = steps_of(plan.ticks, order, plan.after)
     return PolicySpec(writable(plan.path.stem), _digest(repr(said).encode()), steps)
@@ -126,9 +125,9 @@ def policy_pilot(
     rules: RuleSet = "physical",
     timeout_s: float = 600.0,
 ) -> PolicySpec:
-    """Return what does as a policy says; one of others is asked now what it does at the start of each world.
+    """Return the source of a policy; a user's policy is tried at the start of each world.
 
-    Raises InputError where there is no such policy, and where it does not answer in time with an action for each agent.
+    Raises InputError for an unknown policy, and for one that does not return an action for each agent in time.
     """
     if not isinstance(policy, str):
         name = getattr(policy, "__name__", type(policy).__name__)
@@ -157,7 +156,7 @@ def policy_pilot(
 def items_of(
     subjects: Sequence[RolloutWorld], pilots: Sequence[PolicySpec], trials: int, terms: Terms
 ) -> Iterator[Trial]:
-    """Yield all runs: every pilot in every subject, so many times."""
+    """Yield all trials: every source of actions in every world, ``trials`` times."""
     for episode in range(trials):
         for subject in subjects:
             for pilot in pilots:

@@ -1,8 +1,8 @@
-"""The smallest world in which an action still fails: what stands around is taken away as long as it does.
+"""Minimization: the smallest world in which an action still fails.
 
 The search is delta debugging (Zeller and Hildebrandt, Simplifying and Isolating Failure-Inducing Input, IEEE TSE
-2002): halves of what stands around, then quarters, down to single pieces. What it ends with is 1-minimal: without any
-single piece, and what stands on it, the action does as predicted, or the rules forbid it.
+2002): it removes halves of the surrounding pieces, then quarters, down to single ones. The result is 1-minimal: without
+any single piece (and those on top of it) the action is as predicted, or forbidden.
 """
 
 from __future__ import annotations
@@ -44,27 +44,27 @@ from craftsim.validation.counterexample import (
 )
 
 FOLDER: Final = "smallest"
-"""Of the files, within that of a campaign."""
+"""Subfolder of a run for minimized worlds."""
 BLUEPRINT: Final = "smallest.yaml"
 ACTIONS: Final = "smallest.actions"
 _TIMEOUT_S: Final = 3600.0
-"""After which the search for a smallest world is given up."""
+"""Time limit of one minimization."""
 
 MOST_TRIALS: Final = 150
 """Trials after which the search ends with the smallest world so far; also after :data:`MINIMIZE_S`."""
 
 OnTrial = Callable[[bool], None]
-"""Called after each trial: whether the action still failed."""
+"""Called after each trial with whether the action still fails."""
 
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")
 _MARGINS: Final = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 2))
-"""Empty columns round the smallest world, and levels above it."""
+"""(columns, levels) of empty margin around the smallest world."""
 _MOVES: Final = {way: action for action, way in MOVE_DIRECTION.items()}
 
 
 @dataclass(frozen=True)
 class FailingAction:
-    """An action of one car in a world, in which it is legal, and the physics that it is tried in."""
+    """A legal action of one car in a world, with the configuration of the physics."""
 
     grid: Grid
     car: int
@@ -75,25 +75,25 @@ class FailingAction:
 
 @dataclass(frozen=True)
 class Smallest:
-    """The smallest world that was found; the car that acts is car 0."""
+    """The smallest world found; the acting car is car 0."""
 
     grid: Grid
     action: Action
     attempt: Attempt
-    """How it fails there."""
+    """The failing attempt."""
     setup: Setup
     minimal: bool
-    """Whether every piece is needed; False where the trials did not suffice."""
+    """Whether every piece is needed; False if the trials did not suffice."""
     trials: int
 
     @property
     def words(self) -> str:
-        """What fails, when, and how."""
+        """The failure in one sentence."""
         return words_of(self.grid, self.action, self.attempt.result, Rules(self.setup.rules))
 
 
 class NotReproducibleError(Exception):
-    """The action by itself, from a fresh start, does not fail: why, in words."""
+    """The action alone, from a fresh start, does not fail; the message says why."""
 
 
 def failing_actions(
@@ -101,15 +101,14 @@ def failing_actions(
 ) -> list[FailingAction]:
     """Return the legal actions of a recipe's last step that fail, each in the world right before it.
 
-    That world is what was read before the step, and after the actions of the step that come before it, by the rules.
-    Of cars that act at the same time several may be held responsible for what one of them did.
+    That world is the one read before the step, with the predicted effects of the step's earlier actions. Several
+    concurrent actions may fail because of one of them.
 
-    Raises InputError where no legal action fails, and where what comes before takes longer than ``most_s`` seconds of
-    simulated time.
+    Raises InputError if no legal action fails, or if the earlier steps take more than ``most_s`` simulated seconds.
     """
     wrong = [a for a in attempts if a.legal and a.performed and not a.agrees]
     if not wrong:
-        raise InputError("no action that the rules allow fails there; only such a failure can be shrunk")
+        raise InputError("no action that the rules allow fails there; only such a failure can be minimized")
     step, judge = recipe.steps[-1], start(recipe)
     limit_time(judge, most_s, "what comes before the last step")
     for earlier in recipe.steps[:-1]:
@@ -139,7 +138,7 @@ def minimize(
             return search.run(trials)
         trials += search.trials
     if not trials:
-        raise NotReproducibleError("the world before it cannot be set up from a fresh start as it was read")
+        raise NotReproducibleError("the world before it cannot be set up from a fresh start")
     raise NotReproducibleError(
         "tried alone from a fresh start it does as predicted: "
         "the failure depends on what went before, or on what happens at the same time"
@@ -147,7 +146,7 @@ def minimize(
 
 
 class _Search:
-    """The search for one action; it remembers what was tried."""
+    """The search for one action, with a cache of the trials."""
 
     def __init__(self, failing: FailingAction, on_trial: OnTrial, most: int) -> None:
         self.setup, self.seed, self.rules = failing.setup, failing.seed, Rules(failing.setup.rules)
@@ -162,7 +161,7 @@ class _Search:
         self.fails(self.pieces, self.size, self.action)
 
     def run(self, trials_before: int) -> Smallest:
-        """Take away what is not needed, bring what is left down, crop the map, and return it."""
+        """Remove pieces, lower the rest, crop the map, and return the smallest world."""
         self._remove()
         while self._simplify():
             self._remove()
@@ -179,7 +178,7 @@ class _Search:
         return Smallest(grid, self.action, self.attempt, self.setup, minimal, self.trials + trials_before)
 
     def fails(self, pieces: Sequence[WorldPart], size: Cell, action: Action) -> bool:
-        """Return whether the action of the first piece is legal in a world and fails; remember that world if so."""
+        """Return whether the action of the first piece is legal in a world and fails; if so keep that world."""
         grid = grid_of(pieces, size)
         text = blueprint_text(grid)
         key = f"{action.name} {text}"
@@ -211,7 +210,7 @@ class _Search:
         return fails
 
     def _remove(self) -> None:
-        """Take away parts of what stands around, smaller and smaller ones."""
+        """Remove surrounding pieces, in smaller and smaller groups."""
         n = 2
         while others := self._others():
             n, before = min(n, len(others)), len(self.pieces)
@@ -228,13 +227,13 @@ class _Search:
                 n *= 2
 
     def _others(self) -> list[WorldPart]:
-        """Return all but the car that acts and what it stands on, the furthest first."""
+        """Return all pieces but the acting car and those below it, furthest first."""
         me, *others = self.pieces
         free = (piece for piece in others if me in without(self.pieces, (piece,)))
         return sorted(free, key=lambda piece: (-distance(piece, me.cell), piece.cell, piece.kind))
 
     def _simplify(self) -> bool:
-        """Take a load off, or bring all down by a level; return whether one of these leaves the failure."""
+        """Remove a load, or lower everything by a level; return whether the failure remains."""
         for place, piece in enumerate(self.pieces):
             bare = replace(piece, load=Kind.AIR, load_yaw=0)
             pieces = (*self.pieces[:place], bare, *self.pieces[place + 1 :])
@@ -246,33 +245,33 @@ class _Search:
 
 @dataclass(frozen=True)
 class Counterexample:
-    """A failure in its smallest world."""
+    """A minimized failure."""
 
     key: str
-    """Name of the trial."""
+    """Key of the trial."""
     sentence: str
-    """When it fails, or why it could not be shrunk."""
+    """The failure in one sentence, or why it could not be minimized."""
     rules: str
     """The rule set that allows the action."""
     minimal: bool
-    """Whether nothing can be taken away any more without the failure going away, too."""
+    """Whether no further piece can be removed."""
     trials: int
     cells: tuple[int, int, int] | None
-    """Size of the smallest world; None where there is none."""
+    """Size of the smallest world; None without one."""
     folder: str | None
-    """With its blueprint and its actions, relative to the campaign's."""
+    """Folder with its blueprint and actions, relative to the run's."""
 
 
 MinimizeProgress = Callable[[int], AbstractContextManager[Callable[[Counterexample], None]]]
-"""Given the number of kinds, opens what is called with each one's result."""
+"""Given the number of kinds of failure, returns a context whose value is called with each result."""
 
 
 def minimize_bundle(
     bundle: Bundle, out: Path, name: str, on_trial: OnTrial = lambda fails: None
 ) -> Counterexample:
-    """Shrink the failure of a replay bundle, and write its smallest world into the folder ``name`` of ``out``.
+    """Minimize the failure of a replay bundle, and write its smallest world into the folder ``name`` of ``out``.
 
-    Raises InputError where no legal action fails, and for a folder that cannot be written.
+    Raises InputError if no legal action fails, and for a folder that cannot be written.
     """
     rules, why = bundle.recipe.setup.rules, ""
     for failing in failing_actions(bundle.recipe, bundle.attempts, bundle.most_s):
@@ -293,7 +292,7 @@ def minimize_bundle(
 def minimize_failures(
     session: Session, records: Iterable[TrialRecord], progress: MinimizeProgress
 ) -> tuple[Counterexample, ...]:
-    """Shrink the first failure of each kind that has a replay bundle, and write its world into :data:`FOLDER`."""
+    """Minimize the first failure of each kind that has a replay bundle, and write its world into :data:`FOLDER`."""
     bundles = list(first_of_each_kind(records).values())
     if not bundles or session.out is None:
         return ()
@@ -312,12 +311,12 @@ def minimize_failures(
 
 
 def kind_of(reason: str) -> str:
-    """Return a reason with its numbers masked: reasons that differ only in these are of one kind."""
+    """Return the kind of a reason: the text with its numbers masked."""
     return _NUMBER.sub("#", reason)
 
 
 def first_of_each_kind(records: Iterable[TrialRecord]) -> dict[str, str]:
-    """Return the bundle of the first failure of each kind of a legal action, by the kind."""
+    """Return the bundle of the first failure of each kind among legal actions, by kind."""
     found: dict[str, str] = {}
     for record in records:
         wrong = next((a for a in record["attempts"] if a["legal"] and a["performed"] and a["reason"]), None)

@@ -1,6 +1,6 @@
-"""Random play by the rules that prefers the rare: what has been done least in an episode is drawn most.
+"""Count-based exploratory play: random legal actions, weighted towards those done least in the episode.
 
-What an action is counts with what stands around it; so does what a campaign of such play has covered.
+Actions are counted by kind and surroundings, and so is the coverage of a run.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ _VERBS: Final = {
     "FOLD": 2.8,
     "UNFOLD": 2.8,
 }
-"""How much likelier an action is than a move on the flat, before what is rare about it counts."""
+"""Weight of an action relative to a move on the flat, before its count."""
 _COMMON: Final = 0.2
-"""Below this weight an action is common: it has been done often before."""
+"""Weight below which an action is common."""
 _IDLE: Final = 0.8
-"""How often a car that would do something common waits instead."""
+"""Probability that a car waits instead of a common action."""
 _LOADED_TURN: Final = 4.0
 _SLOPE: Final = 20.0
 _ABOVE_FLOOR: Final = 1.5
 _AHEAD: Final = 6.0
-"""For what brings a car before a ramp that it can drive next."""
+"""Weight of an action that brings a car before a ramp."""
 _NEAR: Final = 0.5
-"""More, for each other car within two cells."""
+"""Additional weight for each other car within two cells."""
 _AROUND: Final = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
 _THINGS: Final = {
     Kind.BLOCK: "block",
@@ -57,15 +57,15 @@ NEIGHBOURS: Final = (
     *("nothing", "block", "wall", "folded slope", "gear", "ramp", "car", "load", "load on a ramp"),
     *("load below", "something above", "wall overhead"),
 )
-"""All that may be around an action: in the eight cells round the car's own and its next one, on its level; below and
-above stands for the same cells one level lower or higher, and a wall overhead is right above the car."""
+"""What may surround an action: on its level in the eight cells around the car's present and next cell; "below" and
+"above" are the same cells one level lower or higher, and a wall overhead is right above the car."""
 ALL: Final = "all"
-"""The column that counts every action once; the others count it beside each thing that is around it."""
+"""The column that counts every action once; the others count it for each neighbour."""
 
 
 @dataclass(frozen=True)
 class PlayedAction:
-    """An action, where it is done, and what is around it."""
+    """An action with its place and surroundings."""
 
     verb: str
     level: int
@@ -73,18 +73,18 @@ class PlayedAction:
     on_slope: bool
     """Whether it starts or ends on a slope."""
     near: tuple[str, ...]
-    """Of :data:`NEIGHBOURS`, in their order."""
+    """Members of :data:`NEIGHBOURS`, in their order."""
 
     @property
     def name(self) -> str:
-        """What is done and where, whatever is around: verb, level, load and slope, such as ``MOVE 2+ block slope``."""
+        """Verb, level, load and slope, such as ``MOVE 2+ block slope``."""
         words = [self.verb.split("_")[0], "1" if self.level == 1 else "2+"]
         words += [self.load.name.lower()] if self.load != Kind.AIR else []
         return " ".join([*words, "slope"] if self.on_slope else words)
 
 
 def doing(before: Grid, after: Grid, car: int, action: Action) -> PlayedAction:
-    """Return what an action is, from the worlds before and after it."""
+    """Classify an action from the worlds before and after it."""
     row = before.cars[car]
     here, there = cell_of(before, car), cell_of(after, car)
     slope = bool(row[CarField.SLOPE] or after.cars[car, CarField.SLOPE])
@@ -117,17 +117,17 @@ def _near(grid: Grid, me: int, cell: Cell) -> set[str]:
 
 @dataclass(frozen=True)
 class Play:
-    """What the cars of a world do, tick by tick, each action legal in its turn."""
+    """The actions of all cars, tick by tick, each legal in its turn."""
 
     ticks: tuple[Joint, ...]
     doings: tuple[tuple[PlayedAction, ...], ...]
-    """What each action is and where, parallel to ``ticks``."""
+    """Class of each action, parallel to ``ticks``."""
 
 
 def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> Play:
-    """Return a play of so many ticks from a world; in each the cars act in drawn order.
+    """Return random play of ``n_ticks`` from a world; the order of the cars is drawn in each tick.
 
-    A car waits where it can do nothing, and mostly where it would do what has been done often.
+    A car waits if it has no other legal action, and mostly if it would take a common one.
     """
     done: Counter[str] = Counter()
     ticks, doings = [], []
@@ -177,10 +177,7 @@ def _ramp_ahead(grid: Grid, rules: Rules, car: int) -> bool:
 
 
 def covered(played: Play, attempts: Iterable[Attempt]) -> dict[str, dict[str, int]]:
-    """Return how often each thing was done: by name, ``all`` and the neighbours that there were. JSON knows it.
-
-    Only what was performed counts.
-    """
+    """Return the number of performed actions by name, in all and by neighbour, as JSON values."""
     done = {(a.tick, a.car) for a in attempts if a.performed}
     found: dict[str, Counter[str]] = {}
     for tick, (joint, doings) in enumerate(zip(played.ticks, played.doings, strict=True)):
@@ -191,7 +188,7 @@ def covered(played: Play, attempts: Iterable[Attempt]) -> dict[str, dict[str, in
 
 
 def _classes(doing: PlayedAction) -> list[str]:
-    """Return the totals that an action counts in, whatever is around it."""
+    """Return the totals in which an action counts."""
     loaded_turn = doing.verb.startswith("ROTATE") and doing.load != Kind.AIR
     classes = {
         "on slopes": doing.on_slope,
@@ -204,20 +201,20 @@ def _classes(doing: PlayedAction) -> list[str]:
 
 @dataclass(frozen=True)
 class Coverage:
-    """What all runs of a campaign covered together."""
+    """The coverage of all runs together."""
 
     worlds: int
     do_not_stand: int
-    """Worlds besides that cannot be: something would stand in something else. Nothing is tried there."""
+    """Further worlds that are invalid, since solids would overlap; nothing is tried there."""
     actions: int
     totals: dict[str, int]
-    """Actions on slopes, turns of loads, of folding and unfolding, above the floor."""
+    """Number of actions on slopes, turns of loads, folding and unfolding, and actions above the floor."""
     rows: dict[str, dict[str, int]]
-    """By what was done: ``all``, and how often beside each of the neighbours."""
+    """By kind of action: ``all``, and the number beside each neighbour."""
 
     @classmethod
     def of(cls, records: Iterable[TrialRecord]) -> Coverage | None:
-        """Return what the records of a campaign covered; None where nothing was played."""
+        """Return the coverage in some records; None without random play."""
         played = fallen = 0
         counts: dict[str, Counter[str]] = {}
         for extra in (record["extra"] for record in records):

@@ -42,72 +42,72 @@ from craftsim.validation.worlds import RandomWorlds
 
 BUNDLES: Final = "bundles"
 WORLDS: Final = "worlds"
-"""Folder of the random worlds and their plans."""
+"""Subfolder for random worlds and their plans."""
 
 
 @dataclass(frozen=True)
 class RandomPlay:
-    """Random play by the rules, weighted towards rare actions: a plan that each run draws for its world."""
+    """Random legal play, weighted towards rare actions: a plan that each run draws for its world."""
 
     order: PlanOrder
 
 
 By = tuple[Step, ...] | RandomPlay | Replanning | str | Policy
-"""What decides the cars' actions: the steps of a plan, random play, a planner that plans again, or a policy."""
+"""A source of actions: the steps of a plan, random play, a planner with replanning, or a policy."""
 
 
 @dataclass(frozen=True)
 class Terms:
-    """What all runs of a validation have in common."""
+    """The common configuration of all runs of a validation."""
 
     seed: int
     setup: Setup
     out: Path | None = None
-    """Folder of the campaign, where bundles go."""
+    """Folder of the run, for bundles."""
     observers: tuple[Observer, ...] = ()
-    """Called with each run's PhysicsWorld after every control period."""
+    """Called with the PhysicsWorld after every control period."""
     record: bool = False
     """Whether to write a trajectory and the logs of each run."""
     set_up: SetUp = set_up
-    """How a plan's world comes about: simulated here, or that of robots elsewhere."""
+    """Sets up a plan's world: simulated here, or remote robots."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What to run; goes to a worker."""
+    """One run; sent to a worker."""
 
     key: str
     world: Task | str | RandomWorlds
-    """A task, what names one, or worlds of which each episode draws its own."""
+    """A task, a reference to one, or a family of random worlds."""
     by: By
     episode: int
-    """Decides, with the seed, all that is drawn; the same for all plans and policies, so that they can be compared."""
+    """Index that, with the seed, determines all random draws; equal for all plans and policies, which pairs them."""
     terms: Terms
 
     @property
     def file_name(self) -> str:
-        """The key as a name of a file."""
+        """The key as a file name."""
         return re.sub(r"[^\w.-]+", "-", self.key)
 
 
 @dataclass(frozen=True)
 class RolloutResult:
-    """An episode, and what was recorded of it where that was asked for."""
+    """An episode with its recordings, if any."""
 
     task: Task
     start: Grid
     played: Play | None
-    """The random play, where there is one."""
+    """The random play, if any."""
     episode: Episode
     trajectory: Trajectory | None = None
     logs: Mapping[int, Log] = field(default_factory=dict)
-    """Of each car, by its number."""
+    """Logs by car."""
 
 
 def steps_of(
     ticks: Sequence[Sequence[tuple[int, Action]]], order: PlanOrder, after: Constraints | None = None
 ) -> tuple[Step, ...]:
-    """Return the steps of a plan's ticks, each (car, action) in acting order, with its order constraints."""
+    """Return the steps of a plan's ticks, each with (car, action) in acting order, and its order constraints."""
     after = after or {}
     if order == "concurrent":
         return (Step.joint(0, *ticks, after=after),)
@@ -118,14 +118,14 @@ def steps_of(
 
 
 def _within(after: Constraints, tick: int, joint: Sequence[tuple[int, Action]]) -> Constraints:
-    """Return the order constraints between the actions of one tick, as those of tick 0; others hold anyway."""
+    """Return the order constraints within one tick, renumbered to tick 0; those between ticks hold anyway."""
     return {
         (0, car): [(0, other) for at, other in after.get((tick, car), ()) if at == tick] for car, _ in joint
     }
 
 
 def do_run(run: Run) -> Result:
-    """Run in physics, and by the rules alone; write the bundle of the first disagreement, if there is one."""
+    """Run in physics and by the rules alone; write the bundle of the first disagreement, if any."""
     try:
         done = roll_out(run, run.terms.record)
     except StartError as error:
@@ -158,7 +158,7 @@ def do_run(run: Run) -> Result:
 
 
 def _write(run: Run, done: RolloutResult, out: Path) -> str | None:
-    """Write what was recorded, a random world, and the bundle of the first disagreement; return the latter's folder."""
+    """Write recordings, random world, and the bundle of the first disagreement; return the bundle's folder."""
     if done.trajectory is not None:
         folder = directory_within(out, TRAJECTORIES)
         done.trajectory.write(folder / f"{run.file_name}{SUFFIX}")
@@ -176,9 +176,9 @@ def _write(run: Run, done: RolloutResult, out: Path) -> str | None:
 
 
 def roll_out(run: Run, record: bool = False, watch: Watch = unwatched) -> RolloutResult:
-    """Return an episode in physics, and by the rules alone; with ``record`` what moved, and what cars measured, too.
+    """Return an episode in physics and by the rules alone; with ``record`` also its trajectory and logs.
 
-    Raises StartError for a world that cannot be, and NoPlanError where a planner has no plan from the start.
+    Raises StartError for an invalid world, and NoPlanError if a planner finds no plan from the start.
     """
     terms, by = run.terms, run.by
     world_seed, policy_seed = np.random.SeedSequence([terms.seed, run.episode]).spawn(2)
@@ -222,7 +222,7 @@ def roll_out(run: Run, record: bool = False, watch: Watch = unwatched) -> Rollou
 
 @dataclass(frozen=True)
 class _FixedPlan:
-    """The steps of a plan, carried out as long as the world can be read."""
+    """The steps of a plan, executed as long as the world can be read."""
 
     task: Task
     grid: Grid
@@ -248,7 +248,7 @@ class _FixedPlan:
 
 
 def _carried_out(chooser: _FixedPlan | Replanner, seed: Seed, where: SetUp, begin: Watch) -> Episode:
-    """Carry out the steps of a plan, or those of a planner, each from what was read before it."""
+    """Execute the steps of a plan or planner, each from the world read before it."""
     grid, setup = chooser.grid, chooser.setup
     recipe = Recipe(blueprint_text(grid), (), setup, seed, tuple(chooser.task.goal_cells))
     judge = where(grid, setup, seed, recipe.goals)
@@ -263,7 +263,7 @@ def _carried_out(chooser: _FixedPlan | Replanner, seed: Seed, where: SetUp, begi
 
 
 def _asked(task: Task, by: str | Policy, setup: Setup, seeds: tuple[int, int], begin: Watch) -> Episode:
-    """Let a policy play an episode in physics, and one by the rules alone."""
+    """Run a policy for one episode in physics and one by the rules alone."""
     backend = PhysicsBackend(setup, None, task.goal_cells, watch_contacts=True)
     reached = by_rules = None
     for world in (backend, None) if task.has_goal else (backend,):

@@ -1,4 +1,4 @@
-"""Validation of plans, lists of actions, policies and planners in physics: the whole job in one call."""
+"""Validation of plans, action lists, policies and planners in physics, in one call."""
 
 from __future__ import annotations
 
@@ -57,29 +57,29 @@ ROLLOUTS: Final = Rollouts()
 PHYSICS: Final = Physics()
 TRIALS: Final = Trials()
 _FORMER: Final = {"against": "baseline", "shrink": "minimize"}
-"""Arguments of validate that were called otherwise."""
+"""Former names of arguments of validate."""
 
 
 @dataclass(frozen=True)
 class BuildFigures:
-    """What all buildings of a campaign came to; times are medians, in simulated seconds."""
+    """Metrics of all buildings of a run; times are medians in simulated seconds."""
 
     built: Proportion
-    """Of all that finished, however many plans they took."""
+    """Share built of all that finished, with any number of plans."""
     endings: dict[str, int]
-    """How many were built, given up, or could not be read any more."""
+    """Number built, given up, or unreadable."""
     replans: int
-    """Plans after the first ones, all together."""
+    """Total number of further plans."""
     disturbed: int
-    """Buildings in which the disturbance that was asked for came about."""
+    """Buildings in which the disturbance took place."""
     planned_s: float | None
-    """Makespan of the first plan by the table of durations."""
+    """Predicted makespan of the first plan."""
     real_s: float | None
-    """From the start of the first action to the end of the last, of what was built."""
+    """Makespan of what was built."""
 
     @classmethod
     def of(cls, records: Iterable[TrialRecord]) -> BuildFigures:
-        """Return the figures of the buildings in some records."""
+        """Return the metrics of the buildings in some records."""
         extras = [record["extra"] for record in records if record["error"] is None]
         endings = Counter(extra["ended"] for extra in extras)
         times = [extra["makespan_s"] for extra in extras if extra["ended"] == "built"]
@@ -107,40 +107,40 @@ class Validation:
     """
 
     records: Sequence[TrialRecord]
-    """One for each run, as in ``trials.jsonl``; read from there one at a time where there is a folder for results."""
+    """One for each run, as in ``trials.jsonl``; read lazily if there is an output folder."""
     figures: Figures
     config: dict[str, Any]
-    """What decided it, besides the seed."""
+    """The configuration, without the seed."""
     seed: int
     items: Sequence[Trial]
-    """What was run, parallel to the records."""
+    """The trials, parallel to the records."""
     comparison: Comparison | None = None
-    """With an earlier run, where one was given."""
+    """Comparison with the baseline run, if given."""
     coverage: Coverage | None = None
-    """Of random play, where there was some."""
+    """Coverage of random play, if any."""
     smallest: tuple[Counterexample, ...] = ()
-    """The first failure of each kind in its smallest world, where that was asked for."""
+    """The first failure of each kind in its smallest world, with the option ``minimize``."""
     builds: BuildFigures | None = None
-    """Of buildings with re-planning."""
+    """Metrics of buildings with replanning."""
 
     @property
     def all_built(self) -> bool:
-        """Whether every building of a run with re-planning was built."""
+        """Whether every building with replanning was built."""
         return self.builds is not None and self.builds.endings.get("built", 0) == len(self.records)
 
     @property
     def agrees(self) -> bool:
-        """Whether every run did in physics what the rules predict, within all limits."""
+        """Whether every run is as predicted, within all limits."""
         return self.n_agree == len(self.records)
 
     @property
     def n_agree(self) -> int:
-        """Number of runs that did."""
+        """Number of runs as predicted."""
         return sum(record["agrees"] for record in self.records)
 
     @property
     def attempts(self) -> list[Attempt]:
-        """Every action that was tried, in the order of the runs."""
+        """All attempts, in the order of the runs."""
         return [Attempt.of(attempt) for record in self.records for attempt in record["attempts"]]
 
     def to_frame(self) -> DataFrame:
@@ -178,27 +178,27 @@ def validate(
     minimize: MinimizeProgress | None = None,
     **options: Any,
 ) -> Validation:
-    """Run plans, lists of actions or policies in physics and judge every action on the poses that it ends with.
+    """Run plans, action lists or policies in physics and compare every action with its prediction.
 
     Args:
-        worlds: one or several: a task, a blueprint's path, a shipped task's name, ``module:factory``, a Grid; or
-            ``random`` for worlds that each run draws anew.
-        what: plan, list of actions or policies, and how they are carried out.
-        physics: rules, what is drawn, gains, machines, drive and seed.
-        campaign: how many trials are run and where.
-        out: folder for report.json, trials.jsonl, durations.csv and replay bundles; nothing is written without.
+        worlds: one or several: a task, the path of a blueprint, the name of a task, ``module:factory``, a Grid; or
+            ``random`` for a new random world in each run.
+        what: plan, action list or policies, and their execution.
+        physics: rules, randomization, gains, machines, drive and seed.
+        campaign: number of trials and workers.
+        out: folder for report.json, trials.jsonl, durations.csv and replay bundles; without it nothing is written.
         record: write a trajectory of each run into the folder ``trajectories`` of ``out``.
-        observers: functions that are called with a run's world after every control period; they may look, not touch.
-        progress: shows what is done.
-        minimize: shows how the first failure of each kind is reduced to its smallest world; unless given, none is.
+        observers: functions called with a run's world after every control period; they must not change it.
+        progress: progress display.
+        minimize: progress of the minimization of the first failure of each kind; None for no minimization.
         options: any field of :class:`craftsim.options.Rollouts`, :class:`~craftsim.options.Physics` and
-            :class:`~craftsim.options.Trials` by its name, such as ``policy``, ``randomize`` or ``trials``. Besides what
-            the command line takes, ``plan`` may be a Plan, ``policy`` a function from the observations by agent to the
-            actions by agent, ``gains`` Gains, ``machines`` Machines, ``noise`` and ``assume`` SensorNoise, and
+            :class:`~craftsim.options.Trials` by name, such as ``policy``, ``randomize`` or ``trials``. In addition to
+            the values on the command line, ``plan`` may be a Plan, ``policy`` a function from the observations by agent
+            to the actions by agent, ``gains`` Gains, ``machines`` Machines, ``noise`` and ``assume`` SensorNoise, and
             ``skills`` a mapping such as ``{Action.LIFT: MyLift}`` with subclasses of :class:`craftsim.Skill`.
 
     Raises:
-        InputError: an argument, or a file that it names, is not as it should be.
+        InputError: an argument, or a file that it names, is invalid.
 
     Example:
         >>> import craftsim
@@ -277,20 +277,20 @@ def build_all(
     timeout_s: float = 600.0,
     record: bool = False,
 ) -> Validation:
-    """Build what a task with a goal asks for many times, planning again where physics went another way.
+    """Build the goal of a task repeatedly, with replanning after failures.
 
     Args:
-        task: has a goal.
+        task: a task with a goal.
         setup: configuration of the physics.
-        asked: how often is planned, and what goes wrong on purpose.
-        trials: how many times.
-        seed: decides all that is drawn.
+        asked: number of plans, and the disturbance.
+        trials: number of buildings.
+        seed: random seed.
         out: folder for ``report.json``, ``trials.jsonl`` and bundles.
-        options: how.
-        timeout_s: after which a building counts as hanging.
+        options: how the experiment is run.
+        timeout_s: time limit of a building.
         record: write a trajectory of each.
 
-    Raises InputError where something does not fit together, and NoPlanError where there is no plan from the start.
+    Raises InputError for invalid combinations, and NoPlanError if there is no plan from the start.
     """
     subjects = subjects_of([task])
     check_starts(subjects, setup, seed)
@@ -307,7 +307,7 @@ def build_all(
     items = [Trial(run.key, "built", seed, run, task.name, run.episode) for run in runs]
     experiment = Experiment("build", seed, config, items, do_run, BUILDS, timeout_s)
     earlier = read_earlier(experiment, out, options)
-    # Whether anything can be built is said before anything is begun; it may take long to find out.
+    # Fail before the run starts if nothing can be built; finding out may take long.
     rng, rules = np.random.default_rng(seed), Rules(setup.rules)
     first = task.for_episode(rng)
     plan_building(first.draw(rng), first, rules, rounds=asked.rounds, time_s=math.inf, report=_enough)
@@ -329,7 +329,7 @@ def _run(
     earlier: Finished | None,
     find: Callable[[Session, Sequence[TrialRecord]], Mapping[str, Any]],
 ) -> Validation:
-    """Run an experiment, and report on it with what else is found in it, by the names of Validation's fields."""
+    """Run an experiment and report on it; ``found`` are further fields of Validation."""
     with open_session(experiment, folder, how) as session:
         records = session.run()
         figures = campaign_figures(records, experiment.seed)
@@ -343,9 +343,9 @@ def _run(
 
 
 def read_goal(start: str, goal: Path | None) -> Task:
-    """Return a task, whose goal is another design if a file of one is given.
+    """Return a task, with its goal replaced by the design in a file, if given.
 
-    Raises InputError for files that are wrong or do not fit, and for what has no goal.
+    Raises InputError for invalid files, and without a goal.
     """
     task = as_task(start)
     if goal is not None:
@@ -365,9 +365,9 @@ def record_once(
     policy: str | None = None,
     order: PlanOrder = "concurrent",
 ) -> Trajectory:
-    """Run a plan or a policy in a world once, and return what moved; the shipped plan unless one is given.
+    """Run a plan (default: the shipped one) or a policy in a world once, and return its trajectory.
 
-    Raises InputError where there is none, and where a file is not as it should be.
+    Raises InputError if there is no plan, and for an invalid file.
     """
     if plan is not None and policy is not None:
         raise InputError("plan and policy exclude each other")

@@ -125,10 +125,10 @@ def failing_actions(
 def minimize(
     failing: FailingAction, on_trial: OnTrial = lambda fails: None, most: int = MOST_TRIALS
 ) -> Smallest:
-    """Return the smallest world in which an action still fails with the same result, after so many trials at most.
+    """Return the smallest world in which an action still fails with the same result, after at most ``most`` trials.
 
-    It is tried without noise and with the nominal physics; where it works with these, with the setup and the seed of
-    the failure. Raises DependsError for an action that works from a fresh start.
+    Trials use nominal physics without noise; if the action works there, the setup and seed of the failure. Raises
+    NotReproducibleError for an action that works from a fresh start.
     """
     nominal = replace(failing.setup, thresholds=Thresholds(), randomization=NONE)
     trials = 0
@@ -140,8 +140,7 @@ def minimize(
     if not trials:
         raise NotReproducibleError("the world before it cannot be set up from a fresh start")
     raise NotReproducibleError(
-        "tried alone from a fresh start it does as predicted: "
-        "the failure depends on what went before, or on what happens at the same time"
+        "tried alone from a fresh start it is as predicted: the failure depends on earlier or concurrent actions"
     )
 
 

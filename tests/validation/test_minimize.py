@@ -117,7 +117,7 @@ def test_the_search_ends_when_the_trials_are_used_up():
 
 
 def test_what_works_from_a_fresh_start_is_said_to_depend_on_what_went_before():
-    with pytest.raises(NotReproducibleError, match="depends on what went before"):
+    with pytest.raises(NotReproducibleError, match="depends on earlier"):
         minimize(FailingAction(CROWDED, 0, Action.STOP, PUBLISHED))
 
 

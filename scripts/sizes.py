@@ -19,32 +19,34 @@ COLUMNS = ("files", "lines", "classes", "imports a file", "parameters")
 
 def sizes(root: Path = ROOT / "craftsim") -> dict[str, tuple[float, ...]]:
     """Return the row of each subpackage, of the files beside them, and of all together."""
-    rows = {}
-    folders = sorted(path for path in root.iterdir() if (path / "__init__.py").exists())
-    for folder in folders:
-        rows[folder.name] = _row(sorted(folder.rglob("*.py")))
-    rows["(beside)"] = _row(sorted(root.glob("*.py")))
-    rows["together"] = _row(sorted(root.rglob("*.py")))
+    files = {path: _of_file(path) for path in sorted(root.rglob("*.py"))}
+    rows = {
+        folder.name: _row([one for path, one in files.items() if folder in path.parents])
+        for folder in sorted(path for path in root.iterdir() if (path / "__init__.py").exists())
+    }
+    rows["(beside)"] = _row([one for path, one in files.items() if path.parent == root])
+    rows["together"] = _row(list(files.values()))
     return rows
 
 
-def _row(files: list[Path]) -> tuple[float, ...]:
-    trees = [ast.parse(path.read_bytes()) for path in files]
-    lines = sum(path.read_bytes().count(b"\n") for path in files)
-    classes = sum(isinstance(node, ast.ClassDef) for tree in trees for node in ast.walk(tree))
-    longest = max(
-        (len(_parameters(node)) for tree in trees for node in ast.walk(tree) if _is_function(node)), default=0
-    )
-    return len(files), lines, classes, median(len(set(_imported(tree))) for tree in trees), longest
+def _of_file(path: Path) -> tuple[int, int, int, int]:
+    """Return lines, classes, imports and the parameters of the longest signature."""
+    data = path.read_bytes()
+    tree = ast.parse(data)
+    classes, longest = 0, 0
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            classes += 1
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            longest = max(
+                longest, sum(map(len, (node.args.posonlyargs, node.args.args, node.args.kwonlyargs)))
+            )
+    return data.count(b"\n"), classes, len(set(_imported(tree))), longest
 
 
-def _is_function(node: ast.AST) -> bool:
-    return isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-
-
-def _parameters(node: ast.AST) -> list[ast.arg]:
-    assert isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-    return [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+def _row(files: list[tuple[int, int, int, int]]) -> tuple[float, ...]:
+    lines, classes, imports, longest = zip(*files, strict=True)
+    return len(files), sum(lines), sum(classes), median(imports), max(longest)
 
 
 def _imported(tree: ast.Module) -> Iterator[str]:

@@ -4,6 +4,7 @@ import fcntl
 import signal
 import subprocess
 
+import forked
 import pytest
 
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
@@ -24,6 +25,22 @@ def rendering() -> None:
     """Skip the test where nothing renders."""
     if _WHY_NOT:
         pytest.skip(_WHY_NOT)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _forked_workers():
+    """Start workers without their imports."""
+    forked.workers(True)
+    yield
+    forked.stop()
+
+
+@pytest.fixture
+def spawned():
+    """Start workers as outside of the tests."""
+    forked.workers(False)
+    yield
+    forked.workers(True)
 
 
 @pytest.fixture

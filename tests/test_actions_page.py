@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import pytest
 from actions_page import ENTRIES, durations
 
 from craftsim import Action
@@ -10,13 +9,13 @@ from craftsim import Action
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "actions.md"
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry.title)
-def test_an_action_has_its_section_and_its_film(entry):
-    text = PAGE.read_text(encoding="utf-8").split(f"## {entry.title}\n", 1)[1].split("\n## ")[0]
-    assert f"Takes: {durations(entry)}." in text
-    assert all(f"- {line}" in text for line in entry.needs)
-    film = text.split(f"![{entry.title}](")[1].split(")")[0]
-    assert 1000 < (PAGE.parent / film).stat().st_size < 200_000
+def test_an_action_has_its_section_and_its_film():
+    for entry in ENTRIES:
+        text = PAGE.read_text(encoding="utf-8").split(f"## {entry.title}\n", 1)[1].split("\n## ")[0]
+        assert f"Takes: {durations(entry)}." in text
+        assert all(f"- {line}" in text for line in entry.needs)
+        film = text.split(f"![{entry.title}](")[1].split(")")[0]
+        assert 1000 < (PAGE.parent / film).stat().st_size < 200_000
 
 
 def test_every_action_has_its_number():

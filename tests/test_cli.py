@@ -252,13 +252,13 @@ demo --blueprint b --timeout-s 2 -> demo --task b --timeout 2
 """
 
 
-@pytest.mark.parametrize("line", FORMER.strip().splitlines())
-def test_former_words_mean_the_same_as_the_present_ones(line, capsys):
-    old, new = (words.split() for words in line.split(" -> "))
-    assert former.current(old) == new
-    assert "now; the old name goes away in 0.4" in capsys.readouterr().err
-    (found, was), (present, now) = cli_app.bind(former.current(old)), cli_app.bind(new)
-    assert (found.__name__, was.arguments) == (present.__name__, now.arguments)
+def test_former_words_mean_the_same_as_the_present_ones(capsys):
+    for line in FORMER.strip().splitlines():
+        old, new = (words.split() for words in line.split(" -> "))
+        assert former.current(old) == new
+        assert "now; the old name goes away in 0.4" in capsys.readouterr().err
+        (found, was), (present, now) = cli_app.bind(former.current(old)), cli_app.bind(new)
+        assert (found.__name__, was.arguments) == (present.__name__, now.arguments)
 
 
 def test_present_words_are_left_as_they_are_and_former_commands_say_what_they_are_now(capsys):
@@ -377,10 +377,10 @@ printf '%s\\n' "${{COMPREPLY[@]}}"
     assert {word.strip() for word in child.stdout.split()} == expected
 
 
-@pytest.mark.parametrize("words", [[], ["powershell"], ["bash", "more"]])
-def test_a_shell_that_is_not_known_is_refused(words, capsys):
-    assert cli.main(["completion", *words]) == 2
-    assert "needs a shell: bash, zsh, fish" in capsys.readouterr().err
+def test_a_shell_that_is_not_known_is_refused(capsys):
+    for words in [[], ["powershell"], ["bash", "more"]]:
+        assert cli.main(["completion", *words]) == 2
+        assert "needs a shell: bash, zsh, fish" in capsys.readouterr().err
 
 
 def test_text_that_steers_a_terminal_is_shown_as_escapes(command, capsys):

@@ -9,6 +9,8 @@ import pytest
 from craftsim import compiling
 from craftsim.workers.actor import spawn_context
 
+pytestmark = pytest.mark.usefixtures("spawned")
+
 
 class Terminal(io.StringIO):
     def isatty(self):

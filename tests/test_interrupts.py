@@ -12,6 +12,8 @@ import pytest
 from craftsim.workers.actor import defer_sigint, spawn_context
 from craftsim.workers.pool import Pool
 
+pytestmark = pytest.mark.usefixtures("spawned")
+
 
 def test_a_process_that_still_imports_hears_of_no_interrupt_and_whoever_starts_it_hears_as_before():
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ())

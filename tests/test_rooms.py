@@ -3,8 +3,6 @@
 import ast
 from pathlib import Path
 
-import pytest
-
 import craftsim
 
 PACKAGE = Path(craftsim.__file__).parent
@@ -200,9 +198,8 @@ def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
     assert _calling("compare", "own_differences") == [PACKAGE / "checking" / "judge.py"]
 
 
-@pytest.mark.parametrize(
-    ("module", "source"),
-    [
+def test_an_import_against_the_arrows_is_found():
+    for module, source in [
         ("craftsim.discrete.grid", "import mujoco"),
         ("craftsim.discrete.grid", "def f():\n    from mujoco import MjModel"),
         ("craftsim.discrete.grid", "from craftsim.models import world"),
@@ -211,15 +208,12 @@ def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
         ("craftsim.models.world", "import craftsim.skills.move"),
         ("craftsim.skills.move", "from craftsim.rendering.film import Frames"),
         ("craftsim.reports.report", "from craftsim.discrete.grid import Grid"),
-    ],
-)
-def test_an_import_against_the_arrows_is_found(module, source):
-    assert len(_violations(module, ast.parse(source))) == 1
+    ]:
+        assert len(_violations(module, ast.parse(source))) == 1
 
 
-@pytest.mark.parametrize(
-    ("module", "source"),
-    [
+def test_an_import_along_the_arrows_is_fine():
+    for module, source in [
         (
             "craftsim.skills.move",
             "from craftsim.models.world import PhysicsWorld\nfrom craftsim.discrete import grid",
@@ -227,7 +221,5 @@ def test_an_import_against_the_arrows_is_found(module, source):
         ("craftsim.models.world", "import mujoco\nfrom .parameters import Car"),
         ("craftsim.reports.report", "from craftsim.errors import InputError"),
         ("craftsim.cli.demo", "from craftsim.skills.move import Move"),
-    ],
-)
-def test_an_import_along_the_arrows_is_fine(module, source):
-    assert _violations(module, ast.parse(source)) == []
+    ]:
+        assert _violations(module, ast.parse(source)) == []

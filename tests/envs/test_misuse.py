@@ -32,9 +32,8 @@ def _a_car_outside(grid):
     grid.cars[1, 0] = 77
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
+def test_starts_that_do_not_fit_are_refused_and_the_next_reset_works():
+    for options, words in [
         ({"grid": "strip"}, "must be a Grid"),
         ({"grid": Grid.empty((3, 3, 2), 2)}, r"task 'strip' has \(4, 4, 3\)"),
         ({"grid": Grid.empty((4, 4, 3), 3)}, "3 cars"),
@@ -44,14 +43,12 @@ def _a_car_outside(grid):
         ({"blueprint": "no-such-file.yaml"}, "no such file"),
         ({"blueprint": 3}, "must be a path"),
         ({"grid": _start(lambda grid: None), "blueprint": "strip.yaml"}, "give one of them"),
-    ],
-)
-def test_starts_that_do_not_fit_are_refused_and_the_next_reset_works(options, words):
-    env = parallel_env("strip", "grid")
-    with pytest.raises(InputError, match=words):
-        env.reset(seed=0, options=options)
-    env.reset(seed=0)
-    assert env.grid.same_visible(_start(lambda grid: None))
+    ]:
+        env = parallel_env("strip", "grid")
+        with pytest.raises(InputError, match=words):
+            env.reset(seed=0, options=options)
+        env.reset(seed=0)
+        assert env.grid.same_visible(_start(lambda grid: None))
 
 
 @pytest.mark.parametrize("seed", [-1, "one"])
@@ -87,28 +84,25 @@ def test_before_a_reset_and_after_the_end_a_reset_is_asked_for(make):
     env.step(stop)
 
 
-@pytest.mark.parametrize(
-    ("actions", "words"),
-    [
+def test_actions_that_are_none_are_refused_and_change_nothing():
+    for actions, words in [
         ([STOP], r"shape \(2,\), not \(1,\)"),
         ([[STOP], [STOP, STOP]], r"shape \(2,\)"),
         ([-1, STOP], "0 to 14"),
         ([15, STOP], "0 to 14"),
         ([1.5, STOP], "whole numbers"),
         (["LIFT", "STOP"], "whole numbers"),
-    ],
-)
-def test_actions_that_are_none_are_refused_and_change_nothing(actions, words):
-    env = _central()
-    env.reset(seed=0)
-    before = env.core.grid
-    with pytest.raises(InputError, match=words):
-        env.step(actions)
-    assert env.core.grid.same_visible(before)
-    envs = GridVectorEnv("strip", 1)
-    envs.reset(seed=0)
-    with pytest.raises(InputError, match=words.replace("2,", "1, 2").split(", not")[0]):
-        envs.step([actions])
+    ]:
+        env = _central()
+        env.reset(seed=0)
+        before = env.core.grid
+        with pytest.raises(InputError, match=words):
+            env.step(actions)
+        assert env.core.grid.same_visible(before)
+        envs = GridVectorEnv("strip", 1)
+        envs.reset(seed=0)
+        with pytest.raises(InputError, match=words.replace("2,", "1, 2").split(", not")[0]):
+            envs.step([actions])
 
 
 def test_every_agent_needs_an_action():

@@ -209,16 +209,13 @@ def test_a_local_view_shows_the_cells_around_each_car():
     assert local_views(far[None], np.zeros((1, 0, 5), np.int64), 1).shape == (1, 0, 3, 3, 2, 6)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
+def test_wrong_options_are_refused():
+    for options, words in [
         ({"object_choice": ObjectChoice()}, "needs the action helper; give helper_depth"),
         ({"object_choice": 3, "helper_depth": 20}, "must be an instance of ObjectChoice"),
         ({"local_view": -1}, r"local_view: -1 is out of range, allowed: 0 to 64"),
-    ],
-)
-def test_wrong_options_are_refused(options, words):
-    with pytest.raises(InputError, match=words):
-        parallel_env("strip", "grid", **options)
-    with pytest.raises(InputError, match="radius: 0 is out of range"):
-        ObjectChoice(radius=0)
+    ]:
+        with pytest.raises(InputError, match=words):
+            parallel_env("strip", "grid", **options)
+        with pytest.raises(InputError, match="radius: 0 is out of range"):
+            ObjectChoice(radius=0)

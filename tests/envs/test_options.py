@@ -116,9 +116,8 @@ def test_observations_of_ones_own_replace_the_rows_and_the_mask_stays():
         _central(backend="grid", observe=OWN)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
+def test_wrong_options_are_refused_in_both_forms():
+    for options, words in [
         ({"task": "strap"}, "did you mean 'strip'"),
         ({"task": 3}, "a task is a Task"),
         ({"backend": "grit"}, "did you mean 'grid'.*allowed: physics, grid"),
@@ -150,13 +149,11 @@ def test_observations_of_ones_own_replace_the_rows_and_the_mask_stays():
                 "images": Images(),
             }.items()
         ),
-    ],
-)
-def test_wrong_options_are_refused_in_both_forms(options, words):
-    given = {"task": "strip", "backend": "grid"} | options
-    for make in (parallel_env, lambda **options: vector_env(num_envs=2, **options)):
-        with pytest.raises(InputError, match=words):
-            make(**given)
+    ]:
+        given = {"task": "strip", "backend": "grid"} | options
+        for make in (parallel_env, lambda **options: vector_env(num_envs=2, **options)):
+            with pytest.raises(InputError, match=words):
+                make(**given)
 
 
 def test_a_batch_of_grid_worlds_has_fewer_options():
@@ -174,17 +171,14 @@ def test_a_batch_of_grid_worlds_has_fewer_options():
             vector_env("strip", **({"num_envs": 2} | options))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
+def test_images_that_there_are_not_are_refused():
+    for arguments, words in [
         ({"camera": "frond"}, "did you mean 'front'"),
         ({"size": (64, 0)}, "width, height"),
         ({"kinds": "rgb"}, "one or more of rgb, depth, segmentation"),
-    ],
-)
-def test_images_that_there_are_not_are_refused(arguments, words):
-    with pytest.raises(InputError, match=words):
-        Images(**arguments)
+    ]:
+        with pytest.raises(InputError, match=words):
+            Images(**arguments)
 
 
 @pytest.mark.parametrize("form", ["parallel", "central", "vector"])
@@ -219,9 +213,8 @@ def test_what_is_handed_out_may_be_changed_without_any_consequence(form):
     np.testing.assert_array_equal(play(spoils=True), play(spoils=False))
 
 
-@pytest.mark.parametrize(
-    ("old", "name", "now"),
-    [
+def test_names_of_0_2_go_on_working_and_say_where_they_are_now():
+    for old, name, now in [
         ("answers", "answer_text", "text"),
         ("collecting", "reached_worlds", "datasets"),
         ("conversation", "converse", "text"),
@@ -229,9 +222,7 @@ def test_what_is_handed_out_may_be_changed_without_any_consequence(form):
         ("images", "Images", "observations"),
         ("observe", "Observe", "observations"),
         ("physics_vector", "PhysicsVectorEnv", "vector"),
-    ],
-)
-def test_names_of_0_2_go_on_working_and_say_where_they_are_now(old, name, now):
-    with pytest.warns(DeprecationWarning, match=rf"craftsim\.envs\.{now}\.{name} now"):
-        found = getattr(import_module(f"craftsim.envs.{old}"), name)
-    assert found is getattr(import_module(f"craftsim.envs.{now}"), name)
+    ]:
+        with pytest.warns(DeprecationWarning, match=rf"craftsim\.envs\.{now}\.{name} now"):
+            found = getattr(import_module(f"craftsim.envs.{old}"), name)
+        assert found is getattr(import_module(f"craftsim.envs.{now}"), name)

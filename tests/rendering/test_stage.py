@@ -167,17 +167,14 @@ def test_a_design_is_dashed_and_a_goal_is_not():
     assert framed((1, 1, 2), [Piece(Kind.BODY, (1, 1, 2), 0)]) == 0
 
 
-@pytest.mark.parametrize(
-    ("part", "geom", "kind"),
-    [
+def test_things_have_the_colours_that_films_show():
+    for part, geom, kind in [
         ("wall", None, Kind.WALL),
         ("block", None, Kind.BLOCK),
         ("flag", "flag_visual", Kind.FLAG),
         ("slope", None, Kind.BODY),
         ("slope", "flap_visual", Kind.FOOT),
         ("slope", "gear_left_visual", Kind.GEAR),
-    ],
-)
-def test_things_have_the_colours_that_films_show(part, geom, kind):
-    shown = [g.rgba[:3] for g in machine_spec(part, NOMINAL).geoms if geom is None or g.name == geom]
-    assert any(np.allclose(rgb, KIND_COLOURS[kind], atol=1e-4) for rgb in shown)
+    ]:
+        shown = [g.rgba[:3] for g in machine_spec(part, NOMINAL).geoms if geom is None or g.name == geom]
+        assert any(np.allclose(rgb, KIND_COLOURS[kind], atol=1e-4) for rgb in shown)

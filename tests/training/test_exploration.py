@@ -94,16 +94,13 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
     assert trainer.evaluate(3)[-4:] == ("published", 20, "greedy", "synchronous")
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_bad_settings_are_refused():
+    for options, message in [
         ({"rules": "paper"}, "rules: unknown value 'paper'; allowed: published, physical"),
         ({"helper_depth": -1}, "helper_depth: -1 is out"),
         ({"explore": -1}, "explore: -1 is out"),
         ({"backend": "physics", "helper_depth": 5}, "or train on the grid"),
         ({"backend": "physics", "explore": 5}, "or train on the grid"),
-    ],
-)
-def test_bad_settings_are_refused(options, message):
-    with pytest.raises(InputError, match=message):
-        TrainConfig("strip", **options)
+    ]:
+        with pytest.raises(InputError, match=message):
+            TrainConfig("strip", **options)

@@ -50,17 +50,14 @@ def test_a_run_with_stages_goes_on_as_if_it_had_never_stopped(goes_on):
     goes_on(_config())
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
+def test_stages_that_make_no_sense_are_refused():
+    for options, said in [
         ({"stage_steps": 0}, "give each at least one step"),
         ({"stages": ()}, "leave both out"),
         ({"imitate": 3}, "without exploration and imitation"),
-    ],
-)
-def test_stages_that_make_no_sense_are_refused(options, said):
-    with pytest.raises(InputError, match=said):
-        _config(**options)
+    ]:
+        with pytest.raises(InputError, match=said):
+            _config(**options)
 
 
 def test_a_stage_of_another_size_is_refused():

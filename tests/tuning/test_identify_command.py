@@ -43,15 +43,12 @@ def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeyp
     assert "held" in said
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_wrong_input_ends_with_a_message(capsys):
+    for words, said in [
         (["identify", "no.csv"], "no.csv: no such file"),
         (["identify", "no.bin"], "no log by its ending"),
         (["excite", "--time", "1"], "--duration is 1; allowed: 10 to 3600"),
         (["excite", "--length", "0.1"], "--length is 0.1; allowed: 0.6 to 20"),
-    ],
-)
-def test_wrong_input_ends_with_a_message(words, said, capsys):
-    assert cli.main(words) == 2
-    assert said in capsys.readouterr().err
+    ]:
+        assert cli.main(words) == 2
+        assert said in capsys.readouterr().err

@@ -2,8 +2,6 @@
 
 import re
 
-import pytest
-
 from .plants import PLANTS, ROOT
 
 
@@ -11,8 +9,8 @@ def test_there_are_at_least_twelve():
     assert len({plant.rule for plant in PLANTS}) == len(PLANTS) >= 12
 
 
-@pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.rule)
-def test_each_changes_its_places(plant):
-    source = (ROOT / "craftsim" / "discrete" / plant.file).read_text()
-    assert len(re.findall(plant.old, source)) == plant.places
-    assert re.sub(plant.old, plant.new, source) != source
+def test_each_changes_its_places():
+    for plant in PLANTS:
+        source = (ROOT / "craftsim" / "discrete" / plant.file).read_text()
+        assert len(re.findall(plant.old, source)) == plant.places
+        assert re.sub(plant.old, plant.new, source) != source

@@ -147,30 +147,24 @@ def test_records_in_a_folder_are_those_without_one(tmp_path):
     assert one != other
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_wrong_arguments_are_refused():
+    for options, message in [
         ({"trials": 0}, "at least 1"),
         ({"plan": MOVES, "policy": "random"}, "plan and policy exclude each other"),
         ({"workers": 2}, "need the folder 'out'"),
         ({}, "there is no shipped plan for grid"),
-    ],
-)
-def test_wrong_arguments_are_refused(options, message):
-    with pytest.raises(InputError, match=message):
-        validate(GRID, **options)
+    ]:
+        with pytest.raises(InputError, match=message):
+            validate(GRID, **options)
 
 
-@pytest.mark.parametrize(
-    ("worlds", "options", "message"),
-    [
+def test_worlds_that_do_not_fit_are_refused():
+    for worlds, options, message in [
         ([GRID, GRID], {"policy": "random"}, "two worlds are called 'grid'"),
         (["strip", "block"], {"plan": MOVES}, "plan needs the one world"),
-    ],
-)
-def test_worlds_that_do_not_fit_are_refused(worlds, options, message):
-    with pytest.raises(InputError, match=message):
-        validate(worlds, **options, **ONCE)
+    ]:
+        with pytest.raises(InputError, match=message):
+            validate(worlds, **options, **ONCE)
 
 
 def test_an_observer_of_ones_own_sees_every_control_period_and_the_start_is_not_changed():

@@ -8,6 +8,8 @@ import pytest
 from craftsim.errors import CraftsimError
 from craftsim.workers.pool import NoAnswer, Pool
 
+pytestmark = pytest.mark.usefixtures("spawned")
+
 
 def _gone(pid):
     try:

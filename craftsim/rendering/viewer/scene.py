@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 import mujoco
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from trimesh.util import concatenate
 
 from craftsim.discrete.drawing import car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
@@ -25,6 +23,7 @@ from craftsim.rendering.playback import SeenWorld
 from craftsim.rendering.stage import FLOOR_RGB, dressed_rgb, floor, number_plate
 
 if TYPE_CHECKING:
+    import trimesh  # loaded where it is used: every worker in physics imports this file
     from viser import SceneNodeHandle, ViserServer
 
 _MOVED_M: Final = 1e-5
@@ -187,6 +186,8 @@ def shapes_of(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
 
     A roller is drawn as a part of its wheel: it is round, so that its own spin does not show.
     """
+    from trimesh.util import concatenate
+
     meshes: dict[int, list[trimesh.Trimesh]] = defaultdict(list)
     for geom in range(model.ngeom):
         kind = int(model.geom_type[geom])
@@ -199,7 +200,7 @@ def shapes_of(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
             mesh.apply_transform(_transform(model.body_pos[body], model.body_quat[body]))
             body = int(model.body_parentid[body])
         meshes[body].append(mesh)
-    return {body: cast(trimesh.Trimesh, concatenate(found)) for body, found in sorted(meshes.items())}
+    return {body: cast("trimesh.Trimesh", concatenate(found)) for body, found in sorted(meshes.items())}
 
 
 def floor_mesh(size: Cell) -> trimesh.Trimesh:
@@ -207,6 +208,7 @@ def floor_mesh(size: Cell) -> trimesh.Trimesh:
 
     A picture in the page would show no shadows, so that things float; a mesh with that picture does.
     """
+    import trimesh
     from PIL import Image
 
     (length, width), strip = (n * CELL_PITCH_M for n in size[:2]), label_strip_m(*size[:2])
@@ -243,6 +245,8 @@ def _is_roller(model: mujoco.MjModel, body: int) -> bool:
 
 
 def _mesh(model: mujoco.MjModel, geom: int, kind: int) -> trimesh.Trimesh:
+    import trimesh
+
     size = model.geom_size[geom]
     if kind == _MESH:
         mesh = _asset(model, int(model.geom_dataid[geom]))
@@ -277,6 +281,8 @@ def _asset(model: mujoco.MjModel, number: int) -> trimesh.Trimesh:
 
 def _faceted(points: NDArray[np.floating], normals: NDArray[np.floating]) -> trimesh.Trimesh:
     """Return the triangles between each three points (3 n, 3)."""
+    import trimesh
+
     faces = np.arange(len(points)).reshape(-1, 3)
     return trimesh.Trimesh(points, faces, vertex_normals=normals, process=False)
 

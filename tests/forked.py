@@ -1,0 +1,100 @@
+"""Processes without their second of imports: copies of one that has imported craftsim and run nothing of it.
+
+A command, a script, or a worker that a test starts here is a process of its own with a fresh state. What Python does
+before the first import of ours (``-P``, ``NUMBA_DISABLE_JIT``) and how signals find a worker need a real start.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import runpy
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from multiprocessing import forkserver
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+from typing import Any, Final
+
+from craftsim.workers import actor
+
+_IMPORTED: Final = [
+    *("craftsim.validation.rollout", "craftsim.validation.validation", "craftsim.experiments.session"),
+    *("craftsim.envs.vector", "craftsim.cli.app", "craftsim.reports.report", "pandas"),
+]
+_SPAWNED: Final = actor._Process
+
+
+class _Worker(actor._Process):
+    """A worker as the package starts them, with this process's environment."""
+
+    def start(self) -> None:
+        self._environment = dict(os.environ)
+        super().start()
+
+    def run(self) -> None:
+        os.environ.clear()
+        os.environ.update(self._environment)
+        super().run()
+
+    @staticmethod
+    def _Popen(process: Any) -> Any:
+        return ForkServerProcess._Popen(process)
+
+
+def _context() -> Any:
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(_IMPORTED)
+    return context
+
+
+def workers(forked: bool) -> None:
+    """Let the package's workers start as copies from now on, or as they do outside of the tests."""
+    if forked:
+        _context()
+    actor._Context.Process = _Worker if forked else _SPAWNED
+
+
+def stop() -> None:
+    """End the process that is copied."""
+    workers(False)
+    forkserver._forkserver._stop()
+
+
+def _perform(words: Sequence[str], folder: str, environment: dict[str, str], out: str, err: str) -> None:
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(folder)
+    for number, path in ((1, out), (2, err)):
+        file = os.open(path, os.O_WRONLY)
+        os.dup2(file, number)
+        os.close(file)
+    sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    sys.path[:0] = [path for path in environment.get("PYTHONPATH", "").split(os.pathsep) if path]
+    if words[0] == "craftsim":
+        from craftsim.cli import main
+
+        sys.argv = list(words)
+        raise SystemExit(main(words[1:]))
+    sys.argv = list(words)
+    sys.path.insert(0, str(Path(words[0]).resolve().parent))
+    runpy.run_path(words[0], run_name="__main__")
+
+
+def run(
+    *words: object, cwd: Path | str = ".", check: bool = False, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Run ``craftsim`` with options, or a script, as subprocess.run does, with its output as text."""
+    command = [str(word) for word in words]
+    with tempfile.NamedTemporaryFile("r") as out, tempfile.NamedTemporaryFile("r") as err:
+        arguments = (command, str(Path(cwd).resolve()), {**os.environ, **environment}, out.name, err.name)
+        process = _context().Process(target=_perform, args=arguments)
+        process.start()
+        process.join()
+        done = subprocess.CompletedProcess(command, process.exitcode, out.read(), err.read())
+    if check:
+        done.check_returncode()
+    return done

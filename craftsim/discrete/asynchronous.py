@@ -87,6 +87,20 @@ class Deadlock(NamedTuple):
     """(car, the car that it waits for)."""
 
 
+@dataclass(frozen=True)
+class Event(Steps):
+    """What an event brought to B worlds."""
+
+    duration_s: NDArray[np.float64]
+    """(B,): since the event before."""
+    outcome: NDArray[np.int64]
+    """(B, n): what became of each car's decision, RUNS where it had none to make."""
+    ended: NDArray[np.bool_]
+    """(B, n): whose decisions have ended."""
+    failed: NDArray[np.bool_]
+    """(B, n): whose actions have ended without effect."""
+
+
 class AsynchronousEpisodes(Episodes):
     """B asynchronous episodes of one task. All state is in public attributes.
 
@@ -175,8 +189,8 @@ class AsynchronousEpisodes(Episodes):
         nominal = self.timing.nominal_s if timed else self._unknown
         clock = EventTimes(self.time_s, nominal, factor, fails, self._wait_s)
         out = np.full(acts.shape, RUNS, np.int64)
-        done = 0
         some = np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else []
+        done = 0
         for i in [*some, len(self)]:
             self._decide(slice(done, i), turns, acts, clock, out)
             done = i + 1
@@ -190,20 +204,22 @@ class AsynchronousEpisodes(Episodes):
         return out
 
     def _decide(self, worlds: slice, turns: Any, acts: Any, clock: EventTimes, out: Any) -> None:
-        grids, depth = self.grids, NO_HELPER if self.depth is None else self.depth
+        depth = NO_HELPER if self.depth is None else self.depth
         events.decide(
-            *(grids.cells[worlds], grids.cars[worlds], self.corrections),
-            Running._make(array[worlds] for array in self.running),
-            Decisions._make(array[worlds] for array in self.decisions),
-            EventTimes(
-                clock.time_s[worlds], clock.nominal_s, clock.factor[worlds], clock.fails[worlds], clock.wait_s
-            ),
-            np.ascontiguousarray(turns[worlds]),
-            acts[worlds],
-            self.queue[worlds],
+            self.grids.cells,
+            self.grids.cars,
+            self.corrections,
+            self.running,
+            self.decisions,
+            clock,
+            np.ascontiguousarray(turns),
+            acts,
+            self.queue,
             self._space,
             depth,
-            out[worlds],
+            worlds.start,
+            worlds.stop,
+            out,
         )
 
     def _decide_own(self, i: int, car: int, action: int, clock: EventTimes) -> int:
@@ -240,27 +256,36 @@ class AsynchronousEpisodes(Episodes):
         All cars must have decided; both (B, n).
         """
         assert not self.decides.any(), "a car has not decided"
-        before = self.running.action.copy()
-        own = np.flatnonzero((before >= N_ACTIONS).any(1)).tolist() if self.own else []
-        kept = {i: self._marked(self.confirmed[i]) for i in own}
-        failing = self.running.fails.copy()
-        ended = np.zeros(before.shape, np.bool_)
+        own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else []
+        kept = {i: (self._marked(self.confirmed[i]), self.running.action[i].copy()) for i in own}
+        ended = np.empty(self.running.action.shape, np.bool_)
         worlds = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
         events.advance(*worlds, self.running, self.queue, self.time_s, ended)
-        for i, grid in kept.items():
+        failed = ended & self.running.fails
+        for i, (grid, actions) in kept.items():
             for car in np.argsort(self.running.turn[i]):
-                if ended[i, car] and not failing[i, car]:
-                    self._enforce(grid, int(car), int(before[i, car]))
+                if ended[i, car] and not failed[i, car]:
+                    self._enforce(grid, int(car), int(actions[car]))
             self.confirm(i, grid)
-        return ended, ended & failing
+        return ended, failed
 
-    def step(self, actions: NDArray[np.integer], order: NDArray[np.integer] | None = None) -> Steps:
-        """Let the cars that decide begin, ``actions`` (B, n) by car, and advance each world to its next event."""
+    def step(
+        self,
+        actions: NDArray[np.integer],
+        order: NDArray[np.integer] | None = None,
+        time_weight: float = 0.0,
+    ) -> Event:
+        """Let the cars that decide begin, ``actions`` (B, n) by car, and advance each world to its next event.
+
+        A second costs ``time_weight``.
+        """
         before, now_s = self.worlds_before(), self.time_s.copy()
-        self.decide(actions, self.draw_order() if order is None else np.asarray(order, np.int64))
+        outcome = self.decide(actions, self.draw_order() if order is None else order)
         doing = self.running.action.copy()
-        ended, _ = self.advance()
-        return self.settle(before, doing, ended, np.round(self.time_s - now_s, 6), 0.0)
+        ended, failed = self.advance()
+        duration_s = np.round(self.time_s - now_s, 6)
+        steps = self.settle(before, doing, ended, duration_s, time_weight)
+        return Event(**vars(steps), duration_s=duration_s, outcome=outcome, ended=ended, failed=failed)
 
     def finish(self, i: int, time_s: float, cars: Any, confirmed: Grid) -> NDArray[np.bool_]:
         """Bring a world to an event that something else has simulated; return which decisions have ended, (n,).
@@ -380,28 +405,28 @@ class AsynchronousEpisodes(Episodes):
         carry_out(after, car, action)
         return self._clash(i, footprint(before, after, car, action))
 
-    def idle(self) -> NDArray[np.bool_]:
-        """Return (B,): in which worlds all cars decide, and nothing has begun by their last decisions."""
-        waited = (self.decisions.outcome == WAITS) | (self.decisions.outcome == ILLEGAL)
-        return np.asarray((waited & self.decides).all(1))
+    def deadlocks(self, offered: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return (B,): in which worlds :meth:`deadlock` finds one at an event.
 
-    def deadlocks(self, masks: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return (B,): in which worlds :meth:`deadlock` finds one; ``masks`` (B, n, actions)."""
-        stuck = (masks.sum(-1) <= masks[..., _STOP]).all(1)
-        doubted = stuck | (self.decisions.outcome == ILLEGAL).all(1)
-        for i in np.flatnonzero(doubted).tolist():
-            doubted[i] = self.deadlock(i, masks[i]) is not None
-        return np.asarray(doubted)
+        ``offered`` (B, n, actions) is what was offered before it: where all cars have waited since, that is so still.
+        """
+        outcome = self.decisions.outcome
+        found: NDArray[np.bool_] = ((outcome == WAITS) | (outcome == ILLEGAL)).all(1)
+        for i in np.flatnonzero(found).tolist():
+            asked_in_vain = (outcome[i] == ILLEGAL).any()
+            found[i] = (asked_in_vain or _stuck(offered[i])) and self.deadlock(i) is not None
+        return found
 
-    def deadlock(self, i: int, mask: NDArray[Any]) -> Deadlock | None:
+    def deadlock(self, i: int) -> Deadlock | None:
         """Return why nothing can go on in a world at an event, or None where something can.
 
         All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
-        one that another car forbids. ``mask`` (n, actions) is what the cars are offered.
+        one that another car forbids.
         """
-        if not self.idle()[i] or (self.queue[i, :, 0] >= 0).any():
+        waited = np.isin(self.decisions.outcome[i], (WAITS, ILLEGAL)) & self.decides[i]
+        if not waited.all() or (self.queue[i, :, 0] >= 0).any():
             return None
-        stuck = not np.delete(mask.astype(np.bool_), _STOP, axis=1).any()
+        stuck = _stuck(self.some(np.array([i])).offered()[0])
         if not stuck and (self.decisions.outcome[i] != ILLEGAL).any():
             return None
         asked = self.decisions.asked[i]
@@ -433,14 +458,19 @@ class AsynchronousEpisodes(Episodes):
                     found[other] = str(explain(grid, self.corrections, car, one))
         return found
 
-    def doing(self) -> NDArray[np.float32]:
-        """Return (B, n, 2): of each car what it does, -1 if it decides, and the seconds since that began."""
-        idle = self.decides
-        since = np.where(idle, 0.0, self.time_s[:, None] - self.running.began_s)
-        return np.stack([np.where(idle, DECIDES, self.running.action), since], axis=-1).astype(np.float32)
+    def activity(self) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
+        """Return what each car sees of what all are doing, and of what is claimed.
 
-    def claimed(self) -> NDArray[np.int8]:
-        """Return (B, L, W, H + 1): 1 for each cell that what runs has claimed."""
-        out = np.zeros(self.grids.cells.shape[:4], np.int8)
-        events.claimed(self.running, out)
-        return out
+        That is (B, n, n, 2), of each car what it does, -1 if it decides, and the seconds since that began; and
+        (B, n, L, W, H + 1), 1 for each cell that what runs has claimed.
+        """
+        shape = len(self), self.n_cars
+        doing = np.empty((*shape, self.n_cars, 2), np.float32)
+        claimed = np.empty((*shape, *self.grids.cells.shape[1:4]), np.int8)
+        events.show(self.running, self.time_s, doing, claimed)
+        return doing, claimed
+
+
+def _stuck(mask: NDArray[Any]) -> bool:
+    """Return whether no car of a world has an action but to wait."""
+    return not np.delete(mask, _STOP, axis=1).any()

@@ -211,14 +211,16 @@ def decide(
     queues: Queues,
     space: SearchBuffers,
     depth: int,
+    first: int,
+    end: int,
     out: NDArray[np.int64],
 ) -> None:
-    """Let the cars order[i] of each world begin what they have decided on, one after the other, if they decide.
+    """Let the cars order[i] of the worlds from ``first`` to ``end`` begin what they have decided on, in their order.
 
     ``actions`` and ``out`` are by car, (B, n); out tells what became of each decision. Cells and cars have the effects
     of what has begun from here on, but marks are not derived.
     """
-    for i in range(cells.shape[0]):
+    for i in range(first, end):
         w = World(cells[i], cars[i], corrections)
         turn = 0
         for car in range(w.cars.shape[0]):
@@ -349,16 +351,20 @@ def commit(confirmed: World, committed: World, running: Running, i: int) -> None
 
 
 @compiled
-def claimed(running: Running, out: NDArray[np.int8]) -> None:
-    """Write into out (B, L, W, H + 1) 1 for each cell that an action which runs has claimed, else 0."""
-    for i in range(out.shape[0]):
-        out[i, :, :, :] = 0
-        for car in range(running.action.shape[1]):
-            for k in range(running.n_claims[i, car]):
-                x, y, z = (
-                    running.claims[i, car, k, 0],
-                    running.claims[i, car, k, 1],
-                    running.claims[i, car, k, 2],
-                )
-                if 0 <= x < out.shape[1] and 0 <= y < out.shape[2] and z < out.shape[3]:
-                    out[i, x, y, z] = 1
+def show(
+    running: Running, time_s: NDArray[np.float64], doing: NDArray[np.float32], claimed: NDArray[np.int8]
+) -> None:
+    """Write what each car sees of what all are doing: action and seconds (B, n, n, 2), claims (B, n, L, W, H + 1)."""
+    for i in range(doing.shape[0]):
+        for me in range(doing.shape[1]):
+            cells = claimed[i, me]
+            cells[:] = 0
+            for car in range(doing.shape[2]):
+                action = running.action[i, car]
+                doing[i, me, car, 0] = action
+                doing[i, me, car, 1] = 0.0 if action == DECIDES else time_s[i] - running.began_s[i, car]
+                for k in range(running.n_claims[i, car]):
+                    claim = running.claims[i, car, k]
+                    x, y, z = claim[0], claim[1], claim[2]
+                    if 0 <= x < cells.shape[0] and 0 <= y < cells.shape[1] and z < cells.shape[2]:
+                        cells[x, y, z] = 1

@@ -13,7 +13,7 @@ from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST
+from craftsim.discrete.kernel.claims import MOST, write_box
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -95,10 +95,12 @@ class Event(Steps):
     """(B,): since the event before."""
     outcome: NDArray[np.int64]
     """(B, n): what became of each car's decision, RUNS where it had none to make."""
-    ended: NDArray[np.bool_]
-    """(B, n): whose decisions have ended."""
     failed: NDArray[np.bool_]
     """(B, n): whose actions have ended without effect."""
+    elapsed_s: NDArray[np.float64]
+    """(B, n): the time since each decision that has ended, and with an episode since all."""
+    earned: NDArray[np.float64]
+    """(B, n): the sum of the rewards of that time."""
 
 
 class AsynchronousEpisodes(Episodes):
@@ -153,10 +155,9 @@ class AsynchronousEpisodes(Episodes):
         """Start the episodes ``rows`` anew; all their cars decide."""
         super().begin(rows, starts)
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
-        self.time_s[rows], self.running.began_s[rows] = 0.0, 0.0
-        self.running.action[rows], self.running.turn[rows], self.running.n_claims[rows] = DECIDES, 0, 0
-        self.decisions.outcome[rows] = RUNS
-        self.decisions.made[rows], self.decisions.earned[rows] = 0, 0.0
+        # What a decision overwrites stays: all cars decide.
+        self.running.action[rows], self.running.n_claims[rows] = DECIDES, 0
+        self.time_s[rows], self.decisions.made[rows], self.decisions.outcome[rows] = 0.0, 0, RUNS
 
     def grid(self, i: int) -> Grid:
         """Return a copy of a committed world, with its marks."""
@@ -239,7 +240,7 @@ class AsynchronousEpisodes(Episodes):
                 more = ((0, 0), (0, 0), (0, len(claims) - most), (0, 0))
                 self.running = running = running._replace(claims=np.pad(running.claims, more))
             running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
-            events.write_box(claims, len(claims), running.box[i, car])
+            write_box(claims, len(claims), running.box[i, car])
             running.action[i, car] = action
             self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
             column = int(situation(before.cars[car], after.cars[car]))
@@ -250,24 +251,27 @@ class AsynchronousEpisodes(Episodes):
     def _clash(self, i: int, needs: Footprint) -> bool:
         return bool(events.clashes(self.running, i, needs.claims()))
 
-    def advance(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Let time pass in each world to its next event; return which decisions have ended, and which have failed.
+    def advance(
+        self,
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
+        """Let time pass in each world to its next event, for which all cars must have decided.
 
-        All cars must have decided; both (B, n).
+        Returns which decisions have ended, and which have failed, both (B, n), the time since the event before (B,),
+        and that since each decision (B, n).
         """
-        assert not self.decides.any(), "a car has not decided"
         own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else []
         kept = {i: (self._marked(self.confirmed[i]), self.running.action[i].copy()) for i in own}
-        ended = np.empty(self.running.action.shape, np.bool_)
+        shape = self.running.action.shape
+        ended, duration_s, elapsed_s = np.empty(shape, np.bool_), np.empty(len(self)), np.empty(shape)
         worlds = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
-        events.advance(*worlds, self.running, self.queue, self.time_s, ended)
+        events.advance(*worlds, self.running, self.queue, self.time_s, duration_s, elapsed_s, ended)
         failed = ended & self.running.fails
         for i, (grid, actions) in kept.items():
             for car in np.argsort(self.running.turn[i]):
                 if ended[i, car] and not failed[i, car]:
                     self._enforce(grid, int(car), int(actions[car]))
             self.confirm(i, grid)
-        return ended, failed
+        return ended, failed, duration_s, elapsed_s
 
     def step(
         self,
@@ -279,13 +283,20 @@ class AsynchronousEpisodes(Episodes):
 
         A second costs ``time_weight``.
         """
-        before, now_s = self.worlds_before(), self.time_s.copy()
+        before = self.worlds_before()
         outcome = self.decide(actions, self.draw_order() if order is None else order)
         doing = self.running.action.copy()
-        ended, failed = self.advance()
-        duration_s = np.round(self.time_s - now_s, 6)
+        ended, failed, duration_s, elapsed_s = self.advance()
         steps = self.settle(before, doing, ended, duration_s, time_weight)
-        return Event(**vars(steps), duration_s=duration_s, outcome=outcome, ended=ended, failed=failed)
+        complete = ended | steps.done[:, None]
+        return Event(
+            **vars(steps),
+            duration_s=duration_s,
+            outcome=outcome,
+            failed=failed,
+            elapsed_s=elapsed_s * complete,
+            earned=self.decisions.earned * complete,
+        )
 
     def finish(self, i: int, time_s: float, cars: Any, confirmed: Grid) -> NDArray[np.bool_]:
         """Bring a world to an event that something else has simulated; return which decisions have ended, (n,).
@@ -387,7 +398,7 @@ class AsynchronousEpisodes(Episodes):
         return other
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
-        out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
+        out = np.zeros((len(self), self.n_cars, N_ACTIONS), np.bool_)
         some = self.grids.cells, self.grids.cars, self.corrections, self.running
         events.offer(*some, self._row, self._plan, self._space, depth, out)
         if not self.own:
@@ -410,11 +421,12 @@ class AsynchronousEpisodes(Episodes):
 
         ``offered`` (B, n, actions) is what was offered before it: where all cars have waited since, that is so still.
         """
-        outcome = self.decisions.outcome
-        found: NDArray[np.bool_] = ((outcome == WAITS) | (outcome == ILLEGAL)).all(1)
-        for i in np.flatnonzero(found).tolist():
-            asked_in_vain = (outcome[i] == ILLEGAL).any()
-            found[i] = (asked_in_vain or _stuck(offered[i])) and self.deadlock(i) is not None
+        outcome, found = self.decisions.outcome, np.zeros(len(self), np.bool_)
+        waited = np.flatnonzero(((outcome == WAITS) | (outcome == ILLEGAL)).all(1))
+        if len(waited):
+            doubted = _stuck(offered[waited]) | (outcome[waited] == ILLEGAL).any(1)
+            for i in waited[doubted].tolist():
+                found[i] = self.deadlock(i) is not None
         return found
 
     def deadlock(self, i: int) -> Deadlock | None:
@@ -426,7 +438,7 @@ class AsynchronousEpisodes(Episodes):
         waited = np.isin(self.decisions.outcome[i], (WAITS, ILLEGAL)) & self.decides[i]
         if not waited.all() or (self.queue[i, :, 0] >= 0).any():
             return None
-        stuck = _stuck(self.some(np.array([i])).offered()[0])
+        stuck = bool(_stuck(self.some(np.array([i])).offered())[0])
         if not stuck and (self.decisions.outcome[i] != ILLEGAL).any():
             return None
         asked = self.decisions.asked[i]
@@ -464,13 +476,14 @@ class AsynchronousEpisodes(Episodes):
         That is (B, n, n, 2), of each car what it does, -1 if it decides, and the seconds since that began; and
         (B, n, L, W, H + 1), 1 for each cell that what runs has claimed.
         """
-        shape = len(self), self.n_cars
-        doing = np.empty((*shape, self.n_cars, 2), np.float32)
-        claimed = np.empty((*shape, *self.grids.cells.shape[1:4]), np.int8)
+        n = self.n_cars
+        doing = np.empty((len(self), n, n, 2), np.float32)
+        claimed = np.zeros(self.grids.cells.shape[:4], np.int8)
         events.show(self.running, self.time_s, doing, claimed)
-        return doing, claimed
+        return doing, claimed[:, None].repeat(n, axis=1)
 
 
-def _stuck(mask: NDArray[Any]) -> bool:
-    """Return whether no car of a world has an action but to wait."""
-    return not np.delete(mask, _STOP, axis=1).any()
+def _stuck(masks: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return (B,): in which worlds no car has an action but to wait, by masks (B, n, actions)."""
+    stuck: NDArray[np.bool_] = masks.sum((1, 2)) <= masks[:, :, _STOP].sum(1)
+    return stuck

@@ -177,6 +177,5 @@ _NOW_IN: Final = {
     "entity_sets": "observations",
     "images": "observations",
     "observe": "observations",
-    "physics_vector": "vector",
 }
 sys.modules.update({f"{__name__}.{old}": _Moved(f"{__name__}.{old}") for old in _NOW_IN})

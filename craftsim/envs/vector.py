@@ -116,10 +116,10 @@ class GridVectorEnv(TaskVectorEnv):
             steps, infos = self._next_event(episodes, chosen)
         else:
             steps, infos = self._tick(chosen)
-        terminated, over = steps.success & self.task.ends_on_success, steps.done
+        terminated, over = steps.success & self.task.ends_on_success, steps.done.copy()
         if "deadlock" in infos:
             infos["deadlock"] &= ~over
-            over = over | infos["deadlock"]
+            over |= infos["deadlock"]
         ended = np.flatnonzero(over)
         if len(ended):
             seen, last = self._seen(episodes.some(ended)), np.full(self.num_envs, None, object)
@@ -147,18 +147,18 @@ class GridVectorEnv(TaskVectorEnv):
         asked = np.where(episodes.decides, chosen, int(Action.STOP))
         numbers, queued = self.form.begin(episodes, asked)
         event = episodes.step(numbers, time_weight=self.time_weight)
-        complete = event.ended | event.done[:, None]
-        elapsed = np.round(episodes.time_s[:, None] - episodes.running.began_s, 6)
-        # A choice of an object to which there is no way is a STOP that was not asked for.
-        strayed = event.outcome == WAITS if queued is None else (event.outcome == WAITS) & ~queued
+        wrong = event.outcome == ILLEGAL
+        if queued is not None:
+            # A choice of an object to which there is no way is a STOP that was not asked for.
+            wrong |= (event.outcome == WAITS) & ~queued
         return event, {
             "success": event.success,
             "duration_s": event.duration_s,
-            "illegal": (asked != Action.STOP) & ((event.outcome == ILLEGAL) | strayed),
+            "illegal": wrong & (asked != Action.STOP),
             "blocked": event.outcome == BLOCKED,
             "failed": event.failed,
-            "elapsed_s": np.where(complete, elapsed, 0.0),
-            "earned": np.where(complete, episodes.decisions.earned, 0.0),
+            "elapsed_s": event.elapsed_s,
+            "earned": event.earned,
             "deadlock": episodes.deadlocks(self._masks),
         }
 

@@ -228,7 +228,6 @@ def test_what_is_handed_out_may_be_changed_without_any_consequence(form):
         ("entity_sets", "observe_entities", "observations"),
         ("images", "Images", "observations"),
         ("observe", "Observe", "observations"),
-        ("physics_vector", "PhysicsVectorEnv", "vector"),
     ],
 )
 def test_names_of_0_2_go_on_working_and_say_where_they_are_now(old, name, now):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.kinds import Action
-from craftsim.envs.vector import PhysicsVectorEnv
+from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.session import open_session
 from craftsim.validation.validation import validate

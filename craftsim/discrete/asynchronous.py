@@ -13,7 +13,7 @@ from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST
+from craftsim.discrete.kernel.claims import MOST, write_box
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -87,6 +87,22 @@ class Deadlock(NamedTuple):
     """(car, the car that it waits for)."""
 
 
+@dataclass(frozen=True)
+class Event(Steps):
+    """What an event brought to B worlds."""
+
+    duration_s: NDArray[np.float64]
+    """(B,): since the event before."""
+    outcome: NDArray[np.int64]
+    """(B, n): what became of each car's decision, RUNS where it had none to make."""
+    failed: NDArray[np.bool_]
+    """(B, n): whose actions have ended without effect."""
+    elapsed_s: NDArray[np.float64]
+    """(B, n): the time since each decision that has ended, and with an episode since all."""
+    earned: NDArray[np.float64]
+    """(B, n): the sum of the rewards of that time."""
+
+
 class AsynchronousEpisodes(Episodes):
     """B asynchronous episodes of one task. All state is in public attributes.
 
@@ -139,10 +155,9 @@ class AsynchronousEpisodes(Episodes):
         """Start the episodes ``rows`` anew; all their cars decide."""
         super().begin(rows, starts)
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
-        self.time_s[rows], self.running.began_s[rows] = 0.0, 0.0
-        self.running.action[rows], self.running.turn[rows], self.running.n_claims[rows] = DECIDES, 0, 0
-        self.decisions.outcome[rows] = RUNS
-        self.decisions.made[rows], self.decisions.earned[rows] = 0, 0.0
+        # What a decision overwrites stays: all cars decide.
+        self.running.action[rows], self.running.n_claims[rows] = DECIDES, 0
+        self.time_s[rows], self.decisions.made[rows], self.decisions.outcome[rows] = 0.0, 0, RUNS
 
     def grid(self, i: int) -> Grid:
         """Return a copy of a committed world, with its marks."""
@@ -175,8 +190,8 @@ class AsynchronousEpisodes(Episodes):
         nominal = self.timing.nominal_s if timed else self._unknown
         clock = EventTimes(self.time_s, nominal, factor, fails, self._wait_s)
         out = np.full(acts.shape, RUNS, np.int64)
-        done = 0
         some = np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else []
+        done = 0
         for i in [*some, len(self)]:
             self._decide(slice(done, i), turns, acts, clock, out)
             done = i + 1
@@ -190,20 +205,22 @@ class AsynchronousEpisodes(Episodes):
         return out
 
     def _decide(self, worlds: slice, turns: Any, acts: Any, clock: EventTimes, out: Any) -> None:
-        grids, depth = self.grids, NO_HELPER if self.depth is None else self.depth
+        depth = NO_HELPER if self.depth is None else self.depth
         events.decide(
-            *(grids.cells[worlds], grids.cars[worlds], self.corrections),
-            Running._make(array[worlds] for array in self.running),
-            Decisions._make(array[worlds] for array in self.decisions),
-            EventTimes(
-                clock.time_s[worlds], clock.nominal_s, clock.factor[worlds], clock.fails[worlds], clock.wait_s
-            ),
-            np.ascontiguousarray(turns[worlds]),
-            acts[worlds],
-            self.queue[worlds],
+            self.grids.cells,
+            self.grids.cars,
+            self.corrections,
+            self.running,
+            self.decisions,
+            clock,
+            np.ascontiguousarray(turns),
+            acts,
+            self.queue,
             self._space,
             depth,
-            out[worlds],
+            worlds.start,
+            worlds.stop,
+            out,
         )
 
     def _decide_own(self, i: int, car: int, action: int, clock: EventTimes) -> int:
@@ -223,7 +240,7 @@ class AsynchronousEpisodes(Episodes):
                 more = ((0, 0), (0, 0), (0, len(claims) - most), (0, 0))
                 self.running = running = running._replace(claims=np.pad(running.claims, more))
             running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
-            events.write_box(claims, len(claims), running.box[i, car])
+            write_box(claims, len(claims), running.box[i, car])
             running.action[i, car] = action
             self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
             column = int(situation(before.cars[car], after.cars[car]))
@@ -234,33 +251,52 @@ class AsynchronousEpisodes(Episodes):
     def _clash(self, i: int, needs: Footprint) -> bool:
         return bool(events.clashes(self.running, i, needs.claims()))
 
-    def advance(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Let time pass in each world to its next event; return which decisions have ended, and which have failed.
+    def advance(
+        self,
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
+        """Let time pass in each world to its next event, for which all cars must have decided.
 
-        All cars must have decided; both (B, n).
+        Returns which decisions have ended, and which have failed, both (B, n), the time since the event before (B,),
+        and that since each decision (B, n).
         """
-        assert not self.decides.any(), "a car has not decided"
-        before = self.running.action.copy()
-        own = np.flatnonzero((before >= N_ACTIONS).any(1)).tolist() if self.own else []
-        kept = {i: self._marked(self.confirmed[i]) for i in own}
-        failing = self.running.fails.copy()
-        ended = np.zeros(before.shape, np.bool_)
+        own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else []
+        kept = {i: (self._marked(self.confirmed[i]), self.running.action[i].copy()) for i in own}
+        shape = self.running.action.shape
+        ended, duration_s, elapsed_s = np.empty(shape, np.bool_), np.empty(len(self)), np.empty(shape)
         worlds = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
-        events.advance(*worlds, self.running, self.queue, self.time_s, ended)
-        for i, grid in kept.items():
+        events.advance(*worlds, self.running, self.queue, self.time_s, duration_s, elapsed_s, ended)
+        failed = ended & self.running.fails
+        for i, (grid, actions) in kept.items():
             for car in np.argsort(self.running.turn[i]):
-                if ended[i, car] and not failing[i, car]:
-                    self._enforce(grid, int(car), int(before[i, car]))
+                if ended[i, car] and not failed[i, car]:
+                    self._enforce(grid, int(car), int(actions[car]))
             self.confirm(i, grid)
-        return ended, ended & failing
+        return ended, failed, duration_s, elapsed_s
 
-    def step(self, actions: NDArray[np.integer], order: NDArray[np.integer] | None = None) -> Steps:
-        """Let the cars that decide begin, ``actions`` (B, n) by car, and advance each world to its next event."""
-        before, now_s = self.worlds_before(), self.time_s.copy()
-        self.decide(actions, self.draw_order() if order is None else np.asarray(order, np.int64))
+    def step(
+        self,
+        actions: NDArray[np.integer],
+        order: NDArray[np.integer] | None = None,
+        time_weight: float = 0.0,
+    ) -> Event:
+        """Let the cars that decide begin, ``actions`` (B, n) by car, and advance each world to its next event.
+
+        A second costs ``time_weight``.
+        """
+        before = self.worlds_before()
+        outcome = self.decide(actions, self.draw_order() if order is None else order)
         doing = self.running.action.copy()
-        ended, _ = self.advance()
-        return self.settle(before, doing, ended, np.round(self.time_s - now_s, 6), 0.0)
+        ended, failed, duration_s, elapsed_s = self.advance()
+        steps = self.settle(before, doing, ended, duration_s, time_weight)
+        complete = ended | steps.done[:, None]
+        return Event(
+            **vars(steps),
+            duration_s=duration_s,
+            outcome=outcome,
+            failed=failed,
+            elapsed_s=elapsed_s * complete,
+            earned=self.decisions.earned * complete,
+        )
 
     def finish(self, i: int, time_s: float, cars: Any, confirmed: Grid) -> NDArray[np.bool_]:
         """Bring a world to an event that something else has simulated; return which decisions have ended, (n,).
@@ -362,7 +398,7 @@ class AsynchronousEpisodes(Episodes):
         return other
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
-        out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
+        out = np.zeros((len(self), self.n_cars, N_ACTIONS), np.bool_)
         some = self.grids.cells, self.grids.cars, self.corrections, self.running
         events.offer(*some, self._row, self._plan, self._space, depth, out)
         if not self.own:
@@ -380,28 +416,29 @@ class AsynchronousEpisodes(Episodes):
         carry_out(after, car, action)
         return self._clash(i, footprint(before, after, car, action))
 
-    def idle(self) -> NDArray[np.bool_]:
-        """Return (B,): in which worlds all cars decide, and nothing has begun by their last decisions."""
-        waited = (self.decisions.outcome == WAITS) | (self.decisions.outcome == ILLEGAL)
-        return np.asarray((waited & self.decides).all(1))
+    def deadlocks(self, offered: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return (B,): in which worlds :meth:`deadlock` finds one at an event.
 
-    def deadlocks(self, masks: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return (B,): in which worlds :meth:`deadlock` finds one; ``masks`` (B, n, actions)."""
-        stuck = (masks.sum(-1) <= masks[..., _STOP]).all(1)
-        doubted = stuck | (self.decisions.outcome == ILLEGAL).all(1)
-        for i in np.flatnonzero(doubted).tolist():
-            doubted[i] = self.deadlock(i, masks[i]) is not None
-        return np.asarray(doubted)
+        ``offered`` (B, n, actions) is what was offered before it: where all cars have waited since, that is so still.
+        """
+        outcome, found = self.decisions.outcome, np.zeros(len(self), np.bool_)
+        waited = np.flatnonzero(((outcome == WAITS) | (outcome == ILLEGAL)).all(1))
+        if len(waited):
+            doubted = _stuck(offered[waited]) | (outcome[waited] == ILLEGAL).any(1)
+            for i in waited[doubted].tolist():
+                found[i] = self.deadlock(i) is not None
+        return found
 
-    def deadlock(self, i: int, mask: NDArray[Any]) -> Deadlock | None:
+    def deadlock(self, i: int) -> Deadlock | None:
         """Return why nothing can go on in a world at an event, or None where something can.
 
         All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
-        one that another car forbids. ``mask`` (n, actions) is what the cars are offered.
+        one that another car forbids.
         """
-        if not self.idle()[i] or (self.queue[i, :, 0] >= 0).any():
+        waited = np.isin(self.decisions.outcome[i], (WAITS, ILLEGAL)) & self.decides[i]
+        if not waited.all() or (self.queue[i, :, 0] >= 0).any():
             return None
-        stuck = not np.delete(mask.astype(np.bool_), _STOP, axis=1).any()
+        stuck = bool(_stuck(self.some(np.array([i])).offered())[0])
         if not stuck and (self.decisions.outcome[i] != ILLEGAL).any():
             return None
         asked = self.decisions.asked[i]
@@ -433,14 +470,20 @@ class AsynchronousEpisodes(Episodes):
                     found[other] = str(explain(grid, self.corrections, car, one))
         return found
 
-    def doing(self) -> NDArray[np.float32]:
-        """Return (B, n, 2): of each car what it does, -1 if it decides, and the seconds since that began."""
-        idle = self.decides
-        since = np.where(idle, 0.0, self.time_s[:, None] - self.running.began_s)
-        return np.stack([np.where(idle, DECIDES, self.running.action), since], axis=-1).astype(np.float32)
+    def activity(self) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
+        """Return what each car sees of what all are doing, and of what is claimed.
 
-    def claimed(self) -> NDArray[np.int8]:
-        """Return (B, L, W, H + 1): 1 for each cell that what runs has claimed."""
-        out = np.zeros(self.grids.cells.shape[:4], np.int8)
-        events.claimed(self.running, out)
-        return out
+        That is (B, n, n, 2), of each car what it does, -1 if it decides, and the seconds since that began; and
+        (B, n, L, W, H + 1), 1 for each cell that what runs has claimed.
+        """
+        n = self.n_cars
+        doing = np.empty((len(self), n, n, 2), np.float32)
+        claimed = np.zeros(self.grids.cells.shape[:4], np.int8)
+        events.show(self.running, self.time_s, doing, claimed)
+        return doing, claimed[:, None].repeat(n, axis=1)
+
+
+def _stuck(masks: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return (B,): in which worlds no car has an action but to wait, by masks (B, n, actions)."""
+    stuck: NDArray[np.bool_] = masks.sum((1, 2)) <= masks[:, :, _STOP].sum(1)
+    return stuck

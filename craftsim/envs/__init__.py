@@ -124,14 +124,16 @@ def vector_env(
         >>> observations["action_mask"].shape
         (8, 2, 15)
     """
-    from craftsim.envs.vector import GridVectorEnv, PhysicsVectorEnv
-
     task = as_task(task, n_cars, n_blocks)
     if backend == "physics":
+        from craftsim.envs.physics_vector import PhysicsVectorEnv
+
         return PhysicsVectorEnv(task, num_envs, workers=workers, engine=engine, **options)
     for name, is_given in (("workers", workers is not None), ("engine", engine != "local")):
         if is_given:
             raise InputError(f"a batch of grid worlds knows no '{name}'; leave it out")
+    from craftsim.envs.vector import GridVectorEnv
+
     return GridVectorEnv(task, num_envs, backend=backend, **options)
 
 
@@ -175,6 +177,5 @@ _NOW_IN: Final = {
     "entity_sets": "observations",
     "images": "observations",
     "observe": "observations",
-    "physics_vector": "vector",
 }
 sys.modules.update({f"{__name__}.{old}": _Moved(f"{__name__}.{old}") for old in _NOW_IN})

@@ -123,7 +123,7 @@ class AsynchronousCore(Core):
         self._show()
         success, over = bool(steps.success[0]), bool(steps.done[0])
         terminated = success and self.task.ends_on_success
-        deadlock = None if terminated or over or problems else episodes.deadlock(0, self.masks)
+        deadlock = None if terminated or over or problems else episodes.deadlock(0)
         truncated = not terminated and (over or bool(problems) or deadlock is not None)
         self._runs = not (terminated or truncated)
         self.turns = []

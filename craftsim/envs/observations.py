@@ -111,9 +111,7 @@ def extras(episodes: Episodes, form: ActionForm, radius: int | None) -> Observat
     if radius is not None:
         found["local_view"] = local_views(episodes.grids, episodes.designs, radius)
     if isinstance(episodes, AsynchronousEpisodes):
-        for key, of_world in (("doing", episodes.doing()), ("claimed", episodes.claimed())):
-            shape = len(episodes), episodes.n_cars, *of_world.shape[1:]
-            found[key] = np.broadcast_to(of_world[:, None], shape)
+        found["doing"], found["claimed"] = episodes.activity()
     return found
 
 

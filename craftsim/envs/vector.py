@@ -1,44 +1,27 @@
-"""The Gymnasium form for batches: grid worlds advanced in one array call, or worlds in physics in worker processes."""
+"""The Gymnasium form for batches, and batches of grid worlds, which are advanced in one array call."""
 
 from __future__ import annotations
 
-import os
-import time
-import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
-from functools import partial
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import CloudpickleWrapper, batch_space
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from craftsim.discrete.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes
-from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import tick_durations
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes, Steps
-from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.actions import checked, illegal
-from craftsim.envs.central import CentralConstruction
 from craftsim.envs.observations import Observation, central_space, extra_spaces, extras, joint_action_space
 from craftsim.envs.options import BATCH_OPTIONS, BatchOptions, Options
-from craftsim.errors import CraftsimError, InputError
-from craftsim.workers.actor import Actor, WorkerDiedError
-from craftsim.workers.pool import Engine
-from craftsim.workers.ray_actor import RayActor, processors
+from craftsim.errors import InputError
 
 Bools = NDArray[np.bool_]
 Batch = tuple[Observation, NDArray[np.float64], Bools, Bools, dict[str, Any]]
-
-_OF_WORLD: Final = ("success", "duration_s", "problems", "deadlock")
-"""Infos that a world has one of; of the others it has one per car."""
-_CLOSE_S: Final = 10.0
-"""How long worlds may take to write their records, and to close."""
 
 
 class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
@@ -67,16 +50,11 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._masks = np.zeros((num_envs, layout.n_cars, n_actions), np.int8)
-        self._rows = np.zeros((num_envs, layout.n_observed, ROW), np.int32)
         self._begun = False
 
     def action_masks(self) -> Bools:
         """Return the offered actions, (B, n * actions), as :meth:`CentralConstruction.action_masks` does of a world."""
         return self._masks.astype(np.bool_).reshape(self.num_envs, -1)
-
-    def car_vectors(self) -> NDArray[np.int32]:
-        """Return (B, n, length): what each car of each world observed last, its own row first."""
-        return car_vectors(self._rows, self.task.layout.n_cars)
 
     def _checked(self, actions: Any, n_worlds: int) -> NDArray[np.int64]:
         if not self._begun:
@@ -120,11 +98,7 @@ class GridVectorEnv(TaskVectorEnv):
             self.episodes.rng = np.random.default_rng(seed)
         self.episodes.reset()
         self._begun = True
-        self._look()
-        infos = {}
-        if isinstance(self.episodes, AsynchronousEpisodes):
-            infos["decides"] = self.episodes.decides
-        return self._observe(), infos
+        return self._look({})
 
     def step(self, actions: NDArray[np.integer]) -> Batch:
         """Let all cars of all worlds act once; ``actions`` (B, n). In asynchronous execution the cars that decide
@@ -143,13 +117,9 @@ class GridVectorEnv(TaskVectorEnv):
         else:
             steps, infos = self._tick(chosen)
         terminated, over = steps.success & self.task.ends_on_success, steps.done.copy()
-        if isinstance(episodes, AsynchronousEpisodes):
-            infos["deadlock"] = np.zeros(self.num_envs, np.bool_)
-            idle = np.flatnonzero(episodes.idle() & ~over)
-            if len(idle):
-                some = episodes.some(idle)
-                infos["deadlock"][idle] = some.deadlocks(self.form.masks(some))
-                over |= infos["deadlock"]
+        if "deadlock" in infos:
+            infos["deadlock"] &= ~over
+            over |= infos["deadlock"]
         ended = np.flatnonzero(over)
         if len(ended):
             seen, last = self._seen(episodes.some(ended)), np.full(self.num_envs, None, object)
@@ -157,10 +127,8 @@ class GridVectorEnv(TaskVectorEnv):
                 last[i] = {key: array[place] for key, array in seen.items()}
             infos |= {"final_obs": last, "_final_obs": over}
             episodes.reset(ended)
-        self._look()
-        if isinstance(episodes, AsynchronousEpisodes):
-            infos["decides"] = episodes.decides
-        return self._observe(), steps.reward, terminated, over & ~terminated, infos
+        observation, _ = self._look(infos)
+        return observation, steps.reward, terminated, over & ~terminated, infos
 
     def _tick(self, chosen: NDArray[np.int64]) -> tuple[Steps, dict[str, Any]]:
         episodes, offered = self.episodes, self._masks
@@ -178,23 +146,20 @@ class GridVectorEnv(TaskVectorEnv):
         """Let the cars that decide begin, and advance each world to its next event."""
         asked = np.where(episodes.decides, chosen, int(Action.STOP))
         numbers, queued = self.form.begin(episodes, asked)
-        before, now_s = episodes.worlds_before(), episodes.time_s.copy()
-        outcome = episodes.decide(numbers, episodes.draw_order())
-        actions = episodes.running.action.copy()
-        ended, failed = episodes.advance()
-        duration = np.round(episodes.time_s - now_s, 6)
-        steps = episodes.settle(before, actions, ended, duration, self.time_weight)
-        complete = ended | steps.done[:, None]
-        elapsed = np.round(episodes.time_s[:, None] - episodes.running.began_s, 6)
-        strayed = outcome == WAITS if queued is None else (outcome == WAITS) & ~queued
-        return steps, {
-            "success": steps.success,
-            "duration_s": duration,
-            "illegal": (asked != Action.STOP) & ((outcome == ILLEGAL) | strayed),
-            "blocked": outcome == BLOCKED,
-            "failed": failed,
-            "elapsed_s": np.where(complete, elapsed, 0.0),
-            "earned": np.where(complete, episodes.decisions.earned, 0.0),
+        event = episodes.step(numbers, time_weight=self.time_weight)
+        wrong = event.outcome == ILLEGAL
+        if queued is not None:
+            # A choice of an object to which there is no way is a STOP that was not asked for.
+            wrong |= (event.outcome == WAITS) & ~queued
+        return event, {
+            "success": event.success,
+            "duration_s": event.duration_s,
+            "illegal": wrong & (asked != Action.STOP),
+            "blocked": event.outcome == BLOCKED,
+            "failed": event.failed,
+            "elapsed_s": event.elapsed_s,
+            "earned": event.earned,
+            "deadlock": episodes.deadlocks(self._masks),
         }
 
     def _seen(self, episodes: Episodes) -> Observation:
@@ -203,353 +168,14 @@ class GridVectorEnv(TaskVectorEnv):
         seen: Observation = {"observation": rows, "action_mask": masks}
         return seen | extras(episodes, self.form, self._radius)
 
-    def _look(self) -> None:
-        self._last = self._seen(self.episodes)
-        self._masks, self._rows = (
-            self._last["action_mask"],
-            self._last["observation"].reshape(self._rows.shape),
-        )
+    def _look(self, infos: dict[str, Any]) -> tuple[Observation, dict[str, Any]]:
+        """Return what is observed of all worlds, and infos that say who decides next."""
+        seen = self._seen(self.episodes)
+        self._masks = seen["action_mask"].copy()  # by which the next step is judged
+        if isinstance(self.episodes, AsynchronousEpisodes):
+            infos["decides"] = self.episodes.decides
+        return seen, infos
 
-    def _observe(self) -> Observation:
-        # Copies of what is read again: the next step is judged by these masks, and car_vectors() reads these rows.
-        seen = self._last.copy()
-        for key in ("observation", "action_mask"):
-            seen[key] = seen[key].copy()
-        return seen
-
-
-class PhysicsVectorEnv(TaskVectorEnv):
-    """B worlds of one task in contact physics, spread over worker processes.
-
-    Spaces, rewards, ends and resets are those of :class:`GridVectorEnv`, so that a learner takes either. World i of a
-    batch that was reset with seed s is, bit for bit, the environment :class:`CentralConstruction` that was reset with
-    s + i, whatever the number of workers.
-
-    Joint steps take their time: with :meth:`step` all worlds wait for the slowest worker, with :meth:`send` and
-    :meth:`recv` none waits for another.
-
-    Make it where ``__name__ == "__main__"``, and close it.
-    """
-
-    def __init__(
-        self,
-        task: Task | str,
-        num_envs: int = 1,
-        *,
-        workers: int | None = None,
-        engine: Engine = "local",
-        **options: Any,
-    ) -> None:
-        """Prepare ``num_envs`` worlds; the processes go on starting while this returns.
-
-        Args:
-            task: as in :func:`craftsim.envs.parallel_env`.
-            num_envs: how many worlds, 1 or more.
-            workers: how many processes share them, at most one per world; one for each processor unless given.
-            engine: processes of this machine, or actors of an existing Ray cluster, of which each takes a processor.
-            options: the fields of :class:`craftsim.envs.options.Options`, ``backend`` and ``observe`` aside.
-
-        Raises:
-            InputError: there is no such task, option or option value, or no Ray cluster.
-        """
-        batch = BatchOptions(num_envs, workers, engine)
-        one = CentralConstruction(task, **options)  # so that what is wrong is said here, and not in a process
-        chosen = one.core.options
-        super().__init__(one.core.task, num_envs, chosen)
-        self.metadata = one.metadata | {"autoreset_mode": AutoresetMode.SAME_STEP}
-        self.render_mode = one.render_mode
-        one.close()
-        if chosen.actions:  # by themselves: a name alone does not say where it is registered
-            options["actions"] = chosen.actions
-        make = partial(CentralConstruction, self.task, **options)
-        self._worlds = _Worlds(make, num_envs, batch.workers, batch.engine)
-        self.workers = self._worlds.workers
-        self._acting = np.zeros(num_envs, np.bool_)
-
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begin all episodes anew.
-
-        Args:
-            seed: of world 0, and those that follow it of the others, or one seed per world; without, generators go on.
-            options: of every world's reset, see :meth:`craftsim.envs.core.Core.reset`.
-
-        Raises InputError for seeds that are none, a start that does not fit the task, and while a world is acting.
-        """
-        self._require_rest("reset")
-        seen = self._ask_all("reset", [(one, options) for one in self._seeds(seed)])
-        self._begun = True
-        return self._keep(range(self.num_envs), seen), {}
-
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, int | np.integer):
-            return [int(seed) + i for i in range(self.num_envs)]
-        if not isinstance(seed, Sequence | np.ndarray) or len(seed) != self.num_envs:
-            raise InputError(
-                f"the seed is {seed!r}; allowed: None, a whole number from 0, or {self.num_envs} of them"
-            )
-        return list(seed)
-
-    def step(self, actions: NDArray[np.integer]) -> Batch:
-        """Let all cars of all worlds act once; ``actions`` (B, n).
-
-        Infos, each an array with a leading dimension B: ``success``, ``duration_s``, ``illegal`` (B, n), ``problems``;
-        the other infos of the cars (docs/reference/environments.md), each (B, n); and where
-        ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset.
-        Raises InputError before the first reset, for actions of another
-        shape or that are no numbers from 0 to 14, and while a world is acting; CraftsimError when a process has died.
-        """
-        self._require_rest("step")
-        self.send(actions)
-        return self._batch(self._gather(self.num_envs))
-
-    def send(
-        self, actions: NDArray[np.integer], ids: Sequence[int] | NDArray[np.integer] | None = None
-    ) -> None:
-        """Let all cars of some worlds, or of all, act once, and do not wait for it.
-
-        Args:
-            actions: (k, n), one row per world.
-            ids: (k,) numbers of the worlds; none twice, and none that is acting.
-
-        Raises InputError as :meth:`step` does, and for numbers that are none; CraftsimError when a process has died.
-        """
-        worlds = np.arange(self.num_envs) if ids is None else np.asarray(ids)
-        is_number = worlds.ndim == 1 and worlds.dtype.kind in "iu"
-        if not is_number or not set(worlds.tolist()) <= set(range(self.num_envs)) or _has_twice(worlds):
-            raise InputError(
-                f"ids are {ids!r}; allowed: different whole numbers from 0 to {self.num_envs - 1}"
-            )
-        rows = self._checked(actions, len(worlds))
-        if self._acting[worlds].any():
-            acting = worlds[self._acting[worlds]].tolist()
-            raise InputError(f"worlds {acting} are acting; recv() what they come to first")
-        self._ask({int(world): ("act", (row,)) for world, row in zip(worlds, rows, strict=True)})
-        self._acting[worlds] = True
-
-    def recv(self, at_least: int = 1) -> Batch:
-        """Wait until so many of the acting worlds have finished their step, or all; return those that have.
-
-        Returns what :meth:`step` does, of k worlds, and their numbers in rising order as ``infos["env_id"]``. Which of
-        them are the first depends on the machine; the results do not.
-
-        Raises InputError where no world is acting, CraftsimError when a process has died.
-        """
-        acting = int(self._acting.sum())
-        if not acting:
-            raise InputError("no world is acting; send() actions first")
-        if not isinstance(at_least, int) or at_least < 1:
-            raise InputError(f"at_least is {at_least!r}; allowed: 1 and more")
-        answers = self._gather(min(at_least, acting))
-        batch = self._batch(answers)
-        batch[4]["env_id"] = np.array(list(answers))
-        return batch
-
-    @property
-    def pids(self) -> list[int]:
-        """Numbers of the worker processes, where they are those of this machine."""
-        return self._worlds.pids
-
-    def render(self) -> tuple[Any, ...]:
-        """Return what every world renders, see :class:`craftsim.envs.options.Options`."""
-        self._require_rest("render")
-        return tuple(self._ask_all("render", [()] * self.num_envs))
-
-    def close_extras(self, **_: Any) -> None:
-        """End all processes."""
-        self._acting[:] = False
-        self._worlds.close()
-
-    def _require_rest(self, what: str) -> None:
-        if self._acting.any():
-            acting = np.flatnonzero(self._acting).tolist()
-            raise InputError(f"worlds {acting} are acting; recv() what they come to before a {what}()")
-
-    def _ask(self, calls: Mapping[int, _Call]) -> None:
-        if self.closed:
-            raise InputError("the environment is closed; make it anew")
-        self._worlds.ask(calls)
-
-    def _ask_all(self, method: str, arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
-        self._ask({world: (method, given) for world, given in enumerate(arguments)})
-        return list(self._gather(self.num_envs).values())
-
-    def _gather(self, at_least: int) -> dict[int, Any]:
-        """Return answers by world; raises what a world has raised."""
-        try:
-            answers = self._worlds.gather(at_least)
-        except CraftsimError:
-            self.close()
-            raise
-        self._acting[list(answers)] = False
-        for error in (answer for answer in answers.values() if isinstance(answer, CraftsimError)):
-            if not isinstance(error, InputError):
-                self.close()
-            raise error
-        return answers
-
-    def _batch(self, answers: Mapping[int, tuple[Any, ...]]) -> Batch:
-        """Return the answers of :meth:`_Holder.act` as those of a batch."""
-        seen, rewards, terminated, truncated, reported, final = zip(*answers.values(), strict=True)
-        infos: dict[str, Any] = {key: _column(key, [one[key] for one in reported]) for key in reported[0]}
-        ended = np.array([one is not None for one in final])
-        if ended.any():
-            last = np.full(len(final), None, object)
-            last[:] = final
-            infos |= {"final_obs": last, "_final_obs": ended}
-        return (
-            self._keep(answers, seen),
-            np.array(rewards, np.float64),
-            np.array(terminated, np.bool_),
-            np.array(truncated, np.bool_),
-            infos,
-        )
-
-    def _keep(self, worlds: Iterable[int], seen: Sequence[Observation]) -> Observation:
-        """Return the observations of worlds as a batch, and keep them as the last ones."""
-        for world, one in zip(worlds, seen, strict=True):
-            self._masks[world] = one["action_mask"]
-            self._rows[world] = one["observation"].reshape(self._rows.shape[1:])
-        return {key: np.stack([one[key] for one in seen]) for key in seen[0]}
-
-
-def _has_twice(numbers: NDArray[np.integer]) -> bool:
-    return len(set(numbers.tolist())) < len(numbers)
-
-
-def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
-    """Return an info of some worlds as an array (k,), or (k, n) where it is the cars'; texts are objects in it."""
-    by_car = key not in _OF_WORLD
-    first = values[0][0] if by_car else values[0]
-    if isinstance(first, bool | np.bool_ | float | int):
-        return np.array(values)
-    column = np.empty((len(values), len(values[0])) if by_car else len(values), object)
-    for place in np.ndindex(column.shape):
-        column[place] = values[place[0]][place[1]] if by_car else values[place[0]]
-    return column
-
-
-_Call = tuple[str, tuple[Any, ...]]
-"""A method of :class:`_Holder`, and its arguments besides the world."""
-_Make = Callable[[], CentralConstruction]
-
-
-class _Worlds:
-    """Worlds numbered from 0, spread over workers; none of their numbers depends on how."""
-
-    def __init__(self, make: _Make, n_worlds: int, workers: int | None, engine: Engine) -> None:
-        """Start the workers; they go on starting while this returns. Raises InputError where a Ray cluster is missing.
-
-        Without ``workers`` there is one for each processor, on Ray one per world; on Ray at most one per processor.
-        """
-        usual = n_worlds if engine == "ray" else len(os.sched_getaffinity(0))
-        self.workers = min(n_worlds, workers or usual, processors() if engine == "ray" else n_worlds)
-        self._n_worlds = n_worlds
-        self._kind: Any = RayActor if engine == "ray" else Actor
-        sent = CloudpickleWrapper(make)
-        self._actors = [
-            self._kind(partial(_Holder, sent, range(number, n_worlds, self.workers)))
-            for number in range(self.workers)
-        ]
-
-    @property
-    def pids(self) -> list[int]:
-        """Numbers of the processes, where they are those of this machine."""
-        return [actor.pid for actor in self._actors if isinstance(actor, Actor)]
-
-    def ask(self, calls: Mapping[int, _Call]) -> None:
-        """Call a method of worlds, by number; none of them may have an answer due."""
-        for world, (method, arguments) in calls.items():
-            self._actors[world % self.workers].send((world, method, arguments))
-
-    def gather(self, at_least: int) -> dict[int, Any]:
-        """Return the answers that are there, by world in rising order; wait for so many, or for all that are due.
-
-        An answer may be a CraftsimError. Raises CraftsimError where a worker has ended.
-        """
-        answers: dict[int, Any] = {}
-        while due := [actor for actor in self._actors if actor.due]:
-            ready = self._kind.wait(due, None if len(answers) < at_least else 0.0)
-            if not ready:
-                break
-            for actor in ready:
-                try:
-                    world, answer = actor.recv()
-                except WorkerDiedError as error:
-                    number = self._actors.index(actor)
-                    held = [str(world) for world in range(number, self._n_worlds, self.workers)]
-                    worlds = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "")
-                    raise CraftsimError(
-                        f"the process that holds the worlds {worlds} {error}; make the environment anew"
-                    ) from error
-                answers[world] = answer
-        return dict(sorted(answers.items()))
-
-    def close(self) -> None:
-        """Close all worlds and end all workers; one that is still busy is killed.
-
-        Raises CraftsimError where a world could not be closed, as it could not write its records.
-        """
-        idle = {number: actor for number, actor in enumerate(self._actors) if not actor.due}
-        self.ask({world: ("close", ()) for world in range(self._n_worlds) if world % self.workers in idle})
-        problems: list[CraftsimError] = []
-        end_s = time.monotonic() + _CLOSE_S
-        # Of a cluster that is gone, and of workers that have died, nothing is left to be closed.
-        with suppress(InputError):
-            while due := [actor for actor in idle.values() if actor.due]:
-                ready = self._kind.wait(due, max(0.0, end_s - time.monotonic()))
-                if not ready:
-                    break
-                for actor in ready:
-                    try:
-                        answer = actor.recv()[1]
-                    except WorkerDiedError:
-                        idle = {number: one for number, one in idle.items() if one is not actor}
-                        continue
-                    problems += [answer] if isinstance(answer, CraftsimError) else []
-        while self._actors:
-            self._actors.pop().kill()
-        for problem in problems:
-            raise problem
-
-
-class _Holder:
-    """In a worker: some of the worlds."""
-
-    def __init__(self, make: _Make, worlds: Iterable[int]) -> None:
-        self._envs = {world: make() for world in worlds}
-
-    def __call__(self, asked: tuple[int, str, tuple[Any, ...]]) -> tuple[int, Any]:
-        """Return the number of a world and the answer of a method; what that raises is its answer, too."""
-        world, method, arguments = asked
-        try:
-            return world, getattr(self, method)(self._envs[world], *arguments)
-        except CraftsimError as error:
-            return world, error
-        except Exception:
-            return world, CraftsimError(f"a world in physics broke down:\n{traceback.format_exc()}")
-
-    def reset(
-        self, env: CentralConstruction, seed: int | None, options: dict[str, Any] | None
-    ) -> Observation:
-        return env.reset(seed=seed, options=options)[0]
-
-    def act(self, env: CentralConstruction, actions: NDArray[np.int64]) -> tuple[Any, ...]:
-        """Return what a step does, and the last observation of an episode that has ended; the next one then begins."""
-        observation, reward, terminated, truncated, info = env.step(actions)
-        del info["action_mask"]  # the observation has it
-        final = None
-        if terminated or truncated:
-            final, observation = observation, env.reset()[0]
-            if "decides" in info:
-                info["decides"] = (True,) * len(info["decides"])
-        return observation, reward, terminated, truncated, info, final
-
-    def render(self, env: CentralConstruction) -> Any:
-        return env.render()
-
-    def close(self, env: CentralConstruction) -> None:
-        env.close()
+    def car_vectors(self) -> NDArray[np.int32]:
+        """Return (B, n, length): what each car of each world observes, its own row first."""
+        return self.episodes.vectors()

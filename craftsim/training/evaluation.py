@@ -16,7 +16,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import Starts
-from craftsim.envs.vector import PhysicsVectorEnv
+from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.config import Acting
 from craftsim.training.curve import EvaluationResult
 from craftsim.training.networks import CarNet
@@ -65,7 +65,7 @@ def evaluate(
         ticks += running
         running &= ~steps.done
         if isinstance(worlds, AsynchronousEpisodes):
-            running &= ~worlds.deadlocks(worlds.offered())
+            running &= ~worlds.deadlocks(offered)
     return _played(won, total, ticks, repetitions)
 
 

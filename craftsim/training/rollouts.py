@@ -17,7 +17,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
-from craftsim.envs.vector import PhysicsVectorEnv
+from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.features import Encoder, RelativeEncoder
 
 _HASH_SEED: Final = 2
@@ -170,15 +170,15 @@ class AsynchronousWorlds:
 
     def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
         """Return observations and masks."""
-        return self.episodes.vectors(), self.episodes.offered()
+        self._offered = self.episodes.offered()
+        return self.episodes.vectors(), self._offered
 
     def step(self, actions: NDArray[np.int64]) -> BatchStep:
         """Let the cars that decide begin their actions, and each world go on to its next event."""
-        before_s = self.episodes.time_s.copy()
-        steps = self.episodes.step(actions)
-        self._over = steps.done | self.episodes.deadlocks(self.episodes.offered())
-        elapsed = (self.episodes.time_s - before_s) / USUAL_TICK_S
-        return BatchStep(steps.reward, steps.success & steps.done, self._over, elapsed)
+        event = self.episodes.step(actions)
+        self._over = event.done | self.episodes.deadlocks(self._offered)
+        elapsed = event.duration_s / USUAL_TICK_S
+        return BatchStep(event.reward, event.success & event.done, self._over, elapsed)
 
     def restart(self) -> None:
         """Start the episodes anew that are over."""
@@ -194,7 +194,7 @@ class PhysicsWorlds:
     decides: NDArray[np.bool_] | None = None
 
     def __init__(self, task: Task, n: int, **options: Any) -> None:
-        """Prepare; options are those of :class:`craftsim.envs.vector.PhysicsVectorEnv`."""
+        """Prepare; options are those of :class:`craftsim.envs.physics_vector.PhysicsVectorEnv`."""
         self.envs = PhysicsVectorEnv(task, n, **options)
         self._seen: tuple[NDArray[np.integer], NDArray[np.bool_]]
         self._next: tuple[NDArray[np.integer], NDArray[np.bool_]]

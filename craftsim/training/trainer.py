@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from craftsim.discrete.tasks import Task, known_task
-from craftsim.envs.vector import PhysicsVectorEnv
+from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.reports.json_file import versions
 from craftsim.training.checkpoint import RUN_FILE, PolicyHead, RunHead, open_run, save_policy, save_run

@@ -161,7 +161,7 @@ def test_what_is_offered_is_what_a_schedule_lets_run_beside_the_rest(task):
                     running[i, car] = footprint(grid, then, car, Action(actions[i, car]))
                     grid = then
             assert grid.same_visible(episodes.grids[i])
-        ended, _ = episodes.advance()
+        ended, *_ = episodes.advance()
         episodes.settle(None, actions, ended, np.zeros(6), 0.0)
         running = {key: needs for key, needs in running.items() if not ended[key]}
         for i in range(6):

@@ -221,7 +221,6 @@ def test_names_of_0_2_go_on_working_and_say_where_they_are_now():
         ("entity_sets", "observe_entities", "observations"),
         ("images", "Images", "observations"),
         ("observe", "Observe", "observations"),
-        ("physics_vector", "PhysicsVectorEnv", "vector"),
     ]:
         with pytest.warns(DeprecationWarning, match=rf"craftsim\.envs\.{now}\.{name} now"):
             found = getattr(import_module(f"craftsim.envs.{old}"), name)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.batch import NO_HELPER, Cars, Cells, Mask, Queues
-from craftsim.discrete.kernel.claims import Claims, claims_of, conflict
+from craftsim.discrete.kernel.claims import Claims, claims_of, conflict, write_box
 from craftsim.discrete.kernel.codes import FIRST_MOVE, LAST_MOVE, LIFT, MOVE_DIRECTIONS, N_ACTIONS, STOP
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
@@ -99,16 +99,6 @@ def moment(seconds: float) -> float:
 
 
 @compiled
-def write_box(claims: Claims, count: int, box: NDArray[np.int16]) -> None:
-    """Write the least and the greatest x, y and z of claims into box (6,)."""
-    for axis in range(3):
-        box[2 * axis] = box[2 * axis + 1] = claims[0, axis]
-        for k in range(1, count):
-            box[2 * axis] = min(box[2 * axis], claims[k, axis])
-            box[2 * axis + 1] = max(box[2 * axis + 1], claims[k, axis])
-
-
-@compiled
 def near(running: Running, i: int, car: int, x0: int, x1: int, y0: int, y1: int, z0: int, z1: int) -> bool:
     """Return whether a car's action runs that claims something within a box."""
     if running.n_claims[i, car] == 0:
@@ -137,7 +127,8 @@ def blocked(w: World, running: Running, i: int, car: Pose, action: int, row: Cla
         if near(running, i, other, x0, x1, y0, y1, car.z - 2, car.z + 3):
             if count == 0:
                 count = claims_of(w, car, action, row)
-            if conflict(row, count, running.claims[i, other], running.n_claims[i, other]):
+            theirs = running.claims[i, other], running.n_claims[i, other], running.box[i, other]
+            if conflict(row, count, theirs[0], theirs[1], theirs[2]):
                 return True
     return False
 
@@ -146,7 +137,8 @@ def blocked(w: World, running: Running, i: int, car: Pose, action: int, row: Cla
 def clashes(running: Running, i: int, row: Claims) -> bool:
     """Return whether a claim of what runs in a world stands against an action with the claims ``row``, for Python."""
     for other in range(running.action.shape[1]):
-        if conflict(row, len(row), running.claims[i, other], running.n_claims[i, other]):
+        theirs = running.claims[i, other], running.n_claims[i, other], running.box[i, other]
+        if conflict(row, len(row), theirs[0], theirs[1], theirs[2]):
             return True
     return False
 
@@ -163,8 +155,8 @@ def offer(
     depth: int,
     out: Mask,
 ) -> None:
-    """Write into out (B, n, 15) what each car that decides could begin now beside what runs; where that is nothing,
-    and for the others, STOP.
+    """Turn on in out (B, n, 15) what each car that decides could begin now beside what runs; where that is nothing, and
+    for the others, STOP.
 
     With a search depth moves are on, too, that the helper has a plan for whose first primitive can begin. ``row``
     (MOST, 4) and ``plan`` (depth + 1,) are scratch.
@@ -172,17 +164,15 @@ def offer(
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
         for car in range(w.cars.shape[0]):
-            for action in range(N_ACTIONS):
-                out[i, car, action] = False
             some = False
             if running.action[i, car] == DECIDES:
                 pose = pose_of(w, car)
                 legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
                 for action in range(N_ACTIONS):
-                    if legal & (1 << action):
-                        free = action == STOP or not blocked(w, running, i, pose, action, row, 0)
-                        out[i, car, action] = free
-                        some |= free
+                    if legal & (1 << action) and (
+                        action == STOP or not blocked(w, running, i, pose, action, row, 0)
+                    ):
+                        out[i, car, action] = some = True
                 missing = ~(legal >> FIRST_MOVE) & 15
                 if depth != NO_HELPER and missing != 0:
                     space.legal[:] = UNKNOWN
@@ -191,9 +181,8 @@ def offer(
                         node = plan_move(w, car, space, FIRST_MOVE + m, depth) if wanted & (1 << m) else -1
                         if node >= 0:
                             write_plan(space, node, plan)
-                            free = not blocked(w, running, i, pose, int(np.int64(plan[0])), row, 0)
-                            out[i, car, FIRST_MOVE + m] = free
-                            some |= free
+                            if not blocked(w, running, i, pose, int(np.int64(plan[0])), row, 0):
+                                out[i, car, FIRST_MOVE + m] = some = True
             if not some:
                 out[i, car, STOP] = True
 
@@ -211,14 +200,16 @@ def decide(
     queues: Queues,
     space: SearchBuffers,
     depth: int,
+    first: int,
+    end: int,
     out: NDArray[np.int64],
 ) -> None:
-    """Let the cars order[i] of each world begin what they have decided on, one after the other, if they decide.
+    """Let the cars order[i] of the worlds from ``first`` to ``end`` begin what they have decided on, in their order.
 
     ``actions`` and ``out`` are by car, (B, n); out tells what became of each decision. Cells and cars have the effects
     of what has begun from here on, but marks are not derived.
     """
-    for i in range(cells.shape[0]):
+    for i in range(first, end):
         w = World(cells[i], cars[i], corrections)
         turn = 0
         for car in range(w.cars.shape[0]):
@@ -296,17 +287,24 @@ def advance(
     running: Running,
     queues: Queues,
     time_s: NDArray[np.float64],
+    duration_s: NDArray[np.float64],
+    elapsed_s: NDArray[np.float64],
     ended: Mask,
 ) -> None:
     """Advance each world, in which no car decides, to its next event; write its time (B,), and what has ended (B, n).
 
+    ``duration_s`` (B,) is the time since the event before, ``elapsed_s`` (B, n) that since a car's decision.
     What has ended is applied to the confirmed worlds in the order in which it began; a wait ends with any event. Where
     something failed, the committed worlds are made anew. Registered actions change nothing here. Marks are not derived.
     """
     for i in range(time_s.shape[0]):
+        before_s = time_s[i]
         time_s[i] = running.ends_s[i, 0]
         for car in range(1, running.action.shape[1]):
             time_s[i] = min(time_s[i], running.ends_s[i, car])
+        duration_s[i] = moment(time_s[i] - before_s)
+        for car in range(running.action.shape[1]):
+            elapsed_s[i, car] = moment(time_s[i] - running.began_s[i, car])
         w = World(confirmed.cells[i], confirmed.cars[i], confirmed.corrections)
         failed, turn = False, 0
         for _ in range(running.action.shape[1]):
@@ -349,16 +347,18 @@ def commit(confirmed: World, committed: World, running: Running, i: int) -> None
 
 
 @compiled
-def claimed(running: Running, out: NDArray[np.int8]) -> None:
-    """Write into out (B, L, W, H + 1) 1 for each cell that an action which runs has claimed, else 0."""
+def show(
+    running: Running, time_s: NDArray[np.float64], doing: NDArray[np.float32], out: NDArray[np.int8]
+) -> None:
+    """Write what each car sees all do, action and seconds (B, n, n, 2), and 1 for claimed cells (B, L, W, H + 1)."""
     for i in range(out.shape[0]):
-        out[i, :, :, :] = 0
         for car in range(running.action.shape[1]):
+            action = running.action[i, car]
+            for me in range(running.action.shape[1]):
+                doing[i, me, car, 0] = action
+                doing[i, me, car, 1] = 0.0 if action == DECIDES else time_s[i] - running.began_s[i, car]
             for k in range(running.n_claims[i, car]):
-                x, y, z = (
-                    running.claims[i, car, k, 0],
-                    running.claims[i, car, k, 1],
-                    running.claims[i, car, k, 2],
-                )
+                claim = running.claims[i, car, k]
+                x, y, z = claim[0], claim[1], claim[2]
                 if 0 <= x < out.shape[1] and 0 <= y < out.shape[2] and z < out.shape[3]:
                     out[i, x, y, z] = 1

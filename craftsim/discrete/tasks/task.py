@@ -133,7 +133,7 @@ class Task:
         goal = self.starts[0].goal
         return [] if goal is None or goal[2] != 1 else [goal]
 
-    @property
+    @cached_property
     def always_starts_the_same(self) -> bool:
         """Whether every episode starts with the same world."""
         return self.sampler is None and len(self.starts) == 1 and self.starts[0].is_fixed

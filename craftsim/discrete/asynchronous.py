@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Self
 
@@ -13,7 +14,7 @@ from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST
+from craftsim.discrete.kernel.claims import MOST, conflict
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -262,7 +263,14 @@ class AsynchronousEpisodes(Episodes):
         ended, _ = self.advance()
         return self.settle(before, doing, ended, np.round(self.time_s - now_s, 6), 0.0)
 
-    def finish(self, i: int, time_s: float, cars: Any, confirmed: Grid) -> NDArray[np.bool_]:
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """(B, n): which cars nothing can drive any more: they wait without an end, and keep their claims."""
+        return np.asarray((self.running.action == _STOP) & np.isinf(self.running.ends_s))
+
+    def finish(
+        self, i: int, time_s: float, cars: Any, confirmed: Grid, lost: Collection[int] = ()
+    ) -> NDArray[np.bool_]:
         """Bring a world to an event that something else has simulated; return which decisions have ended, (n,).
 
         Args:
@@ -270,15 +278,21 @@ class AsynchronousEpisodes(Episodes):
             time_s: the time now; waits that end then have ended, and all waits if an action has.
             cars: whose actions have ended.
             confirmed: what is so now.
+            lost: cars that nothing can drive from now on; for good.
         """
-        running = self.running
+        running, gone, already = self.running, list(lost), self.lost[i]
+        waits = (running.action[i] == _STOP) & ~already
         self.time_s[i] = time_s
         ended = np.zeros(self.n_cars, np.bool_)
         ended[list(cars)] = True
-        ended |= (running.action[i] == _STOP) & ((running.ends_s[i] <= time_s + 1e-6) | ended.any())
+        ended[gone] = ~already[gone]
+        ended |= waits & ((running.ends_s[i] <= time_s + 1e-6) | ended.any())
         if ended.any():
-            ended |= running.action[i] == _STOP
-        running.action[i, ended], running.n_claims[i, ended] = DECIDES, 0
+            ended |= waits
+        decides = ended.copy()
+        decides[gone] = False
+        running.action[i, decides], running.n_claims[i, decides] = DECIDES, 0
+        running.action[i, gone], running.ends_s[i, gone] = _STOP, np.inf
         self.confirm(i, confirmed)
         return ended
 
@@ -381,9 +395,12 @@ class AsynchronousEpisodes(Episodes):
         return self._clash(i, footprint(before, after, car, action))
 
     def idle(self) -> NDArray[np.bool_]:
-        """Return (B,): in which worlds all cars decide, and nothing has begun by their last decisions."""
+        """Return (B,): in which worlds all cars decide, and nothing has begun by their last decisions.
+
+        Lost cars aside.
+        """
         waited = (self.decisions.outcome == WAITS) | (self.decisions.outcome == ILLEGAL)
-        return np.asarray((waited & self.decides).all(1))
+        return np.asarray((waited & self.decides | self.lost).all(1))
 
     def deadlocks(self, masks: NDArray[Any]) -> NDArray[np.bool_]:
         """Return (B,): in which worlds :meth:`deadlock` finds one; ``masks`` (B, n, actions)."""
@@ -402,11 +419,14 @@ class AsynchronousEpisodes(Episodes):
         if not self.idle()[i] or (self.queue[i, :, 0] >= 0).any():
             return None
         stuck = not np.delete(mask.astype(np.bool_), _STOP, axis=1).any()
-        if not stuck and (self.decisions.outcome[i] != ILLEGAL).any():
+        lost, asked = self.lost[i], self.decisions.asked[i]
+        if not stuck and (self.decisions.outcome[i] != ILLEGAL)[~lost].any():
             return None
-        asked = self.decisions.asked[i]
-        found = [self._waits_for(i, car, None if stuck else int(asked[car])) for car in range(self.n_cars)]
-        if not stuck and not all(found):
+        cars = range(self.n_cars)
+        found = [
+            {} if lost[car] else self._waits_for(i, car, None if stuck else int(asked[car])) for car in cars
+        ]
+        if not stuck and not all(found[car] for car in cars if not lost[car]):
             return None
         pairs = tuple((car, other) for car, others in enumerate(found) for other in others)
         words = [
@@ -414,22 +434,24 @@ class AsynchronousEpisodes(Episodes):
             for car, others in enumerate(found)
             for other, why in others.items()
         ]
-        words += [f"car {car} can do nothing" for car, others in enumerate(found) if not others]
+        idle = [(car, "does not answer" if lost[car] else "can do nothing") for car in cars if not found[car]]
+        words += [f"car {car} {why}" for car, why in idle]
         return Deadlock("; ".join(words), pairs)
 
     def _waits_for(self, i: int, car: int, action: int | None) -> dict[int, str]:
         """Return why a car cannot act, by each other car without which it could; ``action`` is what it asked for."""
-        grid, found = self.grid(i), dict[int, str]()
+        grid, running, found = self.grid(i), self.running, dict[int, str]()
         for other in range(self.n_cars):
             without = grid.copy()
             without.cars[other, CarField.Z] += 2 * grid.size[2]
             for one in Action if action is None else (Action(action),):
-                forbidden = one < N_ACTIONS and batch.reason(
-                    grid.cells, grid.cars, self.corrections, car, one
-                )
-                if other == car or other in found or not forbidden:
+                if other == car or other in found or one >= N_ACTIONS or one == _STOP:
                     continue
-                if not batch.reason(without.cells, without.cars, self.corrections, car, one):
+                if not batch.reason(grid.cells, grid.cars, self.corrections, car, one):
+                    needs = Footprint.built_in(grid, car, one).claims()
+                    if conflict(needs, len(needs), running.claims[i, other], running.n_claims[i, other]):
+                        found[other] = f"its claims stand against {one.name}"
+                elif not batch.reason(without.cells, without.cars, self.corrections, car, one):
                     found[other] = str(explain(grid, self.corrections, car, one))
         return found
 

@@ -280,19 +280,17 @@ class AsynchronousEpisodes(Episodes):
             confirmed: what is so now.
             lost: cars that nothing can drive from now on; for good.
         """
-        running, gone, already = self.running, list(lost), self.lost[i]
-        waits = (running.action[i] == _STOP) & ~already
+        running, gone = self.running, np.isin(np.arange(self.n_cars), list(lost))
+        running.action[i, gone], running.ends_s[i, gone] = _STOP, np.inf
+        waits = (running.action[i] == _STOP) & ~gone
         self.time_s[i] = time_s
         ended = np.zeros(self.n_cars, np.bool_)
         ended[list(cars)] = True
-        ended[gone] = ~already[gone]
+        ended &= ~gone
         ended |= waits & ((running.ends_s[i] <= time_s + 1e-6) | ended.any())
         if ended.any():
             ended |= waits
-        decides = ended.copy()
-        decides[gone] = False
-        running.action[i, decides], running.n_claims[i, decides] = DECIDES, 0
-        running.action[i, gone], running.ends_s[i, gone] = _STOP, np.inf
+        running.action[i, ended], running.n_claims[i, ended] = DECIDES, 0
         self.confirm(i, confirmed)
         return ended
 

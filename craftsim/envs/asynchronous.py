@@ -105,7 +105,7 @@ class AsynchronousCore(Core):
         actions, ended = running.action.copy(), np.zeros(self.n_cars, np.bool_)
         infos: dict[int, dict[str, Any]] = {}
         problems: tuple[str, ...] = ()
-        while not (ended.any() or problems):
+        while not (ended.any() or problems or episodes.lost.all()):
             until_s = float(running.ends_s[0].min())
             happened = self.backend.advance(self._zero_s + until_s if np.isfinite(until_s) else None)
             time_s = round(happened.time_s - self._zero_s, 6)

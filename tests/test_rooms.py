@@ -31,7 +31,7 @@ ALLOWED = {
     "skills": {"storage", "mjcf", "models", "discrete"},
     "planning": {"discrete"},
     "logs": {"storage", "skills", "mjcf", "models", "discrete"},
-    "robots": {"storage", "skills", "mjcf", "models", "discrete"},
+    "robots": {"storage", "checking", "skills", "mjcf", "models", "discrete"},
     "checking": {"storage", "skills", "mjcf", "models", "discrete"},
     "experiments": {
         "storage",
@@ -60,6 +60,7 @@ ALLOWED = {
         "training.policy",
         "logs",
         "planning",
+        "robots",
     },
     "tuning": {
         "storage",

@@ -106,6 +106,8 @@ class Judge:
         """(n, 2): which objects are not as they should stand or be carried, and have been reported so."""
         self._running: dict[int, Watched] = {}
         """By car, in the order in which they began."""
+        self._stranded: dict[int, tuple[str, ...]] = {}
+        """Lost cars and what their last actions handled, by name."""
         self._last: ScheduledAction
         """The action that last began by itself."""
         self._over: list[Watched] = []
@@ -151,10 +153,16 @@ class Judge:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Why the world cannot be read as a grid any more; what running actions handle is left out."""
+        """Why the world cannot be read as a grid any more, or its cars be driven.
+
+        What running actions handle is left out, and lost cars with what their last actions handled.
+        """
         broken = ("the simulation broke down",) if self.physics.diverged else ()
+        lost = (self.executor.fleet.lost,) if self.executor.fleet.lost else ()
         handled = [f"{name} " for one in self._running.values() for name in one.own]
-        return (*broken, *(line for line in self.reading.problems if not line.startswith(tuple(handled))))
+        handled += [f"{name} " for names in self._stranded.values() for name in names]
+        left = (line for line in self.reading.problems if not line.startswith(tuple(handled)))
+        return (*broken, *lost, *left)
 
     def perform(self, car: int, action: Action, intended: Grid | None = None, tick: int = 0) -> Attempt:
         """Perform one action and return the attempt.
@@ -208,6 +216,8 @@ class Judge:
             until_s: simulated time to which this runs at most; without one, something must run.
         """
         assert self._running or until_s is not None, "nothing runs"
+        if not self._running:
+            self.executor.fleet.attend()
         over = self._run(until_s)
         if not over:
             return ()
@@ -259,6 +269,8 @@ class Judge:
             return []
         acting = set(running)
         over = [running.pop(car) for car in ended]
+        lost_cars = self.executor.fleet.lost_cars
+        self._stranded |= {one.step.car: one.own for one in over if one.step.car in lost_cars}
         swaying = {index for one in running.values() for index in one.below}
         # What swayed under a car has its place again once that has come to its end.
         self._drift.settle([self._n_cars + index for one in over for index in one.below])
@@ -275,14 +287,15 @@ class Judge:
         None where a time comes first.
         """
         ended: dict[int, Outcome] = {}
-        left, most_s = self.executor.fleet.late_periods, math.inf
+        executor, fleet = self.executor, self.executor.fleet
+        left, most_s = fleet.late_periods, math.inf
         if until_s is not None:
             most_s = until_s - self.physics.config.control_period_s / 2
-        while left if ended else self.physics.time_s < most_s:
+        while left if ended else self.physics.time_s < most_s and (executor.busy or not fleet.lost):
             left -= bool(ended)
-            newly = self.executor.advance()
+            newly = executor.advance()
             if newly:
-                ended, left = ended | newly, self.executor.fleet.late_periods
+                ended, left = ended | newly, fleet.late_periods
         return ended
 
     def _begin(self, step: ScheduledAction, index: int = -1, legal: bool = True) -> None:

@@ -46,12 +46,12 @@ def demo(
     """
     from craftsim.checking.setup import set_up
     from craftsim.cli.films import rendering_works
-    from craftsim.cli.robot import robots_at
     from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.logs.files import LOG_SUFFIX, write_table
     from craftsim.rendering.render import render
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.reports.json_file import document
+    from craftsim.robots import robots_at
     from craftsim.validation.building import Building, read_building
     from craftsim.validation.report import demo_report
 

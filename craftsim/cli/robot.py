@@ -1,14 +1,12 @@
-"""Robots on a network: ``craftsim robot serve``, and the worlds of ``demo --robot``."""
+"""Robots on a network: ``craftsim robot serve``."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -17,11 +15,6 @@ from craftsim.options import Dir, Physics, number
 from craftsim.robots import LOOPBACK, PORT, need_network
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import DELAY_MS, PACE, PATIENCE_S, PORTS, SHARE
-
-if TYPE_CHECKING:
-    from craftsim.checking.judge import Judge
-    from craftsim.checking.setup import Seed, SetUp, Setup
-    from craftsim.discrete.grid import Cell, Grid
 
 
 @owning
@@ -80,7 +73,9 @@ def serve(
         world = set_up(grid, setup, Seed.of(seeds[1]), watch_contacts=False).executor.fleet
         assert isinstance(world, PhysicsFleet)
         rngs = np.random.default_rng(seeds[2]), np.random.default_rng(seeds[3])
-        service = serve_simulated(world, world_digest(grid), sockets, network, rngs, lockstep, print_error)
+        service = serve_simulated(
+            world, world_digest(grid), sockets.send, network, rngs, lockstep, print_error
+        )
         server = Server(service, sockets, pace, timeout)
         print_safe(f"{len(service.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
         sys.stdout.flush()
@@ -105,36 +100,3 @@ def serve(
     )
     print_safe(f"Report: {report}")
     return 0
-
-
-@contextmanager
-def robots_at(address: str, timeout_s: float) -> Iterator[SetUp]:
-    """Yield what sets up a world by connecting to the robots in it; let go of them at the end.
-
-    Args:
-        address: of the robots.
-        timeout_s: without a message from them for so long they count as lost.
-
-    Raises InputError where what it takes is not installed; and so does what is yielded, where no robots answer.
-    """
-    need_network()
-    from craftsim.checking.setup import Setup, judge_on
-    from craftsim.discrete.grid import Grid
-    from craftsim.discrete.kinds import Action
-    from craftsim.models.sensing import NOISY
-    from craftsim.models.world import PhysicsWorld
-    from craftsim.robots.connecting import Connection
-
-    # What is compiled at its first use is compiled now: robots do not wait for it.
-    judge = judge_on(PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1)), Setup(assumed=NOISY))
-    judge.executor.paths()
-    judge.perform(0, Action.MOVE_RIGHT)
-    with ExitStack() as open_links:
-
-        def connect(grid: Grid, setup: Setup, seed: Seed, goals: Sequence[Cell]) -> Judge:
-            connection = Connection(address, grid, setup.machines, setup.simulation, goals, timeout_s)
-            open_links.enter_context(connection)
-            # Contacts are not seen from outside.
-            return judge_on(connection.physics, setup, watch_contacts=False, fleet=connection.link)
-
-        yield connect

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Self
 
@@ -13,7 +14,7 @@ from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST, write_box
+from craftsim.discrete.kernel.claims import MOST, conflict, write_box
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -298,7 +299,14 @@ class AsynchronousEpisodes(Episodes):
             earned=self.decisions.earned * complete,
         )
 
-    def finish(self, i: int, time_s: float, cars: Any, confirmed: Grid) -> NDArray[np.bool_]:
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """(B, n): which cars nothing can drive any more: they wait without an end, and keep their claims."""
+        return np.asarray((self.running.action == _STOP) & np.isinf(self.running.ends_s))
+
+    def finish(
+        self, i: int, time_s: float, cars: Any, confirmed: Grid, lost: Collection[int] = ()
+    ) -> NDArray[np.bool_]:
         """Bring a world to an event that something else has simulated; return which decisions have ended, (n,).
 
         Args:
@@ -306,14 +314,18 @@ class AsynchronousEpisodes(Episodes):
             time_s: the time now; waits that end then have ended, and all waits if an action has.
             cars: whose actions have ended.
             confirmed: what is so now.
+            lost: cars that nothing can drive from now on; for good.
         """
-        running = self.running
+        running, gone = self.running, np.isin(np.arange(self.n_cars), list(lost))
+        running.action[i, gone], running.ends_s[i, gone] = _STOP, np.inf
+        waits = (running.action[i] == _STOP) & ~gone
         self.time_s[i] = time_s
         ended = np.zeros(self.n_cars, np.bool_)
         ended[list(cars)] = True
-        ended |= (running.action[i] == _STOP) & ((running.ends_s[i] <= time_s + 1e-6) | ended.any())
+        ended &= ~gone
+        ended |= waits & ((running.ends_s[i] <= time_s + 1e-6) | ended.any())
         if ended.any():
-            ended |= running.action[i] == _STOP
+            ended |= waits
         running.action[i, ended], running.n_claims[i, ended] = DECIDES, 0
         self.confirm(i, confirmed)
         return ended
@@ -422,7 +434,7 @@ class AsynchronousEpisodes(Episodes):
         ``offered`` (B, n, actions) is what was offered before it: where all cars have waited since, that is so still.
         """
         outcome, found = self.decisions.outcome, np.zeros(len(self), np.bool_)
-        waited = np.flatnonzero(((outcome == WAITS) | (outcome == ILLEGAL)).all(1))
+        waited = np.flatnonzero(((outcome == WAITS) | (outcome == ILLEGAL) | self.lost).all(1))
         if len(waited):
             doubted = _stuck(offered[waited]) | (outcome[waited] == ILLEGAL).any(1)
             for i in waited[doubted].tolist():
@@ -435,15 +447,19 @@ class AsynchronousEpisodes(Episodes):
         All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
         one that another car forbids.
         """
-        waited = np.isin(self.decisions.outcome[i], (WAITS, ILLEGAL)) & self.decides[i]
+        lost = self.lost[i]
+        waited = np.isin(self.decisions.outcome[i], (WAITS, ILLEGAL)) & self.decides[i] | lost
         if not waited.all() or (self.queue[i, :, 0] >= 0).any():
             return None
         stuck = bool(_stuck(self.some(np.array([i])).offered())[0])
-        if not stuck and (self.decisions.outcome[i] != ILLEGAL).any():
-            return None
         asked = self.decisions.asked[i]
-        found = [self._waits_for(i, car, None if stuck else int(asked[car])) for car in range(self.n_cars)]
-        if not stuck and not all(found):
+        if not stuck and (self.decisions.outcome[i] != ILLEGAL)[~lost].any():
+            return None
+        cars = range(self.n_cars)
+        found = [
+            {} if lost[car] else self._waits_for(i, car, None if stuck else int(asked[car])) for car in cars
+        ]
+        if not stuck and not all(found[car] for car in cars if not lost[car]):
             return None
         pairs = tuple((car, other) for car, others in enumerate(found) for other in others)
         words = [
@@ -451,22 +467,24 @@ class AsynchronousEpisodes(Episodes):
             for car, others in enumerate(found)
             for other, why in others.items()
         ]
-        words += [f"car {car} can do nothing" for car, others in enumerate(found) if not others]
+        idle = [(car, "does not answer" if lost[car] else "can do nothing") for car in cars if not found[car]]
+        words += [f"car {car} {why}" for car, why in idle]
         return Deadlock("; ".join(words), pairs)
 
     def _waits_for(self, i: int, car: int, action: int | None) -> dict[int, str]:
         """Return why a car cannot act, by each other car without which it could; ``action`` is what it asked for."""
-        grid, found = self.grid(i), dict[int, str]()
+        grid, running, found = self.grid(i), self.running, dict[int, str]()
         for other in range(self.n_cars):
             without = grid.copy()
             without.cars[other, CarField.Z] += 2 * grid.size[2]
             for one in Action if action is None else (Action(action),):
-                forbidden = one < N_ACTIONS and batch.reason(
-                    grid.cells, grid.cars, self.corrections, car, one
-                )
-                if other == car or other in found or not forbidden:
+                if other == car or other in found or one >= N_ACTIONS or one == _STOP:
                     continue
-                if not batch.reason(without.cells, without.cars, self.corrections, car, one):
+                if not batch.reason(grid.cells, grid.cars, self.corrections, car, one):
+                    needs = Footprint.built_in(grid, car, one).claims()
+                    if conflict(needs, len(needs), running.claims[i, other], running.n_claims[i, other]):
+                        found[other] = f"its claims stand against {one.name}"
+                elif not batch.reason(without.cells, without.cars, self.corrections, car, one):
                     found[other] = str(explain(grid, self.corrections, car, one))
         return found
 

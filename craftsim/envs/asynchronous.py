@@ -105,13 +105,14 @@ class AsynchronousCore(Core):
         actions, ended = running.action.copy(), np.zeros(self.n_cars, np.bool_)
         infos: dict[int, dict[str, Any]] = {}
         problems: tuple[str, ...] = ()
-        while not (ended.any() or problems):
+        while not (ended.any() or problems or episodes.lost.all()):
             until_s = float(running.ends_s[0].min())
             happened = self.backend.advance(self._zero_s + until_s if np.isfinite(until_s) else None)
             time_s = round(happened.time_s - self._zero_s, 6)
-            ended = episodes.finish(0, time_s, happened.cars, happened.confirmed)
+            ended = episodes.finish(0, time_s, happened.cars, happened.confirmed, happened.lost)
             infos, problems = infos | happened.infos, happened.problems
-        self._found = [infos.get(car, {}) for car in range(self.n_cars)]
+        lost = {car: {"lost": why} for car, why in happened.lost.items()}
+        self._found = [infos.get(car, {}) | lost.get(car, {}) for car in range(self.n_cars)]
         failed = {car for car, info in infos.items() if info.get("failed")}
         episodes.queue[0, list(failed)] = -1  # what was planned starts from where the car is not
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -58,6 +59,8 @@ class Ended:
     """By car that has ended: further entries of its info."""
     problems: tuple[str, ...] = ()
     """Why the world cannot be read as a grid any more, in words; empty when it can."""
+    lost: Mapping[int, str] = field(default_factory=dict)
+    """Why cars cannot be driven any more, by car; their actions have ended."""
 
 
 class Backend(Protocol):
@@ -214,4 +217,5 @@ def make_backend(task: Task, options: Options) -> Backend:
         Pictures(options.render_camera, options.render_size, options.shows_motion),
         None if options.record is None else EpisodeRecords(options.record, task.name, task.design),
         None if images is None else CameraImages(images.cameras(n_cars), images.size, images.kinds),
+        options.robots,
     )

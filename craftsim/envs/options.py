@@ -91,6 +91,9 @@ class Options:
     skills: Annotated[Any, AfterValidator(own_skills)] = None
     """Skills of one's own in place of built-in ones, ``{Action.LIFT: MyLift}`` or ``{0: {Action.LIFT: MyLift}}``;
     physics only."""
+    robots: Callable[..., Any] | None = None
+    """Sets up a world whose cars are robots elsewhere, such as :func:`craftsim.robots.connecting.robots_at`; physics
+    only."""
     check_contacts: bool = False
     """Whether the judge logs contacts, 3 % of the time; what is unsafe then ends at once. Physics only."""
     observers: Sequence[Callable[[PhysicsWorld], None]] = ()
@@ -133,6 +136,8 @@ class Options:
                         f"the action '{action.name}' was registered without a skill; physics needs one"
                     )
             self._leave_out(_DRAWN, "physics", "take backend='grid'")
+            if self.robots is not None:
+                self._leave_out(("check_contacts",), "a world of robots", "simulate its cars")
             return
         others = [one.name for one in dataclasses.fields(self) if one.name not in _GRID_OPTIONS]
         self._leave_out(others, "the grid backend", "take backend='physics'")

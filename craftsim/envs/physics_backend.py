@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, Step, begin
 from craftsim.checking.judge import Judge
-from craftsim.checking.setup import Seed, Setup, compile_world, set_up
+from craftsim.checking.setup import Seed, SetUp, Setup, compile_world, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
@@ -43,6 +43,7 @@ class PhysicsBackend(Backend):
         pictures: Pictures | None = None,
         records: EpisodeRecords | None = None,
         images: CameraImages | None = None,
+        robots: SetUp | None = None,
     ) -> None:
         """Prepare for episodes.
 
@@ -55,6 +56,7 @@ class PhysicsBackend(Backend):
             pictures: shows the world to people.
             records: writes down what moves in each episode.
             images: takes what cars observe by cameras.
+            robots: sets up a world whose cars are robots elsewhere; their contacts are not watched.
         """
         self.setup, self.goals = setup, tuple(goals)
         self.observers, self.watch_contacts = observers, watch_contacts
@@ -62,6 +64,7 @@ class PhysicsBackend(Backend):
         self._start: Grid | None = None
         self._pictures, self._records, self._images = pictures or Pictures(), records, images
         self._view: LiveView | None = None
+        self._robots = robots
         self.judge: Judge
         self._seed: Seed
         self._joints: list[list[tuple[int, Action]]]
@@ -76,11 +79,13 @@ class PhysicsBackend(Backend):
         self._end_record()
         seed = Seed.drawn(rng)
         marked = self.goals if design is None else tuple(design.floor)
-        if self._start is None or not self._start.same_visible(grid) or marked != self.goals:
-            self.goals = marked
-            self._world = compile_world(grid, self.setup, self.goals)
-        self._start = grid.copy()
-        self.judge = set_up(grid, self.setup, seed, self.goals, self._world, self.watch_contacts)
+        if self._robots is not None:
+            self.judge = self._robots(grid, self.setup, seed, marked)
+        else:
+            if self._start is None or not self._start.same_visible(grid) or marked != self.goals:
+                self._world = compile_world(grid, self.setup, marked)
+            self.judge = set_up(grid, self.setup, seed, marked, self._world, self.watch_contacts)
+        self._start, self.goals = grid.copy(), marked
         self.judge.executor.observers += [self._pictures.watch, *self.observers]
         self._seed, self._joints, self._starts_s, self.ticks = seed, [], [], []
         self._pictures.begin(self.judge.physics)
@@ -150,6 +155,7 @@ class PhysicsBackend(Backend):
             self.judge.confirmed,
             {attempt.car: _info(attempt) | {"failed": _strayed(attempt)} for attempt in attempts},
             self.judge.problems,
+            dict(self.judge.executor.fleet.lost_cars),
         )
 
     def _primitives(

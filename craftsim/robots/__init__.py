@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Final
 
 from craftsim.extras import need
+
+if TYPE_CHECKING:
+    from craftsim.checking.judge import Judge
+    from craftsim.checking.setup import Seed, SetUp, Setup
+    from craftsim.discrete.grid import Cell, Grid
 
 LOOPBACK: Final = "127.0.0.1"
 """The address that only this machine reaches."""
@@ -15,3 +22,38 @@ PORT: Final = 5555
 def need_network() -> None:
     """Raise InputError with the command that installs what a network needs, where that is missing."""
     need("robots", "robots on a network need", "msgpack")
+
+
+@contextmanager
+def robots_at(address: str, timeout_s: float = 1.0) -> Iterator[SetUp]:
+    """Yield what sets up a world by connecting to the robots in it, anew each time; let go of them at the end.
+
+    Args:
+        address: of the robots, ``HOST:PORT`` or ``tcp://HOST:PORT``.
+        timeout_s: without a message from them for so long they count as lost, and a car that does not answer for so
+            long, too.
+
+    Raises InputError where what it takes is not installed; and so does what is yielded, where no robots answer.
+    """
+    need_network()
+    from craftsim.checking.setup import Setup, judge_on
+    from craftsim.discrete.grid import Grid
+    from craftsim.discrete.kinds import Action
+    from craftsim.models.sensing import NOISY
+    from craftsim.models.world import PhysicsWorld
+    from craftsim.robots.connecting import Connection
+    from craftsim.robots.sockets import Caller
+
+    # What is compiled at its first use is compiled now: robots do not wait for it.
+    judge = judge_on(PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1)), Setup(assumed=NOISY))
+    judge.executor.paths()
+    judge.perform(0, Action.MOVE_RIGHT)
+    with ExitStack() as connected:
+
+        def connect(grid: Grid, setup: Setup, seed: Seed, goals: Sequence[Cell]) -> Judge:
+            connected.close()
+            world = grid, setup.machines, setup.simulation, goals, timeout_s
+            connection = connected.enter_context(Connection(lambda: Caller(address), *world))
+            return connection.judge(setup)
+
+        yield connect

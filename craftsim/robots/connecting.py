@@ -1,16 +1,18 @@
-"""Connecting to robots on a network, and to the referee who shows where everything truly is."""
+"""Connecting to robots, and to the referee who shows where everything truly is."""
 
 from __future__ import annotations
 
 import hashlib
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Final, Self
 
 import numpy as np
 
+from craftsim.checking.judge import Judge
+from craftsim.checking.setup import Setup, judge_on
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
@@ -20,7 +22,6 @@ from craftsim.models.parts import FreeBody
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.link import EPSILON_S, TIMEOUT_S, Link, Messenger, inside
 from craftsim.robots.messages import Follow, Measurements, MessageError, TruePoses, pack, unpack
-from craftsim.robots.sockets import Caller
 
 _KEPT: Final = 64
 """TruePoses that are kept: those of a measurement are there before it has come."""
@@ -110,17 +111,17 @@ class Connection:
 
     def __init__(
         self,
-        address: str,
+        call: Callable[[], Messenger],
         grid: Grid,
         machines: Machines,
         config: SimulationConfig | None = None,
         goals: Sequence[Cell] = (),
         timeout_s: float = TIMEOUT_S,
     ) -> None:
-        """Connect to robots at ``HOST:PORT`` or ``tcp://HOST:PORT``, and look at their world.
+        """Connect to robots, and look at their world.
 
         Args:
-            address: of the robots.
+            call: connects to them once more.
             grid: the world in which they should stand.
             machines: the parameters of them and of what they handle.
             config: of the PhysicsWorld that shows them.
@@ -129,7 +130,7 @@ class Connection:
 
         Raises InputError where they do not answer or refuse, or where no referee shows their world.
         """
-        self._callers = [Caller(address)]
+        self._callers = [call()]
         try:
             self.physics = PhysicsWorld(grid, config, goals, reset=False, machines=machines)
             n_slopes, period_s = len(self.physics.slopes), self.physics.config.control_period_s
@@ -144,12 +145,16 @@ class Connection:
                     f"the robots' control period is {welcome.period_s:g} s, and that of the skills {period_s:g} s"
                 )
             if not welcome.referee:
-                raise InputError(f"nobody shows the world of the robots at {address}: there is no referee")
-            self._callers.append(Caller(address))
+                raise InputError("nobody shows the world of these robots: there is no referee")
+            self._callers.append(call())
             self.link.let_follow(Mirror(self.physics, self._callers[1], welcome.ticket).follow)
         except BaseException:
             self.__exit__(None, None, None)
             raise
+
+    def judge(self, setup: Setup) -> Judge:
+        """Return the judge of what the robots do; contacts are not seen from outside."""
+        return judge_on(self.physics, setup, watch_contacts=False, fleet=self.link)
 
     def __enter__(self) -> Self:
         return self

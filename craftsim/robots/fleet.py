@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -13,7 +13,9 @@ from craftsim.models.measuring import READING, UNDERSIDE, WIRING, CarMeasurement
 from craftsim.skills.fleet import Wires
 from craftsim.skills.skill import Command
 
-_MOTORS = 5
+PATIENCE: Final = 50
+"""Control periods, 1 s of the usual ones, after which a car that does not answer is lost."""
+_MOTORS: Final = 5
 """Of a car: four wheels and the board."""
 
 
@@ -21,7 +23,10 @@ class Robot(Protocol):
     """One car."""
 
     def measure(self) -> CarMeasurement:
-        """Return what it measures now, at once; ``time_s`` is its own clock, and all robots of a fleet share it."""
+        """Return what it measures now, at once; ``time_s`` is its own clock, and all robots of a fleet share it.
+
+        The same ``time_s`` again says that it does not answer.
+        """
 
     def command(self, command: Command) -> None:
         """Give its motors these speeds, until the next command comes; ``Command()`` stops them, and they hold."""
@@ -63,8 +68,8 @@ class RealClock:
 class Harness:
     """Records and arrays through which compiled laws measure and command n cars, and the hinges of some slopes."""
 
-    def __init__(self, n_cars: int, n_slopes: int) -> None:
-        """Lay the wires; nothing is commanded."""
+    def __init__(self, n_cars: int, n_slopes: int, patience: int = PATIENCE) -> None:
+        """Lay the wires; nothing is commanded. A car whose clock stands for ``patience`` periods is lost."""
         cars, plugs = records(n_cars, WIRING), records(n_slopes, UNDERSIDE)
         motors = np.arange(_MOTORS * n_cars).reshape(n_cars, _MOTORS)
         cars["wheel_motors"], cars["board_motor"] = motors[:, :4], motors[:, 4]
@@ -73,14 +78,22 @@ class Harness:
         self.wires = Wires(cars, plugs, np.zeros((n_cars, 4)), np.ones(1), ctrl)
         self.readings: Records = records(n_cars, READING)
         """(n,) READING: what was measured last."""
+        self.lost_cars: dict[int, str] = {}
+        self._patience, self._silent = patience, np.zeros(n_cars, np.int64)
+        """After how many periods without an answer a car is lost, and for how many there has been none."""
 
     def measured(self, measurements: Sequence[CarMeasurement]) -> None:
         """Take a measurement of each car. Raises ValueError for other slopes than there are."""
-        n_slopes = len(self.wires.plugs)
+        n_slopes, before = len(self.wires.plugs), self.readings["time_s"].copy()
         for car, now in enumerate(measurements):
             if now.slope is not None and not 0 <= now.slope < n_slopes:
                 raise ValueError(f"car {car} is docked to slope {now.slope}, and there are {n_slopes}")
             write_reading(now, self.readings[car : car + 1])
+        self._silent = np.where(self.readings["time_s"] == before, self._silent + 1, 0)
+        for car in np.flatnonzero(self._silent >= self._patience).tolist():
+            self.lost_cars.setdefault(
+                car, f"car {car} does not answer since {before[car]:.2f} s of its clock"
+            )
 
     def commands(self) -> tuple[Command, ...]:
         """Return what stands on the wires, for each car; a hinge's is that of the car that is docked to its slope."""
@@ -106,9 +119,11 @@ class RobotFleet(Harness):
     lost = ""
     late_periods = 0
 
-    def __init__(self, robots: Sequence[Robot], clock: Clock, n_slopes: int = 0) -> None:
+    def __init__(
+        self, robots: Sequence[Robot], clock: Clock, n_slopes: int = 0, patience: int = PATIENCE
+    ) -> None:
         """Drive these robots, in the order of their cars' ids, in a world with so many slopes."""
-        super().__init__(len(robots), n_slopes)
+        super().__init__(len(robots), n_slopes, patience)
         self._robots, self._clock = tuple(robots), clock
         self.attend()
 

@@ -70,6 +70,9 @@ class Messenger(Protocol):
         Raises ConnectionError where none can come any more.
         """
 
+    def close(self) -> None:
+        """Close the connection."""
+
 
 def inside(size: Cell, x: float, y: float, z: float) -> bool:
     """Return whether a car, or what it handles, can be at a position in metres in a world of a size in cells.
@@ -102,7 +105,7 @@ class Link(Harness):
             n_cars: how many there should be.
             machines: their parameters.
             world: digest of the world in which they should stand.
-            timeout_s: without a message of use for so long they count as lost.
+            timeout_s: without a message of use for so long they are lost, and so is a car whose clock stands so long.
             size: of the world in cells, if that is known: no car is far outside.
 
         Raises InputError where nobody answers, or they refuse.
@@ -117,7 +120,7 @@ class Link(Harness):
         self._size = size
         self.welcome = self._greet(n_cars, world)
         period_s = self.period_s = self.welcome.period_s
-        super().__init__(n_cars, self.welcome.slopes)
+        super().__init__(n_cars, self.welcome.slopes, math.ceil(timeout_s / period_s))
         self._cars = [Extrapolation(machines.car(car), machines, period_s) for car in range(n_cars)]
         self._sent: deque[tuple[float, Commands]] = deque(
             maxlen=round(2 * _MOST_LEAD_S / period_s) + _REMEMBERED
@@ -183,8 +186,10 @@ class Link(Harness):
         self._look_on()
 
     def stop(self, car: int, slope: int) -> None:
-        """Command a car's motors to zero, and the hinge of a slope; tell the robots at once."""
+        """Command a car's motors to zero, and the hinge of a slope; tell the robots at once, unless it is lost."""
         super().stop(car, slope)
+        if car in self.lost_cars:
+            return
         self._number += 1
         self._transport.send(pack(Commands(self._number, 0.0, self.commands())))
 

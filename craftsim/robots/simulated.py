@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Final
 
 import numpy as np
 
+from craftsim.checking.judge import Judge
+from craftsim.checking.setup import Seed, SetUp, Setup, set_up
+from craftsim.discrete.grid import Cell, Grid
 from craftsim.models.measuring import CarMeasurement, PoseReader
 from craftsim.models.world import PhysicsWorld
+from craftsim.robots.connecting import Connection, world_digest
 from craftsim.robots.fleet import Robot
 from craftsim.robots.messages import Measurements, TruePoses
 from craftsim.robots.server import Channel, Network, Service
-from craftsim.robots.sockets import Host
 from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.skill import Command
+
+_AWAITED: Final = 1000
+"""Events of the robots' time in which a message should come."""
 
 
 class SimulatedRobot:
@@ -81,22 +89,22 @@ def simulated_referee(physics: PhysicsWorld) -> Callable[[Measurements], TruePos
 def serve_simulated(
     world: PhysicsFleet,
     digest: str,
-    sockets: Host,
+    send: Callable[[bytes, bytes], None],
     network: Network,
-    rngs: tuple[np.random.Generator, np.random.Generator],
+    rngs: Sequence[np.random.Generator],
     waits: bool,
-    tell: Callable[[str], None],
+    tell: Callable[[str], None] = lambda line: None,
 ) -> Service:
     """Return the service of the cars of a PhysicsWorld, whose digest is given.
 
-    ``rngs`` draw what becomes of commands, and of measurements, in the network; the rest is as for Service.
+    Two ``rngs`` draw what becomes of commands, and of measurements, in the network; the rest is as for Service.
     """
-    physics = world.physics
+    physics, (up, down) = world.physics, rngs
     return Service(
         simulated_robots(world),
         SimulatedClock(world),
-        (Channel(network, rngs[0]), Channel(network, rngs[1])),
-        sockets.send,
+        (Channel(network, up), Channel(network, down)),
+        send,
         physics.config.control_period_s,
         len(physics.slopes),
         digest,
@@ -104,3 +112,50 @@ def serve_simulated(
         waits,
         tell,
     )
+
+
+class Memory:
+    """A connection to simulated robots of this process: their time passes while something is awaited from them."""
+
+    def __init__(self, service: Service, inboxes: dict[bytes, deque[bytes]]) -> None:
+        """Add one more to the connections of a service, whose messages go to ``inboxes``."""
+        self.service, self.name = service, str(len(inboxes)).encode()
+        self.inbox = inboxes.setdefault(self.name, deque())
+
+    def send(self, data: bytes) -> None:
+        """Send a message."""
+        self.service.arrive(self.name, data, self.service.now_s)
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        """Return the next message that comes, or None where the robots wait for an answer, or nothing comes."""
+        for _ in range(_AWAITED):
+            if self.inbox or timeout_s <= 0 or self.service.unseen:
+                break
+            self.service.step()
+        return self.inbox.popleft() if self.inbox else None
+
+    def close(self) -> None:
+        """Close the connection."""
+        self.service.depart(self.name)
+
+
+def simulated_network(network: Network) -> SetUp:
+    """Return what sets up worlds of simulated robots that are driven through a network, in this process.
+
+    It is in lock-step: time passes while a message is awaited, and the same seed gives the same run, bit for bit.
+    """
+
+    def begin(grid: Grid, setup: Setup, seed: Seed, goals: Sequence[Cell]) -> Judge:
+        world = set_up(grid, setup, seed, watch_contacts=False).executor.fleet
+        assert isinstance(world, PhysicsFleet)
+        rngs = [np.random.default_rng(s) for s in seed.sequence().spawn(5)[3:]]  # others are those of set_up
+        inboxes: dict[bytes, deque[bytes]] = {}
+        service = serve_simulated(
+            world, world_digest(grid), lambda name, data: inboxes[name].append(data), network, rngs, True
+        )
+        connection = Connection(
+            lambda: Memory(service, inboxes), grid, setup.machines, setup.simulation, goals
+        )
+        return connection.judge(setup)
+
+    return begin

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Final
 
 import numpy as np
@@ -220,9 +220,11 @@ class Executor:
         for observer in self.observers:
             observer(self.physics)
         if self._tries and self.fleet.lost:
-            ended |= self._stop_all(Reason.DISCONNECTED, self.fleet.lost)
+            ended |= self._stop(self._tries, Reason.DISCONNECTED, self.fleet.lost)
+        for car, why in self.fleet.lost_cars.items():
+            ended |= self._stop(self._tries.keys() & {car}, Reason.DISCONNECTED, why)
         if self._tries and self.guard is not None and self.guard():
-            ended |= self._stop_all(Reason.STOPPED)
+            ended |= self._stop(self._tries, Reason.STOPPED)
         return ended
 
     def _end(self, readings: Records) -> dict[int, Outcome]:
@@ -242,15 +244,13 @@ class Executor:
                 self._start(car, *following)
         return ended
 
-    def _stop_all(self, reason: Reason, detail: str = "") -> dict[int, Outcome]:
+    def _stop(self, cars: Iterable[int], reason: Reason, detail: str = "") -> dict[int, Outcome]:
         stopped = {}
-        for car in self._tries:
-            own = self._own.get(car)
-            elapsed_s = float(self._cars[car]["task"]["elapsed_s"]) if own is None else own.elapsed_s
+        for car in list(cars):
+            own, record = self._own.get(car), self._cars[car]
+            elapsed_s = float(record["task"]["elapsed_s"]) if own is None else own.elapsed_s
             stopped[car] = Outcome(reason, elapsed_s, detail)
-        self._tries.clear()
-        for car in stopped:
-            record = self._cars[car]
+            del self._tries[car]
             record["command"] = np.zeros((), COMMAND)
             self.fleet.stop(car, int(record["docked"]))
             self._park(car, self.readings())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -33,6 +33,8 @@ class Fleet(Protocol):
     wires: Wires
     lost: str
     """Why the cars cannot be driven any more; empty while they can."""
+    lost_cars: Mapping[int, str]
+    """Why single ones cannot, by car."""
 
     @property
     def late_periods(self) -> int:
@@ -58,6 +60,7 @@ class PhysicsFleet:
     """The cars of a PhysicsWorld."""
 
     lost = ""
+    lost_cars: Mapping[int, str] = {}
     late_periods = 0
 
     def __init__(

@@ -149,6 +149,7 @@ class Replanner:
     def _problem(self, judge: Judge) -> str:
         """Find out which cars are out of action, and return what else cannot be read."""
         self.out |= {car for car, n in self.failures.items() if n >= FAILURES}
+        self.out |= judge.executor.fleet.lost_cars.keys()
         for car, n in self.failures.items():
             if n and any(text.startswith(tuple(_stuck_with(judge, [car]))) for text in judge.problems):
                 self.out.add(car)
@@ -183,7 +184,7 @@ def without(judge: Judge, task: Task, out: Iterable[int]) -> tuple[Grid, tuple[i
         nearly = {
             placed.cell
             for index, placed in enumerate(judge.reading.objects)
-            if any(text.startswith(f"{judge.poses.name(index)} ") for text in judge.problems)
+            if any(text.startswith(f"{judge.poses.name(index)} ") for text in judge.reading.problems)
         }
         walled -= {target.cell for target, hit in task.design.hits(real) if hit} - nearly
     for cell in list(walled):

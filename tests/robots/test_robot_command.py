@@ -13,9 +13,9 @@ import pytest
 
 from craftsim.checking.setup import Seed, setup_of
 from craftsim.cli import main
-from craftsim.cli.robot import robots_at
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
+from craftsim.robots import robots_at
 from craftsim.skills.outcome import Reason
 
 PLAN = "0 0 MOVE_RIGHT\n0 1 MOVE_LEFT\n1 0 LIFT\n1 1 ROTATE_LEFT\n"
@@ -25,7 +25,7 @@ import os, signal
 import numpy as np
 from craftsim.checking.setup import setup_of
 from craftsim.checking.setup import Seed
-from craftsim.cli.robot import robots_at
+from craftsim.robots import robots_at
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 with robots_at("{address}", 30.0) as where:

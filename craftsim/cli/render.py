@@ -32,6 +32,7 @@ def render(
     what: Annotated[str, Parameter(metavar="RUN|FILE|TASK")],
     out: Annotated[Path, Parameter(metavar="FILE|DIR/")] = Path("out/render.mp4"),
     *,
+    beside: Annotated[tuple[Path, ...], Parameter(metavar="RUN|FILE")] = (),
     camera: Annotated[tuple[str, ...], Parameter(metavar="VIEW")] = ("overview",),
     layout: Literal["side", "main", "inset"] = "side",
     quality: Literal["draft", "paper"] = "draft",
@@ -39,8 +40,8 @@ def render(
     fps: Annotated[int, number(FRAME_RATE)] = 30,
     speed: Annotated[float | None, number(FILM_SPEED)] = None,
     at: Annotated[tuple[float, ...], number(MOMENT_S, "SECONDS")] = (),
-    hide: tuple[Literal["ghost", "captions", "cards"], ...] = (),
-    title: str | None = None,
+    hide: tuple[Literal["ghost", "captions", "cards", "none"], ...] | None = None,
+    title: tuple[str, ...] = (),
     run: Annotated[str | None, Parameter(metavar="NAME")] = None,
     carried: CarriedPlan = CarriedPlan(),  # noqa: B008
     policy: Annotated[str | None, Parameter(metavar="NAME")] = None,
@@ -60,6 +61,7 @@ def render(
         what: a trajectory (.npz), a folder of a run or of a replay bundle, a shipped task's name, or a blueprint.
         out: the file to write; its name ends in .mp4 (H.264), .webm (VP9), .webp or .gif (animations), or .png (a
             contact sheet, or with --at pictures); or a folder for figures, such as figures/.
+        beside: other recorded runs, shown at its right at the same simulated time.
         camera: one or several views: overview, top, orbit, follow:CAR, closeup:CAR, a YAML file, or grid, which is what
             the rules predict.
         layout: several views side by side; the first one large with the others in a column; or as insets in a corner of
@@ -69,9 +71,9 @@ def render(
         fps: frames a second.
         speed: simulated seconds in a second of film; unless given it follows what the cars do.
         at: simulated times of pictures to take, in seconds; for .png only.
-        hide: what the design still lacks, translucent; what the cars do and how it is judged, beside a film; the
-            cards at the start and at the end of a film.
-        title: in place of the trajectory's own.
+        hide: what the design still lacks, translucent; the panel that says what the cars do and how it is judged; the
+            cards at the start and at the end of a film. Unless given, films hide nothing and pictures the panel.
+        title: in place of the trajectory's own; with others beside it one for each, the names of files unless given.
         run: name of one of the trajectories in a run's folder.
         policy: in place of a plan, as of 'craftsim validate'.
         workers: processes to share the work; the pictures do not depend on it.
@@ -84,14 +86,25 @@ def render(
     from craftsim.rendering.render import render as render_file
     from craftsim.storage.folders import output_directory
 
-    captions = False if "captions" in hide else None  # films have them, pictures not
-    shown = ("ghost" not in hide, captions, "cards" not in hide)
-    look = Look(_pixels(size), fps, camera, layout, quality, speed, None, *shown, title)
+    hidden = hide or ()
+    captions = None if hide is None else "captions" not in hidden
+    parts = ("ghost" not in hidden, captions, "cards" not in hidden)
+    look = Look(_pixels(size), fps, camera, layout, quality, speed, None, *parts)
+    names = title or ((Path(what).stem, *(path.stem for path in beside)) if beside else ())
+    if names and len(names) != 1 + len(beside):
+        raise InputError(
+            f"--title names {len(names)} of {1 + len(beside)} runs; give a title for each, or none"
+        )
     check_format(out, at)
     choose_backend()
     output_directory(out.parent)
-    trajectory = _find_trajectory(what, out, run, physics, carried, policy)
-    for path in render_file(trajectory, out, look, workers=workers, at=at, progress=counting("frames", bool)):
+    shown = [
+        _find_trajectory(what, out, run, physics, carried, policy),
+        *(_recorded(path, run) for path in beside),
+    ]
+    if names:
+        shown = [trajectory.titled(name) for trajectory, name in zip(shown, names, strict=True)]
+    for path in render_file(shown, out, look, workers=workers, at=at, progress=counting("frames", bool)):
         say(f"Written: {path}")
     return 0
 
@@ -212,19 +225,15 @@ def _find_trajectory(
     Raises InputError for a word that stands for none.
     """
     from craftsim.discrete.tasks import TASK_NAMES
-    from craftsim.rendering.trajectory import SUFFIX, Trajectory
+    from craftsim.rendering.trajectory import SUFFIX
     from craftsim.validation.validation import record_once
 
     path = Path(what)
     recorded = what not in TASK_NAMES and (path.suffix == SUFFIX or is_folder(path))
     if recorded and (carried.plan or policy):
         raise InputError(f"{what} is recorded already; leave --plan and --policy out")
-    if recorded and is_folder(path):
-        return _in_folder(path, run)
-    if run is not None:
-        raise InputError(f"--run chooses from a folder of a run, and {what} is none")
-    if recorded:
-        return Trajectory.read(path)
+    if recorded or run is not None:
+        return _recorded(path, run)
     trajectory = record_once(
         what, physics.setup(), physics.seed, plan=carried.plan_file, policy=policy, order=carried.order
     )
@@ -232,11 +241,15 @@ def _find_trajectory(
     return trajectory
 
 
-def _in_folder(folder: Path, run: str | None) -> Trajectory:
+def _recorded(folder: Path, run: str | None) -> Trajectory:
     from craftsim.experiments.bundle import TEXT, read_bundle
     from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
     from craftsim.validation.recording import record_bundle
 
+    if not is_folder(folder):
+        if run is not None:
+            raise InputError(f"--run chooses from a folder of a run, and {folder} is none")
+        return Trajectory.read(folder)
     if is_file(folder / TEXT) and run is None:
         return record_bundle(read_bundle(folder))[1]
     first, *others = trajectory_files(folder, run)

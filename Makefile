@@ -87,7 +87,7 @@ gallery: $(VENV)/installed libraries  ## Make the films of docs/gallery and docs
 	$(BIN)/craftsim audit --quick --workers 2 --out out/gallery || [ $$? -eq 1 ]
 	# A rule that fails one time in twelve: a single trial of each row does not find it.
 	$(BIN)/craftsim audit --situations 'MOVE-off-foot/load=none/near=block/allowed in the way' --trials 100 --workers 2 --out out/chance || [ $$? -eq 1 ]
-	$(BIN)/python scripts/gallery.py 2 out/gallery out/chance
+	$(BIN)/python scripts/gallery.py all --audits out/gallery out/chance --workers 2
 
 machines: $(VENV)/installed  ## Write the MJCF of the nominal machines in craftsim/mjcf again
 	$(BIN)/python -m craftsim.models.exporting

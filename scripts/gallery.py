@@ -1,14 +1,14 @@
-"""Make the films of the gallery and its page: ``scripts/gallery.py WORKERS AUDIT ...``.
+"""Make films of the gallery, and its page: ``scripts/gallery.py [NAME ...] [--audits DIR ...]``.
 
-AUDIT is the folder of an audit of the published rules, whose replay bundles show what is unsound. Each task of the
-paper is built in physics, and each unsound rule is shown in the smallest world in which it fails. What the page says is
-in docs/gallery/gallery.json; without arguments the page is written from there.
+Each task of the paper is built in physics, a plan is carried out in ticks and asynchronously, and each unsound rule is
+shown in the smallest world in which it fails, from the replay bundles of audits of the published rules. What the page
+says is in docs/gallery/gallery.json: films that are not made stay, and without arguments only the page is written.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.checking.setup import SEED_0, Seed, Setup
+from craftsim.choices import PlanOrder
 from craftsim.cli import main as craftsim_command
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
@@ -37,7 +38,13 @@ MADE: Final = "<!-- Made by `make gallery`; do not edit. -->\n\n"
 HEAD: Final = """# Gallery
 
 Each picture links to its film: the paper's six tasks, built in contact physics by the shipped plans, and two buildings
-that were planned from a design and built by eight cars with the reduced drive.
+that were planned from a design and built by eight cars with the reduced drive. Below each: actions as predicted,
+simulated time, and by how much cars miss the centres of cells at most.
+
+"""
+OVERLAP_HEAD: Final = """## In ticks and asynchronously
+
+One plan in ticks (left) and asynchronously (right), from the same start ([tutorial](tutorials/asynchronous.md)).
 
 """
 RULES_HEAD: Final = """## Unsound rules
@@ -62,6 +69,13 @@ BUILDINGS: Final = {
 }
 """Buildings that are planned and built, and what `craftsim design` is asked for."""
 BUILDING_LOOK: Final = FilmOptions((640, 360), fps=12, speed=16.0)
+OVERLAP: Final = "ramp"
+"""The plan that is carried out in ticks and asynchronously, in examples/overlap."""
+ORDERS: Final[dict[PlanOrder, str]] = {
+    "ticks": "in ticks: all wait for the slowest",
+    "concurrent": "asynchronously: each goes on by itself",
+}
+OVERLAP_LOOK: Final = FilmOptions((960, 480), quality="paper", speed=1.5)
 RULE_LOOK: Final = FilmOptions(
     (720, 320), 15, ("overview", "follow:0"), quality="paper", length_s=4.0, cards=False, captions=False
 )
@@ -69,30 +83,32 @@ TRIES: Final = 5
 """Bundles of a rule that are tried until one fails by itself, from a fresh start."""
 
 
-def main(audits: Sequence[Path], workers: int) -> None:
-    """Make everything."""
+def main() -> None:
+    """Make the films that are asked for, and the page."""
+    films = (*TASK_NAMES, *BUILDINGS, OVERLAP)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"all, or some of {', '.join(films)}")
+    parser.add_argument("--audits", nargs="*", type=Path, default=[], metavar="DIR")
+    parser.add_argument("--workers", type=int, default=1)
+    asked = parser.parse_args()
+    if strange := {*asked.names} - {*films, "all"}:
+        parser.error(f"no film is called {', '.join(sorted(strange))}; allowed: all, {', '.join(films)}")
     FILMS.mkdir(parents=True, exist_ok=True)
-    flags = _bundles_by_flag(audits)
-    jobs: list[tuple[str, tuple[Path, ...]]] = [(task, ()) for task in TASK_NAMES]
-    jobs += [(building, ()) for building in BUILDINGS]
-    jobs += [(flag, tuple(bundles)) for flag, bundles in flags.items()]
-    found: dict[str, dict[str, Entry]] = {"tasks": {}, "buildings": {}, "rules": {}}
-    with Pool(workers) as pool:
+    jobs: list[tuple[str, tuple[Path, ...]]]
+    jobs = [(name, ()) for name in (films if "all" in asked.names else asked.names)]
+    jobs += [(flag, tuple(bundles)) for flag, bundles in _bundles_by_flag(asked.audits).items()]
+    found: dict[str, dict[str, Entry]] = json.loads(STORED.read_text(encoding="utf-8"))
+    with Pool(asked.workers) as pool:
         for number, (_, answer) in enumerate(pool.map_unordered(_make, jobs)):
             part, name, entry = answered(answer)
             if entry is not None:
-                found[part][name] = entry
+                found.setdefault(part, {})[name] = entry
             print(f"{number + 1} of {len(jobs)}", flush=True)
     for path in (*GALLERY.iterdir(), *FILMS.iterdir()):
         if path.stat().st_size > BUDGET_BYTES:
             raise SystemExit(f"{path} has {path.stat().st_size} bytes; allowed: {BUDGET_BYTES}")
-    order = {"tasks": [*TASK_NAMES], "buildings": [*BUILDINGS], "rules": [*flags]}
-    kept = {
-        part: {name: found[part][name] for name in names if name in found[part]}
-        for part, names in order.items()
-    }
-    write_whole(STORED, json.dumps(kept, indent=1) + "\n")
-    write_page()
+    write_whole(STORED, json.dumps(found, indent=1) + "\n")
+    write_whole(PAGE, page_text(found))
 
 
 def _make(job: tuple[str, tuple[Path, ...]]) -> tuple[str, str, Entry | None]:
@@ -101,18 +117,17 @@ def _make(job: tuple[str, tuple[Path, ...]]) -> tuple[str, str, Entry | None]:
         return "rules", name, _make_rule(name, bundles)
     if name in BUILDINGS:
         return "buildings", name, _make_building(name)
+    if name == OVERLAP:
+        return "overlap", name, _make_overlap()
     return "tasks", name, _make_task(name)
 
 
 def _make_task(task: str) -> Entry:
     trajectory = record_once(task, Setup(), 0)
-    title = task.replace("_", " ")
-    look = replace(TASK_LOOK, title=title)
-    render(trajectory, FILMS / f"{task}.mp4", look)
-    last = float(trajectory.time[-1])
-    render(trajectory, FILMS / f"{task}.png", replace(look, captions=False), at=(last,))
+    trajectory = trajectory.titled(task.replace("_", " "))
+    _film(trajectory, task, TASK_LOOK)
     if task == HERO:
-        render(trajectory, GALLERY / f"{task}.webp", replace(HERO_LOOK, title=title))
+        render(trajectory, GALLERY / f"{task}.webp", HERO_LOOK)
     return _metrics(trajectory)
 
 
@@ -137,10 +152,25 @@ def _make_building(name: str) -> Entry:
             raise SystemExit(f"craftsim {' '.join(command)} failed")
     (file,) = (folder / "build" / "trajectories").glob("*.npz")
     trajectory = Trajectory.read(file)
-    look = replace(BUILDING_LOOK, title=name)
-    render(trajectory, FILMS / f"{name}.mp4", look)
-    render(trajectory, FILMS / f"{name}.png", replace(look, captions=False), at=(float(trajectory.time[-1]),))
+    _film(trajectory.titled(name), name, BUILDING_LOOK)
     return _metrics(trajectory)
+
+
+def _make_overlap() -> Entry:
+    world = ROOT / "examples" / "overlap" / f"{OVERLAP}.yaml"
+    shown = {
+        order: record_once(str(world), Setup(), 0, plan=world.with_suffix(".plan"), order=order).titled(title)
+        for order, title in ORDERS.items()
+    }
+    render([*shown.values()], FILMS / f"{OVERLAP}.mp4", OVERLAP_LOOK)
+    middle = 0.5 * float(shown["concurrent"].time[-1])
+    render([*shown.values()], FILMS / f"{OVERLAP}.png", replace(OVERLAP_LOOK, captions=True), at=(middle,))
+    return {order: _metrics(trajectory) for order, trajectory in shown.items()}
+
+
+def _film(trajectory: Trajectory, name: str, look: FilmOptions) -> None:
+    render(trajectory, FILMS / f"{name}.mp4", look)
+    render(trajectory, FILMS / f"{name}.png", look, at=(float(trajectory.time[-1]),))
 
 
 def _metrics(trajectory: Trajectory) -> Entry:
@@ -208,29 +238,37 @@ def _smallest(bundles: Sequence[Path]) -> tuple[Smallest, Seed, bool] | None:
     return None
 
 
-def write_page() -> None:
-    """Write docs/gallery.md from what is stored."""
-    write_whole(PAGE, page_text(json.loads(STORED.read_text(encoding="utf-8"))))
-
-
 def page_text(stored: dict[str, dict[str, Entry]]) -> str:
     """Return the page of thumbnails: a film behind each picture, and each unsound rule as an animation."""
     buildings = [
         _building(name, entry) for part in ("tasks", "buildings") for name, entry in stored[part].items()
     ]
     rules = [_rule(name, entry) for name, entry in stored["rules"].items()]
-    return f"{MADE}{HEAD}{_cards(buildings)}\n{RULES_HEAD}{_cards(rules)}"
+    overlaps = [_overlap(name, entry) for name, entry in stored["overlap"].items()]
+    return f"{MADE}{HEAD}{_cards(buildings)}\n{OVERLAP_HEAD}{chr(10).join(overlaps)}\n\n{RULES_HEAD}{_cards(rules)}"
 
 
 def _building(name: str, entry: Entry) -> str:
-    film, picture, title = f"gallery/films/{name}.mp4", f"gallery/films/{name}.png", name.replace("_", " ")
-    said = f"{entry['agree']} actions as predicted, {entry['simulated_s']:g} s, cars within {entry['car_mm']:.2f} mm"
-    return f"[![the finished building: {title}]({picture})]({film}) **{title}**: {said}"
+    title = name.replace("_", " ")
+    return f"{_linked(name, title)} **{title}**: {_said(entry)}"
+
+
+def _overlap(name: str, entry: Entry) -> str:
+    said = f"In ticks {_said(entry['ticks'])}; asynchronously {_said(entry['concurrent'])}."
+    return f"{_linked(name, 'a plan in ticks and asynchronously')} {said}"
+
+
+def _linked(name: str, alternative: str) -> str:
+    return f"[![{alternative}](gallery/films/{name}.png)](gallery/films/{name}.mp4)"
+
+
+def _said(entry: Entry) -> str:
+    return f"{entry['agree']}, {entry['simulated_s']:g} s, {entry['car_mm']:.2f} mm"
 
 
 def _rule(name: str, entry: Entry) -> str:
     chance = "; with physics and noise as drawn in one trial" if entry["needs_its_draw"] else ""
-    return f"![the film of {name}](gallery/{name}.webp) **`{name}`**: {entry['sentence']}{chance}"
+    return f"![{name}](gallery/{name}.webp) **`{name}`**: {entry['sentence']}{chance}"
 
 
 def _cards(cards: Sequence[str]) -> str:
@@ -241,7 +279,4 @@ def _cards(cards: Sequence[str]) -> str:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        main([Path(word) for word in sys.argv[2:]], int(sys.argv[1]))
-    else:
-        write_page()
+    main()

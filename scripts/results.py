@@ -245,7 +245,7 @@ def execution_table() -> str:
 
 
 def _interval(share: dict[str, float]) -> str:
-    return f"95 % interval {100 * share['wilson_low']:.1f} to {100 * share['wilson_high']:.1f} %"
+    return f"{100 * share['wilson_low']:.1f}-{100 * share['wilson_high']:.1f} %"
 
 
 def _audit(figures: dict[str, Any]) -> str:

@@ -32,6 +32,7 @@ def render(
     what: Annotated[str, Parameter(metavar="RUN|FILE|TASK")],
     out: Annotated[Path, Parameter(metavar="FILE|DIR/")] = Path("out/render.mp4"),
     *,
+    beside: Annotated[tuple[Path, ...], Parameter(metavar="RUN|FILE")] = (),
     camera: Annotated[tuple[str, ...], Parameter(metavar="VIEW")] = ("overview",),
     layout: Literal["side", "main", "inset"] = "side",
     quality: Literal["draft", "paper"] = "draft",
@@ -39,8 +40,8 @@ def render(
     fps: Annotated[int, number(FRAME_RATE)] = 30,
     speed: Annotated[float | None, number(FILM_SPEED)] = None,
     at: Annotated[tuple[float, ...], number(MOMENT_S, "SECONDS")] = (),
-    hide: tuple[Literal["ghost", "captions", "cards"], ...] = (),
-    title: str | None = None,
+    hide: tuple[Literal["ghost", "captions", "cards", "none"], ...] | None = None,
+    title: tuple[str, ...] = (),
     run: Annotated[str | None, Parameter(metavar="NAME")] = None,
     carried: CarriedPlan = CarriedPlan(),  # noqa: B008
     policy: Annotated[str | None, Parameter(metavar="NAME")] = None,
@@ -59,6 +60,7 @@ def render(
         what: a trajectory (.npz), the folder of a run or of a replay bundle, the name of a task, or a blueprint.
         out: file to write: .mp4 (H.264), .webm (VP9), .webp or .gif (animations), or .png (a contact sheet, or pictures
             with --at); or a folder for figures, such as figures/.
+        beside: other recorded runs, shown at its right at the same simulated time.
         camera: one or several views: overview, top, orbit, follow:CAR, closeup:CAR, a YAML file, or grid for the
             predicted grid world.
         layout: several views side by side; one large with the others in a column; or insets in the corners.
@@ -67,8 +69,9 @@ def render(
         fps: frames per second.
         speed: simulated seconds per second of film; default: adapted to the activity.
         at: simulated times of pictures in seconds; for .png only.
-        hide: the translucent design, the captions beside the film, or the cards at its start and end.
-        title: title; default: that of the trajectory.
+        hide: the translucent design, the captions, or the cards at the start and end; default: nothing in films, the
+            captions in pictures.
+        title: title; default: that of the trajectory. With runs beside it one for each; default: the names of the files.
         run: name of one of the trajectories in a run's folder.
         policy: policy to execute instead of a plan, as in 'craftsim validate'.
         workers: number of processes; the pictures do not depend on it.
@@ -81,14 +84,25 @@ def render(
     from craftsim.rendering.render import render as render_file
     from craftsim.storage.folders import output_directory
 
-    captions = False if "captions" in hide else None  # films have them, pictures not
-    shown = ("ghost" not in hide, captions, "cards" not in hide)
-    look = FilmOptions(_pixels(size), fps, camera, layout, quality, speed, None, *shown, title)
+    hidden = hide or ()
+    captions = None if hide is None else "captions" not in hidden
+    parts = ("ghost" not in hidden, captions, "cards" not in hidden)
+    look = FilmOptions(_pixels(size), fps, camera, layout, quality, speed, None, *parts)
+    names = title or ((Path(what).stem, *(path.stem for path in beside)) if beside else ())
+    if names and len(names) != 1 + len(beside):
+        raise InputError(
+            f"--title names {len(names)} of {1 + len(beside)} runs; give a title for each, or none"
+        )
     check_format(out, at)
     choose_backend()
     output_directory(out.parent)
-    trajectory = _find_trajectory(what, out, run, physics, carried, policy)
-    for path in render_file(trajectory, out, look, workers=workers, at=at, progress=counting("frames", bool)):
+    shown = [
+        _find_trajectory(what, out, run, physics, carried, policy),
+        *(_recorded(path, run) for path in beside),
+    ]
+    if names:
+        shown = [trajectory.titled(name) for trajectory, name in zip(shown, names, strict=True)]
+    for path in render_file(shown, out, look, workers=workers, at=at, progress=counting("frames", bool)):
         print_safe(f"Written: {path}")
     return 0
 
@@ -209,19 +223,15 @@ def _find_trajectory(
     Raises InputError for a word that stands for none.
     """
     from craftsim.discrete.tasks import TASK_NAMES
-    from craftsim.rendering.trajectory import SUFFIX, Trajectory
+    from craftsim.rendering.trajectory import SUFFIX
     from craftsim.validation.validation import record_once
 
     path = Path(what)
     recorded = what not in TASK_NAMES and (path.suffix == SUFFIX or is_folder(path))
     if recorded and (carried.plan or policy):
         raise InputError(f"{what} is recorded already; leave --plan and --policy out")
-    if recorded and is_folder(path):
-        return _in_folder(path, run)
-    if run is not None:
-        raise InputError(f"--run chooses from a folder of a run, and {what} is none")
-    if recorded:
-        return Trajectory.read(path)
+    if recorded or run is not None:
+        return _recorded(path, run)
     trajectory = record_once(
         what, physics.setup(), physics.seed, plan=carried.plan_file, policy=policy, order=carried.order
     )
@@ -229,11 +239,15 @@ def _find_trajectory(
     return trajectory
 
 
-def _in_folder(folder: Path, run: str | None) -> Trajectory:
+def _recorded(folder: Path, run: str | None) -> Trajectory:
     from craftsim.experiments.bundle import TEXT, read_bundle
     from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
     from craftsim.validation.recording import record_bundle
 
+    if not is_folder(folder):
+        if run is not None:
+            raise InputError(f"--run chooses from a folder of a run, and {folder} is none")
+        return Trajectory.read(folder)
     if is_file(folder / TEXT) and run is None:
         return record_bundle(read_bundle(folder))[1]
     first, *others = trajectory_files(folder, run)

@@ -1,6 +1,7 @@
 """The frames of a film: pictures of a trajectory, captions beside them, and cards at the start and the end.
 
-Each frame is made from the trajectory and its number alone, so that any process can make any of them.
+Several trajectories are shown side by side, at the same simulated time. Each frame is made from them and its number
+alone, so that any process can make any of them.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate
 from typing import Final, NamedTuple
 
@@ -25,7 +27,7 @@ from craftsim.errors import InputError
 from craftsim.rendering.cameras import aspect_of, make_view
 from craftsim.rendering.encode import Frame
 from craftsim.rendering.grid_picture import levels_of, world_image
-from craftsim.rendering.layout import Layout, Tile, arrange, hidden_by
+from craftsim.rendering.layout import Layout, Tile, arrange, hidden_by, row_of
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.overlay import PAPER, Panel, caption_of, end_card, title_card
 from craftsim.rendering.playback import Posed
@@ -38,6 +40,8 @@ GRID: Final = "grid"
 TITLE_S: Final = 1.5
 END_S: Final = 2.5
 """How long the cards stay."""
+_BETWEEN: Final = 196
+"""Grey between trajectories that are side by side."""
 LEAST_PIXELS: Final = 64
 """Of a side of a frame, and of a view."""
 IDLE: Final = 12.0
@@ -80,8 +84,6 @@ class FilmOptions:
     captions: bool | None = None
     """Whether a panel says what the cars do; in films alone if None."""
     cards: bool = True
-    title: str | None = None
-    """That of the trajectory unless given."""
 
     def __post_init__(self) -> None:
         width, height = self.size
@@ -102,12 +104,77 @@ class FilmOptions:
         return (round(self.fps * TITLE_S), round(self.fps * END_S)) if self.cards else (0, 0)
 
 
+def several(shown: Trajectory | Sequence[Trajectory]) -> tuple[Trajectory, ...]:
+    """Return what a film is of as trajectories that stand side by side; raise InputError for none."""
+    trajectories = (shown,) if isinstance(shown, Trajectory) else tuple(shown)
+    if not trajectories:
+        raise InputError("no trajectory; give one or more")
+    return trajectories
+
+
+def longest(shown: Trajectory | Sequence[Trajectory]) -> Trajectory:
+    """Return the trajectory that lasts longest, by whose time a film goes."""
+    return max(several(shown), key=lambda trajectory: trajectory.duration_s)
+
+
 class Frames:
     """The frames of a film, by their number; to be closed at the end."""
 
-    def __init__(self, trajectory: Trajectory, look: FilmOptions) -> None:
+    def __init__(self, shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> None:
         """Prepare; raises InputError for a camera that there is not, and RenderingUnavailable where nothing renders."""
-        self.trajectory, self.look, self.pace = trajectory, look, pace_of(trajectory, look)
+        self.look, self.pace = look, pace_of(longest(shown), look)
+        trajectories, self._begins_s = several(shown), float(longest(shown).time[0])
+        tiles = row_of(Tile(0, 0, *look.size), [1.0] * len(trajectories))
+        self._panes = [
+            _Pane(trajectory, tile, look) for trajectory, tile in zip(trajectories, tiles, strict=True)
+        ]
+
+    def __len__(self) -> int:
+        return len(self.pace.times) + sum(self.look.n_cards)
+
+    @staticmethod
+    def count(shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> int:
+        """Return how many frames a film has, without preparing one."""
+        return len(pace_of(longest(shown), look).times) + sum(look.n_cards)
+
+    def __getitem__(self, number: int) -> Frame:
+        """Return a frame, shape (height, width, 3), uint8, RGB."""
+        n_title, _ = self.look.n_cards
+        if n_title <= number < n_title + len(self.pace.times):
+            number -= n_title
+            return self.at(float(self.pace.times[number]), float(self.pace.factors[number]))
+        card = title_card if number < n_title else end_card
+        return self._joined([card(pane.trajectory, pane.tile.size, pane.last) for pane in self._panes])
+
+    def at(self, time_s: float, factor: float | None = None) -> Frame:
+        """Return the picture of a moment, with its captions.
+
+        Of several trajectories it is a moment of the longest; each is shown as long after its own start, or at its end.
+        """
+        since = [time_s + float(pane.trajectory.time[0]) - self._begins_s for pane in self._panes]
+        return self._joined(
+            [pane.at(moment_s, factor) for pane, moment_s in zip(self._panes, since, strict=True)]
+        )
+
+    def _joined(self, pictures: Sequence[Frame]) -> Frame:
+        if len(pictures) == 1:
+            return pictures[0]
+        frame: Frame = np.full((*self.look.size[::-1], 3), _BETWEEN, np.uint8)
+        for pane, picture in zip(self._panes, pictures, strict=True):
+            frame[pane.tile.rows, pane.tile.columns] = picture
+        return frame
+
+    def close(self) -> None:
+        """Close the renderers."""
+        for pane in self._panes:
+            pane.close()
+
+
+class _Pane:
+    """Pictures of one trajectory, of the size of its tile of the film."""
+
+    def __init__(self, trajectory: Trajectory, tile: Tile, look: FilmOptions) -> None:
+        self.trajectory, self.tile, self.look = trajectory, tile, look
 
         def hidden_in(first: Tile) -> Callable[[Tile], int]:
             if look.cameras[0] == GRID:
@@ -117,51 +184,35 @@ class Frames:
 
         aspects = [_aspect(trajectory, camera) for camera in look.cameras]
         captions = look.captions is not False
-        tiles, panel = arrange(look.size, aspects, look.layout, captions, hidden_in)
+        tiles, panel = arrange(
+            tile.size, aspects, look.layout, captions, hidden_in, below=tile.size != look.size
+        )
         if any(min(tile.size) < LEAST_PIXELS for tile in tiles):
-            raise InputError(f"{len(tiles)} views do not fit into {look.size[0]} x {look.size[1]} pixels")
+            raise InputError(f"{len(tiles)} views do not fit into {tile.width} x {tile.height} pixels")
         # A copy takes a twentieth of the time.
-        self._blank: Frame = np.full((look.size[1], look.size[0], 3), PAPER, np.uint8)
+        self._blank: Frame = np.full((tile.height, tile.width, 3), PAPER, np.uint8)
         self._panel = None if panel is None else (panel, Panel(panel.size, min(look.size)))
         self._stage = Stage(trajectory, look.quality)
         self._posed = Posed(self._stage.model)
         self._renderers: list[mujoco.Renderer] = []
-        self._last: Frame | None = None
-        """The last picture, which cards show: the first frame of a film serves as its poster."""
         self._views: list[tuple[Tile, _Picture]] = [
             (tile, _predicted(trajectory, tile.size) if camera == GRID else self._seen(camera, tile))
             for tile, camera in zip(tiles, look.cameras, strict=True)
         ]
 
-    def __len__(self) -> int:
-        return len(self.pace.times) + sum(self.look.n_cards)
+    @cached_property
+    def last(self) -> Frame:
+        """The last picture, which cards show: the first frame of a film serves as its poster."""
+        return self._views[0][1](len(self.trajectory) - 1, float(self.trajectory.time[-1]))
 
-    @staticmethod
-    def count(trajectory: Trajectory, look: FilmOptions) -> int:
-        """Return how many frames a film has, without preparing one."""
-        return len(pace_of(trajectory, look).times) + sum(look.n_cards)
-
-    def __getitem__(self, number: int) -> Frame:
-        """Return a frame, shape (height, width, 3), uint8, RGB."""
-        n_title, _ = self.look.n_cards
-        if n_title <= number < n_title + len(self.pace.times):
-            number -= n_title
-            return self.at(float(self.pace.times[number]), float(self.pace.factors[number]))
-        if self._last is None:
-            self._last = self._views[0][1](len(self.trajectory) - 1, float(self.trajectory.time[-1]))
-        if number < n_title:
-            return title_card(self.trajectory, self.look.size, self._last, self.look.title)
-        return end_card(self.trajectory, self.look.size, self._last)
-
-    def at(self, time_s: float, factor: float | None = None) -> Frame:
-        """Return the picture of a moment, with its captions."""
+    def at(self, time_s: float, factor: float | None) -> Frame:
         frame, sample = self._blank.copy(), self.trajectory.at(time_s)
+        ends_s = float(self.trajectory.time[-1])
         for tile, picture in self._views:
-            frame[tile.rows, tile.columns] = picture(sample, time_s)
+            frame[tile.rows, tile.columns] = picture(sample, min(time_s, ends_s))
         if self._panel is not None:
             tile, panel = self._panel
-            caption = caption_of(self.trajectory, self.look.title, time_s, factor)
-            frame[tile.rows, tile.columns] = panel.draw(caption)
+            frame[tile.rows, tile.columns] = panel.draw(caption_of(self.trajectory, time_s, factor))
         return frame
 
     def _seen(self, camera: str, tile: Tile) -> _Picture:

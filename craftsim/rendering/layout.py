@@ -64,17 +64,18 @@ def arrange(
     layout: Layout,
     captions: bool,
     hidden_in: Callable[[Tile], Callable[[Tile], int]] = lambda first: lambda tile: 0,
+    below: bool = False,
 ) -> tuple[list[Tile], Tile | None]:
     """Return the tiles of the views and of the captions in a frame of ``size`` (width, height).
 
     Views are placed so that what they show, of their own aspects (width over height), leaves little of the frame empty.
     Tiles do not overlap, but for insets, which lie on the first view where they hide nothing; without such a corner
     they are beside it. ``hidden_in`` gives, for the tile of the first view, what gives the pixels that a tile on it
-    hides.
+    hides. Captions are at the right; below in a tall frame, and where ``below`` asks for it.
     """
     n_views, (width, height) = len(aspects), size
     panel = None
-    if captions and width >= height:
+    if captions and width >= height and not below:
         taken = round(_PANEL * width)
         panel = Tile(width - taken, 0, taken, height)
         width -= taken
@@ -92,8 +93,8 @@ def arrange(
         candidates = list(_beside(area, aspects))
     else:
         candidates = [
-            _row(area, aspects),
-            [_turned(tile) for tile in _row(_turned(area), [1 / aspect for aspect in aspects])],
+            row_of(area, aspects),
+            [_turned(tile) for tile in row_of(_turned(area), [1 / aspect for aspect in aspects])],
             *(_grid(area, n_views, columns) for columns in range(1, n_views + 1)),
         ]
     return max(candidates, key=lambda tiles: _filled(tiles, aspects)), panel
@@ -109,7 +110,7 @@ def _turned(tile: Tile) -> Tile:
     return Tile(tile.top, tile.left, tile.height, tile.width)
 
 
-def _row(area: Tile, aspects: Sequence[float]) -> list[Tile]:
+def row_of(area: Tile, aspects: Sequence[float]) -> list[Tile]:
     """Return tiles in one row, of widths as their aspects."""
     least = _LEAST_SHARE * sum(aspects) / len(aspects)
     edges = np.cumsum([0.0, *(max(aspect, least) for aspect in aspects)])
@@ -123,10 +124,10 @@ def _beside(area: Tile, aspects: Sequence[float]) -> Iterator[list[Tile]]:
     """Yield a large tile with small ones in a column at its right, or in a row below it."""
     n = len(aspects) - 1
     for share in _SHARES:
-        first, rest = _row(area, (share, 1 - share))
+        first, rest = row_of(area, (share, 1 - share))
         yield [first, *_grid(rest, n, 1)]
-        first, rest = (_turned(tile) for tile in _row(_turned(area), (share, 1 - share)))
-        yield [first, *_row(rest, aspects[1:])]
+        first, rest = (_turned(tile) for tile in row_of(_turned(area), (share, 1 - share)))
+        yield [first, *row_of(rest, aspects[1:])]
 
 
 def _corners(area: Tile, n: int) -> Iterator[list[Tile]]:

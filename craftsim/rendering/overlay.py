@@ -31,6 +31,9 @@ _SHOWN_S: Final = 6.0
 """Simulated time for which a verdict on an action that went well stays; others stay until the car's next one."""
 _CARS: Final = 8
 """Cars that a panel has room for."""
+_CAR: Final = 3.9
+_NARROW: Final = 8
+"""Units that a car takes from top to bottom, and at least from left to right."""
 _TEXT: Final = 0.44
 """Share of a card's width for its text; of a tall card's height."""
 _REASONS: Final = 3
@@ -58,17 +61,19 @@ class Caption(NamedTuple):
     cars: tuple[CarCaption, ...]
     time_s: float
     factor: float | None
-    """Simulated seconds in a second of film; of a picture there is none."""
+    """Simulated seconds in a second of film; none in a picture, and after the end."""
 
 
-def caption_of(trajectory: Trajectory, title: str | None, time_s: float, factor: float | None) -> Caption:
-    """Return what is said of a trajectory at a simulated time, under its own title unless one is given."""
+def caption_of(trajectory: Trajectory, time_s: float, factor: float | None) -> Caption:
+    """Return what is said of a trajectory at a simulated time; after its end the clock stands still."""
     story = trajectory.story
     performed = sorted((a for a in story.attempts if a.performed), key=lambda a: a.start_s)
     begun = [a for a in performed if a.start_s <= time_s]
     n_cars = trajectory.measured.shape[1]
     cars = tuple(_car(car, [a for a in begun if a.car == car], time_s) for car in range(n_cars))
-    return Caption(story.title if title is None else title, len(begun), len(performed), cars, time_s, factor)
+    if time_s > (ends_s := float(trajectory.time[-1])):
+        cars, time_s, factor = tuple(car._replace(action="has finished") for car in cars), ends_s, None
+    return Caption(story.title, len(begun), len(performed), cars, time_s, factor)
 
 
 def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:
@@ -126,32 +131,41 @@ class Panel:
             draw.rectangle((unit, y, unit + done, y + unit // 4), _INK)
             y += round(1.3 * unit)
         cars = caption.cars[:_CARS]
-        room = max(2, (height - y) // (round(1.35 * unit) * max(1, len(cars))) - 2)
-        for car in cars:
-            y = self._draw_car(draw, car, y, inner, min(room, 5))
+        a_column = max(1, min(len(cars), round((height - y) / (_CAR * unit))))
+        columns = max(1, min(-(-len(cars) // a_column), inner // (_NARROW * unit)))
+        a_column, wide = -(-len(cars) // columns), inner // columns
+        room = min(
+            5, max(1 if columns > 1 else 2, (height - y) // (round(1.35 * unit) * max(1, a_column)) - 2)
+        )
+        top = y
+        for number, car in enumerate(cars):
+            y = top if number % a_column == 0 else y
+            y = self._draw_car(draw, car, (unit + number // a_column * wide, y), wide, room)
         if len(caption.cars) > len(cars):
             draw.text((unit, y), f"and {len(caption.cars) - len(cars)} more cars", _PALE, _font(unit))
         return picture
 
-    def _draw_car(self, draw: ImageDraw.ImageDraw, car: CarCaption, y: int, inner: int, room: int) -> int:
-        """Draw what is said of a car from ``y`` on, with ``room`` lines for its verdict; return where it ends."""
-        unit = self._unit
+    def _draw_car(
+        self, draw: ImageDraw.ImageDraw, car: CarCaption, corner: tuple[int, int], inner: int, room: int
+    ) -> int:
+        """Draw what is said of a car from a corner on, with ``room`` lines for its verdict; return where it ends."""
+        unit, (x, y) = self._unit, corner
         badge = round(1.7 * unit)
         red, green, blue = (round(255 * part) for part in CAR_COLOURS[car.car % len(CAR_COLOURS)])
-        draw.rounded_rectangle((unit, y, unit + badge, y + badge), unit // 3, (red, green, blue))
-        middle = unit + badge / 2, y + badge / 2
+        draw.rounded_rectangle((x, y, x + badge, y + badge), unit // 3, (red, green, blue))
+        middle = x + badge / 2, y + badge / 2
         draw.text(middle, str(car.car), (255, 255, 255), _font(unit, "bold"), anchor="mm")
         ink, face = _PALE if car.action == "waits" else _INK, _font(round(1.1 * unit))
-        draw.text((unit + badge + unit // 2, middle[1]), car.action, ink, face, anchor="lm")
+        draw.text((x + badge + unit // 2, middle[1]), car.action, ink, face, anchor="lm")
         y += round(2.1 * unit)
         small = _font(round(0.9 * unit))
         for line in _wrap(draw, car.verdict, small, inner, room):
-            draw.text((unit, y), line, _GOOD if car.agrees else _BAD, small)
+            draw.text((x, y), line, _GOOD if car.agrees else _BAD, small)
             y += round(1.25 * unit)
         return y + unit // 2
 
 
-def title_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame, title: str | None) -> Frame:
+def title_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) -> Frame:
     """Return the card that says what comes, beside a picture."""
     story = trajectory.story
     recipe, setup = story.recipe, story.recipe.setup
@@ -164,7 +178,7 @@ def title_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame, ti
         f"{setup.machines.drive} drive, {drawn}",
         f"craftsim {story.versions.get('craftsim', '?')}, MuJoCo {story.versions.get('mujoco', '?')}",
     ]
-    return _card(size, picture, story.title if title is None else title, lines)
+    return _card(size, picture, story.title, lines)
 
 
 def end_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) -> Frame:

@@ -14,7 +14,7 @@ from PIL import Image
 
 from craftsim.errors import InputError
 from craftsim.rendering.encode import ANIMATIONS, FILMS, Frame, OnFrame, check_animation, encode
-from craftsim.rendering.film import FilmOptions, Frames
+from craftsim.rendering.film import FilmOptions, Frames, longest, several
 from craftsim.rendering.overlay import label
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.writing import write_whole
@@ -36,7 +36,7 @@ def no_progress(total: int) -> AbstractContextManager[OnFrame]:
 
 
 def render(
-    trajectory: Trajectory,
+    shown: Trajectory | Sequence[Trajectory],
     path: str | Path,
     look: FilmOptions | None = None,
     *,
@@ -47,12 +47,13 @@ def render(
     """Render a trajectory into a file, and return the files that were written.
 
     Args:
-        trajectory: what is shown.
+        shown: a trajectory, or several that are shown side by side at the same simulated time.
         path: a film (``.mp4``, ``.webm``), an animation (``.webp``, ``.gif``), or a picture (``.png``); its folder
             must exist. It is written whole or not at all.
         look: how it looks.
         workers: processes to share the work; the pictures do not depend on it.
         at: simulated times of which a picture is to be made, one file each; without any, a ``.png`` is a contact sheet.
+            Of several trajectories they are those of the longest.
         progress: shows what is done.
 
     Raises:
@@ -63,12 +64,12 @@ def render(
     check_format(path, at)
     if path.suffix == ".png":
         look = replace(look, captions=bool(look.captions))
-        return _stills(trajectory, path, look, at) if at else [_sheet(trajectory, path, look)]
-    n_frames = Frames.count(trajectory, look)
+        return _stills(shown, path, look, at) if at else [_sheet(shown, path, look)]
+    n_frames = Frames.count(shown, look)
     if path.suffix in ANIMATIONS:
         check_animation(path, n_frames, look.size, look.fps)
     with progress(n_frames) as tell:
-        encode(path, look.fps, render_frames(trajectory, look, workers), tell)
+        encode(path, look.fps, render_frames(shown, look, workers), tell)
     return [path]
 
 
@@ -80,17 +81,19 @@ def check_format(path: Path, at: Sequence[float] = ()) -> None:
         raise InputError(f"{path}: moments are pictures; give a name that ends in .png, or leave them out")
 
 
-def render_frames(trajectory: Trajectory, look: FilmOptions, workers: int = 1) -> Iterator[Frame]:
+def render_frames(
+    shown: Trajectory | Sequence[Trajectory], look: FilmOptions, workers: int = 1
+) -> Iterator[Frame]:
     """Yield the frames of a film, the same for any number of workers."""
     if workers == 1:
-        with closing(Frames(trajectory, look)) as frames:
+        with closing(Frames(shown, look)) as frames:
             yield from map(frames.__getitem__, range(len(frames)))
         return
-    n_frames = Frames.count(trajectory, look)
+    n_frames = Frames.count(shown, look)
     batches = [range(first, min(first + _BATCH, n_frames)) for first in range(0, n_frames, _BATCH)]
     early: dict[range, list[Frame]] = {}
     with Pool(workers) as pool:
-        answers = pool.map_unordered(FrameMaker(trajectory, look), batches)
+        answers = pool.map_unordered(FrameMaker(shown, look), batches)
         for batch in batches:
             while batch not in early:
                 done, frames_of_it = next(answers)
@@ -101,32 +104,34 @@ def render_frames(trajectory: Trajectory, look: FilmOptions, workers: int = 1) -
 class FrameMaker:
     """Makes frames of a film in a worker, by their numbers; the film is prepared there, once."""
 
-    def __init__(self, trajectory: Trajectory, look: FilmOptions) -> None:
+    def __init__(self, shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> None:
         """Prepare nothing yet."""
-        # A copy has no compiled model, which would be sent along.
-        self._trajectory, self._look = replace(trajectory), look
+        # Copies have no compiled model, which would be sent along.
+        self._shown, self._look = [replace(trajectory) for trajectory in several(shown)], look
         self._frames: Frames | None = None
 
     def __call__(self, numbers: Iterable[int]) -> list[Frame]:
         """Return the frames of these numbers."""
         if self._frames is None:
-            self._frames = Frames(self._trajectory, self._look)
+            self._frames = Frames(self._shown, self._look)
         return [self._frames[number] for number in numbers]
 
 
-def _stills(trajectory: Trajectory, path: Path, look: FilmOptions, at: Sequence[float]) -> list[Path]:
-    first, last = float(trajectory.time[0]), float(trajectory.time[-1])
+def _stills(
+    shown: Trajectory | Sequence[Trajectory], path: Path, look: FilmOptions, at: Sequence[float]
+) -> list[Path]:
+    first, last = longest(shown).time[[0, -1]].tolist()
     for moment in at:
         if not first <= moment <= last:
             raise InputError(f"there is no moment {moment:g} s; allowed: {first:.2f} to {last:.2f} s")
     names = [path if len(at) == 1 else path.with_stem(f"{path.stem}-{moment:.10g}") for moment in at]
-    with closing(Frames(trajectory, look)) as frames:
+    with closing(Frames(shown, look)) as frames:
         return [_write_png(name, frames.at(moment)) for name, moment in zip(names, at, strict=True)]
 
 
-def _sheet(trajectory: Trajectory, path: Path, look: FilmOptions) -> Path:
+def _sheet(shown: Trajectory | Sequence[Trajectory], path: Path, look: FilmOptions) -> Path:
     """Write moments of the film, at equal distances, as one picture of the look's size."""
-    with closing(Frames(trajectory, look)) as frames:
+    with closing(Frames(shown, look)) as frames:
         moments = np.linspace(0, len(frames.pace.times) - 1, SHEET).round().astype(int)
         times = frames.pace.times[moments].tolist()
         pictures = [frames.at(time_s) for time_s in times]

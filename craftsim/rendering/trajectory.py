@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, Self
@@ -173,6 +173,10 @@ class Trajectory:
             raise InputError(f"there is no machine '{machine}'; there are {', '.join(self.story.poses)}")
         column = self.story.poses[machine]
         return self.qpos[:, column : column + 7]
+
+    def titled(self, title: str) -> Self:
+        """Return the same under another title."""
+        return replace(self, story=replace(self.story, title=title))
 
     @property
     def wanted(self) -> tuple[Piece, ...]:

@@ -85,11 +85,11 @@ def test_a_fitted_film_has_its_length_and_is_never_slower_than_life(trajectory):
 
 def test_captions_say_what_a_car_does_and_then_what_came_of_it(trajectory):
     move, lift = trajectory.story.attempts
-    during = caption_of(trajectory, None, move.start_s + 0.1, 4.0)
+    during = caption_of(trajectory, move.start_s + 0.1, 4.0)
     assert (during.step, during.n_steps, during.cars[0][:3]) == (1, 2, (0, "move right", ""))
-    after = caption_of(trajectory, None, lift.start_s + 0.1, 2.0).cars[0]
+    after = caption_of(trajectory, lift.start_s + 0.1, 2.0).cars[0]
     assert after[1:] == ("lift", "move right: as predicted", True)
-    assert caption_of(trajectory, None, float(trajectory.time[-1]), 12.0).cars[0].action == "waits"
+    assert caption_of(trajectory, float(trajectory.time[-1]), 12.0).cars[0].action == "waits"
 
 
 def test_the_prediction_follows_each_car_where_cars_act_at_once():
@@ -139,7 +139,7 @@ def test_views_fill_the_frame_as_far_as_their_shapes_allow(layout):
 def test_insets_hide_none_of_the_area_and_go_into_a_column_where_they_would(trajectory, camera):
     size = (1280, 720)
     frames = Frames(trajectory, FilmOptions(size, cameras=(camera, "grid"), layout="inset"))
-    (first, _), (inset, _) = frames._views
+    (first, _), (inset, _) = frames._panes[0]._views
     frames.close()
     aspect = first.width / first.height
     corners = box_corners(trajectory.story.recipe.grid.size, reached_m(trajectory))
@@ -158,6 +158,24 @@ def test_the_captions_leave_the_picture_alone(trajectory, rendering):
     frames.close()
     assert np.array_equal(picture[box.rows, box.columns], words[box.rows, box.columns])
     assert (picture[panel.rows, panel.columns] != PAPER).any()
+
+
+def test_trajectories_side_by_side_show_the_same_time_and_the_shorter_one_its_end(trajectory, rendering):
+    cut = trajectory.at(0.5 * float(trajectory.time[-1]))
+    names = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
+    short = replace(trajectory.titled("short"), **{name: getattr(trajectory, name)[:cut] for name in names})
+    look = FilmOptions((192, 96), 5, captions=False, speed=1.0)
+    both, alone = Frames([short, trajectory], look), Frames(trajectory, replace(look, size=(94, 96)))
+    moments_s = trajectory.time[[cut - 1, -1]].tolist()
+    early, late = map(both.at, moments_s)
+    assert len(both) == len(alone) == Frames.count([short, trajectory], look)
+    assert np.array_equal(late[:, -94:], alone.at(moments_s[1]))
+    assert np.array_equal(late[:, :94], early[:, :94])
+    assert not np.array_equal(late[:, -94:], early[:, -94:])
+    for frames in (both, alone):
+        frames.close()
+    said = caption_of(short, float(trajectory.time[-1]), 1.0)
+    assert (said.title, said.time_s, said.cars[0].action) == ("short", float(short.time[-1]), "has finished")
 
 
 # Files.
@@ -237,6 +255,13 @@ def test_what_no_film_is_is_refused_before_it_is_rendered(trajectory, tmp_path, 
     with pytest.raises(InputError, match=words):
         render(trajectory, tmp_path / name, replace(SMALL, **{"fps": 30} | changes))
     assert not list(tmp_path.iterdir())
+
+
+def test_titles_are_one_for_each_run(capsys):
+    assert main(["render", "a.npz", "--beside", "b.npz", "--title", "one"]) == 2
+    assert "--title names 1 of 2 runs; give a title for each, or none" in " ".join(
+        capsys.readouterr().err.split()
+    )
 
 
 # The writer of films.

@@ -1,7 +1,7 @@
 """Judge the same trials with another release of MuJoCo, drive, physics step or solver, and compare the verdicts.
 
-    python scripts/engines.py                         # all of RELEASES and SETTINGS
-    python scripts/engines.py 4.0.0 rollers --rows 5  # some, with five trials a row
+    python scripts/engines.py                         # RELEASES, rollers and SETTINGS: hours
+    python scripts/engines.py 4.0.0 rollers --rows 5  # with five trials a row
 
 Each is compared, trial by trial, with the release that is installed and the reduced drive: ``craftsim audit --rules
 physical --only legal`` and, for releases, ``craftsim validate`` of the six tasks, with mild randomization from one
@@ -35,9 +35,9 @@ REFERENCE: Final = version("mujoco")
 RELEASES: Final = ("4.0.0", "3.16.0", "3.14.0", "3.12.0", "3.10.0", "3.9.0")
 """The next one with its known fault, and older ones down to the newest that does not load."""
 SETTINGS: Final[dict[str, dict[str, Any]]] = {
-    "1 ms": {"timestep_s": 0.001},
-    "2 ms": {"timestep_s": 0.002},
-    "5 ms": {"timestep_s": 0.005},
+    "1ms": {"timestep_s": 0.001},
+    "2ms": {"timestep_s": 0.002},
+    "5ms": {"timestep_s": 0.005},
     "pgs": {"solver": "pgs"},
 }
 """Steps and a solver; of the audit alone."""
@@ -49,15 +49,22 @@ def main() -> int:
     parser.add_argument(
         "changes", nargs="*", metavar="CHANGE", help=f"releases, or of rollers, {', '.join(SETTINGS)}"
     )
-    parser.add_argument("--rows", type=int, default=2, help="trials of each row of the audit")
-    parser.add_argument("--trials", type=int, default=10, help="trials of each of the six tasks")
+    parser.add_argument(
+        "--quick", action="store_true", help="one trial of the rows of a quick audit, four of each task"
+    )
+    parser.add_argument("--rows", type=int, default=20, help="trials of each row of the audit")
+    parser.add_argument("--trials", type=int, default=10, help="trials of each task")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "engines")
     parser.add_argument("--store", action="store_true", help=f"write {STORED.relative_to(ROOT)}")
     asked = parser.parse_args()
-    counts = {"rows": asked.rows, "trials": asked.trials}
+    counts = {
+        "quick": asked.quick,
+        "rows": 1 if asked.quick else asked.rows,
+        "trials": 4 if asked.quick else asked.trials,
+    }
     found = {}
     for name in dict.fromkeys((REFERENCE, *(asked.changes or (*RELEASES, "rollers", *SETTINGS)))):
-        folder = asked.out / name.replace(" ", "_")
+        folder = asked.out / name
         try:
             found[name] = _runs(name, folder, counts)
             if name != REFERENCE:
@@ -89,13 +96,16 @@ def main() -> int:
 def _runs(name: str, folder: Path, counts: dict[str, int]) -> dict[str, Any]:
     """Return what the runs with a change come to. Raises RuntimeError where they cannot be made."""
     if name in SETTINGS:
-        _audit(name, folder / "audit", counts["rows"])
+        _audit(name, folder / "audit", counts)
         return {"audit": _figures(folder / "audit")}
     is_release = name not in (REFERENCE, "rollers")
     python = _environment(name, folder / "environment") if is_release else sys.executable
     common = f"--drive {'rollers' if name == 'rollers' else 'reduced'} --randomize mild --seed 0"
     commands = {
-        "audit": (f"audit --rules physical --only legal {common}", counts["rows"]),
+        "audit": (
+            f"audit --rules physical --only legal {'--quick ' * counts['quick']}{common}",
+            counts["rows"],
+        ),
         "tasks": (f"validate --video none {common}", counts["trials"]),
     }
     for run, (words, trials) in commands.items():
@@ -140,19 +150,22 @@ def _call(command: list[str], good: tuple[int, ...] = (0,)) -> None:
         )
 
 
-def _audit(name: str, out: Path, rows: int) -> None:
+def _audit(name: str, out: Path, counts: dict[str, int]) -> None:
     """Run the same audit as that of the reference with other settings, which no option of the command has."""
     from craftsim.audit.plan import audit_plan
+    from craftsim.audit.quick import quick_rows
     from craftsim.checking.setup import setup_of
     from craftsim.experiments.experiment import RunOptions
     from craftsim.validation.audit import run_audit
 
-    if not _has_run(out, rows):
+    if not _has_run(out, counts["rows"]):
         print(f"{name}: audit", flush=True)
         setup = setup_of("mild", drive="reduced")
         setup = replace(setup, simulation=replace(setup.simulation, **SETTINGS[name]))
         plan = [row for row in audit_plan("physical") if row.legal]
-        run_audit(plan, setup, rows, 0, out, asked={"change": name}, options=RunOptions(resume=True))
+        plan = quick_rows(plan, "physical") if counts["quick"] else plan
+        options = RunOptions(resume=True)
+        run_audit(plan, setup, counts["rows"], 0, out, asked={"change": name}, options=options)
 
 
 def _figures(out: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow bench lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours results constraints newest recipes packages wheel libraries clean
+.PHONY: help demo test slow bench lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours results engines constraints newest recipes packages wheel libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -94,6 +94,9 @@ machines: $(VENV)/installed  ## Write the MJCF of the nominal machines in crafts
 
 results: $(VENV)/installed-dev  ## Write tables and plots of docs/results from stored reports (ARGS=--measure runs their commands first, 12 minutes)
 	$(BIN)/python scripts/results.py $(ARGS)
+
+engines: $(VENV)/installed  ## Judge the same trials with several releases of MuJoCo and compare the verdicts (an hour; ARGS='3.17.0 4.0.0 --rows 5')
+	$(BIN)/python scripts/engines.py $(ARGS)
 
 neighbours: $(VENV)/installed  ## Work out again which neighbours matter, after a change of geometry or rules
 	$(BIN)/python -m craftsim.audit.neighbours

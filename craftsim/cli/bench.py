@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import requires
+from importlib.resources import files
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
@@ -251,13 +253,15 @@ def doctor(*, out: OptionalDir = None) -> int:
     from craftsim.reports.terminal import Terminal, cell
 
     physics = _physics()
+    found = versions()
+    audited = _audited(found["mujoco"])
     films = [_rendering(), _encoder()]
     checks = [physics, *films]
     table = Table(title="craftsim doctor")
     for heading in ("", "what", "found"):
         table.add_column(heading, overflow="fold")
-    for name, found in {**versions(), "processors": str(_processors())}.items():
-        table.add_row("", name, found)
+    for name, text in {**found, "processors": str(_processors()), "MuJoCo's audit": audited}.items():
+        table.add_row("", name, cell(text))
     table.add_section()
     for check in checks:
         table.add_row("[green]ok[/]" if check.works else "[red]no[/]", check.what, cell(check.found))
@@ -266,7 +270,7 @@ def doctor(*, out: OptionalDir = None) -> int:
         if check.remedy:
             print_safe(f"{check.what}: run this to fix it:\n    {check.remedy}")
     if out is not None:
-        figures = {"checks": checks, "processors": _processors()}
+        figures = {"checks": checks, "processors": _processors(), "audited": audited}
         print_safe(f"Report: {write_report(out, figures, command='doctor')}")
     if not physics.works:
         print_safe("Physics does not run.")
@@ -293,6 +297,25 @@ def _physics() -> Check:
     reason = (child.stderr.strip().splitlines() or [f"exit status {child.returncode}"])[-1]
     # A backend that cannot load makes the import of MuJoCo itself fail.
     return Check(what, False, reason, _unset_backend_or(install))
+
+
+def _audited(installed: str) -> str:
+    """Return how this release of MuJoCo did where the others were audited (scripts/engines.py)."""
+    stored = json.loads(files("craftsim.data").joinpath("engines.json").read_text(encoding="utf-8"))
+    releases = [
+        name
+        for name, one in stored["found"].items()
+        if name[0].isdigit() and "audit" in one and "tasks" in one
+    ]
+    if installed not in releases:
+        return f"{installed} was not audited; {', '.join(releases)} were (in a checkout: make engines ARGS={installed})"
+    one = stored["found"][installed]
+    bad, differing = (
+        one["audit"]["verdicts"]["unsound"],
+        sum(run["differing"] for run in one.get("against", {}).values()),
+    )
+    rows = bad + one["audit"]["verdicts"]["sound"]
+    return f"{bad} of {rows} rows unsound with {installed}; {differing} verdicts unlike those of {stored['reference']}"
 
 
 def _rendering() -> Check:

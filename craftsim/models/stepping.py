@@ -2,14 +2,16 @@
 
 MuJoCo ends the process where one of its C functions finds an error, unless its caller takes that. Its Python bindings
 do, and so does ``mjb_apply`` of its C interface: of a batch, here one of an empty world, it runs a function that it is
-given, and says whether there was an error. No layout of MuJoCo's structures is assumed.
+given, and says whether there was an error. No layout of MuJoCo's structures is assumed. Releases before 3.17 have no
+batches; there each step is a call of the bindings.
 """
 
 from __future__ import annotations
 
 import ctypes
 import weakref
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,11 +42,13 @@ class _Config(ctypes.Structure):
 
 
 _POINTER: Final = ctypes.c_void_p
-_LIBRARY.mjb_makeBatch.restype = _POINTER
-_LIBRARY.mjb_makeBatch.argtypes = _POINTER, ctypes.c_int, ctypes.POINTER(_Config), _POINTER, ctypes.c_int
-_LIBRARY.mjb_deleteBatch.argtypes = (_POINTER,)
-_LIBRARY.mjb_error.restype, _LIBRARY.mjb_error.argtypes = ctypes.c_char_p, (_POINTER, ctypes.c_int)
-_LIBRARY.mjb_apply.argtypes = _POINTER, _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
+_HAS_BATCHES: Final = hasattr(_LIBRARY, "mjb_apply")
+if _HAS_BATCHES:
+    _LIBRARY.mjb_makeBatch.restype = _POINTER
+    _LIBRARY.mjb_makeBatch.argtypes = _POINTER, ctypes.c_int, ctypes.POINTER(_Config), _POINTER, ctypes.c_int
+    _LIBRARY.mjb_deleteBatch.argtypes = (_POINTER,)
+    _LIBRARY.mjb_error.restype, _LIBRARY.mjb_error.argtypes = ctypes.c_char_p, (_POINTER, ctypes.c_int)
+    _LIBRARY.mjb_apply.argtypes = _POINTER, _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
 
 if config.DISABLE_JIT:
 
@@ -82,12 +86,14 @@ class Stepping:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Prepare to step a world; :meth:`bind` says with what motors."""
+        self._world = model, data
+        if not _HAS_BATCHES:
+            return
         spec = mujoco.MjSpec()
         spec.memory = _EMPTY_BYTES
         empty = spec.compile()
         self._batch = _LIBRARY.mjb_makeBatch(empty._address, 1, _Config(nthread=1), None, 0)
         weakref.finalize(self, _LIBRARY.mjb_deleteBatch, self._batch)
-        self._world = model, data
         self._addresses = np.array([model._address, data._address], np.int64)
         step = _step_function().get_function_address(_STEP)
         self._call = np.array([self._batch, step, self._addresses.ctypes.data], np.int64)
@@ -95,6 +101,11 @@ class Stepping:
 
     def bind(self, motors: TurnedMotors, most_iterations: int) -> None:
         """Step with these motors from now on, and count solvers that need so many iterations."""
+        if not _HAS_BATCHES:
+            self._run: Callable[[int], int] = partial(
+                _run_in_python, *self._world, bound(turn_motors, motors), most_iterations
+            )
+            return
         limit = np.array([most_iterations], np.int64)
         self._run = bound(_run_steps, self._call, motors, self._world[1].solver_niter, limit)
 
@@ -103,10 +114,23 @@ class Stepping:
 
         Raises FatalError of MuJoCo for an error in a step, as its bindings do.
         """
-        n_capped: int = self._run(n_steps)
+        n_capped = self._run(n_steps)
         if n_capped < 0:
             raise mujoco.FatalError(_LIBRARY.mjb_error(self._batch, 0).decode())
         return n_capped
+
+
+def _run_in_python(
+    model: mujoco.MjModel, data: mujoco.MjData, turn: Callable[[], None], most_iterations: int, n_steps: int
+) -> int:
+    """Do what :func:`_run_steps` does, without batches."""
+    n_capped = 0
+    turn()
+    for _ in range(n_steps):
+        mujoco.mj_step(model, data)
+        turn()
+        n_capped += int(data.solver_niter.max() >= most_iterations)
+    return n_capped
 
 
 @compiled

@@ -111,7 +111,7 @@ def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int 
         size = _easier(size, cars, rng)
 
 
-def random_structure(size: Cell, rng: np.random.Generator) -> Design:
+def random_structure(size: Sequence[int], rng: np.random.Generator) -> Design:
     """Draw a solid building of blocks that is as high as a box of a size (length, width, height) and fits into it.
 
     It takes 10 to 25 % of the box, about half as many blocks on each level as on the one below. It grows as those of

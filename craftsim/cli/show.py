@@ -214,9 +214,10 @@ def design(
     seed = chance.seed
     rng = np.random.default_rng(seed)
     spare: dict[str, Any] = {"spare_blocks": spare_blocks, "spare_slopes": spare_slopes, "barrier": barrier}
-    if what == (RANDOM,) and not size:
-        if area or text or spare_blocks or spare_slopes is not None or barrier:
-            raise InputError(f"{RANDOM} without --size takes --difficulty, --cars, --seed and --out alone")
+    drawn = what == (RANDOM,)
+    if drawn and (text or not size):
+        if size or area or text or spare_blocks or spare_slopes is not None or barrier:
+            raise InputError(f"{RANDOM} takes --size, or --difficulty, --cars, --seed and --out alone")
         start: DesignStart = random_start(rng, difficulty, cars)
     else:
         if len(area) not in (0, 3):
@@ -225,7 +226,7 @@ def design(
             )
         extent = (area[0], area[1], area[2]) if area else None
         n_cars = 2 if cars is None else cars
-        found = random_structure(size, rng) if what == (RANDOM,) else find_design(what, size, text)
+        found = random_structure(size, rng) if drawn else find_design(what, size, text)
         start = make_start(found, n_cars, rng, extent, **spare)
     config = {"what": what, "size": size, "text": text, "difficulty": difficulty, "area": area, "cars": cars}
     _write(start, out, seed, config | spare)

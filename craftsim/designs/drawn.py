@@ -46,6 +46,8 @@ _FILL: Final = 0.1, 0.25
 """Which share of its box a solid building takes."""
 _STRUCTURE: Final[tuple[Cell, Cell]] = ((5, 5, 1), (16, 16, 4))
 """The smallest and the largest box of one."""
+_STRUCTURES: Final = 200
+"""So many are begun until one comes to no dead end."""
 
 
 @dataclass(frozen=True)
@@ -117,18 +119,18 @@ def random_structure(size: Sequence[int], rng: np.random.Generator) -> Design:
     It takes 10 to 25 % of the box, about half as many blocks on each level as on the one below. It grows as those of
     :func:`random_start` do, by a ramp to each level, which is no part of it.
 
-    Raises InputError for a size that is not from 5 x 5 x 1 to 16 x 16 x 4 cells.
+    Raises InputError for a size that is not from 5 x 5 x 1 to 16 x 16 x 4 cells, and where nothing so high is found.
     """
-    if len(size) != 3 or any(
-        not low <= side <= high for low, side, high in zip(_STRUCTURE[0], size, _STRUCTURE[1], strict=True)
-    ):
+    bounds = zip(_STRUCTURE[0], size, _STRUCTURE[1], strict=False)
+    if len(size) != 3 or not all(low <= side <= high for low, side, high in bounds):
+        allowed = " to ".join(" x ".join(map(str, one)) for one in _STRUCTURE)
         raise InputError(
-            f"{size} is no size of a random building; allowed: {_STRUCTURE[0]} to {_STRUCTURE[1]} cells"
+            f"a random building of {' x '.join(map(str, size))} cells; allowed: length, width and height, {allowed}"
         )
     length, width, levels = size
     site = np.pad(np.ones((length, width), np.bool_), MARGIN)
     weights = 0.5 ** np.arange(levels)
-    while True:
+    for _ in range(_STRUCTURES):
         blocks = rng.uniform(*_FILL) * length * width * levels
         numbers = np.maximum(np.rint(blocks * weights / weights.sum()), 1).astype(int).tolist()
         growth = Growth(np.zeros(site.shape, np.int64), site, height=levels)
@@ -136,6 +138,9 @@ def random_structure(size: Sequence[int], rng: np.random.Generator) -> Design:
             x, y = np.argwhere(growth.heights).min(axis=0).tolist()
             cells = [step.cell for step in growth.steps if step.kind == Kind.BLOCK]
             return Design.of("random", [(cell[0] - x, cell[1] - y, cell[2]) for cell in cells])
+    raise InputError(
+        f"no random building of {length} x {width} x {levels} cells is found; try a longer or a lower one"
+    )
 
 
 def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart | None:

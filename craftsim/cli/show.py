@@ -189,9 +189,10 @@ def design(
 
     Args:
         what: name of a building, files, or random.
-        size: size of the building in cells, in the order given by --list; for a mesh the cells of its longer side.
+        size: size of the building in cells, in the order given by --list; for a mesh the cells of its longer side; for a
+            random building the length, width and height of its bounding box.
         text: text of the building 'letters'.
-        difficulty: of a random design, 0 to 1: sets area, blocks, levels, ramps and cars.
+        difficulty: of a random design without a size, 0 to 1: sets area, blocks, levels, ramps and cars.
         area: length, width and height in cells; default: as large as needed.
         cars: number of cars; default: 2, or drawn for a random design.
         spare_blocks: blocks beyond those of the design, for instance for a scaffold.
@@ -202,7 +203,7 @@ def design(
     """
     import numpy as np
 
-    from craftsim.designs.drawn import random_start
+    from craftsim.designs.drawn import random_start, random_structure
     from craftsim.designs.finding import RANDOM, find_design, listing
     from craftsim.designs.starts import make_start
     from craftsim.errors import InputError
@@ -213,9 +214,10 @@ def design(
     seed = chance.seed
     rng = np.random.default_rng(seed)
     spare: dict[str, Any] = {"spare_blocks": spare_blocks, "spare_slopes": spare_slopes, "barrier": barrier}
-    if what == (RANDOM,):
+    drawn = what == (RANDOM,)
+    if drawn and (text or not size):
         if size or area or text or spare_blocks or spare_slopes is not None or barrier:
-            raise InputError(f"{RANDOM} takes --difficulty, --cars, --seed and --out alone")
+            raise InputError(f"{RANDOM} takes --size, or --difficulty, --cars, --seed and --out alone")
         start: DesignStart = random_start(rng, difficulty, cars)
     else:
         if len(area) not in (0, 3):
@@ -224,7 +226,8 @@ def design(
             )
         extent = (area[0], area[1], area[2]) if area else None
         n_cars = 2 if cars is None else cars
-        start = make_start(find_design(what, size, text), n_cars, rng, extent, **spare)
+        found = random_structure(size, rng) if drawn else find_design(what, size, text)
+        start = make_start(found, n_cars, rng, extent, **spare)
     config = {"what": what, "size": size, "text": text, "difficulty": difficulty, "area": area, "cars": cars}
     _write(start, out, seed, config | spare)
     return 0

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.designs.starts import Column, DesignStart, Mask, Stock, pieces_of, spread
+from craftsim.designs.starts import MARGIN, Column, DesignStart, Mask, Stock, pieces_of, spread
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
@@ -42,6 +42,12 @@ _SHARE: Final = 0.62
 """Of the floor that a building, and its things before, take at most."""
 _BLOCKS_OF_THREE_LEVELS: Final = 9
 """A landing, and what a ramp to it and a way around that take."""
+_FILL: Final = 0.1, 0.25
+"""Which share of its box a solid building takes."""
+_STRUCTURE: Final[tuple[Cell, Cell]] = ((5, 5, 1), (16, 16, 4))
+"""The smallest and the largest box of one."""
+_STRUCTURES: Final = 200
+"""So many are begun until one comes to no dead end."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +113,36 @@ def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int 
         size = _easier(size, cars, rng)
 
 
+def random_structure(size: Sequence[int], rng: np.random.Generator) -> Design:
+    """Draw a solid building of blocks that is as high as a box of a size (length, width, height) and fits into it.
+
+    It takes 10 to 25 % of the box, about half as many blocks on each level as on the one below. It grows as those of
+    :func:`random_start` do, by a ramp to each level, which is no part of it.
+
+    Raises InputError for a size that is not from 5 x 5 x 1 to 16 x 16 x 4 cells, and where nothing so high is found.
+    """
+    bounds = zip(_STRUCTURE[0], size, _STRUCTURE[1], strict=False)
+    if len(size) != 3 or not all(low <= side <= high for low, side, high in bounds):
+        allowed = " to ".join(" x ".join(map(str, one)) for one in _STRUCTURE)
+        raise InputError(
+            f"a random building of {' x '.join(map(str, size))} cells; allowed: length, width and height, {allowed}"
+        )
+    length, width, levels = size
+    site = np.pad(np.ones((length, width), np.bool_), MARGIN)
+    weights = 0.5 ** np.arange(levels)
+    for _ in range(_STRUCTURES):
+        blocks = rng.uniform(*_FILL) * length * width * levels
+        numbers = np.maximum(np.rint(blocks * weights / weights.sum()), 1).astype(int).tolist()
+        growth = Growth(np.zeros(site.shape, np.int64), site, height=levels)
+        if growth.grow(numbers, 0, rng):
+            x, y = np.argwhere(growth.heights).min(axis=0).tolist()
+            cells = [step.cell for step in growth.steps if step.kind == Kind.BLOCK]
+            return Design.of("random", [(cell[0] - x, cell[1] - y, cell[2]) for cell in cells])
+    raise InputError(
+        f"no random building of {length} x {width} x {levels} cells is found; try a longer or a lower one"
+    )
+
+
 def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart | None:
     """Return a start of a size, or None where the building, or its things beside it, found no room."""
     growth = next(filter(None, (_grow(size, rng) for _ in range(_GROWTHS))), None)
@@ -169,19 +205,7 @@ def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:
 def _grow(size: Size, rng: np.random.Generator) -> Growth | None:
     """Return a building of a size, or None where it has come to a dead end."""
     growth = Growth.on(*size.area[:2], rng)
-    spare = size.ramps - (size.levels - 1)
-    for level, blocks in enumerate(_split(size, rng), start=1):
-        if level > 1 and not growth.add_ramp(level - 1, rng, for_slopes=level < size.levels):
-            return None
-        # A second way up, where there is a slope for it.
-        if level > 1 and spare and rng.random() < 0.5:
-            spare -= growth.add_ramp(level - 1, rng)
-        for _ in range(blocks):
-            if not growth.add_block(level, rng, _COMPACT[size.levels]) and not (
-                level == size.levels and growth.cap_landing(level, rng)
-            ):
-                return None
-    return growth if all(growth.add_ramp(1, rng) for _ in range(spare)) else None
+    return growth if growth.grow(_split(size, rng), size.ramps - (size.levels - 1), rng) else None
 
 
 def _split(size: Size, rng: np.random.Generator) -> list[int]:
@@ -208,6 +232,8 @@ class Growth:
     """The blocks and ramps in the order in which they were put there."""
     lanes: set[Cell] = field(default_factory=set)
     """Cells that stay free, since gears of carried slopes pass there."""
+    height: int = _MAX_LEVELS
+    """Of the area, in levels."""
 
     @classmethod
     def on(cls, length: int, width: int, rng: np.random.Generator) -> Growth:
@@ -222,10 +248,30 @@ class Growth:
         site[begin[0] : end[0], begin[1] : end[1]] = True
         return cls(np.zeros((length, width), np.int64), site)
 
+    def grow(self, blocks: Sequence[int], spare: int, rng: np.random.Generator) -> bool:
+        """Put so many blocks on each level, and ramps to it; return whether there was no dead end.
+
+        ``spare`` is the number of ramps beyond one for each upper level.
+        """
+        levels = len(blocks)
+        compact = _COMPACT[min(levels, _MAX_LEVELS)]
+        for level, number in enumerate(blocks, start=1):
+            if level > 1 and not self.add_ramp(level - 1, rng, for_slopes=level < levels):
+                return False
+            # A second way up, where there is a slope for it.
+            if level > 1 and spare and rng.random() < 0.5:
+                spare -= self.add_ramp(level - 1, rng)
+            for _ in range(number):
+                if not self.add_block(level, rng, compact) and not (
+                    level == levels and self.cap_landing(level, rng)
+                ):
+                    return False
+        return all(self.add_ramp(1, rng) for _ in range(spare))
+
     def world(self, obstacles: Mask | None = None) -> Grid:
         """Return the building in an area of its own; ``obstacles`` (L, W) stand on the floor and bear nothing."""
-        grid = Grid.empty((*self.heights.shape, _MAX_LEVELS))
-        grid.kind[:, :, 1:][self.heights[:, :, None] >= np.arange(1, _MAX_LEVELS + 1)] = Kind.BLOCK
+        grid = Grid.empty((*self.heights.shape, self.height))
+        grid.kind[:, :, 1:][self.heights[:, :, None] >= np.arange(1, self.height + 1)] = Kind.BLOCK
         for ramp in self.ramps:
             grid.put(ramp)
         if obstacles is not None:

@@ -63,11 +63,11 @@ class Footprint:
             self.space & other.space
             or self.changes & (other.changes | other.relies)
             or self.relies & other.changes
-            or (self.loads and other.loads and self._beside_loads & other.loads)
+            or (self.loads and other.loads and self.beside_loads & other.loads)
         )
 
     @cached_property
-    def _beside_loads(self) -> frozenset[Cell]:
+    def beside_loads(self) -> frozenset[Cell]:
         """The cells of the loads and their neighbours on the same level."""
         steps = ((0, 0), *DIRECTIONS.tolist())
         return frozenset((x + dx, y + dy, z) for x, y, z in self.loads for dx, dy in steps)

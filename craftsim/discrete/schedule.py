@@ -105,7 +105,7 @@ class Schedule:
         times, ends = np.zeros((len(self.steps), 2)), list[float]()
         for index, step in enumerate(self.steps):
             column = situation(step.before.cars[step.car], step.after.cars[step.car])
-            start = max((ends[other] for other in step.waits_for), default=0.0)
+            start = max(map(ends.__getitem__, step.waits_for), default=0.0)
             ends.append(start + float(durations[step.action, column]))
             times[index] = start, ends[index]
         return times
@@ -170,6 +170,7 @@ def make_schedule(
     """
     steps: list[ScheduledAction] = []
     place: dict[tuple[int, int], int] = {}
+    claimed = _Claimed()
     forbidden = []
     acts = []
     for tick, joint in enumerate(ticks, first):
@@ -181,23 +182,38 @@ def make_schedule(
                 continue
             needs = footprint(grid, then, car, action)
             asked = {place[act] for act in (after or {}).get((tick, car), ()) if act in place}
-            waits = frozenset(_predecessors(steps, tick, car, needs, order)) | asked
+            match order:
+                case "sequential":
+                    waits: Iterable[int] = range(len(steps) - 1, len(steps)) if steps else ()
+                case "at-once":
+                    waits = (i for i, step in enumerate(steps) if step.tick < tick)
+                case "concurrent" | "until-wrong":
+                    waits = claimed.before(car, needs)
             place[tick, car] = len(steps)
-            steps.append(ScheduledAction(tick, car, action, grid, then, needs, waits))
+            claimed.add(len(steps), car, needs)
+            steps.append(ScheduledAction(tick, car, action, grid, then, needs, frozenset(waits) | asked))
             grid = then
     return Schedule(tuple(steps), tuple(forbidden), grid, tuple(acts))
 
 
-def _predecessors(
-    steps: list[ScheduledAction], tick: int, car: int, needs: Footprint, order: Concurrency
-) -> Iterable[int]:
-    match order:
-        case "sequential":
-            return range(len(steps) - 1, len(steps)) if steps else ()
-        case "at-once":
-            return (i for i, step in enumerate(steps) if step.tick < tick)
-        case "concurrent" | "until-wrong":
-            return (i for i, s in enumerate(steps) if s.car == car or s.footprint.conflicts(needs))
+class _Claimed:
+    """Which steps have which cells in their footprints, and which are of which car."""
+
+    def __init__(self) -> None:
+        self._steps: dict[tuple[str, object], list[int]] = {}
+
+    def add(self, step: int, car: int, needs: Footprint) -> None:
+        own = {"car": (car,), "space": needs.space, "changes": needs.changes, "relies": needs.relies}
+        for part, cells in (own | {"loads": needs.beside_loads}).items():
+            for cell in cells:
+                self._steps.setdefault((part, cell), []).append(step)
+
+    def before(self, car: int, needs: Footprint) -> set[int]:
+        """Return the steps of a car, and those whose footprints conflict (:meth:`Footprint.conflicts`)."""
+        other = {"car": (car,), "space": needs.space, "changes": needs.changes | needs.relies}
+        other |= {"relies": needs.changes, "loads": needs.loads}
+        keys = ((part, cell) for part, cells in other.items() for cell in cells)
+        return set().union(*(self._steps.get(key, ()) for key in keys))
 
 
 def incline_under(grid: Grid, car: NDArray[np.integer]) -> float:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph
@@ -160,7 +162,7 @@ class Construction:
         """Make the step that is made first, by whom it is made first; return whether one could be made."""
         tries = 0
         safe: dict[int, bool] = {}
-        for _, car, k, delivery in self._options():
+        for car, k, delivery in self._options():
             if k not in safe:
                 safe[k] = self._bars_nothing(k)
             if not safe[k]:
@@ -206,13 +208,22 @@ class Construction:
                 found.setdefault(thing.load, []).append(thing)
         return found
 
-    def _options(self) -> list[tuple[float, int, int, Delivery]]:
-        """Return what can be done next: cost, car, step and delivery, the cheapest first."""
-        grid, graphs = self.plan.end, self.assembly.graphs
-        walking = graphs.graph(grid)
-        costs: list[tuple[float, int, int, Delivery]] = []
-        to_cells = {car: walking.distances_from([self.plan.node(car)]) for car in self._cars}
-        loose = self._loose(grid)
+    def _options(self) -> Iterator[tuple[int, int, Delivery]]:
+        """Yield what can be done next: car, step and delivery, the cheapest first."""
+        grid, graphs, cars = self.plan.end, self.assembly.graphs, self._cars
+        walking, loose = graphs.graph(grid), self._loose(grid)
+        loads = [self.plan.load(car) for car in cars]
+        far_off = np.full(len(walking.steps), UNREACHABLE, np.int32)
+        to_cells = np.stack(
+            [
+                walking.distances_from([self.plan.node(car)]) if load == Kind.AIR else far_off
+                for car, load in zip(cars, loads, strict=True)
+            ]
+        )
+        begun = np.array([self.plan.ready[car] if self.style.together else 0 for car in cars])
+        nearby = {load: _nearest(walking, to_cells, things) for load, things in loose.items()}
+        groups: list[tuple[int, Piece, Sequence[Piece | None], NDArray[np.int64]]] = []
+        costs: list[NDArray[np.float64]] = []
         for k in self._pending():
             step = self.order[k]
             target = step.thing
@@ -224,35 +235,62 @@ class Construction:
             load = target.load
             loaded = graphs.graph(grid, load)
             onward = loaded.distances_to(loaded.nodes(target))
-            for source in [step.thing] if step.taken else loose.get(load, []):
-                rest = rebuilt(grid, [source])
-                if load == Kind.FSLOPE:
-                    # It stands in two cells, and can only be driven out of in one direction: so exactly.
-                    graph = graphs.graph(rest, load)
-                    far = graph.nearest(graph.distances_to(graph.nodes(target)), source)
-                else:
-                    far = _onward_from(onward, walking, grid, source)
-                if far >= UNREACHABLE or not self.assembly.has_room(rest, target):
-                    continue
-                swings = (source.kind == Kind.BODY) + (target.kind == Kind.BODY)
-                for car in self._cars:
-                    if self.plan.load(car) != Kind.AIR:
-                        continue
-                    near = walking.nearest(to_cells[car], source)
-                    if near < UNREACHABLE:
-                        work = near + far + 2 + swings * (FLAP_TICKS + 1)
-                        cost = self._cost(car, work) - swings * self.style.haste * FLAP_TICKS * 2
-                        costs.append((cost, car, k, Delivery(source, target)))
-            for car in self._cars:
-                if self.plan.load(car) == load and not step.taken:
-                    far = int(onward[self.plan.node(car)])
-                    if far < UNREACHABLE:
-                        costs.append((self._cost(car, far + 1), car, k, Delivery(None, target)))
-        return sorted(costs, key=lambda cost: cost[0])
+            sources = [step.thing] if step.taken else loose.get(load, [])
+            if sources:
+                near = _nearest(walking, to_cells, sources) if step.taken else nearby[load]
+                far = self._far(grid, sources, target, onward)
+                swings = np.array([(one.kind == Kind.BODY) + (target.kind == Kind.BODY) for one in sources])
+                pairs = np.argwhere((near < UNREACHABLE) & (far < UNREACHABLE)[:, None])
+                i, j = pairs.T
+                work = near[i, j] + far[i] + 2 + swings[i] * (FLAP_TICKS + 1)
+                groups.append((k, target, sources, pairs))
+                costs.append(self._costs(begun[j], work) - swings[i] * self.style.haste * FLAP_TICKS * 2)
+            if not step.taken and load in loads:
+                far = np.array([onward[self.plan.node(car)] for car in cars])
+                pairs = np.argwhere((np.array(loads) == load)[None] & (far < UNREACHABLE))
+                j = pairs[:, 1]
+                groups.append((k, target, [None], pairs))
+                costs.append(self._costs(begun[j], far[j] + 1))
+        starts = np.cumsum([0, *map(len, costs)])
+        for number in np.argsort(np.concatenate([*costs, []]), kind="stable").tolist():
+            group = int(np.searchsorted(starts, number, "right")) - 1
+            k, target, sources_of, pairs = groups[group]
+            source, car = pairs[number - starts[group]].tolist()
+            yield cars[car], k, Delivery(sources_of[source], target)
 
-    def _cost(self, car: int, work: int) -> float:
-        begun = self.plan.ready[car] if self.style.together else 0
-        return (begun + work) * (1 + self.style.noise * self.rng.random())
+    def _far(
+        self, grid: Grid, sources: Sequence[Piece], target: Piece, onward: Distances
+    ) -> NDArray[np.int64]:
+        """Return (n,): how far it is from each of some things to a place; UNREACHABLE where it has no room there."""
+        if target.load == Kind.FSLOPE:
+            # It stands in two cells, and can only be driven out of in one direction: so exactly.
+            return np.array([self._far_exactly(grid, one, target) for one in sources])
+        length, width, height = grid.size
+        best = onward.reshape(length, width, height + 2, 4).min(axis=-1)[:, :, : height + 1]
+        # What has been taken up goes on from there, or from the next cell that is free.
+        free = np.isin(grid.kind, (Kind.AIR, Kind.GEAR))
+        beyond = np.pad(
+            np.where(free, best, UNREACHABLE), ((1, 1), (1, 1), (0, 0)), constant_values=UNREACHABLE
+        )
+        x, y, z = np.array([one.cell for one in sources]).T
+        around = [beyond[x + 1 + dx, y + 1 + dy, z] for dx, dy in DIRECTIONS.tolist()]
+        far = np.minimum(best[x, y, z], np.min(around, axis=0) + 1).astype(np.int64)
+        room = self.assembly.has_room(grid, target)
+        for i, one in enumerate(sources):
+            # A thing in the place's own column bears it, or is in its way.
+            same = one.cell[:2] == target.cell[:2]
+            if not (self.assembly.has_room(rebuilt(grid, [one]), target) if same else room):
+                far[i] = UNREACHABLE
+        return far
+
+    def _far_exactly(self, grid: Grid, source: Piece, target: Piece) -> int:
+        rest = rebuilt(grid, [source])
+        graph = self.assembly.graphs.graph(rest, target.load)
+        far = graph.nearest(graph.distances_to(graph.nodes(target)), source)
+        return far if far < UNREACHABLE and self.assembly.has_room(rest, target) else UNREACHABLE
+
+    def _costs(self, begun: NDArray[np.int64], work: NDArray[np.int64]) -> NDArray[np.float64]:
+        return (begun + work) * (1 + self.style.noise * self.rng.random(len(work)))
 
     def _send_aside(self, car: int, delivery: Delivery) -> bool:
         """Move cars aside that wait in the way of a delivery; return whether one was."""
@@ -377,6 +415,12 @@ class Construction:
                 if far < UNREACHABLE and graph.nearest(reached, thing) < UNREACHABLE:
                     return True
         return False
+
+
+def _nearest(graph: MoveGraph, distances: Distances, things: Sequence[Piece]) -> NDArray[np.int64]:
+    """Return (n, m): how far n things are by each of (m, nodes) distances."""
+    nodes = np.array([graph.nodes(thing) * (4 // len(thing.yaws)) for thing in things])
+    return distances[:, nodes].min(axis=-1).T.astype(np.int64)
 
 
 def _onward_from(distances: Distances, graph: MoveGraph, grid: Grid, thing: Piece) -> int:

@@ -297,7 +297,8 @@ class _Search:
         schedule = make_schedule(self.start, ticks, self.rules)
         if schedule.forbidden or not self.goal.reached(schedule.final):
             return None
-        times, makespan_s = schedule.times(), schedule.makespan()
+        times = schedule.times()
+        makespan_s = float(times[:, 1].max(initial=0.0))
         work_s = float((times[:, 1] - times[:, 0]).sum())
         optimal = self.objective == "makespan" and makespan_s <= self._bound + _EQUAL_S
         return Planned(ticks, schedule, makespan_s, work_s, self._bound, number, optimal)

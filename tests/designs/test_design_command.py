@@ -10,7 +10,14 @@ from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
 
 
-@pytest.mark.parametrize("words", [["house", "--size", "4", "3", "1"], ["random", "--difficulty", "0.2"]])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["house", "--size", "4", "3", "1"],
+        ["random", "--difficulty", "0.2"],
+        ["random", "--size", "6", "5", "2"],
+    ],
+)
 def test_it_writes_a_goal_and_a_start_that_are_read_the_same_each_time(words, tmp_path, capsys):
     outs = [tmp_path / name for name in ("one", "two")]
     for out in outs:
@@ -45,7 +52,11 @@ def test_the_list_names_all_and_writes_nothing(tmp_path, capsys):
 def test_what_cannot_be_is_one_message_and_exit_2(tmp_path, capsys):
     for words, message in (
         (["pyramidd"], "did you mean 'pyramid'?"),
-        (["random", "--size", "3"], "random takes --difficulty, --cars, --seed and --out alone"),
+        (["random", "--area", "9", "9", "3"], "random takes --size, or --difficulty, --cars, --seed"),
+        (
+            ["random", "--size", "3"],
+            "of 3 cells; allowed: length, width and height, 5 x 5 x 1 to 16 x 16 x 4",
+        ),
         (["wall", "--area", "9", "9"], "--area has 2 numbers; allowed: three"),
         (
             ["wall", "--area", "9", "9", "3"],

@@ -5,7 +5,7 @@ import pytest
 from designs.building import build
 from tiny_worlds import SIZE, tiny_world
 
-from craftsim.designs.drawn import Growth, random_start
+from craftsim.designs.drawn import Growth, random_start, random_structure
 from craftsim.designs.library import make_design
 from craftsim.designs.starts import FreeFloor, make_start
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
@@ -154,6 +154,17 @@ def test_random_designs_stay_within_what_difficulty_allows_and_use_it():
     assert 0 < sum(kept) < sum(ramps), "some belong to designs, some serve for building alone"
     assert all(_counts(start.grid)[:2] == [n, m] for start, n, m in zip(found, blocks, ramps, strict=True))
     assert np.mean(blocks[:5]) < np.mean(blocks[5:])
+
+
+def test_random_structures_fill_their_height_within_their_box_and_are_all_different():
+    size = (7, 7, 3)
+    found = [random_structure(size, np.random.default_rng(seed)) for seed in range(5)]
+    for design in found:
+        assert design.size[2] == 3
+        assert design.size <= size
+        assert not design.floating()
+        assert 0.1 <= len(design.targets) / 147 <= 0.26
+    assert len({design.targets for design in found}) == 5
 
 
 def test_a_difficulty_out_of_range_and_too_many_cars_are_refused():

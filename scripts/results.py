@@ -55,6 +55,7 @@ MEASURED: Final = {
     "margins": "audit margins --quick",
     "execution_plans": "bench execution --worlds 12",
     "execution_policies": "bench execution random_strip random_block random_simple_two_story random_breaking_barrier",
+    "builders": "bench builders --worlds 1",
 }
 """What is measured, each in less than four minutes of CPU time."""
 STUDIES: Final = {
@@ -139,6 +140,7 @@ def tables() -> dict[str, str]:
         "physics": physics_table(),
         "margins": margins_table(),
         "execution": execution_table(),
+        "builders": builders_table(),
         "earlier": earlier_table(),
         **{
             f"speed_{what}": rates_table(_read(RESULTS / f"speed_{what}.json"))
@@ -194,6 +196,7 @@ def _said(figures: dict[str, Any]) -> str:
         "agree": _demo,
         "concurrent_by": _orders,
         "modes": lambda figures: f"{len(figures['modes'])} policies, below",
+        "builders": _builders,
     }
     return next(say(figures) for key, say in sayings.items() if figures.get(key) is not None)
 
@@ -242,6 +245,31 @@ def execution_table() -> str:
         for mode, one in modes.items()
     ]
     return table(("policy", "mode", "built", "95 %", "makespan, s", "failed", "deadlocks"), *rows)
+
+
+def _builders(figures: dict[str, Any]) -> str:
+    built = {name: found["physics"]["all"]["built"] for name, found in figures["builders"].items()}
+    return "; ".join(f"{name} built {one['successes']} of {one['trials']}" for name, one in built.items())
+
+
+def builders_table() -> str:
+    """Return how much of the designs the baselines build that answer in words."""
+    designs = ("one level", "with a ramp", "two levels", "all")
+    rows = [
+        (
+            f"`{builder}`",
+            backend,
+            *(f"{parts[name]['built']['successes']} of {parts[name]['built']['trials']}" for name in designs),
+            "{wilson_low:.2f}-{wilson_high:.2f}".format(**parts["all"]["built"]),
+            f"{100 * parts['all']['in_place']['value']:.0f} %",
+            f"{parts['all']['as_predicted']['successes']} of {parts['all']['as_predicted']['trials']}",
+            parts["all"]["forbidden"],
+        )
+        for builder, of in _read(RUNS / "builders.json")["figures"]["builders"].items()
+        for backend, parts in of.items()
+    ]
+    head = ("builder", "on", *designs, "95 %", "in place", "as predicted", "forbidden")
+    return table(head, *rows)
 
 
 def _interval(share: dict[str, float]) -> str:

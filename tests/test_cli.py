@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 from typing import get_args
 
@@ -21,10 +22,12 @@ from craftsim.cli import former
 from craftsim.cli.bench import Check
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, HEADINGS
 from craftsim.cli.help import REFERRED, _default, _heading
+from craftsim.cli.train import _BESIDES
 from craftsim.errors import InputError
 from craftsim.options import Physics, range_of
 from craftsim.reports import json_file
 from craftsim.reports.text import escape
+from craftsim.training.config import TrainConfig
 
 EVERY = [words for name in COMMANDS for words in ([name], *([name, below] for below in BELOW.get(name, ())))]
 EVERY = [words for words in EVERY if words[0] not in ALONE or len(words) == 2]
@@ -259,6 +262,18 @@ def test_former_words_mean_the_same_as_the_present_ones(capsys):
         assert "now; the old name goes away in 0.4" in capsys.readouterr().err
         (found, was), (present, now) = cli_app.bind(former.current(old)), cli_app.bind(new)
         assert (found.__name__, was.arguments) == (present.__name__, now.arguments)
+
+
+def test_every_former_option_is_one_of_the_present_command():
+    taken = {tuple(words): {name for one in _arguments(words) for name in one.names} for words in EVERY}
+    for name, options in former.OPTIONS.items():
+        command = {"": ("validate",), "robot": ("robot", "serve")}.get(
+            name, former.COMMANDS.get(name, (name,))
+        )
+        words = tuple(itertools.takewhile(lambda word: not word.startswith("--"), command))
+        assert {*options.values()} - {""} <= taken[words], name
+    known = {*_BESIDES, *(field.name for field in fields(TrainConfig))}
+    assert {name.replace("-", "_") for name in former.SET} <= known
 
 
 def test_present_words_are_left_as_they_are_and_former_commands_say_what_they_are_now(capsys):

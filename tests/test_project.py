@@ -28,8 +28,13 @@ def job():
     return _yaml(".github/workflows/test.yml")["jobs"]["test"]
 
 
-def test_the_citation_is_of_this_version_and_licence():
+def test_the_citation_and_the_changelog_are_of_this_version_and_licence():
     citation = _yaml("CITATION.cff")
+    released = re.search(
+        r"^## \[(\d[^]]*)\] - (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert released
+    assert (released[1], released[2]) == (PROJECT["version"], str(citation["date-released"]))
     assert citation["version"] == PROJECT["version"]
     assert citation["license"] == PROJECT["license"]
     assert citation["title"].split(":")[0] == PROJECT["name"]

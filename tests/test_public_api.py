@@ -76,3 +76,9 @@ def test_results_show_themselves_in_a_notebook():
 def test_a_renamed_name_works_with_a_warning():
     with pytest.warns(DeprecationWarning, match=r"craftsim\.Site is called craftsim\.PhysicsWorld now"):
         assert craftsim.Site is craftsim.PhysicsWorld
+
+
+@pytest.mark.parametrize(("old", "now"), [("against", "baseline"), ("shrink", "minimize")])
+def test_a_renamed_argument_works_with_a_warning(old, now):
+    with pytest.warns(DeprecationWarning, match=f"{old}= of validate is called {now}= now"):
+        craftsim.validate("strip", trials=1, **{old: None})

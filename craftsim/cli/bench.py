@@ -16,7 +16,7 @@ from cyclopts import Parameter
 
 from craftsim.choices import RuleSet
 from craftsim.cli.text import print_safe
-from craftsim.options import OptionalDir, Seeded, number
+from craftsim.options import OptionalDir, Seeded, Work, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
 from craftsim.storage.folders import output_directory, owning
@@ -46,8 +46,9 @@ Case = tuple[str, int, bool, Step]
 
 @owning
 def bench(
-    what: Literal["rules", "env", "physics", "execution"],
+    what: Literal["rules", "env", "physics", "execution", "builders"],
     policies: Annotated[tuple[str, ...], Parameter(metavar="POLICY")] = (),
+    campaign: Work = Work(),  # noqa: B008
     *,
     rules: RuleSet = "published",
     worlds: Annotated[int | None, number(BATCH)] = None,
@@ -73,12 +74,18 @@ def bench(
     Of policies instead: their success on the grid and in physics, where all cars decide together, tick by tick, and
     where each decides when its own action has ended. Reduced drive, mild randomization, paired starts.
 
+    builders: how much of 30 held-out designs is built by who reads the world and answers in words, a language model
+    for instance, as 'module:function' from two texts to an answer; beside random play, the planner and a shipped
+    policy. Contact physics, reduced drive, mild randomization; with --out and --resume it goes on.
+
     Args:
         what: what to measure.
-        policies: shipped or trained policies to execute in place of plans.
+        policies: shipped or trained policies to execute in place of plans; of builders random, planner, designs, and
+            whoever answers, the first three unless given.
         rules: the rule set to run; rules only.
         worlds: how many a batch has, 1000 unless given; of execution how many random designs are built besides the six
-            tasks, none unless given, or how many episodes each policy has in each mode, 100 unless given.
+            tasks, none unless given, or how many episodes each policy has in each mode, 100 unless given; of builders
+            how many designs of each difficulty, 10 unless given, and at most.
         seconds: how long each measurement runs.
         out: folder for report.json, and for the table in Markdown.
     """
@@ -87,7 +94,14 @@ def bench(
 
     seed = chance.seed
     if what == "execution":
-        return _execution(policies, worlds, seed).publish(out)
+        return _execution(policies, worlds, seed, campaign.workers).publish(out)
+    if what == "builders":
+        from craftsim.cli.progress import counting
+        from craftsim.validation.builders import BASELINES, EACH, builders_report
+
+        each = min(worlds or EACH, EACH)
+        run = campaign.run(counting("designs"))
+        return builders_report(policies or BASELINES, each, seed, out, run).publish(out)
     worlds = WORLDS if worlds is None else worlds
     rates: dict[str, dict[str, Any]] = {task: {} for task in TASKS}
     rows = []
@@ -111,11 +125,10 @@ def bench(
     ).publish(out)
 
 
-def _execution(policies: Sequence[str], worlds: int | None, seed: int) -> Report:
+def _execution(policies: Sequence[str], worlds: int | None, seed: int, workers: int) -> Report:
     from craftsim.checking.setup import setup_of
     from craftsim.validation.execution import plans_report, policies_report
 
-    workers = os.cpu_count() or 1
     if policies:
         return policies_report(policies, EPISODES if worlds is None else worlds, seed, workers)
     setup, designs = setup_of("mild", drive="reduced"), worlds or 0

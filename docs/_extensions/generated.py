@@ -21,7 +21,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from craftsim.checking.setup import RANDOMIZE, nominal_gains
-from craftsim.cli import main
+from craftsim.cli import former, main
 from craftsim.discrete.reasons import REASONS
 from craftsim.mjcf.parameters import (
     NOMINAL,
@@ -36,6 +36,7 @@ from craftsim.skills.gains import SECTIONS, load_gains
 from craftsim.storage import limits
 from craftsim.storage.limits import Range, size_text
 from craftsim.training.settings import KINDS, Settings
+from craftsim.validation.builders import BuilderCase, chosen_rows
 
 HELP_COLUMNS: Final = "110"
 GRAVITY_M_S2: Final = 9.81
@@ -214,6 +215,20 @@ def _commands() -> str:
     )
 
 
+def _former() -> str:
+    rows = [(f"`{old}`", f"`{' '.join(new)}`", "") for old, new in former.COMMANDS.items()]
+    for command, options in former.OPTIONS.items():
+        of = " ".join(former.COMMANDS.get(command, (command,))) if command else "all"
+        rows += [(f"`{old}`", f"`{new}`" if new else "an argument", of) for old, new in options.items()]
+    return table(("former name", "present name", "option of"), *rows)
+
+
+def _prompt() -> str:
+    (row, *_), *_ = chosen_rows().values()
+    env = BuilderCase("", "grid", row, row).world()
+    return f"```text\n{env.instructions}\n```\n\n```text\n{env.reset(seed=row)[0]}\n```\n"
+
+
 def command_names() -> list[tuple[str, ...]]:
     """Return the commands that ``craftsim --help`` lists, each with those below it."""
     text = help_text()
@@ -270,10 +285,12 @@ TABLES: Final[dict[str, Callable[[], str]]] = {
     "clearances": _clearances,
     "commands": _commands,
     "files": _files,
+    "former": _former,
     "gains": _gains,
     "limits": _limits,
     "noise": _noise,
     "parameters": _parameters,
+    "prompt": _prompt,
     "reasons": _reasons,
     "settings": _settings,
     "thresholds": _thresholds,

@@ -1,0 +1,303 @@
+"""Builders that read a world and answer in words, on 30 fixed designs: the protocol for language models, and a report.
+
+The designs are held-out starts of ``designs@test``, the first one of each shape; the budget of turns is twice the ticks
+of the plan that is stored with each. Physics is that of the reduced drive under mild randomization.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from craftsim.checking.setup import RANDOMIZE
+from craftsim.choices import Backend
+from craftsim.designs.tasks import designs_task, shape_digest
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.kinds import Action
+from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.registry import DESIGNS
+from craftsim.discrete.tasks.starts import Targets, read_split
+from craftsim.envs.parallel import Observations
+from craftsim.envs.planner import PlannerPolicy
+from craftsim.envs.text import FORBIDDEN, MARK, Answer, TextConstruction, answer_text, converse
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
+from craftsim.experiments.intervals import (
+    CONFIDENCE,
+    Estimate,
+    Proportion,
+    least_detectable,
+    paired_difference,
+)
+from craftsim.experiments.session import open_session
+from craftsim.reports.json_file import document
+from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
+from craftsim.validation.policies import PLANNER, RANDOM, make_policy, policy_digest
+
+DIFFICULTIES: Final = ("one level", "with a ramp", "two levels")
+"""Blocks on the floor; blocks on the floor and a ramp; blocks on blocks, with or without a ramp."""
+EACH: Final = 10
+"""Designs of each difficulty."""
+TURNS: Final = 2
+"""Turns, by ticks of the stored plan."""
+BASELINES: Final = (RANDOM, PLANNER, DESIGNS)
+"""What is measured unless other builders are named; the last one is a shipped policy."""
+ANSWER_S: Final = 300.0
+"""Of the clock, that an answer may take on average."""
+_KEPT: Final = 1000
+"""Characters of an answer that a record keeps, the last ones."""
+_ALL: Final = "all"
+
+
+@dataclass(frozen=True)
+class BuilderCase:
+    """A design for a builder."""
+
+    builder: str
+    """``planner``, what :func:`make_policy` knows, or ``module:function`` of a function from two texts to an answer."""
+    backend: Backend
+    row: int
+    """Of the held-out starts."""
+    seed: int
+
+    def task(self) -> Task:
+        """Return the task of building the design from its start, within its budget of turns."""
+        starts, ticks = read_split(DESIGNS, "test")
+        task = designs_task("test").starting_from([starts.grid(self.row)], starts.design(self.row, DESIGNS))
+        return replace(task, max_steps=TURNS * int(ticks[self.row]) - 2)
+
+    def world(self) -> TextConstruction:
+        """Return the environment."""
+        drawn = {"drive": "reduced", "randomization": RANDOMIZE["mild"][1]}
+        return TextConstruction(
+            self.task(), backend=self.backend, **drawn if self.backend == "physics" else {}
+        )
+
+
+@cache
+def chosen_rows() -> dict[str, list[int]]:
+    """Return by difficulty which of the held-out starts are built, no two designs of one shape."""
+    starts, _ = read_split(DESIGNS, "test")
+    found: dict[str, dict[bytes, int]] = {name: {} for name in DIFFICULTIES}
+    for row, targets in enumerate(starts.designs):
+        found[_difficulty(targets)].setdefault(shape_digest(targets), row)
+    return {name: [*rows.values()][:EACH] for name, rows in found.items()}
+
+
+def _difficulty(targets: Targets) -> str:
+    kinds, levels = targets[:, 0], targets[:, 3]
+    if levels[kinds == Kind.BLOCK].max() > 1:
+        return DIFFICULTIES[2]
+    return DIFFICULTIES[int((kinds == Kind.BODY).any())]
+
+
+def build(case: BuilderCase) -> Result:
+    """Let a builder build a design; ``attempts`` are its turns."""
+    env = case.world()
+    design = env.core.task.design
+    assert design is not None
+    try:
+        talk = converse(env, _answers(case, env), seed=case.seed)
+        hits = [hit for _, hit in design.hits(env.grid)]
+    finally:
+        env.close()
+    acted = [one for turn in talk.turns for one in turn.feedback if one.action != Action.STOP]
+    turns = [
+        {
+            "answer": turn.answer.rpartition(MARK)[2][-_KEPT:] if isinstance(turn.answer, str) else "",
+            "unreadable": turn.unreadable,
+            "feedback": [str(one) for one in turn.feedback],
+        }
+        for turn in talk.turns
+    ]
+    figures = {
+        "built": talk.success,
+        "in_place": sum(hits) / len(hits),
+        "turns": len(turns),
+        "predicted": sum(one.done for one in acted),
+        "allowed": sum(one.result != FORBIDDEN for one in acted),
+        "acted": len(acted),
+        "unreadable": talk.unreadable,
+        "simulated_s": round(talk.duration_s, 3),
+    }
+    return Result(agrees=talk.success, attempts=turns, extra=figures)
+
+
+def _answers(case: BuilderCase, env: TextConstruction) -> Answer:
+    """Return what answers for a builder; a policy's actions are put into words. Raises InputError without one."""
+    core = env.core
+    if case.builder == PLANNER:
+        policy: Any = PlannerPolicy(env)
+    else:
+        policy = make_policy(case.builder, case.seed, core.task, core.options.rule_set)
+        if _own(case.builder):
+            return policy
+
+    def answer(instructions: str, text: str) -> str:
+        seen = enumerate(zip(core.vectors(), core.masks, strict=True))
+        observed = {f"car_{car}": {"observation": row, "action_mask": mask} for car, (row, mask) in seen}
+        return answer_text(policy(Observations(observed, core.task)))
+
+    return answer
+
+
+def _own(builder: str) -> bool:
+    return ":" in builder
+
+
+def builders_report(
+    builders: Sequence[str], each: int, seed: int, out: Path | None, options: RunOptions
+) -> Report:
+    """Let builders build so many designs of each difficulty, and return the report.
+
+    Random play, the planner and trained policies also build on the grid. Of a run that was cut off in the folder, what
+    is done is kept. Raises InputError for a builder that there is not.
+    """
+    rows = {name: rows[:each] for name, rows in chosen_rows().items()}
+    numbered = [(name, row) for name, found in rows.items() for row in found]
+    items = []
+    for builder in builders:
+        backends: tuple[Backend, ...] = ("physics",) if _own(builder) else ("grid", "physics")
+        for backend in backends:
+            cases = [BuilderCase(builder, backend, row, seed + row) for _, row in numbered]
+            _answers(cases[0], replace(cases[0], backend="grid").world())
+            for (difficulty, row), case in zip(numbered, cases, strict=True):
+                items.append(Trial(f"{builder}, {backend}, design {row}", difficulty, case.seed, case))
+    starts, _ = read_split(DESIGNS, "test")
+    digests = hashlib.sha256(b"".join(starts.take(np.array([row for _, row in numbered])).digests()))
+    config = {
+        "what": "builders",
+        "builders": {name: PLANNER if name == PLANNER else policy_digest(name) for name in builders},
+        "designs": {"each": each, "digest": digests.hexdigest()},
+    }
+    most = max(case.task().max_steps + 2 for case in (item.job for item in items))
+    experiment = Experiment("bench", seed, config, items, build, timeout_s=most * ANSWER_S)
+    with open_session(experiment, out, options) as session:
+        records = list(session.run())
+    found: dict[str, dict[str, list[TrialRecord]]] = {}
+    for item, record in zip(items, records, strict=True):
+        found.setdefault(item.job.builder, {}).setdefault(item.job.backend, []).append(record)
+    figures = {
+        "builders": {
+            builder: {backend: _by_difficulty(some) for backend, some in of.items()}
+            for builder, of in found.items()
+        },
+        "differences": {
+            builder: _difference(found[builders[0]]["physics"], found[builder]["physics"])
+            for builder in [*found][1:]
+        },
+        "errors": sum(record["error"] is not None for record in records),
+    }
+    return _report(figures, seed, config, len(numbered))
+
+
+def _by_difficulty(records: Sequence[TrialRecord]) -> dict[str, Any]:
+    parts = {name: [one for one in records if one["group"] == name] for name in DIFFICULTIES}
+    return {name: builder_figures(some) for name, some in {**parts, _ALL: records}.items() if some}
+
+
+def builder_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return what a builder comes to on some designs; of those without a result nothing is in place."""
+    kept = [record["extra"] for record in records if record["error"] is None]
+    total = {
+        key: sum(one[key] for one in kept) for key in ("predicted", "allowed", "acted", "unreadable", "turns")
+    }
+    shares = [one["in_place"] for one in kept] + [0.0] * (len(records) - len(kept))
+    return {
+        "built": Proportion.of(sum(one["built"] for one in kept), len(records)),
+        "in_place": _mean(shares),
+        "as_predicted": Proportion.of(total["predicted"], total["allowed"]),
+        "forbidden": total["acted"] - total["allowed"],
+        "acted": total["acted"],
+        "unreadable": total["unreadable"],
+        "turns": total["turns"],
+        "errors": len(records) - len(kept),
+    }
+
+
+def _mean(shares: Sequence[float]) -> Estimate:
+    """Return a mean of shares with its t interval over designs; without one where all are alike."""
+    from scipy.stats import ttest_1samp
+
+    if len(set(shares)) < 2:
+        return Estimate(shares[0] if shares else None, None, None)
+    low, high = ttest_1samp(shares, 0.0).confidence_interval(CONFIDENCE)
+    return Estimate(float(np.mean(shares)), max(0.0, float(low)), min(1.0, float(high)))
+
+
+def _difference(first: Sequence[TrialRecord], second: Sequence[TrialRecord]) -> dict[str, Any]:
+    """Return how much more of the designs the second builds, and the least difference that would be found."""
+    pairs = [(one["agrees"], other["agrees"]) for one, other in zip(first, second, strict=True)]
+    more = paired_difference(pairs.count((True, False)), pairs.count((False, True)), len(pairs))
+    assert more.low is not None
+    assert more.high is not None
+    return {"built": more, "least_detectable": least_detectable(more.low, more.high)}
+
+
+def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_designs: int) -> Report:
+    names = ("built", "95 %", "in place, %", "95 %", "as predicted", "forbidden", "unreadable")
+    columns = (
+        Column("builder"),
+        Column("on"),
+        Column("designs"),
+        *(Column(name, "number") for name in names),
+    )
+    rows = [
+        (builder, backend, difficulty, *_cells(one))
+        for builder, of in figures["builders"].items()
+        for backend, parts in of.items()
+        for difficulty, one in parts.items()
+    ]
+    note = (
+        "built, and in place at the end: by design, with the interval over designs; as predicted: of the actions that "
+        "the rules allow, stop aside; forbidden: of all actions; unreadable: answers"
+    )
+    tables = [DataTable(columns, rows, "Builders", note)]
+    if pairs := {
+        name: (one["built"], one["least_detectable"]) for name, one in figures["differences"].items()
+    }:
+        first = next(iter(figures["builders"]))
+        others = [
+            (name, *map(_signed, astuple(more)), f"{least:.2f}") for name, (more, least) in pairs.items()
+        ]
+        head = (
+            Column("builder"),
+            *(Column(name, "number") for name in ("more built", "from", "to", "detectable")),
+        )
+        tables.append(DataTable(head, others, f"Compared with {first}, in physics, paired by design"))
+    wrong = figures["errors"]
+    lost = f"; {wrong} without a result, which --resume tries again" if wrong else ""
+    return Report(
+        "Builders that answer in words",
+        f"{n_designs} designs",
+        Headline(
+            "Measured", Tone.CAUTION if wrong else Tone.PLAIN, f"{n_designs} designs for each builder{lost}."
+        ),
+        sections=[
+            Section("builders", "Builders", "Turns: twice the ticks of a plan.", tables, terminal=True)
+        ],
+        document=document(figures, command="bench", seed=seed, config=config),
+    )
+
+
+def _cells(one: Mapping[str, Any]) -> tuple[str, ...]:
+    built, place, predicted = one["built"], one["in_place"], one["as_predicted"]
+    interval = "" if place.low is None else f"{100 * place.low:.0f}-{100 * place.high:.0f}"
+    return (
+        f"{built.successes} of {built.trials}",
+        f"{built.wilson_low:.2f}-{built.wilson_high:.2f}",
+        f"{100 * place.value:.0f}",
+        interval,
+        f"{predicted.successes:,} of {predicted.trials:,}",
+        f"{one['forbidden']:,} of {one['acted']:,}",
+        f"{one['unreadable']:,} of {one['turns']:,}",
+    )
+
+
+def _signed(share: float) -> str:
+    return f"{share:+.2f}"

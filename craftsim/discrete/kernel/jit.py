@@ -21,7 +21,7 @@ from enum import Enum
 from functools import cached_property, partial, update_wrapper
 from importlib import import_module
 from types import CodeType, FunctionType, ModuleType
-from typing import Any, ClassVar, Final, TypeVar, cast, overload
+from typing import Any, Final, TypeVar, cast, overload
 
 import numpy as np
 from llvmlite import binding as llvm
@@ -77,6 +77,7 @@ def compiled(function: F | None = None, *, inline: bool = True, nogil: bool = Fa
 
 def plain(function: F) -> F:
     """Return a function for which all that it calls is plain Python: it is called too seldom to be compiled."""
+    function = getattr(function, "py_func", function)
     found = {
         name: function.__globals__[name] for name in _names(function.__code__) if name in function.__globals__
     }
@@ -164,7 +165,7 @@ class _Compiled(CPUDispatcher):
         name = self._name(arguments)
         if self._load(name):
             return
-        with _progress.of(self), code_cache.alone():
+        with _progress.of(self), code_cache.alone(), _signatures_remembered():
             # Another process may have compiled it in the meantime.
             if self._load(name):
                 return
@@ -298,36 +299,8 @@ _NOT_NEEDED: Final = {
 """Passes of numba for closures, literals, array expressions and other things that our functions do without."""
 
 
-class _Typing:
-    """numba's typing context, which remembers what operators and functions return for which arguments.
-
-    It would try all overloads of an operator anew each time that one is used.
-    """
-
-    _known: ClassVar[dict[Any, Any]] = {}
-
-    def __init__(self, context: Any) -> None:
-        self._context = context
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._context, name)
-
-    def resolve_function_type(self, function: Any, arguments: Any, keywords: Any) -> Any:
-        """Return the signature of a call."""
-        key = function, arguments, tuple(keywords.items())
-        found = self._known.get(key)
-        if found is None:
-            found = self._context.resolve_function_type(function, arguments, keywords)
-            if found is not None:
-                self._known[key] = found
-        return found
-
-
 class _Compiler(Compiler):
     """Compiles a function as numba does, without what ours do not need."""
-
-    def __init__(self, typingctx: Any, *others: Any) -> None:
-        super().__init__(_Typing(typingctx), *others)
 
     def define_pipelines(self) -> list[PassManager]:
         """Return numba's passes but for some."""
@@ -365,6 +338,27 @@ class _InnerCompiler(_Compiler):
         self.state.lifted = ()
         self.state.lifted_from = None
         return self._compile_bytecode()
+
+
+_signatures: Final[dict[Any, Any]] = {}
+_look_up: Final = types.BaseFunction.get_call_type
+
+
+def _signature(function: Any, context: Any, arguments: Any, keywords: Any) -> Any:
+    """Return the signature of a call, looked up once: numba tries all overloads of an operator whenever it is used."""
+    key = function, tuple(arguments), tuple(keywords.items())
+    if key not in _signatures:
+        _signatures[key] = _look_up(function, context, arguments, keywords)
+    return _signatures[key]
+
+
+@contextmanager
+def _signatures_remembered() -> Iterator[None]:
+    before, types.BaseFunction.get_call_type = types.BaseFunction.get_call_type, _signature
+    try:
+        yield
+    finally:
+        types.BaseFunction.get_call_type = before
 
 
 class _Progress:

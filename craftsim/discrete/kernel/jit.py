@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from enum import Enum
 from functools import cached_property, partial, update_wrapper
 from importlib import import_module
-from types import CodeType, FunctionType, ModuleType
+from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any, Final, TypeVar, cast, overload
 
 import numpy as np
@@ -78,11 +78,14 @@ def compiled(function: F | None = None, *, inline: bool = True, nogil: bool = Fa
 def plain(function: F) -> F:
     """Return a function for which all that it calls is plain Python: it is called too seldom to be compiled."""
     function = getattr(function, "py_func", function)
-    found = {
-        name: function.__globals__[name] for name in _names(function.__code__) if name in function.__globals__
-    }
-    found = {name: one.plain if isinstance(one, _Compiled) else one for name, one in found.items()}
-    return cast(F, update_wrapper(FunctionType(function.__code__, found), function))
+    code, names = function.__code__, function.__globals__
+    found = {name: _not_compiled(names[name]) for name in _names(code) if name in names}
+    cells = tuple(CellType(_not_compiled(cell.cell_contents)) for cell in function.__closure__ or ())
+    return cast(F, update_wrapper(FunctionType(code, found, closure=cells), function))
+
+
+def _not_compiled(value: Any) -> Any:
+    return value.plain if isinstance(value, _Compiled) else value
 
 
 def seldom(function: F) -> F:

@@ -272,9 +272,12 @@ def check_name(what: str, value: Any, known: Iterable[str]) -> None:
         )
 
 
-def _building_scores(grids: Grid, designs: Targets, *weights: float) -> Floats:
+def _building_scores(
+    grids: Grid, designs: Targets, thing: float, upper_block: float, completion: float
+) -> Floats:
     out = np.empty(len(grids))
-    (_score_building if len(out) == 1 else score_buildings)(grids.world(), designs, *weights, out)
+    score = _score_building if len(out) == 1 else score_buildings
+    score(grids.world(), designs, thing, upper_block, completion, out)
     return out
 
 

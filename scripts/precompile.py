@@ -15,6 +15,7 @@ from craftsim.discrete.files.design import Design
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid, Kind, Piece
+from craftsim.discrete.kernel import jit
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, has_room
 from craftsim.discrete.tasks import as_task, make_task
@@ -30,6 +31,7 @@ from craftsim.skills.mecanum import Mecanum
 def main() -> None:
     """Play and plan tasks, on the grid and in physics, with every kind of imperfection."""
     tell()
+    jit.INTERPRETED_S = 0.0
     for name, options in (
         ("simple_two_story", {"rule_set": "physical"}),
         ("strip", {"rule_set": "published", "helper_depth": 2}),

@@ -22,7 +22,7 @@ from craftsim.checking.attempt import (
 )
 from craftsim.checking.contacts import ContactLog, handled, under, unexpected_contacts
 from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.jit import compiled, plain
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import (
     PLACE_TOLERANCE_M,
@@ -544,6 +544,25 @@ def _note_away(qpos: Floats, places: Integers, left: Floats, furthest: Floats) -
 
 
 @compiled
+def _apart(one: Floats, other: Floats) -> float:
+    """Return how many metres are between two poses (7,)."""
+    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@compiled
+def _turned(one: Floats, other: Floats) -> float:
+    """Return the angle in radians between the unit quaternions of two poses (7,); exact for small ones."""
+    a, b, c, d = one[3], one[4], one[5], one[6]
+    e, f, g, h = other[3], other[4], other[5], other[6]
+    w = a * e + b * f + c * g + d * h
+    x = a * f - b * e - c * h + d * g
+    y = a * g - c * e - d * f + b * h
+    z = a * h - d * e - b * g + c * f
+    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
+
+
+@plain
 def _largest_errors(
     now: Floats,
     then: Floats,
@@ -553,7 +572,7 @@ def _largest_errors(
     known: NDArray[np.bool_],
     largest: Floats,
 ) -> None:
-    """Find the largest of each error of bystanders.
+    """Find the largest of each error of bystanders, once an action.
 
     ``now`` and ``then`` (n, 7) are poses of cars and objects at the end and the start of the action, ``furthest``
     (n, 2) that of :class:`Drift`, ``bounded`` (n_objects, 2) that of the reading; ``known`` (n_objects, 2) of these
@@ -579,25 +598,6 @@ def _largest_errors(
             best = largest[k, 0]
             if largest[k, 1] < 0 or error > best or (math.isnan(error) and not math.isnan(best)):
                 largest[k, 0], largest[k, 1] = error, i
-
-
-@compiled
-def _apart(one: Floats, other: Floats) -> float:
-    """Return how many metres are between two poses (7,)."""
-    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
-    return math.sqrt(x * x + y * y + z * z)
-
-
-@compiled
-def _turned(one: Floats, other: Floats) -> float:
-    """Return the angle in radians between the unit quaternions of two poses (7,); exact for small ones."""
-    a, b, c, d = one[3], one[4], one[5], one[6]
-    e, f, g, h = other[3], other[4], other[5], other[6]
-    w = a * e + b * f + c * g + d * h
-    x = a * f - b * e - c * h + d * g
-    y = a * g - c * e - d * f + b * h
-    z = a * h - d * e - b * g + c * f
-    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
 
 def _is_wrong(found: Watched) -> bool:

@@ -16,7 +16,9 @@ import numpy as np
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid
 from craftsim.discrete.kernel.claims import CHANGES, LOADS, MOST, RELIES, SPACE, Claims, write_claims
+from craftsim.discrete.kernel.jit import seldom
 
+_write_claims = seldom(write_claims)
 _PARTS: Final = {"space": SPACE, "changes": CHANGES, "relies": RELIES, "loads": LOADS}
 
 
@@ -37,7 +39,7 @@ class Footprint:
     def built_in(cls, grid: Grid, car: int, action: int) -> Self:
         """Return what a legal action of the 15 needs in a world; STOP needs what the car needs where it stands."""
         rows = np.empty((MOST, 4), np.int16)
-        count = write_claims(grid.cells, grid.cars, 0, car, int(action), rows)
+        count = _write_claims(grid.cells, grid.cars, 0, car, int(action), rows)
         found = [((x, y, z), bits) for x, y, z, bits in rows[:count].tolist()]
         return cls(*(frozenset(cell for cell, bits in found if bits & part) for part in _PARTS.values()))
 

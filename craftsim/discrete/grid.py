@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.kernel.state import World, derive_all_marks
+from craftsim.discrete.kernel.jit import seldom
+from craftsim.discrete.kernel.state import World, derive_marks
 from craftsim.discrete.kinds import CARRIED, CarField, CellField, Kind
 from craftsim.errors import InputError
 
@@ -23,6 +24,8 @@ SECOND_PART: Final = {Kind.FSLOPE: Kind.GEAR, Kind.BODY: Kind.FOOT}
 
 MOVABLE: Final = (*CARRIED, Kind.BODY)
 """What cars can move, an unfolded slope once it is folded."""
+
+_derive_marks = seldom(derive_marks)
 
 Cell = tuple[int, int, int]
 """(x, y, z)."""
@@ -199,8 +202,10 @@ class Grid:
 
     def derive_marks(self) -> None:
         """Overwrite both marks with what follows from the visible state."""
-        one = self.cells.ndim == 4
-        derive_all_marks(self.cells[None] if one else self.cells, self.cars[None] if one else self.cars)
+        for cells, cars in (
+            [(self.cells, self.cars)] if self.cells.ndim == 4 else zip(self.cells, self.cars, strict=True)
+        ):
+            _derive_marks(World(cells, cars, 0))
 
     def same_visible(self, other: Grid) -> bool:
         """Return whether objects and cars are equal; marks are not compared."""

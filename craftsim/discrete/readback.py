@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, INCLINE_RAD, LEVEL_HEIGHT_M, yaw_angle
 from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.discrete.kernel.state import AIR, BODY, FOOT, FSLOPE, GEAR, KIND, YAW
 
@@ -42,8 +43,7 @@ Floats = NDArray[np.float64]
 Vector = Sequence[float]
 Axes = tuple[Vector, Vector, Vector]
 """Of a turned body: forward, left and up, (x, y, z) each in the world frame."""
-_axes_of: Final[Callable[..., Axes]] = getattr(body_axes, "py_func", body_axes)
-"""Not compiled: poses are read once an action."""
+_axes_of: Final[Callable[..., Axes]] = plain(body_axes)
 _Fit = tuple["CellFit", tuple[int, ...], tuple[str, ...]]
 """How a car fits with its row of the grid, or an object with its yaw; and what is wrong with it, in words."""
 _Seat = tuple[int, Axes, float, float]

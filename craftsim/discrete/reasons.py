@@ -15,8 +15,10 @@ from craftsim.discrete.actions import is_own, own_reason
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel import codes as code
+from craftsim.discrete.kernel.jit import seldom
 from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action, Correction
 
+_reason = seldom(batch.reason)
 _NEAR: Final = 3
 """How many columns away, and how many levels, something may be that a correction looks at."""
 
@@ -174,7 +176,7 @@ def explain(grid: Grid, corrections: int, car: int, action: Action) -> Explanati
         return Explanation(action, words, None, ((x, y, z),) if words else ())
 
     def why(cells: object, cars: object) -> int:
-        return int(batch.reason(cells, cars, int(corrections), car, int(action)))  # type: ignore[arg-type]
+        return int(_reason(cells, cars, int(corrections), car, int(action)))  # type: ignore[arg-type]
 
     found = why(grid.cells, grid.cars)
     if found == code.LEGAL:

@@ -14,6 +14,7 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kernel.jit import seldom
 from craftsim.discrete.kernel.search import SearchBuffers, search_buffers
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action, Correction
 from craftsim.discrete.reasons import Explanation, explain
@@ -29,6 +30,7 @@ Joint = Sequence[tuple[int, int]]
 """(car, action) in acting order; a car that is not listed does nothing."""
 
 _NO_SPACE: Final = search_buffers((1, 1, 1))
+_masks, _step = seldom(batch.masks), seldom(batch.step)
 
 
 class Rules:
@@ -75,7 +77,7 @@ class Rules:
         Registered actions that the rules were made with have further columns.
         """
         out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
-        batch.masks(grid.cells[None], grid.cars[None], int(self.corrections), _NO_SPACE, NO_HELPER, out)
+        _masks(grid.cells[None], grid.cars[None], int(self.corrections), _NO_SPACE, NO_HELPER, out)
         return self._with_own(out, grid)[0]
 
     def legal(self, grid: Grid, car: int, action: int) -> bool:
@@ -122,7 +124,7 @@ class Rules:
         turns = np.array([car for car, _ in joint], np.int64)[None]
         acts = np.array([int(action) for _, action in joint], np.int64)[None]
         after, applied = grid.copy(), np.zeros(turns.shape, np.bool_)
-        batch.step(after.cells[None], after.cars[None], int(self.corrections), turns, acts, applied)
+        _step(after.cells[None], after.cars[None], int(self.corrections), turns, acts, applied)
         return after, applied[0]
 
     def _tick_with_own(self, grid: Grid, joint: Joint) -> tuple[Grid, NDArray[np.bool_]]:

@@ -38,7 +38,7 @@ class Mutant:
 
 def never(code: str) -> str:
     """Return the regular expression of where a reason is given."""
-    return rf"\b{code} \| \w+ << DETAIL_BITS|\b{code}\b(?!,)"
+    return rf"code\.{code} \| \w+ << code\.DETAIL_BITS|code\.{code}\b"
 
 
 def _text(rule: str, old: str, new: str, file: str = "kernel/rules.py") -> Mutant:
@@ -48,7 +48,7 @@ def _text(rule: str, old: str, new: str, file: str = "kernel/rules.py") -> Mutan
 _SOURCE: Final = (ROOT / "craftsim" / "discrete" / "kernel" / "codes.py").read_text()
 _NAMES: Final = re.findall(r"^    ([A-Z_]+),$", _SOURCE.partition("\n(\n")[2].partition(")")[0], re.MULTILINE)
 MUTANTS: Final = (
-    *(Mutant(f"never {_NAMES[code]}", never(_NAMES[code]), "LEGAL") for code in REASONS),
+    *(Mutant(f"never {_NAMES[code]}", never(_NAMES[code]), "code.LEGAL") for code in REASONS),
     _text(
         "a block turns past what stands at the corners",
         "if car.load == FSLOPE and kind_at(w, corner_x",
@@ -110,8 +110,8 @@ MUTANTS: Final = (
     ),
     _text(
         "a gear comes down on no side of a foot",
-        "return GEARS_CROSS if kind_at(w, x, y, car.z) == FOOT",
-        "return GEARS_CROSS if False",
+        "crosses = kind_at(w, x, y, car.z) == FOOT",
+        "crosses = False",
     ),
     _text(
         "a car goes on to its own ramp's body only",

@@ -6,13 +6,14 @@ import sys
 import weakref
 from pathlib import Path
 
+import numpy as np
 import pytest
 from numba import config
 
 from craftsim.discrete.actions import Action
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.kernel import code_cache
-from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel import code_cache, jit
+from craftsim.discrete.kernel.jit import compiled, plain, seldom
 from craftsim.discrete.rules import Rules
 
 needs_compiler = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
@@ -185,6 +186,40 @@ def test_a_literal_and_an_enum_make_no_second_signature_and_only_what_python_cal
     assert not inner._wrapped
     assert inner(1) == 2
     assert len(inner._wrapped) == 1
+
+
+@needs_compiler
+def test_what_is_called_seldom_is_plain_python_until_that_takes_as_long_as_compiling(monkeypatch):
+    monkeypatch.setattr(code_cache, "folder", lambda: None)
+    monkeypatch.setattr(jit, "INTERPRETED_S", 0.1)
+
+    @compiled
+    def inner(number):
+        return number + 11
+
+    @compiled
+    def outer(numbers, place):
+        numbers[place] = inner(numbers[place])
+        return numbers[place]
+
+    call, numbers = seldom(outer), np.zeros(1)
+    assert [call(numbers, 0) for _ in range(3)] == [11, 22, 33]
+    assert not outer.signatures
+    assert plain(outer)(numbers, 0) == 44
+    while not outer.signatures:
+        call(numbers, 0)
+    assert call(numbers, 0) == numbers[0]
+    assert len(outer.signatures) == len(inner.signatures) == 1
+
+
+@needs_compiler
+def test_what_is_called_seldom_is_compiled_if_the_cache_has_it(tmp_path):
+    seldom_ = OWN + "\nfrom craftsim.discrete.kernel.jit import seldom\nrare = seldom(outer)\n"
+    count = "import own; print(own.{}(1), len(own.outer.signatures))"
+    place = {"XDG_CACHE_HOME": str(tmp_path)}
+    assert run(tmp_path, count.format("rare"), seldom_, **place) == "8 0\n"
+    assert run(tmp_path, count.format("outer"), seldom_, **place) == "8 1\n"
+    assert run(tmp_path, count.format("rare"), seldom_, **place) == "8 1\n"
 
 
 @needs_compiler

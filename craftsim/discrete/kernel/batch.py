@@ -7,15 +7,16 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.effects import apply
-from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.jit import compiled, plain
 from craftsim.discrete.kernel.reach import car_in, carried_gear_in
 from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions, load_below_walls, load_fits
 from craftsim.discrete.kernel.search import (
     UNKNOWN,
     SearchBuffers,
-    act_with_helper,
     add_reachable,
+    due_of,
     plan_move,
+    pop,
     write_plan,
 )
 from craftsim.discrete.kernel.state import (
@@ -89,12 +90,23 @@ def step_with_helper(
     space: SearchBuffers,
     depth: int,
 ) -> None:
-    """Do the same with the action helper; ``queues`` (B, n, depth + 1) hold what it still has to do."""
+    """Do the same with the action helper; ``queues`` (B, n, depth + 1) hold what it still has to do.
+
+    A car does what its queue has, else what a new plan for a MOVE has, else the action. If what was queued is not legal
+    any more, the queue is thrown away.
+    """
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
         for turn in range(order.shape[1]):
             car = order[i, turn]
-            applied[i, turn] = act_with_helper(w, car, actions[i, turn], queues[i, car], space, depth)
+            queue = queues[i, car]
+            queued = queue[0] >= 0
+            due = due_of(w, car, actions[i, turn], queue, space, depth)
+            if queue[0] >= 0:
+                pop(queue)
+            applied[i, turn] = act(w, car, due)
+            if queued and not applied[i, turn]:
+                queue[:] = -1
         if corrections & DERIVED_MARKS:
             derive_marks(w)
 
@@ -106,7 +118,7 @@ def reason(cells: Cells, cars: Cars, corrections: int, car: int, action: int) ->
     return legal_actions(w, car, pose_of(w, car), action, action) >> REASON_BIT
 
 
-@compiled
+@plain
 def enforce(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -> None:
     """Change a single world as an action does, whether it is legal or not."""
     apply(World(cells, cars, corrections), car, action)
@@ -130,7 +142,7 @@ def plan(
     return write_plan(space, node, out) if node >= 0 else -1
 
 
-@compiled
+@plain
 def has_room(cells: Cells, cars: Cars, corrections: int, me: int) -> bool:
     """Return whether what a car of a single world carries is clear of all else, as in all that play leads to."""
     w = World(cells, cars, corrections)

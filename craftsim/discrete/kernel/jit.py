@@ -5,6 +5,8 @@ them, which would otherwise take ten times as long as the rules themselves (``_n
 
 What Python calls needs a wrapper that takes Python's objects apart, which takes as long to compile as the function
 itself. So a function has none until Python calls it; those that only other compiled functions call never have one.
+
+What Python calls seldom (:func:`seldom`) is plain Python at first, which is quicker than compiling it.
 """
 
 from __future__ import annotations
@@ -16,19 +18,19 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import Enum
-from functools import cached_property, partial
+from functools import cached_property, partial, update_wrapper
 from importlib import import_module
-from types import CodeType, ModuleType
+from types import CellType, CodeType, FunctionType, ModuleType
 from typing import Any, Final, TypeVar, cast, overload
 
 import numpy as np
 from llvmlite import binding as llvm
-from numba.core import bytecode, config, sigutils, types
+from numba.core import bytecode, config, sigutils, typed_passes, types, untyped_passes
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.compiler_machinery import PassManager
 from numba.core.registry import CPUDispatcher
-from numba.core.untyped_passes import ExtractByteCode
 from numpy.typing import NDArray
 
 from craftsim.compiling import LOG
@@ -45,6 +47,9 @@ Need = tuple[str, str, tuple[types.Type, ...]]
 """Module, name and argument types of a function that machine code calls, and that must be there before it."""
 
 F = TypeVar("F", bound=Callable[..., Any])
+INTERPRETED_S = 1.0
+"""CPU time that calls of a function in plain Python may take before it is compiled (:func:`seldom`)."""
+
 Record = Any
 """One of :func:`records` in a compiled function: its fields are attributes, and writing to them changes the array."""
 
@@ -68,6 +73,44 @@ def compiled(function: F | None = None, *, inline: bool = True, nogil: bool = Fa
         return function if config.DISABLE_JIT else cast(F, _Compiled(function, {}, options))
 
     return decorate if function is None else decorate(function)
+
+
+def plain(function: F) -> F:
+    """Return a function for which all that it calls is plain Python: it is called too seldom to be compiled."""
+    function = getattr(function, "py_func", function)
+    code, names = function.__code__, function.__globals__
+    found = {name: _not_compiled(names[name]) for name in _names(code) if name in names}
+    cells = tuple(CellType(_not_compiled(cell.cell_contents)) for cell in function.__closure__ or ())
+    return cast(F, update_wrapper(FunctionType(code, found, closure=cells), function))
+
+
+def _not_compiled(value: Any) -> Any:
+    return value.plain if isinstance(value, _Compiled) else value
+
+
+def seldom(function: F) -> F:
+    """Return a compiled function for callers that call it now and then.
+
+    Unless it is compiled already, or in the cache, calls are plain Python until they have taken INTERPRETED_S: less
+    than compiling it takes. The function must work on numbers and arrays of numbers.
+    """
+    if config.DISABLE_JIT:
+        return function
+    compiled, left_s = cast(_Compiled, function), math.inf
+
+    def call(*arguments: Any) -> Any:
+        nonlocal left_s
+        if left_s == math.inf:
+            left_s = 0.0 if compiled.is_there(arguments) else INTERPRETED_S
+        if left_s <= 0:
+            return compiled(*arguments)
+        began_s = time.thread_time()
+        try:
+            return compiled.plain(*arguments)
+        finally:
+            left_s -= time.thread_time() - began_s
+
+    return cast(F, call)
 
 
 class _Compiled(CPUDispatcher):
@@ -94,6 +137,19 @@ class _Compiled(CPUDispatcher):
                 self._load_or_compile(arguments)
             return self.overloads[arguments].entry_point
 
+    def is_there(self, values: tuple[Any, ...]) -> bool:
+        """Return whether Python can call it with such arguments without compiling it."""
+        arguments = tuple(_plain(self.typeof_pyval(value)) for value in values)
+        with global_compiler_lock:
+            before, self._for_python = self._for_python, True
+            self._for_python = arguments in self._wrapped or self._load(self._name(arguments)) or before
+            return arguments in self._wrapped
+
+    @cached_property
+    def plain(self) -> Callable[..., Any]:
+        """It, and all that it calls, as plain Python."""
+        return plain(self.py_func)
+
     def bring(self, arguments: tuple[types.Type, ...]) -> None:
         """Make ready what machine code that was compiled before calls by its name, whether Python calls it or not."""
         with global_compiler_lock:
@@ -109,27 +165,30 @@ class _Compiled(CPUDispatcher):
                 self.overloads[arguments] = entry
 
     def _load_or_compile(self, arguments: tuple[types.Type, ...]) -> None:
-        kind = "entry" if self._for_python else "part" if self.targetoptions["forceinline"] else "called"
-        name = f"{self.py_func.__module__}.{self.__name__}.{kind} {self.content} {arguments}"
+        name = self._name(arguments)
         if self._load(name):
             return
-        with _progress.of(self), code_cache.alone():
+        with _progress.of(self), code_cache.alone(), _signatures_remembered():
             # Another process may have compiled it in the meantime.
             if self._load(name):
                 return
             self.overloads.pop(arguments, None)
             self._compiler.pipeline_class = (
-                Compiler if self._for_python else partial(_InnerCompiler, self.content)
+                _Compiler if self._for_python else partial(_InnerCompiler, self.content)
             )
             self._compiler.targetoptions = self.targetoptions | {"no_cpython_wrapper": not self._for_python}
             super().compile(arguments)
             library = self.overloads[arguments].library
             linked = [one for one in library._linking_libraries if hasattr(one, "needs")]
             library.needs = set[Need]().union(*(one.needs | one.itself for one in linked))
-            library.itself = (
-                {(self.py_func.__module__, self.__name__, arguments)} if kind == "called" else set()
-            )
+            called = not self._for_python and not self.targetoptions["forceinline"]
+            library.itself = {(self.py_func.__module__, self.__name__, arguments)} if called else set()
             code_cache.save(name, self.overloads[arguments])
+
+    def _name(self, arguments: tuple[types.Type, ...]) -> str:
+        """Return what it is called in the cache."""
+        kind = "entry" if self._for_python else "part" if self.targetoptions["forceinline"] else "called"
+        return f"{self.py_func.__module__}.{self.__name__}.{kind} {self.content} {arguments}"
 
     def _load(self, name: str) -> bool:
         result = code_cache.load(name, self.targetctx, _bring)
@@ -223,7 +282,38 @@ class _Called(JITCodeLibrary):
         return self._shared_module
 
 
-class _InnerCompiler(Compiler):
+_NOT_NEEDED: Final = {
+    untyped_passes.WithLifting,
+    untyped_passes.InlineClosureLikes,
+    untyped_passes.RewriteSemanticConstants,
+    untyped_passes.DeadBranchPrune,
+    untyped_passes.RewriteDynamicRaises,
+    untyped_passes.MakeFunctionToJitFunction,
+    untyped_passes.InlineInlinables,
+    untyped_passes.FindLiterallyCalls,
+    untyped_passes.LiteralUnroll,
+    untyped_passes.LiteralPropagationSubPipelinePass,
+    typed_passes.InlineOverloads,
+    typed_passes.NopythonRewrites,
+    typed_passes.NoPythonSupportedFeatureValidation,
+    typed_passes.AnnotateTypes,
+    typed_passes.DumpParforDiagnostics,
+}
+"""Passes of numba for closures, literals, array expressions and other things that our functions do without."""
+
+
+class _Compiler(Compiler):
+    """Compiles a function as numba does, without what ours do not need."""
+
+    def define_pipelines(self) -> list[PassManager]:
+        """Return numba's passes but for some."""
+        (passes,) = super().define_pipelines()
+        passes.passes = [one for one in passes.passes if one[0] not in _NOT_NEEDED]
+        passes.finalize()
+        return [passes]
+
+
+class _InnerCompiler(_Compiler):
     """Compiles a function that other compiled functions call, under a name that depends on its content alone."""
 
     def __init__(
@@ -247,10 +337,31 @@ class _InnerCompiler(Compiler):
         """Compile a function as numba does, but for its number, which becomes a part of its name."""
         self.state.func_id = bytecode.FunctionIdentity.from_function(func)
         self.state.func_id.unique_id = int(self._content[:15], 16)
-        ExtractByteCode().run_pass(self.state)
+        untyped_passes.ExtractByteCode().run_pass(self.state)
         self.state.lifted = ()
         self.state.lifted_from = None
         return self._compile_bytecode()
+
+
+_signatures: Final[dict[Any, Any]] = {}
+_look_up: Final = types.BaseFunction.get_call_type
+
+
+def _signature(function: Any, context: Any, arguments: Any, keywords: Any) -> Any:
+    """Return the signature of a call, looked up once: numba tries all overloads of an operator whenever it is used."""
+    key = function, tuple(arguments), tuple(keywords.items())
+    if key not in _signatures:
+        _signatures[key] = _look_up(function, context, arguments, keywords)
+    return _signatures[key]
+
+
+@contextmanager
+def _signatures_remembered() -> Iterator[None]:
+    before, types.BaseFunction.get_call_type = types.BaseFunction.get_call_type, _signature
+    try:
+        yield
+    finally:
+        types.BaseFunction.get_call_type = before
 
 
 class _Progress:

@@ -7,72 +7,7 @@ the corrections in the order of their codes: so the reason is a correction only 
 
 from __future__ import annotations
 
-from craftsim.discrete.kernel.codes import (
-    ABOVE_TOP_LEVEL,
-    CAR_ON_FOOT,
-    CAR_ON_FOOT_BELOW,
-    CAR_ON_LANDING,
-    CAR_ON_OWN_FOOT,
-    CAR_THERE,
-    CARRIES,
-    CARRIES_NOTHING,
-    DETAIL_BITS,
-    DOWN_FORWARD_ONLY,
-    DROP,
-    ENTERED_SIDEWAYS,
-    FIRST_MOVE,
-    FLAP_HITS,
-    FOLD,
-    FOOT_BLOCKED,
-    FOOT_UNSUPPORTED,
-    FORWARD_ONLY,
-    GEAR_NO_ROOM,
-    GEAR_THERE,
-    GEARS_CROSS,
-    HIGH_SIDE_ONLY,
-    IN_THE_WAY,
-    LANDING_BELOW_BODY,
-    LANDING_BELOW_FOOT,
-    LAST_MOVE,
-    LEANING_LOAD_HITS,
-    LEGAL,
-    LIFT,
-    LOAD_HITS_GEAR,
-    LOAD_HITS_LOAD,
-    LOAD_HITS_THING,
-    LOAD_NOT_THROUGH_GEAR,
-    LOAD_NOT_UNDER,
-    MOVE_DIRECTIONS,
-    NEVER,
-    NO_ASCENT_FROM,
-    NO_DESCENT_FROM,
-    NO_FLOOR,
-    NO_FLOOR_AT_END,
-    NO_LANDING,
-    NO_RAMP_HERE,
-    NO_ROOM_ON_LANDING,
-    NO_SLOPE_HERE,
-    NOT_SIDEWAYS,
-    NOTHING_TO_LIFT,
-    ON_SLOPE,
-    OTHER_RAMP,
-    RAMP_UNDER_GEAR,
-    REACHING_LOAD_HITS,
-    ROTATE_LEFT,
-    ROTATE_RIGHT,
-    SLOPE_HITS_CORNER,
-    STOP,
-    THING_AT_END,
-    THING_ON_BODY,
-    THING_ON_BODY_BELOW,
-    THING_ON_TOP,
-    TURN_UNDER_SLOPE,
-    TURNING_LOAD_HITS,
-    UNDER_THING_AT_END,
-    UNFOLD,
-    UP_FORWARD_ONLY,
-    WALL_OVERHEAD,
-)
+from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kernel.effects import apply, moved
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.reach import (
@@ -135,70 +70,61 @@ REASON_BIT = 32
 def why_lift(w: World, me: int, car: Pose) -> int:
     """LIFT: no load, something to lift in the own cell, and nothing on it."""
     if car.load != AIR:
-        return CARRIES
+        return code.CARRIES
     own = kind_at(w, car.x, car.y, car.z)
     if own not in (BLOCK, FLAG, FSLOPE):
-        return NOTHING_TO_LIFT
+        return code.NOTHING_TO_LIFT
     on_top = occupant_of(w, car.x, car.y, car.z, me)
     if on_top != NOTHING:
-        return THING_ON_TOP | on_top << DETAIL_BITS
+        return code.THING_ON_TOP | on_top << code.DETAIL_BITS
     if w.corrections & REACHING_LOAD and below_leaning(w, me, car):
-        return REACHING_LOAD_HITS
+        return code.REACHING_LOAD_HITS
     if w.corrections & OVERHEAD_WALL and kind_at(w, car.x, car.y, car.z + 1) == WALL:
-        return WALL_OVERHEAD
-    return why_gear(w, me, car, yaw_at(w, car.x, car.y, car.z)) if own == FSLOPE else LEGAL
-
-
-@compiled
-def why_drop(w: World, me: int, car: Pose) -> int:
-    """DROP: a load and a cell for it, whatever that cell holds (docs/rules.md#drop-overwrites)."""
-    if car.load == AIR:
-        return CARRIES_NOTHING
-    if car.z >= w.cells.shape[2]:
-        return ABOVE_TOP_LEVEL
-    return why_gear(w, me, car, car.load_yaw) if car.load == FSLOPE else LEGAL
+        return code.WALL_OVERHEAD
+    return why_gear(w, me, car, yaw_at(w, car.x, car.y, car.z)) if own == FSLOPE else code.LEGAL
 
 
 @compiled
 def why_gear(w: World, me: int, car: Pose, yaw: int) -> int:
     """Look whether the gear of a slope that is lifted or set down in a car's cell crosses something in the next one."""
     if not w.corrections & CROSSING_GEAR:
-        return LEGAL
+        return code.LEGAL
     x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
     if gear_across(w, me, x, y, car.z, yaw) or car_in(w, me, x, y, car.z, True) >= 0:
-        return GEARS_CROSS
-    return GEARS_CROSS if kind_at(w, x, y, car.z) == FOOT and (yaw_at(w, x, y, car.z) - yaw) & 1 else LEGAL
+        return code.GEARS_CROSS
+    crosses = kind_at(w, x, y, car.z) == FOOT and (yaw_at(w, x, y, car.z) - yaw) & 1 != 0
+    return code.GEARS_CROSS if crosses else code.LEGAL
 
 
 @compiled
 def why_fold(w: World, me: int, car: Pose) -> int:
     """FOLD: an unfolded slope in the own cell with nothing on its body and no car on its foot."""
     if kind_at(w, car.x, car.y, car.z) != BODY:
-        return NO_RAMP_HERE
+        return code.NO_RAMP_HERE
     on_top = occupant_of(w, car.x, car.y, car.z, me)
     if on_top != NOTHING:
-        return THING_ON_TOP | on_top << DETAIL_BITS
+        return code.THING_ON_TOP | on_top << code.DETAIL_BITS
     yaw = yaw_at(w, car.x, car.y, car.z)
     on_foot = occupant_of(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z - 1, me)
-    return CAR_ON_OWN_FOOT | on_foot << DETAIL_BITS if on_foot >= 0 else why_flap(w, me, car, yaw)
+    return code.CAR_ON_OWN_FOOT | on_foot << code.DETAIL_BITS if on_foot >= 0 else why_flap(w, me, car, yaw)
 
 
 @compiled
 def why_unfold(w: World, me: int, car: Pose) -> int:
     """UNFOLD: a folded slope in the own cell, room and support for the foot, and no landing of a ramp below."""
     if car.load != AIR:
-        return CARRIES
+        return code.CARRIES
     if kind_at(w, car.x, car.y, car.z) != FSLOPE:
-        return NO_SLOPE_HERE
+        return code.NO_SLOPE_HERE
     yaw = yaw_at(w, car.x, car.y, car.z)
     x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
     if kind_at(w, x, y, car.z) not in ROOMY:
-        return FOOT_BLOCKED
+        return code.FOOT_BLOCKED
     if kind_at(w, x, y, car.z - 1) not in SUPPORTS:
-        return FOOT_UNSUPPORTED
+        return code.FOOT_UNSUPPORTED
     if is_landing(w, x, y, car.z - 1):
-        return LANDING_BELOW_FOOT
-    return LANDING_BELOW_BODY if is_landing(w, car.x, car.y, car.z - 1) else why_flap(w, me, car, yaw)
+        return code.LANDING_BELOW_FOOT
+    return code.LANDING_BELOW_BODY if is_landing(w, car.x, car.y, car.z - 1) else why_flap(w, me, car, yaw)
 
 
 @compiled
@@ -214,29 +140,29 @@ def why_flap(w: World, me: int, car: Pose, yaw: int) -> int:
         facing = (yaw + 2) & 3
         beyond = kind_at(w, bx, by, car.z) if inside(w, bx, by, car.z) else AIR
         if beyond not in ROOMY and not (beyond == FOOT and yaw_at(w, bx, by, car.z) == facing):
-            return FLAP_HITS
+            return code.FLAP_HITS
         if car_in(w, me, fx, fy, car.z, False) >= 0 or car_in(w, me, bx, by, car.z, True) >= 0:
-            return FLAP_HITS
+            return code.FLAP_HITS
         if leans_into(w, me, car.x, car.y, car.z, -1) or leans_into(w, me, fx, fy, car.z, -1):
-            return FLAP_HITS
+            return code.FLAP_HITS
         if leans_into(w, me, bx, by, car.z, facing) or gear_across(w, me, bx, by, car.z, yaw):
-            return FLAP_HITS
+            return code.FLAP_HITS
         for z in range(car.z, car.z + 2):
             if gear_across(w, me, fx, fy, z, yaw):
-                return FLAP_HITS
+                return code.FLAP_HITS
         if gear_across(w, me, car.x, car.y, car.z + 1, yaw):
-            return FLAP_HITS
+            return code.FLAP_HITS
     if w.corrections & REACHING_LOAD:
         for z in range(car.z + 1, car.z + 3):
             if leans_into(w, me, car.x, car.y, z, -1) or leans_into(w, me, fx, fy, z, -1):
-                return REACHING_LOAD_HITS
+                return code.REACHING_LOAD_HITS
         if reaches_up(w, me, bx, by, car.z, LIP_MM):
-            return REACHING_LOAD_HITS
+            return code.REACHING_LOAD_HITS
     if w.corrections & OVERHEAD_WALL:
         for z in range(car.z + 1, car.z + 3):
             if kind_at(w, car.x, car.y, z) == WALL or kind_at(w, fx, fy, z) == WALL:
-                return WALL_OVERHEAD
-    return LEGAL
+                return code.WALL_OVERHEAD
+    return code.LEGAL
 
 
 @compiled
@@ -244,17 +170,17 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
     """Turn by +1 or -1: unloaded not under a slope; loaded only with room all round for the load."""
     if car.load == AIR:
         own = kind_at(w, car.x, car.y, car.z)
-        return TURN_UNDER_SLOPE if own in (FSLOPE, BODY) else LEGAL
+        return code.TURN_UNDER_SLOPE if own in (FSLOPE, BODY) else code.LEGAL
     for d in range(4):
         x, y = car.x + dir_x(d), car.y + dir_y(d)
         neighbour = kind_at(w, x, y, car.z)
         facing = neighbour == GEAR and yaw_at(w, x, y, car.z) == (d + 2) & 3
         if neighbour != AIR and not facing:
-            return LOAD_HITS_THING | d << DETAIL_BITS
+            return code.LOAD_HITS_THING | d << code.DETAIL_BITS
     corner_x = car.x + dir_x(car.load_yaw) + dir_x(car.load_yaw + turn)
     corner_y = car.y + dir_y(car.load_yaw) + dir_y(car.load_yaw + turn)
     if car.load == FSLOPE and kind_at(w, corner_x, corner_y, car.z) not in ROOMY:
-        return SLOPE_HITS_CORNER
+        return code.SLOPE_HITS_CORNER
     for other in range(w.cars.shape[0]):
         if other == me or w.cars[other, F_Z] != car.z or w.cars[other, F_LOAD] == AIR:
             continue
@@ -262,13 +188,13 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
         if abs(ox - car.x) + abs(oy - car.y) == 1 or (
             car.load == FSLOPE and ox == corner_x and oy == corner_y
         ):
-            return LOAD_HITS_LOAD | other << DETAIL_BITS
+            return code.LOAD_HITS_LOAD | other << code.DETAIL_BITS
         if w.cars[other, F_LOAD] == FSLOPE:
             yaw = car_field(w, other, F_LOAD_YAW)
             gx, gy = ox + dir_x(yaw), oy + dir_y(yaw)
             points_at_me = gx + dir_x(yaw) == car.x and gy + dir_y(yaw) == car.y
             if abs(gx - car.x) + abs(gy - car.y) == 1 and not points_at_me:
-                return LOAD_HITS_GEAR | other << DETAIL_BITS
+                return code.LOAD_HITS_GEAR | other << code.DETAIL_BITS
     # Whether the load meets a car, a load that leans or reaches in, or a wall overhead.
     legs_mm = 42 if car.load == FSLOPE else 32
     turning, reaching, wall = False, w.corrections & REACHING_LOAD != 0 and below_leaning(w, me, car), False
@@ -280,10 +206,10 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
             reaching = reaches_up(w, me, x, y, car.z, legs_mm) or leans_into(w, me, x, y, car.z + 1, -1)
         wall |= w.corrections & OVERHEAD_WALL != 0 and kind_at(w, x, y, car.z + 1) == WALL
     if turning:
-        return TURNING_LOAD_HITS
+        return code.TURNING_LOAD_HITS
     if reaching:
-        return REACHING_LOAD_HITS
-    return WALL_OVERHEAD if wall else LEGAL
+        return code.REACHING_LOAD_HITS
+    return code.WALL_OVERHEAD if wall else code.LEGAL
 
 
 # Moves
@@ -298,38 +224,38 @@ def why_move(w: World, me: int, car: Pose, m: int) -> int:
     # cars there (docs/rules.md#own-ramp, docs/rules.md#shared-cell).
     up, down = car.slope == 1 and target == BODY, car.slope == 2 and below == FOOT
     if car.slope != 0 and m != car.yaw:
-        return ON_SLOPE
+        return code.ON_SLOPE
     if not (up or down):
         reason = why_flat(w, me, car, m, x, y, target, below)
-        if reason != LEGAL:
+        if reason != code.LEGAL:
             return reason
     if w.corrections == 0:
-        return LEGAL
+        return code.LEGAL
     if car.load != AIR and w.corrections & LEANING_LOAD and not load_fits(w, me, car, moved(w, car, m)):
-        return LEANING_LOAD_HITS
+        return code.LEANING_LOAD_HITS
     if car.slope != 0 and w.corrections & OWN_RAMP:
         if up and not (yaw_at(w, x, y, car.z) == (m + 2) & 3 and car_in(w, me, x, y, car.z + 1, False) < 0):
-            return OTHER_RAMP
+            return code.OTHER_RAMP
         if down and not (yaw_at(w, x, y, car.z - 1) == m and car_in(w, me, x, y, car.z - 1, False) < 0):
-            return OTHER_RAMP
+            return code.OTHER_RAMP
         if not (up or down) and below == BODY:
-            return OTHER_RAMP
+            return code.OTHER_RAMP
     # CraftEnv's rules do not look at what is below a gear (docs/rules.md#through-a-gear).
     over_ramp = target == GEAR and below == BODY
-    if w.corrections & RAMP_BELOW_GEAR and over_ramp and why_descent(w, me, car, m, x, y) != LEGAL:
-        return RAMP_UNDER_GEAR
+    if w.corrections & RAMP_BELOW_GEAR and over_ramp and why_descent(w, me, car, m, x, y) != code.LEGAL:
+        return code.RAMP_UNDER_GEAR
     if car.load != AIR and w.corrections & REACHING_LOAD and not clears_levels(w, me, car, moved(w, car, m)):
-        return REACHING_LOAD_HITS
+        return code.REACHING_LOAD_HITS
     if w.corrections & OVERHEAD_WALL:
         climbs = target == FOOT and not down
         over_body = climbs and kind_at(w, x + dir_x(m), y + dir_y(m), car.z + 1) == WALL
         if over_body or (up and kind_at(w, x, y, car.z + 1) == WALL):
-            return WALL_OVERHEAD
+            return code.WALL_OVERHEAD
         if car.load != AIR and not load_below_walls(w, car, moved(w, car, m)):
-            return WALL_OVERHEAD
+            return code.WALL_OVERHEAD
     if w.corrections & RUN_OUT and car.slope == 1 and target in (BLOCK, FLAG):
-        return UNDER_THING_AT_END
-    return LEGAL
+        return code.UNDER_THING_AT_END
+    return code.LEGAL
 
 
 @compiled
@@ -339,40 +265,40 @@ def why_flat(w: World, me: int, car: Pose, m: int, x: int, y: int, target: int, 
     loaded = car.load != AIR
     own = kind_at(w, car.x, car.y, car.z)
     if own in (FSLOPE, BODY) and not forward:
-        return FORWARD_ONLY
+        return code.FORWARD_ONLY
     if own in (BLOCK, FLAG) and not along:
-        return NOT_SIDEWAYS
+        return code.NOT_SIDEWAYS
     if below not in SUPPORTS and below != BODY:
-        return IN_THE_WAY if target == WALL else NO_FLOOR
+        return code.IN_THE_WAY if target == WALL else code.NO_FLOOR
     other = car_in(w, me, x, y, car.z, False)
     if other >= 0:
-        return CAR_THERE | other << DETAIL_BITS
+        return code.CAR_THERE | other << code.DETAIL_BITS
     if loaded and car.slope == 0:
         if carried_gear_in(w, me, x, y, car.z, -1):
-            return GEAR_THERE
+            return code.GEAR_THERE
         if car.load == FSLOPE:
             # The gear behind the car needs room beside its way.
             gx, gy = car.x + dir_x(car.yaw + 2) + dir_x(m), car.y + dir_y(car.yaw + 2) + dir_y(m)
             facing, swept = (car.load_yaw + 2) & 3, kind_at(w, gx, gy, car.z)
             if swept not in ROOMY or (swept == GEAR and yaw_at(w, gx, gy, car.z) != facing):
-                return GEAR_NO_ROOM
+                return code.GEAR_NO_ROOM
             if car_in(w, me, gx, gy, car.z, True) >= 0 or carried_gear_in(w, me, gx, gy, car.z, facing):
-                return GEAR_NO_ROOM
+                return code.GEAR_NO_ROOM
     if target == AIR:
-        return why_descent(w, me, car, m, x, y) if below == BODY else LEGAL
+        return why_descent(w, me, car, m, x, y) if below == BODY else code.LEGAL
     if target == FOOT:
         return why_ascent(w, me, car, m, x, y)
     if target not in (BLOCK, FLAG, FSLOPE, BODY, GEAR):
-        return IN_THE_WAY
+        return code.IN_THE_WAY
     if loaded:
-        return LOAD_NOT_THROUGH_GEAR if target == GEAR else LOAD_NOT_UNDER
+        return code.LOAD_NOT_THROUGH_GEAR if target == GEAR else code.LOAD_NOT_UNDER
     if target in (BLOCK, FLAG) and not along:
-        return ENTERED_SIDEWAYS
+        return code.ENTERED_SIDEWAYS
     if target in (FSLOPE, BODY) and not (
         along and not forward and (car.yaw - yaw_at(w, x, y, car.z)) & 3 == 2
     ):
-        return HIGH_SIDE_ONLY
-    return LEGAL
+        return code.HIGH_SIDE_ONLY
+    return code.LEGAL
 
 
 @compiled
@@ -382,46 +308,46 @@ def why_descent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
     Of the landing only the mark under it is looked at (docs/rules.md#landing-not-inspected).
     """
     if kind_at(w, car.x, car.y, car.z) not in (AIR, BLOCK, FLAG):
-        return NO_DESCENT_FROM
+        return code.NO_DESCENT_FROM
     if m != car.yaw or m != yaw_at(w, x, y, car.z - 1):
-        return DOWN_FORWARD_ONLY
+        return code.DOWN_FORWARD_ONLY
     on_body = occupant_of(w, x, y, car.z - 1, me)
     if on_body != NOTHING:
-        return THING_ON_BODY_BELOW | on_body << DETAIL_BITS
+        return code.THING_ON_BODY_BELOW | on_body << code.DETAIL_BITS
     x, y = x + dir_x(m), y + dir_y(m)
     on_foot = occupant_of(w, x, y, car.z - 2, me)
     if on_foot >= 0:
-        return CAR_ON_FOOT_BELOW | on_foot << DETAIL_BITS
+        return code.CAR_ON_FOOT_BELOW | on_foot << code.DETAIL_BITS
     x, y = x + dir_x(m), y + dir_y(m)
     if kind_at(w, x, y, car.z - 2) not in SUPPORTS:
-        return NO_FLOOR_AT_END
+        return code.NO_FLOOR_AT_END
     at_end = occupant_of(w, x, y, car.z - 2, me)
-    return THING_AT_END | at_end << DETAIL_BITS if at_end != NOTHING else LEGAL
+    return code.THING_AT_END | at_end << code.DETAIL_BITS if at_end != NOTHING else code.LEGAL
 
 
 @compiled
 def why_ascent(w: World, me: int, car: Pose, m: int, x: int, y: int) -> int:
     """Drive up onto the slope whose foot is in the target cell (x, y); a landing must stand behind its body."""
     if kind_at(w, car.x, car.y, car.z) != AIR:
-        return NO_ASCENT_FROM
+        return code.NO_ASCENT_FROM
     if m != car.yaw or (m + 2) & 3 != yaw_at(w, x, y, car.z):
-        return UP_FORWARD_ONLY
+        return code.UP_FORWARD_ONLY
     on_foot = occupant_of(w, x, y, car.z - 1, me)
     if on_foot >= 0:
-        return CAR_ON_FOOT | on_foot << DETAIL_BITS
+        return code.CAR_ON_FOOT | on_foot << code.DETAIL_BITS
     x, y = x + dir_x(m), y + dir_y(m)
     on_body = occupant_of(w, x, y, car.z, me)
     if on_body != NOTHING:
-        return THING_ON_BODY | on_body << DETAIL_BITS
+        return code.THING_ON_BODY | on_body << code.DETAIL_BITS
     x, y = x + dir_x(m), y + dir_y(m)
     if kind_at(w, x, y, car.z) not in SUPPORTS:
-        return NO_LANDING
+        return code.NO_LANDING
     on_landing = occupant_of(w, x, y, car.z, me)
     if on_landing >= 0:
-        return CAR_ON_LANDING | on_landing << DETAIL_BITS
+        return code.CAR_ON_LANDING | on_landing << code.DETAIL_BITS
     over = kind_at(w, x, y, car.z + 1)
     free = over == AIR or (over in (BLOCK, FLAG) and car.load == AIR)
-    return LEGAL if free else NO_ROOM_ON_LANDING
+    return code.LEGAL if free else code.NO_ROOM_ON_LANDING
 
 
 @compiled
@@ -487,23 +413,28 @@ def load_below_walls(w: World, old: Pose, new: Pose) -> bool:
 @compiled
 def why(w: World, me: int, car: Pose, action: int) -> int:
     """Return why car ``me``, were it in the state ``car``, could not do a primitive action now; 0 if it could."""
-    if FIRST_MOVE <= action <= LAST_MOVE:
-        return why_move(w, me, car, MOVE_DIRECTIONS[action - FIRST_MOVE])
-    if not 0 <= action <= STOP:
-        return NEVER
+    if code.FIRST_MOVE <= action <= code.LAST_MOVE:
+        return why_move(w, me, car, code.MOVE_DIRECTIONS[action - code.FIRST_MOVE])
+    if not 0 <= action <= code.STOP:
+        return code.NEVER
     if car.slope != 0:
-        return ON_SLOPE
-    if action == LIFT:
+        return code.ON_SLOPE
+    if action == code.LIFT:
         return why_lift(w, me, car)
-    if action == DROP:
-        return why_drop(w, me, car)
-    if action == FOLD:
+    if action == code.DROP:
+        # Whatever the cell holds (docs/rules.md#drop-overwrites).
+        if car.load == AIR:
+            return code.CARRIES_NOTHING
+        if car.z >= w.cells.shape[2]:
+            return code.ABOVE_TOP_LEVEL
+        return why_gear(w, me, car, car.load_yaw) if car.load == FSLOPE else code.LEGAL
+    if action == code.FOLD:
         return why_fold(w, me, car)
-    if action == UNFOLD:
+    if action == code.UNFOLD:
         return why_unfold(w, me, car)
-    if action in (ROTATE_LEFT, ROTATE_RIGHT):
-        return why_rotate(w, me, car, 1 if action == ROTATE_LEFT else -1)
-    return LEGAL
+    if action in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
+        return why_rotate(w, me, car, 1 if action == code.ROTATE_LEFT else -1)
+    return code.LEGAL
 
 
 @compiled(inline=False)
@@ -516,7 +447,7 @@ def legal_actions(w: World, me: int, car: Pose, first: int, last: int) -> int:
     legal, reason = 0, 0
     for action in range(first, last + 1):
         reason = why(w, me, car, action)
-        if reason == LEGAL:
+        if reason == code.LEGAL:
             legal |= 1 << action
     return legal | (reason << REASON_BIT)
 
@@ -524,7 +455,7 @@ def legal_actions(w: World, me: int, car: Pose, first: int, last: int) -> int:
 @compiled(inline=False)
 def act(w: World, me: int, action: int) -> bool:
     """Carry out an action if it is legal now, else leave the world as it is; return whether it was."""
-    if why(w, me, pose_of(w, me), action) != LEGAL:
+    if why(w, me, pose_of(w, me), action) != code.LEGAL:
         return False
     apply(w, me, action)
     return True

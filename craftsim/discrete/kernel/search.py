@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.kernel.codes import FIRST_MOVE, LAST_MOVE, MOVE_DIRECTIONS, ROTATE_LEFT, STOP
 from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions
+from craftsim.discrete.kernel.rules import REASON_BIT, legal_actions
 from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
 from craftsim.discrete.kinds import Action
 
@@ -300,21 +300,3 @@ def pop(queue: NDArray[np.int8]) -> None:
     for i in range(len(queue) - 1):
         queue[i] = queue[i + 1]
     queue[-1] = -1
-
-
-@compiled
-def act_with_helper(
-    w: World, car: int, action: int, queue: NDArray[np.int8], space: SearchBuffers, limit: int
-) -> bool:
-    """Let one car act: by its queue if it has one, else by a new plan for a MOVE, else by the action.
-
-    Returns whether the primitive that was due was legal; if a queued one was not, the queue is thrown away.
-    """
-    queued = queue[0] >= 0
-    due = due_of(w, car, action, queue, space, limit)
-    if queue[0] >= 0:
-        pop(queue)
-    applied = act(w, car, due)
-    if queued and not applied:
-        queue[:] = -1
-    return applied

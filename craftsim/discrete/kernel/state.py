@@ -189,10 +189,3 @@ def derive_marks(w: World) -> None:
             w.cells[car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z) - 1, OCCUPANT] = (
                 car
             )
-
-
-@compiled
-def derive_all_marks(cells: NDArray[np.int16], cars: NDArray[np.int16]) -> None:
-    """Do the same in each world of a batch."""
-    for i in range(cells.shape[0]):
-        derive_marks(World(cells[i], cars[i], 0))

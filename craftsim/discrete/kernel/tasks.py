@@ -43,12 +43,6 @@ TYPE_FLAGS = tuple(_FLAGS.get(kind, 0) for kind in range(len(Kind)))
 
 
 @compiled
-def holds(w: World, kind: int, x: int, y: int, z: int, yaw: int) -> bool:
-    """Return whether a cell of one world holds a kind, with a yaw if that is not -1."""
-    return kind_at(w, x, y, z) == kind and (yaw < 0 or yaw_at(w, x, y, z) == yaw)
-
-
-@compiled
 def score_buildings(
     worlds: World,
     designs: NDArray[np.int64],
@@ -70,14 +64,15 @@ def score_buildings(
             kind, x, y, z, yaw = designs[i, row]
             if kind == AIR:
                 continue
-            if not holds(w, kind, x, y, z, yaw):
+            if kind_at(w, x, y, z) != kind or (yaw >= 0 and yaw_at(w, x, y, z) != yaw):
                 finished = False
                 if thing == 0.0 and upper_block == 0.0:
                     break
             elif kind == BLOCK and z > 1:
                 score += upper_block
             elif kind == BODY:
-                if holds(w, FOOT, x + dir_x(yaw), y + dir_y(yaw), z, yaw):
+                x, y = x + dir_x(yaw), y + dir_y(yaw)
+                if kind_at(w, x, y, z) == FOOT and yaw_at(w, x, y, z) == yaw:
                     score += thing
             elif kind != FOOT:
                 score += thing
@@ -109,28 +104,6 @@ def score_buildings_as_published(
 
 
 @compiled
-def platform_size(
-    w: World, x: int, y: int, z: int, also: int, seen: NDArray[np.bool_], stack: NDArray[np.int64]
-) -> int:
-    """Return how many blocks side by side the block of a cell belongs to, and mark them as seen."""
-    seen[x, y] = True
-    stack[0, 0], stack[0, 1] = x, y
-    waiting, size = 1, 0
-    while waiting > 0:
-        waiting -= 1
-        here_x, here_y = stack[waiting, 0], stack[waiting, 1]
-        size += 1
-        for d in range(4):
-            next_x, next_y = here_x + dir_x(d), here_y + dir_y(d)
-            kind = kind_at(w, next_x, next_y, z)
-            if kind in (BLOCK, also) and not seen[next_x, next_y]:
-                seen[next_x, next_y] = True
-                stack[waiting, 0], stack[waiting, 1] = next_x, next_y
-                waiting += 1
-    return size
-
-
-@compiled
 def largest_platforms(
     worlds: World,
     also: int,
@@ -150,8 +123,23 @@ def largest_platforms(
             seen[:] = False
             for x in range(w.cells.shape[0]):
                 for y in range(w.cells.shape[1]):
-                    if w.cells[x, y, z, KIND] in (BLOCK, also) and not seen[x, y]:
-                        largest = max(largest, platform_size(w, x, y, z, also, seen, stack))
+                    if w.cells[x, y, z, KIND] not in (BLOCK, also) or seen[x, y]:
+                        continue
+                    seen[x, y] = True
+                    stack[0, 0], stack[0, 1] = x, y
+                    waiting, size = 1, 0
+                    while waiting > 0:
+                        waiting -= 1
+                        here_x, here_y = stack[waiting, 0], stack[waiting, 1]
+                        size += 1
+                        for d in range(4):
+                            there_x, there_y = here_x + dir_x(d), here_y + dir_y(d)
+                            kind = kind_at(w, there_x, there_y, z)
+                            if kind in (BLOCK, also) and not seen[there_x, there_y]:
+                                seen[there_x, there_y] = True
+                                stack[waiting, 0], stack[waiting, 1] = there_x, there_y
+                                waiting += 1
+                    largest = max(largest, size)
         out[i] = largest
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kernel.jit import seldom
 from craftsim.discrete.kernel.tasks import (
     flag_distances,
     largest_platforms,
@@ -23,6 +24,8 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.starts import Targets
 from craftsim.errors import InputError, suggestion
+
+_score_building = seldom(score_buildings)
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -91,9 +94,7 @@ PUBLISHED_BONUS: Final = 20.0
 
 def building(grids: Grid, designs: Targets, layout: Layout, upper_block: float = 1.0) -> Floats:
     """Return how far each building is by table 1; ``upper_block`` is for a block above the floor level."""
-    out = np.empty(len(grids))
-    score_buildings(grids.world(), designs, 1.0, upper_block, COMPLETION, out)
-    return out
+    return _building_scores(grids, designs, 1.0, upper_block, COMPLETION)
 
 
 def published_building(grids: Grid, designs: Targets, layout: Layout) -> Floats:
@@ -162,9 +163,7 @@ POTENTIALS: Final[dict[str, Potential]] = {
 
 def built(grids: Grid, designs: Targets, layout: Layout) -> Bools:
     """Return whether each cell to be built holds its kind with its yaw."""
-    out = np.empty(len(grids))
-    score_buildings(grids.world(), designs, 0.0, 0.0, 1.0, out)
-    return out != 0
+    return _building_scores(grids, designs, 0.0, 0.0, 1.0) != 0
 
 
 def one_platform(grids: Grid, designs: Targets, layout: Layout) -> Bools:
@@ -271,6 +270,15 @@ def check_name(what: str, value: Any, known: Iterable[str]) -> None:
         raise InputError(
             f"unknown {what} '{value}'{suggestion(str(value), names)}; there are {', '.join(names)}, or a function"
         )
+
+
+def _building_scores(
+    grids: Grid, designs: Targets, thing: float, upper_block: float, completion: float
+) -> Floats:
+    out = np.empty(len(grids))
+    score = _score_building if len(out) == 1 else score_buildings
+    score(grids.world(), designs, thing, upper_block, completion, out)
+    return out
 
 
 def _platforms(grids: Grid, also: Kind, levels: int) -> Floats:

@@ -71,7 +71,8 @@ def render(
         at: simulated times of pictures in seconds; for .png only.
         hide: the translucent design, the captions, or the cards at the start and end; default: nothing in films, the
             captions in pictures.
-        title: title; default: that of the trajectory. With runs beside it one for each; default: the names of the files.
+        title: title; default: that of the trajectory. With runs beside it one for each; default: the names of the
+            files.
         run: name of one of the trajectories in a run's folder.
         policy: policy to execute instead of a plan, as in 'craftsim validate'.
         workers: number of processes; the pictures do not depend on it.

@@ -189,8 +189,8 @@ def design(
 
     Args:
         what: name of a building, files, or random.
-        size: size of the building in cells, in the order given by --list; for a mesh the cells of its longer side; for a
-            random building the length, width and height of its bounding box.
+        size: size of the building in cells, in the order given by --list; for a mesh the cells of its longer side; for
+            a random building the length, width and height of its bounding box.
         text: text of the building 'letters'.
         difficulty: of a random design without a size, 0 to 1: sets area, blocks, levels, ramps and cars.
         area: length, width and height in cells; default: as large as needed.

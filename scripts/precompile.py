@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from craftsim.checking.setup import Seed, set_up, setup_of
-from craftsim.compiling import tell
+from craftsim.compiling import report_compiling
 from craftsim.designs.drawn import random_start
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.files.plan import read_plan
@@ -30,7 +30,7 @@ from craftsim.skills.mecanum import Mecanum
 
 def main() -> None:
     """Play and plan tasks, on the grid and in physics, with every kind of imperfection."""
-    tell()
+    report_compiling()
     jit.INTERPRETED_S = 0.0
     for name, options in (
         ("simple_two_story", {"rule_set": "physical"}),

@@ -482,7 +482,8 @@ class AsynchronousEpisodes(Episodes):
                     continue
                 if not batch.reason(grid.cells, grid.cars, self.corrections, car, one):
                     needs = Footprint.built_in(grid, car, one).claims()
-                    if conflict(needs, len(needs), running.claims[i, other], running.n_claims[i, other]):
+                    theirs = running.claims[i, other], running.n_claims[i, other], running.box[i, other]
+                    if conflict(needs, len(needs), *theirs):
                         found[other] = f"its claims stand against {one.name}"
                 elif not batch.reason(without.cells, without.cars, self.corrections, car, one):
                     found[other] = str(explain(grid, self.corrections, car, one))

@@ -33,8 +33,10 @@ class Fleet(Protocol):
     wires: Wires
     lost: str
     """Why the cars cannot be driven any more; empty while they can."""
-    lost_cars: Mapping[int, str]
-    """Why single ones cannot, by car."""
+
+    @property
+    def lost_cars(self) -> Mapping[int, str]:
+        """Why single cars cannot be driven any more, by car."""
 
     @property
     def late_periods(self) -> int:

@@ -1,4 +1,4 @@
-"""What commands say while the rules and controllers are being compiled, which the first of them waits for."""
+"""Progress messages while the rules and controllers are compiled, on the first run."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import time
 from typing import Final
 
 LOG: Final = logging.getLogger("craftsim.compiling")
-"""Says at level INFO how far compiling is: its arguments are how many functions are done, and how many there are."""
+"""Logs progress at level INFO; the arguments are the numbers of compiled and of all functions."""
 _LINE_EVERY_S: Final = 5.0
-"""Where lines cannot be written again one follows the other after so long, the first after a second."""
+"""Interval of lines without a terminal; the first follows after a second."""
 
 
 class CompilingHandler(logging.Handler):
-    """Says on standard error how far compiling is: in one line of a terminal, in a few lines elsewhere."""
+    """Prints the progress on standard error: one updated line on a terminal, a few lines elsewhere."""
 
     def __init__(self) -> None:
-        """Have nothing said yet."""
+        """Start without output."""
         super().__init__()
         self._next_s: float | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Show a message, if it is time for one."""
+        """Print a message, if one is due."""
         error = sys.stderr
         if error is None:
             return
@@ -43,7 +43,7 @@ class CompilingHandler(logging.Handler):
 
 
 def report_compiling() -> None:
-    """Say from now on how far compiling is, in this process and in those that it starts."""
+    """Print the progress of compiling from now on, in this process and its children."""
     if not reports_compiling():
         LOG.addHandler(CompilingHandler())
         LOG.setLevel(logging.INFO)
@@ -51,5 +51,5 @@ def report_compiling() -> None:
 
 
 def reports_compiling() -> bool:
-    """Return whether this process says it."""
+    """Return whether this process prints it."""
     return any(isinstance(handler, CompilingHandler) for handler in LOG.handlers)

@@ -17,10 +17,11 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from statistics import median
+from statistics import mean, median
 from typing import Any, Final
 
 import yaml
+from scipy.stats import ttest_1samp
 
 from craftsim.studies.results import plot_results
 from craftsim.studies.study import read_study
@@ -140,6 +141,7 @@ def tables() -> dict[str, str]:
         "physics": physics_table(),
         "margins": margins_table(),
         "execution": execution_table(),
+        "execution_trained": trained_table(),
         "builders": builders_table(),
         "earlier": earlier_table(),
         **{
@@ -245,6 +247,35 @@ def execution_table() -> str:
         for mode, one in modes.items()
     ]
     return table(("policy", "mode", "built", "95 %", "makespan, s", "failed", "deadlocks"), *rows)
+
+
+def trained_table() -> str:
+    """Return the success of policies trained in ticks and asynchronously, over seeds of training, in each mode."""
+    rates: dict[tuple[str, str], dict[str, list[float]]] = {}
+    starts = 0
+    for path in sorted(RUNS.glob("execution_trained_*.json")):
+        for policy, modes in _read(path)["figures"]["modes"].items():
+            task, how, _ = policy.rsplit("-", 2)
+            for mode, one in modes.items():
+                rates.setdefault((task, how), {}).setdefault(mode, []).append(one["success"]["rate"])
+                starts = one["success"]["trials"]
+    modes = list(next(iter(rates.values())))
+    rows = [
+        (f"`{task}`", how, len(found[modes[0]]), *(_over_seeds(found[mode]) for mode in modes))
+        for (task, how), found in sorted(rates.items())
+    ]
+    return f"{starts} starts a policy, the same for all.\n\n" + table(
+        ("task", "trained", "seeds", *modes), *rows
+    )
+
+
+def _over_seeds(rates: list[float]) -> str:
+    """Return the mean with its t interval, cut off at 0 and 1."""
+    estimate = mean(rates)
+    if len(set(rates)) < 2:
+        return f"{estimate:.2f}"
+    low, high = ttest_1samp(rates, 0.0).confidence_interval(0.95)
+    return f"{estimate:.2f} ({max(0.0, low):.2f}-{min(1.0, high):.2f})"
 
 
 def _builders(figures: dict[str, Any]) -> str:

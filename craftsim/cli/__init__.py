@@ -18,21 +18,19 @@ from craftsim.modules import import_own, safe_path
 from craftsim.storage.paths import check_working_folder
 
 PLUGINS: Final = "--plugins"
-"""Comes before the command, with modules of one's own to import first, divided by commas."""
+"""Option before the command: user modules to import first, separated by commas."""
 COMPLETION: Final = "completion"
-"""Prints what lets a shell complete words."""
+"""Command that prints a completion script."""
 SHELLS: Final = ("bash", "zsh", "fish")
 BROKEN_PIPE: Final = 141
-"""What a shell says of a process that SIGPIPE ended."""
+"""Exit status of a process ended by SIGPIPE."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: what it says, 2 for wrong input, 130 when interrupted.
-
-    It is 141, as if ended by SIGPIPE, where what reads the output has gone.
+    """Run a command and return its exit status: its own, 2 for invalid input, 130 if interrupted, 141 if stdout closed.
 
     Args:
-        arguments: words after ``craftsim``; those of this process if None.
+        arguments: words after ``craftsim``; None: those of this process.
     """
     replace_unencodable()
     report_compiling()
@@ -79,7 +77,7 @@ def _answer(words: list[str]) -> int:
         print_error(str(interrupt) or "interrupted")
         return 130
     except ImportError as error:
-        # Of a Ctrl-C during its import an extension module such as MuJoCo's makes an error of its own.
+        # An extension module such as MuJoCo's turns a Ctrl-C during its import into an ImportError.
         if not any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error)):
             raise
         print_error("interrupted")
@@ -87,7 +85,7 @@ def _answer(words: list[str]) -> int:
 
 
 def _import_plugins(words: list[str]) -> list[str]:
-    """Import the modules that register something, and return the words of the command."""
+    """Import the user modules, and return the remaining words."""
     if len(words) < 3:
         raise InputError(f"{PLUGINS} needs modules and then a command: craftsim {PLUGINS} MODULE,... COMMAND")
     for module in words[1].split(","):
@@ -128,7 +126,7 @@ def _run(words: list[str]) -> int:
 
 
 def _complete(words: list[str]) -> int:
-    """Print what lets a shell complete commands, options and their values at the tab key."""
+    """Print the completion script of a shell."""
     from craftsim.cli.app import make_app
 
     if len(words) != 1 or words[0] not in SHELLS:

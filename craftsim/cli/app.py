@@ -1,4 +1,4 @@
-"""The commands, under their headings, and what they all have: help, configuration files and completion."""
+"""The command line application: parsing, help, configuration files and completion."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from craftsim.options import option_name, range_of
 from craftsim.storage.limits import Range
 
 CONFIG: Final = "config.yaml"
-"""What every run writes into its output folder, and ``--config`` reads."""
+"""Configuration file that every run writes into its output folder, and ``--config`` reads."""
 NO_MATTER: Final = ("out", "workers", "engine", "resume")
-"""Options that say where the work is done and where results go, which decide none of them."""
+"""Options on which results do not depend."""
 ASKED: Final[ContextVar[tuple[str, ...]]] = ContextVar("ASKED", default=())
-"""The words of the command line that is being answered, under their present names."""
+"""The words of the present command line, with former names replaced."""
 FOLDER: Final[ContextVar[Path | None]] = ContextVar("FOLDER", default=None)
-"""The output folder of a command that names it itself where none is given."""
+"""The default output folder of a command that determines it itself."""
 
 
 def make_app() -> App:
-    """Return the command line; the module of a command is imported when it is used."""
+    """Return the application; the module of a command is imported on use."""
     app = App(
         name="craftsim",
         version_flags=(),
@@ -54,7 +54,7 @@ def make_app() -> App:
 
 
 def _command(app: App, words: Sequence[str]) -> tuple[App, list[str]]:
-    """Return the command that words ask for, with its function, and its name."""
+    """Return the command of a command line, and its name."""
     name = words[0]
     found = app[name]
     if len(words) > 1 and words[1] in BELOW.get(name, ()):
@@ -65,7 +65,7 @@ def _command(app: App, words: Sequence[str]) -> tuple[App, list[str]]:
 
 
 def help_of(words: Sequence[str]) -> str:
-    """Return what the help of a command says, whose words these are."""
+    """Return the help of the command with this name."""
     app = make_app()
     found, name = _command(app, words)
     with app.app_stack(name):
@@ -76,10 +76,10 @@ def help_of(words: Sequence[str]) -> str:
 
 
 def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArguments]:
-    """Return the function that words of the command line ask for and its arguments, read from them and from a file.
+    """Return the function of a command line and its arguments, from the words and from a configuration file.
 
     Raises:
-        InputError: something is wrong with them.
+        InputError: the words or the file are invalid.
     """
     words, file = _without_config(list(words))
     app = make_app()
@@ -94,7 +94,7 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
 
 
 def _said(error: cyclopts.CycloptsError) -> str:
-    """Return what is wrong in one line."""
+    """Return an error in one line."""
     argument = error.argument
     if (
         isinstance(error, ValidationError)
@@ -118,7 +118,7 @@ def _outside(text: str, allowed: Range) -> bool:
 
 
 def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
-    """Return words without ``--config FILE``, and the file if there is one."""
+    """Return the words without ``--config FILE``, and the file, if any."""
     for place, word in enumerate(words):
         if word == "--":
             break
@@ -132,7 +132,7 @@ def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
 
 
 def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
-    """Return the options in a file, by name; raise InputError where it is not for this command."""
+    """Return the options in a configuration file, by name. Raises InputError for one of another command."""
     from craftsim.reports.json_file import versions
     from craftsim.storage.yaml import read_document
 
@@ -155,13 +155,13 @@ def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
 def write_config(
     words: Sequence[str], function: Callable[..., Any], bound: inspect.BoundArguments, folder: Path | None
 ) -> None:
-    """Write what a command was asked for into its output folder, if it has one, for ``--config``.
+    """Write the configuration of a command into its output folder, if it has one, for ``--config``.
 
     Args:
-        words: of the command line.
-        function: of the command.
-        bound: the command's arguments.
-        folder: for results where none was asked for.
+        words: the command line.
+        function: the command's function.
+        bound: its arguments.
+        folder: its default output folder.
     """
     bound.apply_defaults()
     out = bound.arguments.get("out") or folder
@@ -183,7 +183,7 @@ def write_config(
 
 
 def _options(taker: Any, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the options of a function or of a class by their names on the command line, those of groups included."""
+    """Yield the options of a function or class by their names on the command line, including groups."""
     hints = get_type_hints(taker, include_extras=True)
     for name, value in values.items():
         if is_dataclass(value):
@@ -202,7 +202,7 @@ def _plain(value: Any) -> Any:
 
 
 def command_again() -> str:
-    """Return the line that asks for the results of this command again, wherever they go and however many work."""
+    """Return the command line that repeats the results, without options on which they do not depend."""
     kept, leaving = list[str](), False
     for word in ASKED.get():
         option = word.partition("=")[0].removeprefix("--").removeprefix("no-") if word[:2] == "--" else None

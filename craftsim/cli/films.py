@@ -1,4 +1,4 @@
-"""Films of replay bundles, of recorded runs and of plans, where they can be made."""
+"""Films of replay bundles, recorded runs and plans."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ Job = TypeVar("Job")
 
 FILMS: Final = "films"
 SIZE: Final = (640, 360)
-"""Of the films of a campaign, in pixels."""
+"""Size of the films of a run in pixels."""
 
 
 def rendering_works() -> bool:
-    """Return whether films can be made here; say why not."""
+    """Return whether rendering works on this machine; print the reason if not."""
     try:
         choose_backend()
     except RenderingUnavailable as error:
@@ -42,20 +42,20 @@ def rendering_works() -> bool:
 
 
 def film_bundle(recorded: Recorded, path: Path) -> Replay:
-    """Replay a bundle, film its last step, and return the replay; :func:`rendering_works` must have said yes."""
+    """Replay a bundle, film its last step, and return the replay; requires :func:`rendering_works`."""
     result, trajectory = record_bundle(recorded)
     render(trajectory, path, _clip(trajectory))
     return result
 
 
 def _clip(trajectory: Trajectory) -> FilmOptions:
-    """Return how a film of one failure looks: close to the car that acts first."""
+    """Return the options of a film of one failure: a close-up of the car that acts first."""
     car = trajectory.story.attempts[0].car
     return FilmOptions(SIZE, cameras=(f"follow:{car}",), length_s=CLIP_S, cards=False)
 
 
 def record_failures(out: Path, records: Iterable[TrialRecord], workers: int = 1, films: bool = True) -> None:
-    """Write the trajectories of the bundles that have none yet, and films of them unless none are wanted."""
+    """Write missing trajectories of the bundles and, with ``films``, their films."""
     folders = (out / record["bundle"] for record in records if record["bundle"])
     last = FILM if films else TRAJECTORY
     missing = [(folder, films) for folder in folders if not (folder / last).exists()]
@@ -63,7 +63,7 @@ def record_failures(out: Path, records: Iterable[TrialRecord], workers: int = 1,
 
 
 def film_runs(out: Path, workers: int = 1) -> None:
-    """Film the recorded runs that have no film yet, from their start to their end."""
+    """Film the recorded runs without a film."""
     folder = directory_within(out, FILMS)
     paths = [
         (path, folder / f"{path.stem}.mp4") for path in sorted((out / TRAJECTORIES).glob(f"[!.]*{SUFFIX}"))
@@ -72,7 +72,7 @@ def film_runs(out: Path, workers: int = 1) -> None:
 
 
 def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Design | None = None) -> None:
-    """Draw the Gantt chart of a plan by the physical rules, and film it on the grid if that is wanted."""
+    """Draw the Gantt chart of a plan by the physical rules, and, with ``film``, film it on the grid."""
     from craftsim.discrete.rules import Rules
     from craftsim.rendering.grid_picture import wanted_of
     from craftsim.rendering.plan_film import film_plan
@@ -88,7 +88,7 @@ def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Desi
 
 
 def _do_all(what: str, function: Callable[[Job], None], jobs: Sequence[Job], workers: int) -> None:
-    """Call a function for each job, in this process where one is enough."""
+    """Call a function for each job, in this process for one worker."""
     with counting(what, bool)(len(jobs)) as tell:
         for _ in _done(function, jobs, workers):
             tell(True)

@@ -1,4 +1,4 @@
-"""Former names, which work until 0.4: each says what it is called now."""
+"""Former names of commands and options, which work until 0.4 with a message."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ COMMANDS: Final[dict[str, tuple[str, ...]]] = {
     "excite": ("robot", "excite"),
     "identify": ("robot", "identify"),
 }
-"""What each former command is now."""
+"""Present name of each former command."""
 DEFAULTS: Final[dict[str, dict[str, str]]] = {
     "build": {"--trials": "1", "--out": "out/build"},
     "evaluate": {"--trials": "1000", "--out": "out/evaluate"},
     "export": {"--trials": "100", "--backend": "grid", "--out": "out/minari"},
     "plot": {"--out": "out/plots/"},
 }
-"""Defaults that a former command had, and the present one has not."""
+"""Former defaults that differ from the present ones."""
 OPTIONS: Final[dict[str, dict[str, str]]] = {
     "": {"--against": "--baseline", "--shrink": "--minimize", "--parameters": "--machines"},
     "build": {"--rounds": "--attempts"},
@@ -39,20 +39,19 @@ OPTIONS: Final[dict[str, dict[str, str]]] = {
     "excite": {"--time": "--duration"},
     "show": {"--blueprint": "", "--machine": "", "--mjcf": "--export", "--urdf": "--export"},
 }
-"""What the former options of former commands are now; those of "" in all of them. An option without a name is an
-argument."""
+"""Present names of former options by former command, "" for all commands; an empty name is an argument."""
 HIDDEN: Final = ("ghost", "captions", "cards")
-"""Former flags of render, which --hide takes now."""
+"""Former flags of render, now values of --hide."""
 SET: Final = (
     *("worlds", "width", "network", "novelty", "explore", "imitate", "shown-share", "pretrained", "stages"),
     *("stage-steps", "acting", "drive", "randomize", "rules", "helper-depth", "cars", "blocks", "starts"),
     *("workers", "tensorboard", "settings"),
 )
-"""Former options of train, which --set takes now."""
+"""Former options of train, now settings of --set."""
 
 
 def current(words: list[str]) -> list[str]:
-    """Return words of the command line under their present names, and say on standard error which are former ones."""
+    """Return a command line with present names; print on standard error which were former ones."""
     name, given = words[0], words[1:]
     if name == "robot" and not (given and given[0] in ("serve", "excite", "identify", "--help", "-h")):
         command: tuple[str, ...] = ("robot", "serve")
@@ -84,7 +83,7 @@ def _tell(old: str, new: str) -> None:
 
 
 def _renamed(given: list[str], options: dict[str, str]) -> tuple[list[str], list[str]]:
-    """Return the values of options that are arguments now, and the other words under their present names."""
+    """Return the values of options that are arguments now, and the other words with present names."""
     positional, others = list[str](), list[str]()
     for option, values in _parts(given):
         bare, equals, value = option.partition("=")
@@ -107,7 +106,7 @@ def _renamed(given: list[str], options: dict[str, str]) -> tuple[list[str], list
 
 
 def _parts(given: list[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield each option with the words that follow it; first those before all options, after an empty text."""
+    """Yield each option with its values; first an empty name with the words before all options."""
     option, values = "", list[str]()
     for word in given:
         if word.startswith("--") and len(word) > 2:
@@ -119,7 +118,7 @@ def _parts(given: list[str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def _record_flag(given: list[str]) -> list[str]:
-    """Return words in which --record, once a flag, says what is recorded."""
+    """Return words in which --record, formerly a flag, has a value."""
     words = list[str]()
     for place, word in enumerate(given):
         words.append(word)
@@ -131,7 +130,7 @@ def _record_flag(given: list[str]) -> list[str]:
 
 
 def _hidden(given: list[str]) -> list[str]:
-    """Return words in which what a film does not show follows an option."""
+    """Return words in which former flags are values of --hide."""
     words = list[str]()
     for word in given:
         flag = word.removeprefix("--no-").removeprefix("--")
@@ -144,7 +143,7 @@ def _hidden(given: list[str]) -> list[str]:
 
 
 def _policies_first(given: list[str]) -> list[str]:
-    """Return words in which the policies, once arguments, follow an option."""
+    """Return words in which the policies, formerly arguments, follow --policy."""
     (_, policies), *others = _parts(given)
     rest = [word for option, values in others for word in (option, *values)]
     return ["--policy", *policies, *rest] if policies else rest

@@ -1,4 +1,4 @@
-"""Help in plain text: a command's options under headings, each with its values, its range and its default."""
+"""Help as plain text: options under headings, with values, ranges and defaults."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
     from cyclopts.argument import Argument
 
 _INDENT: Final = 26
-"""Where explanations begin, in characters."""
+"""Column of the explanations."""
 REFERRED: Final = ("Rollouts", "Physics", "Trials")
-"""Groups of options that the help of validate explains; the help of other commands lists them with their defaults."""
+"""Groups of options explained by the help of validate; other commands list them with their defaults."""
 
 
 def command_help(app: App, found: Iterable[Argument], words: Sequence[str], below: Mapping[str, str]) -> str:
-    """Return what the help of a command says.
+    """Return the help of a command.
 
     Args:
-        app: the command's.
+        app: the command's application.
         found: its arguments.
-        words: its name, and that of the command below it.
-        below: commands below it, with one line on each.
+        words: its name, with that of a subcommand.
+        below: its subcommands, with one line each.
     """
     width = min(100, shutil.get_terminal_size().columns)
     function = app.default_command
@@ -65,7 +65,7 @@ def _explanation(function: Callable[..., Any] | None, app: App, width: int) -> I
 
 
 def _option(one: Argument, width: int) -> Iterator[str]:
-    """Yield the lines on an option: its names and value, and what it is for."""
+    """Yield the lines of an option: names, value and explanation."""
     name = (
         _value(one) if _is_positional(one) else " ".join(filter(None, [", ".join(_names(one)), _value(one)]))
     )
@@ -91,14 +91,14 @@ def _is_positional(one: Argument) -> bool:
 
 
 def _names(one: Argument) -> list[str]:
-    """Return the names of an option; with "no-" only where it is, or may be, on unless said otherwise."""
+    """Return the names of an option; those with "no-" only if the default is, or may be, on."""
     on = one.field_info.default is True or one.hint == bool | None
     off = {name for name in one.negatives if not on}
     return [name for name in one.names if name.startswith("--") and name not in off]
 
 
 def _value(one: Argument) -> str:
-    """Return what stands for the value of an option."""
+    """Return the placeholder of an option's value."""
     several = " ..." if "tuple" in str(one.hint) and "..." not in (one.parameter.metavar or "") else ""
     if one.parameter.metavar:
         return f"{one.parameter.metavar}{several}"
@@ -137,6 +137,6 @@ def _heading(one: Argument) -> str:
 
 
 def _rank(one: Argument) -> int:
-    """Return where a heading stands: arguments first, then the command's own options, then groups."""
+    """Return the sort key of a heading: arguments, the command's own options, groups."""
     order = ("Arguments", "Options", "Rollouts", "Physics", "Trials", "Results")
     return order.index(_heading(one)) if _heading(one) in order else len(order)

@@ -1,4 +1,4 @@
-"""Progress of long work: what is done, what failed, the rate and the time that remains; lines without a terminal."""
+"""Progress of long work: done, failed, rate and remaining time, as a bar or, without a terminal, as lines."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from operator import itemgetter
 from typing import Any, Final
 
 LINE_EVERY_S: Final = 20.0
-"""Without a terminal, a line says how far things are so often."""
+"""Interval of the lines."""
 
 Progress = Callable[[int], AbstractContextManager[Callable[[Any], None]]]
 
 
 def counting(what: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> Progress:
-    """Return what, given the number of pieces of work, opens what is called with each one's result.
+    """Return a progress display: a function from the number of items to a context that is called with each result.
 
     Args:
-        what: what the pieces are called.
+        what: name of the items.
         good: whether a result counts as a success.
     """
     return partial(_count, what, good)
@@ -31,8 +31,8 @@ def without_error(record: Any) -> bool:
 
 
 def counting_kinds() -> Progress:
-    """Return what shows how far the minimization of the failures of a run is."""
-    return counting("kinds of failure shrunk", lambda shrunk: shrunk.folder is not None)
+    """Return the progress display of a minimization."""
+    return counting("kinds of failure minimized", lambda minimized: minimized.folder is not None)
 
 
 @contextmanager

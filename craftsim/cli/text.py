@@ -1,4 +1,4 @@
-"""Text for people, whoever wrote it: nothing steers their terminal, and no letter that it lacks stops a command."""
+"""Printing of untrusted text: control characters are escaped, and unencodable characters never stop a command."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from typing import Final
 from craftsim.reports.text import escape
 
 _ASCII: Final = {"←": "<", "→": ">", "↑": "^", "↓": "v", "…": "."}
-"""What stands for a sign that a terminal lacks, where it is not a question mark."""
+"""Replacements of unencodable characters; the default is a question mark."""
 _ERRORS: Final = "craftsim.plain"
 
 
 def print_safe(text: object) -> None:
-    """Print a text, cleaned, on standard output."""
+    """Print an escaped text on standard output."""
     print(escape(text))
 
 
 def print_error(text: object) -> None:
-    """Print a text, cleaned, on standard error, as coming from this program."""
+    """Print an escaped text on standard error, with the name of the program."""
     print(f"craftsim: {escape(text)}", file=sys.stderr)
 
 
 def replace_unencodable() -> None:
-    """Let standard output and error put other signs in place of those that their encoding lacks."""
+    """Let standard output and error replace characters that their encoding lacks."""
     codecs.register_error(_ERRORS, _other_signs)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -43,7 +43,7 @@ def _other_signs(error: UnicodeError) -> tuple[str, int]:
 
 
 def output_closed() -> bool:
-    """Return whether standard output or error is a pipe that nobody reads from any more."""
+    """Return whether standard output or error is a pipe without a reader."""
     poll = select.poll()
     for number in (1, 2):
         poll.register(number, 0)
@@ -51,17 +51,17 @@ def output_closed() -> bool:
 
 
 def discard_output() -> None:
-    """Drop what standard output still holds, and all that comes, so that the end of the process does not fail on it."""
+    """Discard buffered and further output, so that the process can exit without an error."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.close(nowhere)
 
 
 def warn_if_exposed(host: str, what: str) -> None:
-    """Say on standard error what people on other machines can do, unless only this machine reaches an address.
+    """Warn on standard error if an address can be reached from other machines.
 
     Example:
-        >>> warn_of_strangers("127.0.0.1", "drive these robots")
+        >>> warn_if_exposed("127.0.0.1", "drive these robots")
     """
     try:
         places = {place[4][0] for place in socket.getaddrinfo(host, None)}

@@ -1,4 +1,4 @@
-"""Folders for results: one process at a time has one, so that none overwrites or removes what another is writing."""
+"""Output folders with an exclusive lock, so that concurrent processes never overwrite each other's files."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 LOCK: Final = ".craftsim-lock"
-"""An empty file in a folder that is owned; what a kill leaves of it keeps nobody out."""
+"""Lock file of a folder; a leftover after a kill locks nothing."""
 
 _RETRIES: Final = 100
-"""How often the lock of a folder may vanish, since its owner ended just then, before something else must be at work."""
+"""Attempts to lock a folder whose lock file vanishes because its owner is ending."""
 
 
 class _Owned(threading.local):
@@ -53,10 +53,9 @@ def output_directory(out: Path) -> Path:
 
 
 def directory_within(folder: Path, *names: str) -> Path:
-    """Make a directory in one for results, those between included, and return it.
+    """Make a directory within an output folder, parents included, and return it.
 
-    Raises InputError where it cannot be made, where a name leads out of the folder, and for a link on the way: who made
-    what is in the folder does not decide what else is written to.
+    Raises InputError if it cannot be made, if a name leads out of the folder, and for a link on the way.
     """
     for part in Path(*names).parts:
         if part in ("..", "/"):
@@ -70,7 +69,7 @@ def directory_within(folder: Path, *names: str) -> Path:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, a link or a directory with all that is in it, where there is one; no link is followed.
+    """Remove a file, a link or a directory tree, if it exists; links are not followed.
 
     Raises OSError.
     """
@@ -82,13 +81,13 @@ def remove(path: Path) -> None:
 
 @contextmanager
 def owned(out: Path) -> Iterator[Path]:
-    """Make a directory for results, and keep other processes, and threads, from owning it until the block ends.
+    """Make an output folder and lock it against other processes and threads until the block ends; re-entrant.
 
-    Who owns it may do so again within the block. The lock is the system's, on an empty file in the directory: it ends
-    with its process, however that ends. A directory that was made for the block and is empty after it is removed.
+    The lock is that of the operating system on an empty file in the folder, released when the process ends. A folder
+    that was made for the block and is empty afterwards is removed.
 
     Raises:
-        InputError: somebody else owns it, or it cannot be made, written to or locked.
+        InputError: it is in use, or cannot be made, written to or locked.
     """
     if _identity(out) in _OWNED.folders:
         yield out
@@ -111,7 +110,7 @@ def owned(out: Path) -> Iterator[Path]:
 
 
 def owning(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function own the folder that is its argument ``out`` while it runs, if there is one."""
+    """Decorator: lock the folder given as argument ``out``, if any, during a call."""
     signature = inspect.signature(function)
 
     @functools.wraps(function)
@@ -126,7 +125,7 @@ def owning(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _identity(out: Path) -> tuple[int, int] | None:
-    """Return what tells a directory from others, whatever path or link leads to it; None where there is none."""
+    """Return the identity of a directory, independent of paths and links; None if it does not exist."""
     try:
         there = out.stat()
     except (OSError, ValueError):  # the latter for a name that can be none
@@ -135,17 +134,17 @@ def _identity(out: Path) -> tuple[int, int] | None:
 
 
 def _missing(out: Path) -> list[Path]:
-    """Return the directories that must be made for one, the innermost first."""
+    """Return the missing directories of a path, innermost first."""
     return [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]
 
 
 def _lock(out: Path) -> int:
-    """Return the number of the locked file in a directory, which is made."""
+    """Create and lock a directory; return the descriptor of its lock file."""
     for left in reversed(range(_RETRIES)):
         try:
             number = _try_to_lock(output_directory(out), out / LOCK)
         except InputError:
-            # Whoever made it, and has nothing in it, may be removing it just now.
+            # Its creator may be removing it at this moment.
             if os.path.exists(out) or not left:
                 raise
             continue
@@ -155,7 +154,7 @@ def _lock(out: Path) -> int:
 
 
 def _try_to_lock(out: Path, path: Path) -> int | None:
-    """Return the number of the file of a path, locked; None where it is gone before it is ours."""
+    """Return the descriptor of a locked file; None if it vanished meanwhile."""
     try:
         number = os.open(path, FLAGS | os.O_CREAT, 0o666)
     except FileNotFoundError:

@@ -1,7 +1,7 @@
-"""How much a file of each format may hold, and how large a number may be; docs/reference/limits.md shows them.
+"""Limits of the size of files and of numbers; docs/reference/limits.md lists them.
 
-Nothing is read, unpacked or built before the limit that it falls under has been checked, so that a file is
-refused in seconds and within a few hundred megabytes, whoever wrote it.
+Each limit is checked before anything is read, unpacked or built, so that any file is refused in seconds and within a
+few hundred megabytes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MIB: Final = 1024 * KIB
 
 @dataclass(frozen=True)
 class Limits:
-    """What a file may hold at most."""
+    """Size limits of a file format."""
 
     what: str
     """The file in words, for messages."""
@@ -125,10 +125,9 @@ def _plain_number(value: float) -> str:
 
 @dataclass(frozen=True)
 class Range:
-    """What a number may be, ends included unless said otherwise; what is no number at all lies outside.
+    """The allowed range of a number, ends included by default; nan lies outside.
 
-    As an annotation, ``Annotated[int, Range(0, 3)]``, it is what pydantic holds a number to, and the command line an
-    option.
+    As an annotation, ``Annotated[int, Range(0, 3)]``, it is checked by pydantic and by the command line.
     """
 
     low: float = -math.inf
@@ -159,7 +158,7 @@ class Range:
             raise InputError(f"{name} is {_short(value)}; allowed: {self}")
 
     def out(self, value: float) -> str:
-        """Return what is wrong with a value outside."""
+        """Return the message for a value outside."""
         return f"{_short(value)} is out of range, allowed: {self}"
 
     @property
@@ -191,7 +190,7 @@ class Range:
 
 
 def ranges_of(record: Any) -> dict[str, Range]:
-    """Return, by name, what the numbers of a record, or the arguments of a function, may be."""
+    """Return the ranges of the fields of a record, or the arguments of a function, by name."""
     hints = get_type_hints(record, include_extras=True)
     return {name: found for name, hint in hints.items() if (found := _range(hint)) is not None}
 
@@ -288,7 +287,7 @@ BAG_RECORDS: Final = 5_000_000
 
 
 def size_text(n_bytes: int) -> str:
-    """Return a size as people say it.
+    """Return a size in words.
 
     Example:
         >>> size_text(256 * KIB), size_text(64 * 1024 * MIB)

@@ -1,7 +1,5 @@
-"""What a path leads to. It is what somebody typed or wrote into a file: it may be no path at all.
-
-pathlib raises errors of its own, and others from one Python to the next, for names that are too long, links that go in
-a circle, and bytes that no name has.
+"""Checks of user-supplied paths with InputError instead of the various errors of pathlib (too long, link loops, null
+bytes), which differ between versions of Python.
 """
 
 from __future__ import annotations
@@ -14,22 +12,22 @@ from craftsim.errors import InputError
 
 
 def exists(path: str | Path) -> bool:
-    """Return whether there is anything; raise InputError for a path that cannot be, or not be looked at."""
+    """Return whether a path exists. Raises InputError for an invalid or inaccessible path."""
     return _mode(path) is not None
 
 
 def is_file(path: str | Path) -> bool:
-    """Return whether there is a regular file; raises as :func:`exists`."""
+    """Return whether a path is a regular file; raises as :func:`exists`."""
     return stat.S_ISREG(_mode(path) or 0)
 
 
 def is_folder(path: str | Path) -> bool:
-    """Return whether there is a folder; raises as :func:`exists`."""
+    """Return whether a path is a folder; raises as :func:`exists`."""
     return stat.S_ISDIR(_mode(path) or 0)
 
 
 def resolved(path: str | Path) -> Path:
-    """Return an absolute path without links, whether anything is there or not; raises as :func:`exists`."""
+    """Return the absolute path without links, which need not exist; raises as :func:`exists`."""
     try:
         return Path(os.path.realpath(path))
     except (OSError, ValueError) as error:
@@ -37,7 +35,7 @@ def resolved(path: str | Path) -> Path:
 
 
 def check_working_folder() -> None:
-    """Raise InputError where the current folder has been removed: no relative path means anything then."""
+    """Raise InputError if the current folder has been removed, since relative paths are then invalid."""
     try:
         os.getcwd()
     except OSError as error:
@@ -45,7 +43,7 @@ def check_working_folder() -> None:
 
 
 def _mode(path: str | Path) -> int | None:
-    """Return the kind and the rights of what a path leads to, or None for nothing."""
+    """Return the mode of the file at a path; None if it does not exist."""
     try:
         return os.stat(path).st_mode
     except (FileNotFoundError, NotADirectoryError):

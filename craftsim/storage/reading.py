@@ -1,4 +1,4 @@
-"""Reading files from people one does not know: regular files alone, within limits, with one kind of error."""
+"""Reading of untrusted files: regular files only, within limits, with one kind of error."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ _DIRECTORY_BYTES: Final = 512
 
 
 def open_file(path: Path, limits: Limits) -> IO[bytes]:
-    """Open a regular file; raise InputError for what is none, cannot be read, or is larger than its limit.
+    """Open a regular file. Raises InputError for any other, an unreadable one, or one above its limit.
 
-    A pipe or device is not waited for.
+    Pipes and devices do not block.
     """
     try:
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -68,7 +68,7 @@ def open_file(path: Path, limits: Limits) -> IO[bytes]:
 
 
 def read_bytes(path: Path, limits: Limits) -> bytes:
-    """Return what a file holds; raises as :func:`open_file`."""
+    """Return the content of a file; raises as :func:`open_file`."""
     try:
         with open_file(path, limits) as file:
             # It may grow while it is read.
@@ -128,11 +128,9 @@ def read_lines(path: Path, limits: Limits, packed: bool = False) -> Iterator[tup
 
 
 def read_arrays(path: Path, limits: Limits) -> Arrays:
-    """Return the arrays of an ``.npz`` file by name; nothing in it can run.
+    """Return the arrays of an ``.npz`` file by name, without pickle.
 
-    What each array claims to be is checked before any memory is asked for.
-
-    Raises InputError for another file, or more or larger arrays than allowed.
+    Headers are checked before memory is allocated. Raises InputError for an invalid file, or too many or large arrays.
     """
     try:
         with open_archive(path, limits) as archive:
@@ -156,7 +154,7 @@ def open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
 
 
 def _directory_bytes(file: IO[bytes]) -> int:
-    """Return the length of the list at the end of a zip file, all of which zipfile would read at once."""
+    """Return the length of the directory at the end of a zip file, which zipfile would read at once."""
     file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
     tail = file.read(_TAIL_BYTES)
     end = len(tail) - _END_BYTES
@@ -170,7 +168,7 @@ def _directory_bytes(file: IO[bytes]) -> int:
 
 
 def check_archive(path: Path, archive: zipfile.ZipFile, limits: Limits) -> None:
-    """Raise InputError for an archive that unpacks to more than it may."""
+    """Raise InputError for an archive whose unpacked size exceeds its limit."""
     members = archive.infolist()
     if len(members) > limits.members:
         raise InputError(f"{path}: {len(members)} files inside; allowed: at most {limits.members}")

@@ -1,7 +1,7 @@
-"""Records that a user, a wire or an earlier run may bring: a format is a type, its bounds stand in its annotations.
+"""Validated records for external data: a format is a type with its bounds in the annotations.
 
-``@record()`` makes a frozen dataclass that is held to its annotations whenever one is made: in Python, from YAML
-(:mod:`craftsim.storage.yaml`) or from JSON. How its parts go together it checks in ``__post_init__``, with a
+``@record()`` makes a frozen dataclass that is validated whenever one is made: in Python, from YAML
+(:mod:`craftsim.storage.yaml`) or from JSON. Conditions between fields are checked in ``__post_init__``, with a
 ValueError. Mistakes are reported together, each with its key and with what is allowed.
 """
 
@@ -37,25 +37,25 @@ from craftsim.storage.reading import read_bytes
 
 T = TypeVar("T")
 Loc = tuple[str | int, ...]
-"""The keys and numbers in lists that lead to a value."""
+"""Path to a value: keys, and indices of lists."""
 Mistake = tuple[Loc, str]
-"""Where something is wrong, and what."""
+"""The path of a mistake, and its message."""
 
 Listed = Annotated[tuple[T, ...], FailFast()]
-"""A list that may be long: it is read up to its first mistake, for a description of each would fill the memory."""
+"""A potentially long list: validated up to its first mistake, to bound memory."""
 
 STRICT: Final = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-"""A number is a number and no text, and finite; no key is unknown."""
+"""No conversion from text to numbers, finite numbers only, no unknown keys."""
 MOST_REPORTED: Final = 5
-"""So many mistakes are reported at once."""
+"""Mistakes reported together."""
 _DESCRIBED: Final = 50_000
-"""With more mistakes than this none is reported: a description of each would take more memory than the file."""
+"""Limit of mistakes, to bound memory: with more none is listed."""
 _QUOTED: Final = 40
-"""Characters of what a message quotes from a file."""
+"""Longest quotation from a file in a message."""
 _COMPARED: Final = 100
-"""Unknown keys that are compared with one that is missing."""
+"""Unknown keys compared with a missing one."""
 _UNKNOWN: Final = ("unexpected_keyword_argument", "extra_forbidden")
-"""What pydantic calls a key that a type does not have."""
+"""pydantic's names of the error for an unknown key."""
 _NOUNS: Final = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
 _LISTS: Final = ("tuple_type", "list_type")
 _MAPPINGS: Final = ("dataclass_type", "dataclass_exact_type", "dict_type", "mapping_type", "model_type")
@@ -63,10 +63,7 @@ _MAPPINGS: Final = ("dataclass_type", "dataclass_exact_type", "dict_type", "mapp
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
 def record(kw_only: bool = False) -> Callable[[type[T]], type[T]]:
-    """Make a frozen dataclass of which none is made that its annotations do not allow.
-
-    Making one raises InputError, naming class and field.
-    """
+    """Make a frozen dataclass that validates its fields; an invalid one raises InputError, naming class and field."""
 
     def made(kind: type[T]) -> type[T]:
         checked: Any = pydantic.dataclasses.dataclass(frozen=True, config=STRICT, kw_only=kw_only)(kind)
@@ -90,14 +87,14 @@ def record(kw_only: bool = False) -> Callable[[type[T]], type[T]]:
 
 @functools.cache
 def adapter(kind: Hashable) -> TypeAdapter[Any]:
-    """Return what holds values to a type; a dataclass and those inside are strict unless they say otherwise."""
+    """Return the validator of a type, strict by default."""
     if isinstance(kind, type) and not hasattr(kind, "__pydantic_config__"):
         pydantic.with_config(STRICT)(kind)
     return TypeAdapter(cast(Any, kind))
 
 
 def to_json(value: Any) -> bytes:
-    """Return the JSON document of a record, as text for people and machines."""
+    """Return a record as a JSON text."""
     return adapter(cast(Hashable, type(value))).dump_json(value, indent=1) + b"\n"
 
 
@@ -109,8 +106,7 @@ def read_json_record(path: Path, kind: type[T], limits: Limits) -> T:
 def from_json(kind: type[T], data: bytes, where: str) -> T:
     """Return the record in a JSON document.
 
-    Raises InputError, a line for each of the first mistakes, for what is not JSON or not of the kind; each begins with
-    ``where``.
+    Raises InputError for invalid JSON or values, with a line for each of the first mistakes, beginning with ``where``.
     """
     if data.count(b",") > JSON_VALUES:
         raise InputError(f"{where}: holds more than the {JSON_VALUES} values that are allowed")
@@ -124,12 +120,12 @@ def from_json(kind: type[T], data: bytes, where: str) -> T:
 
 
 def first_mistake(error: ValidationError, kind: Any = None) -> str:
-    """Return the first mistake in a value of a kind, with its key."""
+    """Return the first mistake with its key."""
     return next(iter(mistakes(kind, error)))[1]
 
 
 def refuse(found: Iterable[Mistake], words: Callable[[Loc, str], str], error: type[InputError]) -> None:
-    """Raise an error of the first few mistakes, a line each in the words of a function, if there are any."""
+    """Raise an error with the first few mistakes, a line each, if there are any."""
     if lines := _lines(found, words):
         raise error(lines)
 
@@ -141,7 +137,7 @@ def _lines(found: Iterable[Mistake], words: Callable[[Loc, str], str]) -> str:
 
 
 def key_words(loc: Loc) -> str:
-    """Return how messages name a value.
+    """Return the name of a value in messages.
 
     Example:
         >>> key_words(("block", 0, "x"))
@@ -155,7 +151,7 @@ def _dotted(loc: Loc) -> str:
 
 
 def _cut(text: str) -> str:
-    """Return a text as messages quote it: what is in a file may be long, and steer a terminal."""
+    """Return a shortened and escaped text for messages."""
     shown = text if text.isprintable() else repr(text)[1:-1]
     return shown if len(shown) <= _QUOTED else f"{shown[: _QUOTED - 3]}..."
 
@@ -168,7 +164,7 @@ def described(value: object) -> str:
 
 
 def unknown_words(word: str, known: Iterable[str], what: str = "key", allowed: bool = True) -> str:
-    """Return the message of a word that is not known, with the closest known one and, unless asked not to, all."""
+    """Return the message for an unknown word, with the closest known one and, by default, all."""
     known = list(known)
     text = f"unknown {what} '{_cut(word)}'{suggestion(word[:80], known)}"
     return f"{text}; allowed: {', '.join(known)}" if allowed else text
@@ -180,9 +176,9 @@ def mistakes(
     name: Callable[[Loc], str] = key_words,
     line_of: Callable[[Loc], int] = lambda loc: 0,
 ) -> Iterator[Mistake]:
-    """Yield what pydantic found wrong with a value of a kind, by line; of the keys that a mapping lacks one at most.
+    """Yield pydantic's mistakes by path, at most one missing key of each mapping.
 
-    ``name`` says how values are named.
+    ``name`` gives the name of a value in messages.
     """
     if (count := error.error_count()) > _DESCRIBED:
         yield (), f"{count} values are missing, wrong or unknown; is it the file that it should be?"
@@ -217,7 +213,7 @@ def mistakes(
 
 
 def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
-    """Return what is wrong, and what is allowed."""
+    """Return the message of a mistake, with the allowed values."""
     loc, value, type_ = error["loc"], error["input"], error["type"]
     if type_ == "missing" and isinstance(loc[-1], int):
         return f"{name(loc[:-1])}: must be a list of {len(get_args(_type_at(kind, loc[:-1])))} entries"
@@ -258,7 +254,7 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
 
 
 def _range_of(bound: Mapping[str, Any]) -> Range:
-    """Return the range of one bound, as pydantic tells it."""
+    """Return the range of one of pydantic's bounds."""
     low, high = (
         next((bound[end] for end in ends if end in bound), None) for ends in (("ge", "gt"), ("le", "lt"))
     )
@@ -268,7 +264,7 @@ def _range_of(bound: Mapping[str, Any]) -> Range:
 
 
 def _keys(kind: Any, required: bool = False) -> list[str]:
-    """Return the keys of a mapping of a kind, or those alone that have no default."""
+    """Return the keys of a record type, or only the required ones."""
     if hasattr(kind, "_field_defaults"):
         return [name for name in kind._fields if not required or name not in kind._field_defaults]
     if not dataclasses.is_dataclass(kind):
@@ -281,12 +277,12 @@ def _keys(kind: Any, required: bool = False) -> list[str]:
 
 
 def _type_at(kind: Any, loc: Loc) -> Any:
-    """Return the type of the value at a place in a kind, or None where that is not one type."""
+    """Return the type of the value at a path in a type; None if it is not unique."""
     return _type_and_range(kind, loc)[0]
 
 
 def _type_and_range(kind: Any, loc: Loc) -> tuple[Any, Range | None]:
-    """Return the same, and what it may be where it is a number."""
+    """Return the same, with the range of a number."""
     allowed = None
     for part in (None, *loc):
         if part is not None:
@@ -300,7 +296,7 @@ def _type_and_range(kind: Any, loc: Loc) -> tuple[Any, Range | None]:
 
 
 def _inside(kind: Any, part: str | int) -> Any:
-    """Return the annotation of a value in one of a kind, or None where that is not one."""
+    """Return the annotation of an inner value; None if it is not unique."""
     origin, args = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType) or (args and origin is None):
         return None

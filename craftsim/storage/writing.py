@@ -1,6 +1,6 @@
-"""Writing files that are whole or as they were, whatever happens: a full disk, a kill, a mistake, another writer.
+"""Atomic writing of files: after a full disk, a kill, an error or a concurrent writer a file is complete or unchanged.
 
-Locks are the system's: one process at a time has one, and it ends with that process, however it ends.
+Locks are those of the operating system: exclusive, and released when the process ends.
 """
 
 from __future__ import annotations
@@ -17,19 +17,18 @@ from typing import Final
 from craftsim.errors import InputError
 
 LEFT_OUT_IF_EMPTY: Final = "left_out_if_empty"
-"""Key of a field's metadata: a report says nothing of it where it is empty."""
+"""Key of a field's metadata: the field is left out of reports if it is empty."""
 WRITERS: Final = 16
-"""How many may write one file at the same time; the last to end is the one whose file stays."""
+"""Concurrent writers of one file; the last to finish wins."""
 FLAGS: Final = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-"""To open what is locked: never what a link points to, waiting for no pipe, and not for processes that one starts.
-
-For writing, since a network's file system locks nothing else."""
+"""Flags for locked files: no links, no waiting for pipes, not inherited; for writing, since network file systems lock
+nothing else."""
 
 
 def lock(number: int, path: Path) -> bool:
-    """Lock an open file until its number is closed; return whether it is ours now, and still the one at a path.
+    """Lock an open file until its descriptor is closed; return whether it is locked and still the one at a path.
 
-    Raises OSError for a file system that has no locks.
+    Raises OSError for a file system without locks.
     """
     try:
         fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -49,12 +48,12 @@ def is_at(number: int, path: Path) -> bool:
 
 @contextmanager
 def whole(path: str | Path) -> Iterator[Path]:
-    """Give the path of an empty file to write, which takes the place of ``path`` when the block ends without an error.
+    """Give the path of an empty temporary file, which replaces ``path`` when the block ends without an error.
 
-    Its name ends as that of ``path`` does, for libraries that choose the format by it. It is new, and no other
-    writer's: a link in its place is not followed. A link at ``path`` itself is replaced, not what it points to.
+    It has the suffix of ``path``, for libraries that choose the format by it. Links in its place are not followed; a
+    link at ``path`` itself is replaced, not its target.
 
-    Raises InputError where the disk does not take it, or where the block writes nothing.
+    Raises InputError if it cannot be written, or the block writes nothing.
     """
     target = Path(path)
     with _replacing(target) as partial:
@@ -64,10 +63,9 @@ def whole(path: str | Path) -> Iterator[Path]:
 
 
 def write_whole(path: str | Path, content: str | bytes) -> Path:
-    """Write a text (as UTF-8) or bytes, such that the file is whole or as it was, and return its path.
+    """Write a text (as UTF-8) or bytes atomically, and return the path.
 
-    What UTF-8 cannot say, half of a surrogate pair for instance, is written as an escape. Raises InputError where the
-    disk does not take it.
+    Unencodable characters, such as half of a surrogate pair, are escaped. Raises InputError if it cannot be written.
     """
     data = content if isinstance(content, bytes) else content.encode("utf-8", "backslashreplace")
     with _replacing(Path(path)) as partial:
@@ -76,7 +74,7 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
 
 
 def writable(text: str) -> str:
-    """Return a text with escapes for what UTF-8 cannot say, such as bytes in a file's name that are no text.
+    """Return a text with escapes for characters that UTF-8 cannot encode, such as undecodable bytes of a file name.
 
     Example:
         >>> writable("caf\udce9")
@@ -86,13 +84,13 @@ def writable(text: str) -> str:
 
 
 def unwritten(path: Path, error: OSError) -> str:
-    """Return the message for a file that the disk does not take."""
+    """Return the message for a file that cannot be written."""
     return f"{path}: cannot be written: {error.strerror or error}; make room, or choose another --out"
 
 
 @contextmanager
 def _replacing(target: Path) -> Iterator[Path]:
-    """Give a new, locked file beside a target, which takes its place when the block ends without an error."""
+    """Give a new, locked file beside a target, which replaces it when the block ends without an error."""
     try:
         partial, number = _new_beside(target)
         try:
@@ -112,8 +110,8 @@ def _replacing(target: Path) -> Iterator[Path]:
 
 
 def _new_beside(target: Path) -> tuple[Path, int]:
-    """Make a file of a name that nobody uses, and return its path and number."""
-    # Always the same names: what a kill leaves behind is gone with the next writing.
+    """Create a file with an unused name, and return its path and descriptor."""
+    # From a fixed set of names, so that leftovers of killed writers are reused.
     names = [target.with_name(f".partial-{writer}-{target.name}") for writer in range(WRITERS)]
     for partial in names:
         _remove_if_abandoned(partial)
@@ -136,7 +134,7 @@ def _new_beside(target: Path) -> tuple[Path, int]:
 
 
 def _remove_if_abandoned(partial: Path) -> None:
-    """Remove the file that a writer left which is dead, for one that lives has it locked."""
+    """Remove the leftover of a dead writer; a live one has it locked."""
     with contextlib.suppress(OSError):
         number = os.open(partial, FLAGS)
         try:

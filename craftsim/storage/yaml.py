@@ -1,7 +1,7 @@
-"""Reading YAML files of unknown origin: bounded in size and time, held to a type, each mistake with its line.
+"""Reading of untrusted YAML files: bounded in size and time, validated by type, each mistake with its line.
 
-The parser's events are checked one by one before anything is built. Anchors, aliases and tags have no use in our files
-and are refused. The keys of several documents in a file are merged.
+The parser's events are checked before anything is built. Anchors, aliases and tags are refused. The keys of several
+documents in a file are merged.
 
 A format is a record (:mod:`craftsim.storage.records`): ``read_document(path).to(Format)``.
 """
@@ -30,47 +30,47 @@ _FLOAT: Final = re.compile(
     r"[-+]?([0-9]{1,20}\.[0-9]{0,20}|\.[0-9]{1,20}|[0-9]{1,20}(?=[eE]))([eE][-+]?[0-9]{1,3})?"
 )
 _LOADER: Final = getattr(yaml, "CLoader", yaml.Loader)
-"""Only its parser is used, never a constructor: no object is ever made from a tag."""
+"""Only the parser is used, never a constructor, so no object is made from a tag."""
 
 
 @dataclass(frozen=True)
 class Document:
-    """A YAML file: what it says, and where."""
+    """The content of a YAML file with its line numbers."""
 
     path: Path
-    """The file that messages speak of."""
+    """The file, for messages."""
     plain: dict[str, Any] = field(default_factory=dict)
     """Lists, mappings, numbers, texts and None."""
     lines: dict[Loc, int] = field(default_factory=dict)
-    """Of each key, and of each value in a list."""
+    """Line of each key and list item, by path."""
     error: type[InputError] = InputError
-    """What its mistakes raise."""
+    """Class of the errors raised for mistakes."""
     instead: Any = None
     """What it says where that is no mapping."""
 
     def fail(self, loc: Loc, message: str) -> NoReturn:
-        """Raise the error of a mistake, which begins with the file and, where known, the line."""
+        """Raise the error of a mistake, beginning with the file and, if known, the line."""
         self.fail_in(self.lines.get(loc), message)
 
     def fail_in(self, line: int | None, message: str) -> NoReturn:
-        """Raise the error of a mistake in a line, where that is known."""
+        """Raise the error of a mistake in a line, if known."""
         raise self.error(self._with_line(line, message))
 
     def refuse(self, mistakes: Iterable[Mistake]) -> None:
-        """Raise the error of mistakes, the first few of them a line each, if there are any."""
+        """Raise an error with the first few mistakes, a line each, if there are any."""
         refuse(mistakes, lambda loc, text: self._with_line(self.lines.get(loc), text), self.error)
 
     def _with_line(self, line: int | None, message: str) -> str:
         return f"{self.path}: {message}" if line is None else f"{self.path}:{line}: {message}"
 
     def over(self, nominal: Mapping[str, Any]) -> Document:
-        """Return the same with what it leaves out as another says it; lists are taken whole."""
+        """Return this document with missing keys taken from another; lists are not merged."""
         return replace(self, plain=_over(nominal, self.plain))
 
     def to(self, kind: type[T], **context: Any) -> T:
-        """Return what it says as a record; ``context`` is for its validators.
+        """Return the content as a record; ``context`` is for its validators.
 
-        Raises its error, with the first mistakes in the file, for what is not of that kind.
+        Raises the document's error, with the first mistakes, if it is invalid.
         """
         plain = self.plain if self.instead is None else self.instead
         try:
@@ -111,7 +111,7 @@ def read_document(path: Path, error: type[InputError] = InputError) -> Document:
 
 
 def parse_document(text: str, path: Path, error: type[InputError] = InputError) -> Document:
-    """Return a YAML text, of which messages speak as ``path``; raises ``error`` for what is odd or too much."""
+    """Parse a YAML text; messages name ``path``. Raises ``error`` if it is invalid or too large."""
     document = Document(path, error=error)
     try:
         _guard(document, text)
@@ -131,7 +131,7 @@ def parse_document(text: str, path: Path, error: type[InputError] = InputError) 
 
 
 def _guard(document: Document, text: str) -> None:
-    """Refuse, before anything is built, what is too much and what has no use."""
+    """Refuse oversized input, anchors, aliases and tags before anything is built."""
     n_values = depth = 0
     for event in yaml.parse(text, Loader=_LOADER):
         line = _line(event)
@@ -149,7 +149,7 @@ def _guard(document: Document, text: str) -> None:
 
 
 def _value(document: Document, node: Any, loc: Loc) -> Any:
-    """Return a value as Python has it, and note the lines of what is in it."""
+    """Return the Python value of a node, and record the lines of its parts."""
     if isinstance(node, yaml.MappingNode):
         return _merge(document, {}, node, loc)
     if isinstance(node, yaml.SequenceNode):
@@ -159,7 +159,7 @@ def _value(document: Document, node: Any, loc: Loc) -> Any:
 
 
 def _merge(document: Document, mapping: dict[str, Any], node: yaml.MappingNode, loc: Loc) -> dict[str, Any]:
-    """Put the keys of a node into a mapping, and return that."""
+    """Merge the keys of a node into a mapping, and return it."""
     for key, value in node.value:
         at, line = (*loc, key.value), _line(key)
         if not isinstance(key, yaml.ScalarNode):

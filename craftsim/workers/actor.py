@@ -1,4 +1,4 @@
-"""Processes that craftsim starts: none hears of a Ctrl-C, and none imports what merely lies in the working folder.
+"""Spawned processes: they ignore Ctrl-C, and do not import modules from the working folder.
 
 Python lets a process that runs ``-c``, as all of multiprocessing do, look for modules in the working folder first: a
 ``multiprocessing.py`` there would run before anything of ours does.
@@ -30,16 +30,16 @@ _starting: Final = threading.Lock()
 
 
 class WorkerDiedError(CraftsimError):
-    """The process that did the work is gone; the message says how it ended."""
+    """The worker process ended; the message says how."""
 
 
 class Actor:
-    """A spawned process that answers requests in their order, and ends when the process that made it does."""
+    """A spawned process that answers requests in order, and ends with its parent."""
 
     def __init__(self, make: Callable[[], Handler]) -> None:
-        """Start the process, and return while it still starts.
+        """Start the process without waiting for it.
 
-        ``make`` is called there for what answers requests. It, the requests and the answers are pickled.
+        ``make`` is called there and returns the handler of requests. It, requests and answers are pickled.
         """
         context = spawn_context()
         their_requests, self._requests = context.Pipe(duplex=False)
@@ -51,22 +51,22 @@ class Actor:
         their_requests.close()
         their_answers.close()
         self.due = 0
-        """Requests without an answer so far."""
+        """Number of unanswered requests."""
 
     @property
     def pid(self) -> int:
-        """Number of the process."""
+        """Process ID."""
         return self._process.pid or 0
 
     def send(self, request: Any) -> None:
-        """Ask for something, and do not wait for it."""
+        """Send a request without waiting."""
         data = pickle.dumps(request)
         with suppress(OSError):  # of a process that has died, which recv says
             self._requests.send_bytes(data)
         self.due += 1
 
     def recv(self) -> Any:
-        """Wait for the next answer, and return it; raises WorkerDiedError, and what the handler has raised."""
+        """Wait for the next answer and return it; raises WorkerDiedError, and the handler's exceptions."""
         try:
             good, value = self._answers.recv()
         except (EOFError, OSError) as error:
@@ -77,7 +77,7 @@ class Actor:
         return value
 
     def kill(self) -> None:
-        """End the process at once."""
+        """Kill the process."""
         self._process.kill()
         self._process.join()
         self._requests.close()
@@ -86,7 +86,7 @@ class Actor:
 
     @staticmethod
     def wait(actors: Sequence[Actor], timeout_s: float | None) -> list[Actor]:
-        """Return those actors of which :meth:`recv` need not wait, as soon as there are some, or none in that time."""
+        """Return the actors with an answer, as soon as there are some, or none after the timeout."""
         by_connection = {actor._answers: actor for actor in actors}
         return [by_connection[found] for found in connection.wait(list(by_connection), timeout_s)]  # type: ignore[index]
 
@@ -122,7 +122,7 @@ def _serve(requests: Connection, answers: Connection, make: Callable[[], Handler
 
 
 def _answer(handler: Handler, request: bytes) -> bytes:
-    """Return whether a request has an answer, and the answer or what was raised, pickled."""
+    """Return the pickled pair of success and answer, or failure and exception."""
     try:
         return pickle.dumps((True, handler(pickle.loads(request))))
     except Exception as error:
@@ -136,9 +136,9 @@ def _answer(handler: Handler, request: bytes) -> bytes:
 
 
 def spawn_context() -> SpawnContext:
-    """Return what starts processes, and makes their pipes, in place of ``get_context("spawn")``.
+    """Return a multiprocessing context that replaces ``get_context("spawn")``.
 
-    They find the modules that this process finds at that moment. Whoever started them decides when they end.
+    Its processes have the module path of this process at that moment.
     """
     # The first queue or lock would start it, as any process of Python is started.
     with _safe_path():
@@ -182,9 +182,9 @@ def _safe_path() -> Iterator[None]:
 
 @contextmanager
 def defer_sigint() -> Iterator[None]:
-    """Let what is inside end before a Ctrl-C takes effect; a second Ctrl-C ends it at once.
+    """Defer the first Ctrl-C until the block ends; a second one interrupts at once.
 
-    Where it is ignored, as by what a shell runs in the background, it stays so.
+    An ignored signal, as in a background job of a shell, stays ignored.
     """
     usual = signal.getsignal(signal.SIGINT)
     # None is a handler that is not Python's, which could not be put back; only the main thread hears of signals.

@@ -1,4 +1,4 @@
-"""Picklable work shared by several workers, with a limit of time, retries, and the state that they keep."""
+"""A pool of workers for picklable jobs, with time limits, retries, and state kept between jobs."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
 RELEASE_EVERY: Final = 20
-"""Jobs after which a worker gives memory back."""
+"""Jobs after which a worker releases memory."""
 
 
 @dataclass(frozen=True)
 class NoAnswer:
-    """Why a job has no answer: it took too long, or its worker died each time."""
+    """The reason why a job has no answer: a timeout, or repeated death of its worker."""
 
     reason: str
 
@@ -45,19 +45,19 @@ def answered(answer: Answer | NoAnswer) -> Answer:
 class _Batch(Generic[Job]):
     jobs: tuple[Job, ...]
     deaths: int = 0
-    """How many workers have died over it since it is a single job."""
+    """Number of workers that died on it as a single job."""
 
 
 @dataclass(eq=False)
 class _Worker:
     actor: Any
     function: object = None
-    """What it was given last."""
+    """Its present batch."""
     batch: _Batch[Any] = _Batch(())
     has_batch: bool = False
-    """Or so far the function alone: what is imported for it takes no job's time."""
+    """Whether it is still loading the function, which does not count for the time limit."""
     end_s: float = math.inf
-    """When the time for its batch is up."""
+    """Deadline of its batch."""
 
     def send(self, timeout_s: float) -> None:
         self.has_batch = True
@@ -66,14 +66,13 @@ class _Worker:
 
 
 class Pool:
-    """Context manager of up to ``n`` workers, which start as jobs come in and last until the pool is closed.
+    """Context manager of up to ``n`` worker processes, started on demand and kept until the pool is closed.
 
-    A worker is a process, so that nothing of this one leaks into results. It ends when this one does, and hears of no
-    Ctrl-C.
+    Workers end with this process and ignore Ctrl-C.
     """
 
     def __init__(self, n: int, engine: Engine = "local") -> None:
-        """Start nothing yet; on Ray there are at most as many as processors. Raises InputError without a cluster."""
+        """Start no worker yet; on Ray their number is limited by the processors. Raises InputError without a cluster."""
         self._kind: Any = RayActor if engine == "ray" else Actor
         self._n = min(n, processors()) if engine == "ray" else n
         self._idle: list[_Worker] = []
@@ -88,17 +87,17 @@ class Pool:
         batch: int = 1,
         retries: int = 1,
     ) -> Iterator[tuple[Job, Answer | NoAnswer]]:
-        """Yield each job with its answer once, as soon as it is known.
+        """Yield each job with its answer, as soon as it is known.
 
         Args:
-            function: picklable. Each worker has its own copy, and keeps it for as long as it is given jobs for this
-                very function. What it raises is raised here.
-            jobs: in the order in which they are begun; taken when a worker is free.
-            timeout_s: for each job, after which its worker is killed.
-            batch: how many jobs a worker takes at once. When one of them is not answered, each is run again alone.
-            retries: how often a job whose worker died is tried again: one death may be somebody else's doing.
+            function: picklable; each worker keeps its own copy as long as it gets jobs for this function. Its
+                exceptions are raised here.
+            jobs: started in this order; consumed as workers become free.
+            timeout_s: time limit of each job, after which its worker is killed.
+            batch: jobs sent to a worker together. If one of them fails, each is run again alone.
+            retries: repetitions of a job whose worker died.
 
-        Raises InputError where a Ray cluster is gone.
+        Raises InputError if a Ray cluster is gone.
         """
         rest = iter(jobs)
         new = map(_Batch[Job], iter(lambda: tuple(islice(rest, batch)), ()))
@@ -152,7 +151,7 @@ class Pool:
             worker.actor.send((function, ()))
 
     def _wait(self) -> list[tuple[_Worker, bool]]:
-        """Return those that have answered or died, as soon as there are some, and those whose time is up."""
+        """Return the workers that answered or died, as soon as there are some, and those past their deadline."""
         end_s = min(worker.end_s for worker in self._running.values())
         timeout_s = None if math.isinf(end_s) else max(0.0, end_s - time.monotonic())
         ready = [self._running[actor] for actor in self._kind.wait(list(self._running), timeout_s)]
@@ -165,7 +164,7 @@ class Pool:
         del self._running[worker.actor]
 
     def close(self) -> None:
-        """End all workers, also those at work."""
+        """Kill all workers."""
         for worker in [*self._idle, *self._running.values()]:
             worker.actor.kill()
         self._idle, self._running = [], {}
@@ -180,7 +179,7 @@ class Pool:
 
 
 class _Server:
-    """In a worker: does jobs by the function that it was given last."""
+    """Handler in a worker: applies the last function that it received."""
 
     def __init__(self, n_workers: int) -> None:
         # Mesa's software renderer takes all processors otherwise, and the workers would be in each other's way.
@@ -201,11 +200,7 @@ class _Server:
 
 
 def release_memory() -> None:
-    """Give memory back to the system.
-
-    MuJoCo's models and Python's objects of a world go when it is done, but leave the heap in fragments, which by and
-    by make a process grow that tries one world after the other.
-    """
+    """Return freed memory to the system, since a heap fragmented by many worlds lets a process grow."""
     gc.collect()
     # Of glibc alone; other systems have none, or need none.
     if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):

@@ -1,4 +1,4 @@
-"""The configuration of a training run; it is kept in its checkpoints."""
+"""The configuration of a training run, stored in its checkpoints."""
 
 from __future__ import annotations
 
@@ -33,79 +33,79 @@ from craftsim.storage.records import record
 from craftsim.training.settings import settings_of
 
 PHYSICS_WORLDS: Final = 32
-"""How many are stepped side by side in physics unless said otherwise."""
+"""Default number of parallel worlds in physics."""
 GRID_WORLDS: Final[Mapping[AlgoName, int]] = {
     **dict.fromkeys(("ippo", "mappo"), 500),
     **dict.fromkeys(("qmix", "vdn", "iql", "qtran", "coma"), 25),
     "pqn": 100,
 }
-"""The same on the grid: learning from few worlds means many updates."""
+"""Default number on the grid, by algorithm: fewer worlds mean more updates."""
 NetworkName = Literal["map", "relative"]
-"""A table of what may be in each cell of the map, or of what may be in each direction and distance from a car."""
+"""Embedding table by cell of the map, or by position relative to the car."""
 Acting = Literal["greedy", "sampled"]
-"""Each car does what the policy rates highest, or what is drawn with the policy's probabilities."""
+"""Each car takes the highest rated action, or samples from the policy."""
 HALF: Final = 0.5
-"""Of the episodes of training start with worlds that are given, unless said otherwise."""
+"""Default share of training episodes that start from given worlds."""
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
 
 
 WITH_PROBABILITIES: Final[tuple[AlgoName, ...]] = ("ippo", "mappo", "coma")
-"""What these learn are probabilities of actions, and values with the others."""
+"""Algorithms that learn a stochastic policy; the others learn values."""
 
 
 @record()
 class TrainConfig:
-    """Everything that decides what a run learns, its length aside. Raises InputError for a bad value."""
+    """Everything that determines what a run learns, except its length. Raises InputError for an invalid value."""
 
     task: str
-    """What it is called: a name or a file, as :func:`craftsim.discrete.tasks.known_task` takes it, or
-    ``module:factory``. Of the latter a trainer is given the task itself: a configuration may come from a file."""
+    """A name or file, as for :func:`craftsim.discrete.tasks.known_task`, or ``module:factory``; for the latter the
+    trainer needs the task itself, since a configuration may come from a file."""
     algo: AlgoName = "ippo"
     seed: Annotated[int, SEED] = 0
     worlds: Annotated[int, BATCH] | None = None
-    """How many worlds are stepped side by side in a rollout; as many as suit algorithm and backend unless given."""
+    """Number of parallel worlds; default by algorithm and backend."""
     width: Annotated[int, NETWORK_WIDTH] = 128
-    """Length of the vectors inside the networks."""
+    """Width of the hidden layers."""
     network: NetworkName = "map"
-    """How it looks at the world: cell by cell, or from each car, so that any number of cars may be there."""
+    """Encoder: by cell of the map, or relative to each car, for any number of cars."""
     novelty: Annotated[float, BONUS] = 0.0
-    """Exploration bonus for a building never seen before; for one seen k times it is divided by the root of k."""
+    """Exploration bonus for a new building; divided by sqrt(k) for one seen k times."""
     n_cars: Annotated[int, CARS] | None = None
-    """Other than the task's number of cars; those that its start does not list are drawn at random."""
+    """Number of cars; those not listed in the task's start are placed at random."""
     n_blocks: Annotated[int, BLOCKS] | None = None
-    """The same for blocks."""
+    """Number of blocks."""
     backend: TrainBackend = "grid"
-    """Where it is trained and evaluated: on the grid, or in nominal contact physics."""
+    """Training and evaluation on the grid, or in contact physics."""
     drive: Drive = "reduced"
-    """How cars touch the ground in physics; the grid knows no drives."""
+    """Drive of the cars in physics."""
     randomize: str = "none"
-    """What is drawn of physics, floor, machines and sensors in each episode: a preset's name."""
+    """Preset of the randomization in physics."""
     rules: RuleSet = "physical"
-    """What is legal on the grid: what physics supports, or what CraftEnv's code allows."""
+    """Rule set on the grid."""
     helper_depth: Annotated[int, HELPER_DEPTH] | None = None
-    """Search depth of the action helper, on the grid; None is without it."""
+    """Search depth of the action helper on the grid; None: no helper."""
     execution: Execution = "synchronous"
-    """Whether cars decide together, tick by tick, or each when its own action has ended, on the grid."""
+    """Whether cars decide together in ticks, or each when its own action has ended (grid)."""
     explore: Annotated[int, EXPLORED_TICKS] = 0
-    """Ticks of exploration on the grid before learning; half of the episodes then start with a world it reached."""
+    """Ticks of exploration on the grid before learning; half of the episodes then start from worlds that it reached."""
     acting: Acting = "greedy"
-    """How the policy acts in evaluations and once it is trained; while it learns, actions are always drawn."""
+    """Action selection in evaluations and of the trained policy; during training actions are sampled."""
     imitate: Annotated[int, IMITATED_PLANS] = 0
-    """Plans of the planner that are imitated before learning; half of the episodes then start with a world of one."""
+    """Number of plans for imitation before learning; half of the episodes then start from worlds along them."""
     shown_share: Annotated[float, SHARE] = HALF
-    """In a task that varies, the share of episodes that start with a world on the way of an imitated plan."""
+    """In a random task, the share of episodes that start along an imitated plan."""
     pretrained: str = ""
-    """A policy to begin with, by name, file or folder; its network has the same width and form, its area may differ."""
+    """Initial policy, by name, file or folder; with the same width and kind of network, possibly another area."""
     stages: Annotated[tuple[str, ...], Strict(False), Field(max_length=STAGES)] = ()
-    """Tasks to learn on before, one after the other: easier ones, of the same size and with as many things."""
+    """Curriculum: easier tasks of the same shape to learn on first."""
     stage_steps: Annotated[int, Range(0, TRAIN_STEPS.high)] = 0
-    """Ticks on each of them, all worlds together."""
+    """Ticks on each of them, over all worlds."""
     evaluate_every: Annotated[int, TRAIN_STEPS] | None = None
-    """Ticks from one evaluation to the next, all worlds together; ten rollouts unless given."""
+    """Ticks between evaluations, over all worlds; default: ten rollouts."""
     evaluation_episodes: Annotated[int, TRAIN_EPISODES] | None = None
-    """Of each evaluation while it learns; 500 on the grid and 64 in physics unless given."""
+    """Episodes of each evaluation during training; default: 500 on the grid, 64 in physics."""
     hyperparameters: dict[str, float] = field(default_factory=dict)
-    """Of the algorithm, by name, where they are not its own; see :mod:`craftsim.training.settings`."""
+    """Hyperparameters that differ from the defaults, see :mod:`craftsim.training.settings`."""
 
     def __post_init__(self) -> None:
         settings_of(self.algo, self.hyperparameters)
@@ -152,13 +152,13 @@ class TrainConfig:
 
     @property
     def n_worlds(self) -> int:
-        """How many worlds are stepped side by side."""
+        """Number of parallel worlds."""
         usual = GRID_WORLDS[self.algo] if self.backend == "grid" else PHYSICS_WORLDS
         return self.worlds or usual
 
     @property
     def n_evaluation_episodes(self) -> int:
-        """How many episodes an evaluation while it learns has."""
+        """Episodes of each evaluation during training."""
         return self.evaluation_episodes or (500 if self.backend == "grid" else 64)
 
     def as_dict(self) -> dict[str, Any]:
@@ -168,17 +168,17 @@ class TrainConfig:
 
 PAPER_STEPS: Final = 1_000_500
 PAPER_LONG_STEPS: Final = 2_000_000
-"""Of two-story buildings and harder tasks."""
+"""Steps for two-story buildings and harder tasks."""
 _SHORT_TASKS: Final = ("strip", "block")
 
 
 LEARNED: Final = 0.99
-"""The success rate that counts as learned, unless a run or a study says otherwise."""
+"""Default success rate that counts as learned."""
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """What a preset settles: fields of a configuration, and how long a run is."""
+    """A preset: fields of a configuration, and the length of a run."""
 
     settings: Mapping[str, Any] = field(default_factory=dict)
     steps: int = 1_000_000
@@ -189,9 +189,8 @@ def protocol(preset: PresetName, task: str, algo: AlgoName) -> Protocol:
     """Return the protocol of CraftEnv's paper (Zhao et al., AAMAS 2023) for a task and an algorithm.
 
     Published rules, the action helper with depth 20, the task's own start, greedy evaluations of 20 episodes every
-    10,000 ticks, and no end at the first success. Value-based algorithms explore with probability 0.21, soon 0.2.
-    Learning rates but those of PPO fall to nothing.
-    ``paper_plus`` adds exploration of craftsim's own before learning.
+    10,000 ticks, and no early stop. Value-based algorithms explore with probability 0.21, decaying to 0.2. Learning
+    rates except PPO's decay to 0. ``paper_plus`` adds our own exploration before learning.
     """
     short = task in _SHORT_TASKS
     steps = PAPER_STEPS if short else PAPER_LONG_STEPS
@@ -211,7 +210,7 @@ def protocol(preset: PresetName, task: str, algo: AlgoName) -> Protocol:
 
 
 NEVER: Final = 2.0
-"""A success rate that no evaluation has: a run that waits for it goes on to its last step."""
+"""A success rate above 1, for runs without early stop."""
 
 
 def _check_drawn(randomize: str, backend: TrainBackend) -> None:

@@ -1,4 +1,4 @@
-"""What a training algorithm is: how it acts while it learns, and how it learns from a rollout."""
+"""The interface of the training algorithms: acting during training, and updates from rollouts."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from craftsim.training.settings import Settings
 
 
 class Learner(ABC):
-    """One of the algorithms, with its networks and its optimiser."""
+    """An algorithm with its networks and optimiser."""
 
     net: CarNet
-    """The policy: from what a car sees to one number an action, higher for better."""
+    """The policy: from a car's observation to one number per action, higher is better."""
     modules: nn.Module
-    """All that has weights, target networks among them."""
+    """All modules with weights, including target networks."""
     optimizer: torch.optim.Optimizer
     settings: Settings
     ticks: int
-    """Length of a rollout: ticks of each world between two updates."""
+    """Length of a rollout: ticks of each world between updates."""
     learnt: int = 0
-    """Ticks learnt from so far, all worlds together, which its trainer counts."""
+    """Ticks so far over all worlds, counted by the trainer."""
 
     @abstractmethod
     def act(self, seen: Seen) -> Tensor:
-        """Return the actions (B, n) of a rollout, some of them for exploration, drawn by torch's default generator."""
+        """Return actions (B, n) with exploration, drawn from torch's default generator."""
 
     @abstractmethod
     def update(self, rollout: Rollout) -> None:
-        """Learn from a rollout."""
+        """Update from a rollout."""
 
     def minimize(self, loss: Tensor) -> None:
-        """Do one step of the optimiser."""
+        """Take one optimiser step."""
         (group,) = self.optimizer.param_groups
         group["lr"] = self.settings.rate(self.learnt)
         self.optimizer.zero_grad()
@@ -46,14 +46,14 @@ class Learner(ABC):
         self.optimizer.step()
 
     def memory(self) -> dict[str, tuple[Tensor, float, float]]:
-        """Return what it remembers beside weights: by name a tensor, and the bounds of its numbers."""
+        """Return further state: tensors by name, with the bounds of their values."""
         return {}
 
     def remember(self, memory: dict[str, Tensor]) -> None:  # noqa: B027
-        """Take over what :meth:`memory` returned once; names, types, shapes and bounds have been checked."""
+        """Restore what :meth:`memory` returned; names, types, shapes and bounds have been checked."""
 
     def state(self) -> dict[str, Any]:
-        """Return all that a run needs to go on: tensors and plain values only."""
+        """Return the complete state for a checkpoint: tensors and plain values."""
         memory = {name: tensor for name, (tensor, _, _) in self.memory().items()}
         return {
             "modules": self.modules.state_dict(),
@@ -62,9 +62,9 @@ class Learner(ABC):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from what :meth:`state` returned.
+        """Restore what :meth:`state` returned.
 
-        Raises InputError, or what another content of a file leads to; then the learner is good for nothing.
+        Raises InputError, or another error for invalid content; the learner is then unusable.
         """
         restore_module(self.modules, state["modules"])
         restore_adam(self.optimizer, state["optimizer"])
@@ -78,11 +78,11 @@ class Learner(ABC):
 
 
 def drawn(logits: Tensor) -> Tensor:
-    """Return actions (...) drawn with the probabilities that masked logits (..., 15) give them (Gumbel-max)."""
+    """Return actions (...) sampled from masked logits (..., 15) (Gumbel-max)."""
     noise = torch.rand_like(logits).clamp_(min=1e-20).log_().neg_().log_().neg_()
     return (logits + noise).argmax(-1)
 
 
 def drawn_offers(offers: Tensor) -> Tensor:
-    """Return actions (...) drawn uniformly from those that are offered (..., 15)."""
+    """Return actions (...) drawn uniformly from masks (..., 15)."""
     return (torch.rand(offers.shape) * offers).argmax(-1)

@@ -1,4 +1,4 @@
-"""A trained policy, as anything that plays a task calls it."""
+"""Trained policies: callables from observations to actions."""
 
 from __future__ import annotations
 
@@ -21,21 +21,18 @@ if TYPE_CHECKING:
     from craftsim.training.shape import Shape
 
 POLICY_FILE: Final = "policy.safetensors"
-"""In the folder of a training run."""
+"""File name in the folder of a training run."""
 _OLD_FILE: Final = "policy.pt"
-"""The same of craftsim 0.2 and older."""
+"""File name of craftsim 0.2 and older."""
 SHIPPED: Final = Path(__file__).parents[1] / "data" / "policies"
-"""One for each task that has one, by the task's name."""
+"""Folder of the shipped policies, by task."""
 
 Observations = dict[str, dict[str, NDArray[Any]]]
 """By agent, ``car_0`` and so on: ``observation`` (vector_length,) and ``action_mask`` (15,)."""
 
 
 class TrainedPolicy:
-    """Chooses for every car the offered action that its network rates highest, or draws one by its probabilities.
-
-    Which of both its configuration says.
-    """
+    """A policy: for each car the highest rated action, or a sample, as its configuration says."""
 
     def __init__(
         self, config: TrainConfig, identity: TaskIdentity, shape: Shape, net: CarNet, seed: int = 0
@@ -43,17 +40,17 @@ class TrainedPolicy:
         self.config = config
         self._draws = np.random.default_rng(seed) if config.acting == "sampled" else None
         self.identity = identity
-        """What it was trained for."""
+        """Identity of its task."""
         self.shape = shape
         self.net = net
         self._checked: Task | None = None
 
     def check_task(self, task: Task | str, rules: RuleSet | None = None) -> None:
-        """Raise InputError for another task than the one that it was trained for, or another rule set if one is given.
+        """Raise InputError for a task, or a given rule set, for which it was not trained.
 
-        A network that looks from a car plays every task of its area that shows what is to be built, with any number of
-        cars. Observations of :func:`craftsim.envs.parallel_env` are checked by themselves, the rule set aside; whoever
-        calls a policy with observations from elsewhere calls this before.
+        A relative network plays every task of its area whose observations contain the design, with any number of cars.
+        Observations of :func:`craftsim.envs.parallel_env` are checked automatically, except for the rule set; call this
+        first for observations from elsewhere.
         """
         from craftsim.discrete.tasks import as_task
         from craftsim.training.shape import Shape
@@ -76,7 +73,7 @@ class TrainedPolicy:
         self._checked = task
 
     def __call__(self, observations: Observations) -> dict[str, int]:
-        """Return one action for each agent; raises InputError if the observations are those of another task."""
+        """Return one action for each agent. Raises InputError for observations of another task."""
         from craftsim.discrete.kernel.tasks import ROW
         from craftsim.training.evaluation import choose_actions
 
@@ -103,17 +100,17 @@ class TrainedPolicy:
 
 
 def shipped_policies() -> list[str]:
-    """Return the names of the policies that come with craftsim."""
+    """Return the names of the shipped policies."""
     return sorted(path.stem for path in SHIPPED.glob("*.safetensors"))
 
 
 def policy_file(path: str | Path) -> Path:
-    """Return the file of a policy: a file, the one in a folder, or that of a shipped policy."""
+    """Return the path of a policy, given as a file, a folder or the name of a shipped one."""
     return SHIPPED / f"{path}.safetensors" if is_shipped_policy(path) else _own_file(path)
 
 
 def is_shipped_policy(path: str | Path) -> bool:
-    """Return whether this is the name of a shipped policy, and neither a file nor a folder that holds a policy."""
+    """Return whether this is the name of a shipped policy, and not a file or folder with a policy."""
     return str(path) in shipped_policies() and not os.path.lexists(_own_file(path))
 
 
@@ -125,21 +122,17 @@ def _own_file(path: str | Path) -> Path:
 
 
 def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:
-    """Return the policy that ``craftsim train`` wrote: its ``policy.safetensors``, or the folder that holds it.
+    """Return a trained policy: a ``policy.safetensors``, its folder, or the name of a shipped one such as
+    ``random_strip``.
 
-    Where there is no such file, the name of a shipped policy such as ``random_strip`` is one, too. It is called with
-    the observations of :func:`craftsim.envs.parallel_env` and returns the actions; it refuses those of another task
-    than the one that it was trained for. ``seed`` decides what one draws whose actions are sampled.
+    It maps observations of :func:`craftsim.envs.parallel_env` to actions, and refuses those of another task. ``seed``
+    is for policies whose actions are sampled.
 
     Raises:
         InputError: the extra ``train`` is not installed, or the file is not a policy.
 
-    Example:
-        >>> import craftsim
-        >>> policy = craftsim.load_policy(trained)  # what `craftsim train --out` wrote
-        >>> env = craftsim.parallel_env("strip", "grid")
-        >>> sorted(policy(env.reset(seed=0)[0]))
-        ['car_0', 'car_1']
+    Example: >>> import craftsim >>> policy = craftsim.load_policy(trained)  # what `craftsim train --out` wrote >>> env
+        = craftsim.parallel_env("strip", "grid") >>> sorted(policy(env.reset(seed=0)[0])) ['car_0', 'car_1']
     """
     need_torch()
     from craftsim.training.checkpoint import read_policy

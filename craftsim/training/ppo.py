@@ -1,4 +1,4 @@
-"""Independent and multi-agent PPO: the clipped objective and generalised advantages on whole episodes of many worlds.
+"""Independent and multi-agent PPO: clipped objective and generalised advantages over many parallel worlds.
 
 After Schulman et al. (2017) and Yu et al., "The surprising effectiveness of PPO in cooperative multi-agent games"
 (NeurIPS 2022).
@@ -19,13 +19,13 @@ from craftsim.training.settings import PPOSettings
 from craftsim.training.shape import Shape
 
 MIN_ADVANTAGE_STD: Final = 0.1
-"""Advantages of a smaller standard deviation are not scaled up to 1: they are noise of the critic."""
+"""Advantages with a smaller standard deviation are not normalised to 1, since they are noise of the critic."""
 
 
 class PPOLearner(Learner):
-    """IPPO, whose critic sees what one car observes, or MAPPO, whose critic sees what all cars observe.
+    """IPPO, with a critic on one car's observation, or MAPPO, with a critic on all cars' observations.
 
-    Actor and critic share the encoder. A world that a batch meets many times is looked at once.
+    Actor and critic share the encoder. Repeated observations in a batch are evaluated once.
     """
 
     def __init__(self, shape: Shape, ticks: int, sees_team: bool, settings: PPOSettings) -> None:
@@ -37,14 +37,14 @@ class PPOLearner(Learner):
         self.optimizer = torch.optim.Adam(self.modules.parameters(), settings.learning_rate, fused=True)
 
     def act(self, seen: Seen) -> Tensor:
-        """Draw each car's action by the policy."""
+        """Sample each car's action."""
         return drawn(self.net(seen))
 
     def update(self, rollout: Rollout) -> None:
-        """Learn from each tick as many times as there are epochs."""
+        """Run the epochs of minibatch updates on a rollout."""
         settings = self.settings
         n, actions = len(rollout), rollout.actions.flatten(0, 1)
-        # Of now, then of the tick after: where an episode ends these are not the next of the rollout.
+        # Values now and after each tick; at the end of an episode the latter differ from the next values of the rollout.
         distinct = UniqueObservations(joined([rollout.now.flat(), rollout.after.flat()]))
         with torch.no_grad():
             encoded = self.net.encode(distinct.seen)
@@ -73,16 +73,16 @@ class PPOLearner(Learner):
 
 
 def _of(log_probs: Tensor, actions: Tensor) -> Tensor:
-    """Return (..., n): those of the actions that were done."""
+    """Return (..., n): the log probabilities of the taken actions."""
     return log_probs.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
 
 
 def advantages(rollout: Rollout, now: Tensor, after: Tensor, gamma: float, decay: float) -> Tensor:
     """Return (T, B, n): generalised advantages (Schulman et al., 2016) from the values before and after each tick.
 
-    Where cars decide one by one, an action lasts from a car's decision to its next one, and earns what the team is
-    rewarded with meanwhile, discounted by the time that has passed (a semi-Markov decision process); what stands where
-    a car decides nothing means nothing.
+    In asynchronous execution an action lasts from a car's decision to its next one, and earns the team's rewards of
+    that time, discounted by elapsed time (semi-Markov decision process). Entries of cars that do not decide are
+    undefined.
     """
     goes_on, same = (~flag.unsqueeze(-1) for flag in (rollout.terminated, rollout.done))
     rewards = rollout.rewards.unsqueeze(-1)
@@ -94,7 +94,7 @@ def advantages(rollout: Rollout, now: Tensor, after: Tensor, gamma: float, decay
         return found
     discount = gamma ** rollout.elapsed.unsqueeze(-1)
     found = torch.empty_like(now)
-    # Of each car: what follows until its next decision, with the value then, and the advantage of that decision.
+    # By car: the return until its next decision, with the value then, and the advantage of that decision.
     follows, ahead = after[-1], torch.zeros_like(after[-1])
     for t in range(len(now) - 1, -1, -1):
         earned = rewards[t] + discount[t] * goes_on[t] * torch.where(same[t], follows, after[t])

@@ -1,4 +1,4 @@
-"""Rollouts: what the cars of many worlds, on the grid or in physics, observe, do and get, tick by tick."""
+"""Rollouts: observations, actions and rewards of many parallel worlds, on the grid or in physics."""
 
 from __future__ import annotations
 
@@ -22,44 +22,44 @@ from craftsim.training.features import Encoder, RelativeEncoder
 
 _HASH_SEED: Final = 2
 USUAL_TICK_S: Final = 1.0
-"""About what a move takes: a discount of a tick is one of so much time where cars decide one by one."""
+"""About the duration of a move: in asynchronous execution the discount per tick applies to this time."""
 TRAINED_JITTER: Final = 0.1
-"""By about what share durations vary where cars are trained asynchronously."""
+"""Relative jitter of durations in asynchronous training."""
 
 
 class BatchStep(NamedTuple):
-    """What a step of B worlds brought."""
+    """The result of a step of B worlds."""
 
     reward: NDArray[np.float64]
-    """(B,): one number for the team."""
+    """(B,): team reward."""
     terminated: NDArray[np.bool_]
     """(B,): the task was completed."""
     done: NDArray[np.bool_]
     """(B,): the episode is over."""
     elapsed: NDArray[np.float64] | None = None
-    """(B,): how long it took, in usual ticks; None where all take one."""
+    """(B,): elapsed time in usual ticks; None: one each."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What cars observe, as a network takes it."""
+    """Observations of cars as inputs of a network."""
 
     places: Tensor
-    """(..., n, rows) int32: the row of the encoder's table of every thing, see :meth:`.features.Encoder.places`."""
+    """(..., n, rows) int32: row of the encoder's table for each entity, see :meth:`.features.Encoder.places`."""
     offers: Tensor
-    """(..., n, 15) bool: the actions that are offered, at least one a car."""
+    """(..., n, 15) bool: action masks, with at least one action each."""
 
     def __getitem__(self, index: Any) -> Seen:
-        """Return some of them, by an index of the leading dimensions."""
+        """Index the leading dimensions."""
         return Seen(self.places[index], self.offers[index])
 
     def flat(self, dims: int = 2) -> Seen:
-        """Return the same with so many leading dimensions joined."""
+        """Return the observations with the first ``dims`` dimensions flattened."""
         return Seen(self.places.flatten(0, dims - 1), self.offers.flatten(0, dims - 1))
 
 
 def joined(parts: Sequence[Seen], join: Callable[..., Tensor] = torch.cat) -> Seen:
-    """Return one after the other along the first dimension, or joined by torch.stack."""
+    """Concatenate along the first dimension, or combine with ``join``, such as torch.stack."""
     return Seen(join([part.places for part in parts]), join([part.offers for part in parts]))
 
 
@@ -70,50 +70,50 @@ class Rollout:
     now: Seen
     """(T, B): before each tick."""
     after: Seen
-    """(T, B): after it; where an episode ends there, its last observation."""
+    """(T, B): after each tick; at the end of an episode its last observation."""
     actions: Tensor
     """(T, B, n) int64."""
     rewards: Tensor
-    """(T, B) float32, one for the team."""
+    """(T, B) float32: team rewards."""
     terminated: Tensor
     """(T, B) bool: the task was completed."""
     done: Tensor
-    """(T, B) bool: the episode ended, by success or at its time limit."""
+    """(T, B) bool: the episode ended, by success or its time limit."""
     decides: Tensor | None = None
-    """(T, B, n) bool: which cars chose their action, the others being in the middle of one; None where all did."""
+    """(T, B, n) bool: which cars chose their action, while the others were executing one; None: all."""
     elapsed: Tensor | None = None
-    """(T, B) float32: how long each took, in usual ticks; None where all took one."""
+    """(T, B) float32: elapsed time of each step in usual ticks; None: one each."""
 
     def __len__(self) -> int:
-        """Return the number of ticks of all worlds together."""
+        """Return the number of ticks over all worlds."""
         return self.rewards.numel()
 
 
 class WorldBatch(Protocol):
-    """B worlds of one task that are stepped side by side."""
+    """B parallel worlds of one task."""
 
     @property
     def decides(self) -> NDArray[np.bool_] | None:
-        """(B, n): which cars choose what they do next; None where all do, tick by tick."""
+        """(B, n): which cars decide next; None: all, in ticks."""
 
     def reset(self, seed: int) -> None:
-        """Start all episodes anew; all that is drawn from now on follows from the seed."""
+        """Start new episodes everywhere; all further random draws follow from the seed."""
 
     def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
         """Return observations (B, n, vector_length) and masks (B, n, 15)."""
 
     def step(self, actions: NDArray[np.int64]) -> BatchStep:
-        """Let all cars that decide act, (B, n)."""
+        """Step with actions (B, n) of the cars that decide."""
 
     def restart(self) -> None:
-        """Start the episodes anew that are over."""
+        """Start new episodes where they are over."""
 
     def close(self) -> None:
-        """Free what they hold."""
+        """Release resources."""
 
 
 class GridWorlds:
-    """WorldBatch on the grid, stepped in one array call."""
+    """WorldBatch on the grid, stepped in one compiled call."""
 
     decides: NDArray[np.bool_] | None = None
 
@@ -145,7 +145,7 @@ class GridWorlds:
 
 
 class AsynchronousWorlds:
-    """WorldBatch on the grid whose cars decide one by one; a step lasts until the next event of each world."""
+    """WorldBatch on the grid in asynchronous execution; a step lasts until the next event of each world."""
 
     def __init__(
         self,
@@ -189,7 +189,7 @@ class AsynchronousWorlds:
 
 
 class PhysicsWorlds:
-    """WorldBatch in physics, spread over worker processes; none of their numbers depends on how many there are."""
+    """WorldBatch in physics over worker processes; results do not depend on their number."""
 
     decides: NDArray[np.bool_] | None = None
 
@@ -235,7 +235,7 @@ class PhysicsWorlds:
 def play(
     worlds: WorldBatch, encoder: Encoder | RelativeEncoder, act: Callable[[Seen], Tensor], ticks: int
 ) -> Rollout:
-    """Return so many ticks of all worlds, from where they stand; ``act`` returns actions (B, n) of what is seen."""
+    """Return a rollout of all worlds from their present states; ``act`` maps observations to actions (B, n)."""
     columns: list[tuple[Any, ...]] = []
     now = _look(worlds, encoder)
     for _ in range(ticks):
@@ -262,9 +262,9 @@ def _look(worlds: WorldBatch, encoder: Encoder | RelativeEncoder) -> Seen:
 
 
 def lambda_returns(rollout: Rollout, after: Tensor, gamma: float, decay: float) -> Tensor:
-    """Return (T, B) or (T, B, n): lambda returns from the value, of the same shape, after each tick.
+    """Return (T, B) or (T, B, n): lambda returns from the values, of the same shape, after each tick.
 
-    An episode that ran out of time counts on with the value after its last tick, a completed one with nothing.
+    A truncated episode is bootstrapped with the value after its last tick, a completed one is not.
     """
     shape = *rollout.done.shape, *(1,) * (after.ndim - 2)
     rewards, terminated, done = (
@@ -278,21 +278,20 @@ def lambda_returns(rollout: Rollout, after: Tensor, gamma: float, decay: float) 
 
 
 class UniqueObservations:
-    """The distinct rows among N that were seen, by a hash of 64 bits: a network need only look at these.
+    """De-duplication of N observations by a hash of 64 bits, so that a network evaluates each distinct one once.
 
-    Episodes that begin alike meet the same worlds again and again, and what a network says of one holds for all its
-    copies. Two of a million rows share a hash by chance in one of ten million cases.
+    Episodes with equal starts visit the same worlds often. Among a million rows the probability of a collision is 1e-7.
     """
 
     def __init__(self, seen: Seen) -> None:
-        """Compare N rows."""
+        """De-duplicate N rows."""
         generator = torch.Generator().manual_seed(_HASH_SEED)
         hashes = torch.zeros(len(seen.places), dtype=torch.int64)
         for column in (seen.places, seen.offers):
             rows = column.flatten(1).long()
             hashes += (rows * torch.randint(-(2**62), 2**62, rows.shape[1:], generator=generator)).sum(-1)
         found, self.inverse = torch.unique(hashes, return_inverse=True)
-        """(N,): which of the distinct rows each row is."""
+        """(N,): index of each row among the distinct ones."""
         first = torch.full_like(found, len(hashes)).scatter_reduce_(
             0, self.inverse, torch.arange(len(hashes)), "amin"
         )

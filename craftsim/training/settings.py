@@ -1,4 +1,4 @@
-"""Hyperparameters of the algorithms: what they are unless said otherwise, within which bounds, and from a YAML file."""
+"""Hyperparameters of the algorithms, with defaults and bounds, and reading them from YAML."""
 
 from __future__ import annotations
 
@@ -17,67 +17,67 @@ if TYPE_CHECKING:
 
 @record(kw_only=True)
 class Settings:
-    """What all algorithms have. Raises InputError for a number outside its range; a whole default wants a whole one."""
+    """Common hyperparameters. Raises InputError for a value out of range; integers must stay integers."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount of a tick."""
+    """Discount per tick."""
     learning_rate: Annotated[float, Range(1e-6, 1)] = 1e-3
-    """Of the optimiser, Adam; RAdam of PQN."""
+    """Learning rate of Adam; of RAdam for PQN."""
     max_gradient: Annotated[float, Range(1e-3, 1_000_000)] = 1.0
-    """Gradients of a larger norm are scaled down to it."""
+    """Clipping norm of gradients."""
     decay_ticks: Annotated[int, Range(0, 1_000_000_000)] = 0
-    """Ticks in which the learning rate falls evenly to nothing; 0 for a rate that stays."""
+    """Ticks of linear decay of the learning rate to 0; 0: constant rate."""
 
     def rate(self, learnt: int) -> float:
-        """Return the learning rate after so many ticks."""
+        """Return the learning rate after ``learnt`` ticks."""
         left = max(0.0, 1 - learnt / self.decay_ticks) if self.decay_ticks else 1.0
         return self.learning_rate * left
 
 
 @record(kw_only=True)
 class PPOSettings(Settings):
-    """Of IPPO and MAPPO."""
+    """Hyperparameters of IPPO and MAPPO."""
 
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
-    """Of generalised advantages."""
+    """Lambda of generalised advantage estimation."""
     clip: Annotated[float, Range(0.001, 10)] = 0.2
-    """How far the ratio of probabilities may go from 1."""
+    """Clipping range of the probability ratio."""
     entropy: Annotated[float, Range(0, 10)] = 0.01
-    """Weight of the policy's entropy."""
+    """Entropy coefficient."""
     critic: Annotated[float, Range(0, 100)] = 0.5
-    """Weight of the critic's error."""
+    """Weight of the critic's loss."""
     epochs: Annotated[int, Range(1, 100)] = 4
-    """How often each tick is learnt from."""
+    """Epochs over each rollout."""
     minibatches: Annotated[int, Range(1, 1024)] = 4
-    """Parts of a rollout, each with a step of the optimiser."""
+    """Minibatches per epoch."""
 
 
 @record(kw_only=True)
 class COMASettings(Settings):
-    """Of COMA."""
+    """Hyperparameters of COMA."""
 
     td_lambda: Annotated[float, Range(0, 1)] = 0.8
-    """Of the critic's returns."""
+    """Lambda of the critic's returns."""
     entropy: Annotated[float, Range(0, 10)] = 0.01
-    """Weight of the policy's entropy."""
+    """Entropy coefficient."""
     minibatches: Annotated[int, Range(1, 1024)] = 2
-    """Parts of a rollout, each with a step of the optimiser."""
+    """Minibatches per epoch."""
     target_rate: Annotated[float, Range(1e-4, 0.999)] = 0.05
-    """How far the target critic follows at each step."""
+    """Soft update rate of the target critic."""
 
 
 @record(kw_only=True)
 class ValueSettings(Settings):
-    """Of all algorithms that rate actions by value, and explore by random ones."""
+    """Hyperparameters of value-based algorithms with epsilon-greedy exploration."""
 
     learning_rate: Annotated[float, Range(1e-6, 1)] = 5e-4
     max_gradient: Annotated[float, Range(1e-3, 1_000_000)] = 10.0
     epsilon_start: Annotated[float, Range(0, 1)] = 0.5
-    """Part of random actions at first."""
+    """Initial probability of a random action."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.2
-    """The same in the end."""
+    """Final probability of a random action."""
     epsilon_ticks: Annotated[int, Range(1, 1_000_000_000)] = 50_000
-    """Ticks until then."""
+    """Ticks of linear decay between them."""
 
     def __post_init__(self) -> None:
         if self.epsilon_end > self.epsilon_start:
@@ -86,37 +86,37 @@ class ValueSettings(Settings):
             )
 
     def epsilon(self, learnt: int) -> float:
-        """Return the part of random actions after so many ticks."""
+        """Return the probability of a random action after ``learnt`` ticks."""
         left = max(0.0, 1 - learnt / self.epsilon_ticks)
         return self.epsilon_end + (self.epsilon_start - self.epsilon_end) * left
 
 
 @record(kw_only=True)
 class QSettings(ValueSettings):
-    """Of IQL, VDN, QMIX and QTRAN."""
+    """Hyperparameters of IQL, VDN, QMIX and QTRAN."""
 
     td_lambda: Annotated[float, Range(0, 1)] = 0.6
-    """Of the returns; 0 is one-step Q-learning."""
+    """Lambda of the returns; 0 is one-step Q-learning."""
     batch: Annotated[int, Range(1, 50_000)] = 512
-    """Ticks that a step of the optimiser learns from, in whole rollouts of one world."""
+    """Ticks per optimiser step, in whole rollouts of one world."""
     buffer: Annotated[int, Range(1, 1_000_000)] = 5_000
-    """Ticks that are remembered; with ten times as many a run of VDN on the strip lost what it had learned."""
+    """Capacity of the replay memory in ticks; with ten times as many, VDN on the strip forgot what it had learned."""
     replays: Annotated[float, Range(0.01, 1000)] = 16.0
-    """How often each tick is learnt from, on average."""
+    """Average number of times that each tick is sampled."""
     target_rate: Annotated[float, Range(1e-4, 1)] = 0.01
-    """How far the target networks follow at each step."""
+    """Soft update rate of the target networks."""
 
 
 @record(kw_only=True)
 class PQNSettings(ValueSettings):
-    """Of PQN-VDN."""
+    """Hyperparameters of PQN-VDN."""
 
     td_lambda: Annotated[float, Range(0, 1)] = 0.65
-    """Of the returns."""
+    """Lambda of the returns."""
     epochs: Annotated[int, Range(1, 100)] = 2
-    """How often each tick is learnt from."""
+    """Epochs over each rollout."""
     minibatches: Annotated[int, Range(1, 1024)] = 8
-    """Parts of a rollout, each with a step of the optimiser."""
+    """Minibatches per epoch."""
 
 
 KINDS: Final[Mapping[AlgoName, type[Settings]]] = {
@@ -128,7 +128,7 @@ KINDS: Final[Mapping[AlgoName, type[Settings]]] = {
 
 
 def settings_of(algo: AlgoName, given: Mapping[str, float]) -> Settings:
-    """Return the settings of an algorithm, some of them as given; raises InputError for unknown ones too."""
+    """Return the hyperparameters of an algorithm with some replaced. Raises InputError for unknown or invalid ones."""
     kind = KINDS[algo]
     # What is whole stays so, though a file may have it as 4.0.
     whole = {of.name for of in fields(kind) if isinstance(of.default, int)}
@@ -137,7 +137,7 @@ def settings_of(algo: AlgoName, given: Mapping[str, float]) -> Settings:
 
 
 def read_settings(path: Path, algo: AlgoName) -> dict[str, float]:
-    """Return what a YAML file says of an algorithm's settings; raises InputError with file, line and key."""
+    """Return the hyperparameters in a YAML file. Raises InputError with file, line and key."""
     document = read_document(path)
     document.to(KINDS[algo])
     return document.plain

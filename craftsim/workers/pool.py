@@ -72,7 +72,10 @@ class Pool:
     """
 
     def __init__(self, n: int, engine: Engine = "local") -> None:
-        """Start no worker yet; on Ray their number is limited by the processors. Raises InputError without a cluster."""
+        """Start no worker yet; on Ray their number is limited by the processors.
+
+        Raises InputError without a cluster.
+        """
         self._kind: Any = RayActor if engine == "ray" else Actor
         self._n = min(n, processors()) if engine == "ray" else n
         self._idle: list[_Worker] = []

@@ -44,7 +44,7 @@ class PPOLearner(Learner):
         """Run the epochs of minibatch updates on a rollout."""
         settings = self.settings
         n, actions = len(rollout), rollout.actions.flatten(0, 1)
-        # Values now and after each tick; at the end of an episode the latter differ from the next values of the rollout.
+        # Values now and after each tick; these differ at the end of an episode.
         distinct = UniqueObservations(joined([rollout.now.flat(), rollout.after.flat()]))
         with torch.no_grad():
             encoded = self.net.encode(distinct.seen)

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import requires
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
@@ -69,7 +70,8 @@ def bench(
     execution: makespans in physics of the plans of the six tasks and of random designs: one action after the other,
     tick after tick, and each action as early as those that it depends on have ended, beside the predicted makespans.
     Of policies instead: their success on the grid and in physics, where all cars decide together, tick by tick, and
-    where each decides when its own action has ended. Reduced drive, mild randomization, paired starts.
+    where each decides when its own action has ended: on the reduced drive with mild randomization, and as robots on
+    rollers, on the floor of a workshop and behind a network, which takes most of the time. Paired starts.
 
     Args:
         what: what to measure.
@@ -78,14 +80,15 @@ def bench(
         worlds: how many a batch has, 1000 unless given; of execution how many random designs are built besides the six
             tasks, none unless given, or how many episodes each policy has in each mode, 100 unless given.
         seconds: how long each measurement runs.
-        out: folder for report.json, and for the table in Markdown.
+        out: folder for report.json, and for the table in Markdown; of policies also for starts-POLICY.npz, worlds at
+            drawn times of their asynchronous episodes in mild physics, for 'craftsim train --set starts=FILE'.
     """
     from craftsim.cli.calibration import COLUMNS, measure
     from craftsim.reports.json_file import document
 
     seed = chance.seed
     if what == "execution":
-        return _execution(policies, worlds, seed).publish(out)
+        return _execution(policies, worlds, seed, out).publish(out)
     worlds = WORLDS if worlds is None else worlds
     rates: dict[str, dict[str, Any]] = {task: {} for task in TASKS}
     rows = []
@@ -109,13 +112,13 @@ def bench(
     ).publish(out)
 
 
-def _execution(policies: Sequence[str], worlds: int | None, seed: int) -> Report:
+def _execution(policies: Sequence[str], worlds: int | None, seed: int, out: Path | None) -> Report:
     from craftsim.checking.setup import setup_of
     from craftsim.validation.execution import plans_report, policies_report
 
     workers = os.cpu_count() or 1
     if policies:
-        return policies_report(policies, EPISODES if worlds is None else worlds, seed, workers)
+        return policies_report(policies, EPISODES if worlds is None else worlds, seed, workers, out)
     setup, designs = setup_of("mild", drive="reduced"), worlds or 0
     return plans_report(
         designs, seed, setup, workers, {"what": "execution", "designs": designs, "setup": setup}

@@ -6,6 +6,9 @@ import math
 import pytest
 
 from craftsim.cli import main
+from craftsim.discrete.tasks import make_task
+from craftsim.discrete.tasks.starts import load_starts
+from craftsim.training.starts import with_starts
 from craftsim.validation import execution
 from craftsim.validation.execution import plan_figures, ratio_of
 
@@ -30,6 +33,9 @@ def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, capsys
     assert set(modes) == {*map(str, execution.MODES)}
     assert {one["success"]["trials"] for one in modes.values()} == {1}
     assert "grid asynchronous" in capsys.readouterr().out
+    (reached,) = load_starts(tmp_path / "starts-random_strip.npz")
+    with_starts(make_task("random_strip"), tmp_path / "starts-random_strip.npz")
+    assert reached.n_cars == 2
 
 
 def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():

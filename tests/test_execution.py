@@ -24,7 +24,11 @@ def test_a_plan_is_executed_in_each_order_from_the_same_start(tmp_path, monkeypa
     assert "times sequential" in capsys.readouterr().out
 
 
-def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, capsys):
+def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, monkeypatch, capsys):
+    *others, network = execution.MODES
+    assert (network.drive, network.randomize) == ("rollers", "workshop_floor")
+    quick = network._replace(drive="reduced", randomize="mild")
+    monkeypatch.setattr(execution, "MODES", (*others, quick))
     assert (
         main(["bench", "execution", "random_strip", "--worlds", "1", "--seed", "3", "--out", str(tmp_path)])
         == 0

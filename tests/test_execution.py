@@ -6,7 +6,7 @@ import math
 import pytest
 
 from craftsim.cli import main
-from craftsim.discrete.tasks import make_task
+from craftsim.discrete.tasks import as_task
 from craftsim.discrete.tasks.starts import load_starts
 from craftsim.training.starts import with_starts
 from craftsim.validation import execution
@@ -38,7 +38,7 @@ def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, monkey
     assert {one["success"]["trials"] for one in modes.values()} == {1}
     assert "grid asynchronous" in capsys.readouterr().out
     (reached,) = load_starts(tmp_path / "starts-random_strip.npz")
-    with_starts(make_task("random_strip"), tmp_path / "starts-random_strip.npz")
+    with_starts(as_task("random_strip"), tmp_path / "starts-random_strip.npz")
     assert reached.n_cars == 2
 
 

@@ -180,8 +180,8 @@ class Mode(NamedTuple):
     """Delay and jitter in seconds, and loss, of the network between the policy with its skills and the robots."""
 
     def __str__(self) -> str:
-        drawn = "" if self.backend == "grid" else f", {self.randomize}"
-        return f"{self.backend} {self.execution}{drawn}{'' if self.network is None else ', network'}"
+        drawn = self.randomize if self.network is None else "network"
+        return f"{self.backend} {self.execution}{'' if self.backend == 'grid' else f', {drawn}'}"
 
 
 MODES: Final = (
@@ -289,7 +289,7 @@ def policies_report(
         found = dict(pool.map_unordered(episode, cases, batch=min(10, episodes)))
     figures: dict[str, Any] = {}
     tables = []
-    names = ("success", "makespan, s", "blocked, %", "deadlocks", "failed", "CPU, s")
+    names = ("success", "makespan, s", "blocked, %", "deadlocks", "failed")
     cpu_s: dict[str, dict[str, float]] = {}
     columns = (Column("mode"), *(Column(name, "number") for name in names))
     for policy in map(str, policies):
@@ -301,17 +301,17 @@ def policies_report(
             shown = f"{share.rate:.2f} ({share.wilson_low:.2f} to {share.wilson_high:.2f})"
             makespan = "" if own["makespan_s"] is None else f"{own['makespan_s']:.1f}"
             blocked = f"{100 * own['blocked_share']:.1f}"
-            spent_s = cpu_s.setdefault(policy, {})[str(mode)] = sum(one["cpu_s"] for one in some)
-            counts = str(own["deadlocks"]), str(own["failed"]), f"{spent_s:.1f}"
-            rows.append((str(mode), shown, makespan, blocked, *counts))
+            cpu_s.setdefault(policy, {})[str(mode)] = sum(one["cpu_s"] for one in some)
+            rows.append((str(mode), shown, makespan, blocked, str(own["deadlocks"]), str(own["failed"])))
             if mode == REACHED and out is not None:
                 name = re.sub(r"[^\w.-]+", "-", policy)
                 save_starts(output_directory(out) / f"starts-{name}.npz", [one["reached"] for one in some])
-        tables.append(DataTable(columns, rows, f"{policy}, {episodes} episodes each"))
+        spent = f"CPU time: {', '.join(f'{seconds:.0f} s' for seconds in cpu_s[policy].values())}"
+        tables.append(DataTable(columns, rows, f"{policy}, {episodes} episodes each", spent))
     note = (
         "Paired: same starts. Makespan: mean of the episodes that succeed; blocked: decisions that a running action "
-        "stood against; failed: actions whose skill did not succeed. Network: on rollers, with a delay of 30 ms, a "
-        "jitter of 10 ms and a loss of 2 % each way."
+        "stood against; failed: actions whose skill did not succeed. Network: as robots on rollers, on a "
+        "workshop_floor, behind a network."
     )
     sentence = f"{', '.join(map(str, policies))}: {len(MODES)} modes, {episodes} episodes each, from the same starts."
     return Report(

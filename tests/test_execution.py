@@ -6,6 +6,9 @@ import math
 import pytest
 
 from craftsim.cli import main
+from craftsim.discrete.tasks import as_task
+from craftsim.discrete.tasks.starts import load_starts
+from craftsim.training.starts import with_starts
 from craftsim.validation import execution
 from craftsim.validation.execution import plan_figures, ratio_of
 
@@ -21,7 +24,11 @@ def test_a_plan_is_executed_in_each_order_from_the_same_start(tmp_path, monkeypa
     assert "times sequential" in capsys.readouterr().out
 
 
-def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, capsys):
+def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, monkeypatch, capsys):
+    *others, network = execution.MODES
+    assert (network.drive, network.randomize) == ("rollers", "workshop_floor")
+    quick = network._replace(drive="reduced", randomize="mild")
+    monkeypatch.setattr(execution, "MODES", (*others, quick))
     assert (
         main(["bench", "execution", "random_strip", "--worlds", "1", "--seed", "3", "--out", str(tmp_path)])
         == 0
@@ -30,6 +37,9 @@ def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, capsys
     assert set(modes) == {*map(str, execution.MODES)}
     assert {one["success"]["trials"] for one in modes.values()} == {1}
     assert "grid asynchronous" in capsys.readouterr().out
+    (reached,) = load_starts(tmp_path / "starts-random_strip.npz")
+    with_starts(as_task("random_strip"), tmp_path / "starts-random_strip.npz")
+    assert reached.n_cars == 2
 
 
 def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():

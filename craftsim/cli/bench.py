@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import requires
 from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
@@ -72,7 +73,9 @@ def bench(
     execution: makespans in physics of the plans of the six tasks and of random designs: one action after the other,
     tick after tick, and each action as early as those that it depends on have ended, beside the predicted makespans.
     Of policies instead: their success on the grid and in physics, where all cars decide together, tick by tick, and
-    where each decides when its own action has ended. Reduced drive, mild randomization, paired starts.
+    where each decides when its own action has ended: on the reduced drive with mild randomization, and as robots on
+    rollers, on a workshop_floor, behind a network (delay 30 ms, jitter 10 ms, loss 2 % each way), which takes most of
+    the time. Paired starts.
 
     builders: how much of 30 held-out designs is built by who reads the world and answers in words, a language model
     for instance, as 'module:function' from two texts to an answer; beside random play, the planner and a shipped
@@ -87,14 +90,15 @@ def bench(
             tasks, none unless given, or how many episodes each policy has in each mode, 100 unless given; of builders
             how many designs of each difficulty, 10 unless given, and at most.
         seconds: how long each measurement runs.
-        out: folder for report.json, and for the table in Markdown.
+        out: folder for report.json, and for the table in Markdown; of policies also for starts-POLICY.npz, worlds at
+            drawn times of their asynchronous episodes in mild physics, for 'craftsim train --set starts=FILE'.
     """
     from craftsim.cli.calibration import COLUMNS, measure
     from craftsim.reports.json_file import document
 
     seed = chance.seed
     if what == "execution":
-        return _execution(policies, worlds, seed, campaign.workers).publish(out)
+        return _execution(policies, worlds, seed, campaign.workers, out).publish(out)
     if what == "builders":
         from craftsim.cli.progress import counting
         from craftsim.validation.builders import BASELINES, EACH, builders_report
@@ -125,12 +129,14 @@ def bench(
     ).publish(out)
 
 
-def _execution(policies: Sequence[str], worlds: int | None, seed: int, workers: int) -> Report:
+def _execution(
+    policies: Sequence[str], worlds: int | None, seed: int, workers: int, out: Path | None
+) -> Report:
     from craftsim.checking.setup import setup_of
     from craftsim.validation.execution import plans_report, policies_report
 
     if policies:
-        return policies_report(policies, EPISODES if worlds is None else worlds, seed, workers)
+        return policies_report(policies, EPISODES if worlds is None else worlds, seed, workers, out)
     setup, designs = setup_of("mild", drive="reduced"), worlds or 0
     return plans_report(
         designs, seed, setup, workers, {"what": "execution", "designs": designs, "setup": setup}

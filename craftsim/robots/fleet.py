@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final, Protocol
 
 import numpy as np
@@ -78,7 +78,7 @@ class Harness:
         self.wires = Wires(cars, plugs, np.zeros((n_cars, 4)), np.ones(1), ctrl)
         self.readings: Records = records(n_cars, READING)
         """(n,) READING: what was measured last."""
-        self.lost_cars: dict[int, str] = {}
+        self.lost_cars: Mapping[int, str] = {}
         self._patience, self._silent = patience, np.zeros(n_cars, np.int64)
         """After how many periods without an answer a car is lost, and for how many there has been none."""
 
@@ -91,9 +91,8 @@ class Harness:
             write_reading(now, self.readings[car : car + 1])
         self._silent = np.where(self.readings["time_s"] == before, self._silent + 1, 0)
         for car in np.flatnonzero(self._silent >= self._patience).tolist():
-            self.lost_cars.setdefault(
-                car, f"car {car} does not answer since {before[car]:.2f} s of its clock"
-            )
+            why = f"car {car} has not answered since {before[car]:.2f} s of its clock"
+            self.lost_cars = {car: why, **self.lost_cars}
 
     def commands(self) -> tuple[Command, ...]:
         """Return what stands on the wires, for each car; a hinge's is that of the car that is docked to its slope."""

@@ -98,10 +98,15 @@ def own_skills(given: SkillChoice | None) -> tuple[OwnSkill, ...]:
         return tuple(given)
     found: list[OwnSkill] = []
     for key, value in given.items():
-        if isinstance(key, Action):
+        if isinstance(key, Action) and not isinstance(value, Mapping):
             found.append(OwnSkill(key.name, _name_of(key, value)))
-        elif isinstance(key, int) and key >= 0 and isinstance(value, Mapping):
+        elif type(key) is int and key >= 0 and isinstance(value, Mapping):
             found += [replace(own, car=key) for own in own_skills(value)]
+        elif isinstance(key, int) and key in tuple(Action):
+            raise InputError(
+                f"skills: the action {Action(key).name} and the car {int(key)} are one key of a mapping, which keeps "
+                "one value; where both are meant, give each car a mapping of its own"
+            )
         else:
             raise InputError(f"skills: {key!r} is no action, and no car with a mapping of its own")
     return tuple(found)

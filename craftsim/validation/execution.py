@@ -7,6 +7,8 @@ where cars decide together and where each decides by itself, on the grid and in 
 from __future__ import annotations
 
 import math
+import re
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -17,7 +19,7 @@ import numpy as np
 
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import RANDOMIZE, Randomize, Seed, Setup, set_up
-from craftsim.choices import Backend, Execution, PlanOrder
+from craftsim.choices import Backend, Drive, Execution, PlanOrder
 from craftsim.designs.drawn import random_start
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
@@ -25,12 +27,15 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
+from craftsim.discrete.tasks.starts import save_starts
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
 from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.reports.json_file import document
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
+from craftsim.robots import need_network
+from craftsim.storage.folders import output_directory
 from craftsim.training.policy import TrainedPolicy, load_policy
 from craftsim.workers.pool import Pool, answered
 
@@ -170,10 +175,13 @@ class Mode(NamedTuple):
     execution: Execution
     randomize: str
     """Preset of what is drawn of physics; the grid has none."""
+    drive: Drive = "reduced"
+    network: tuple[float, float, float] | None = None
+    """Delay and jitter in seconds, and loss, of the network between the policy with its skills and the robots."""
 
     def __str__(self) -> str:
-        drawn = "" if self.backend == "grid" else f", {self.randomize}"
-        return f"{self.backend} {self.execution}{drawn}"
+        drawn = self.randomize if self.network is None else "network"
+        return f"{self.backend} {self.execution}{'' if self.backend == 'grid' else f', {drawn}'}"
 
 
 MODES: Final = (
@@ -181,7 +189,11 @@ MODES: Final = (
     Mode("grid", "asynchronous", "none"),
     Mode("physics", "synchronous", "mild"),
     Mode("physics", "asynchronous", "mild"),
+    # The reduced drive does not reach its targets on this floor.
+    Mode("physics", "asynchronous", "workshop_floor", "rollers", (0.03, 0.01, 0.02)),
 )
+REACHED: Final = MODES[3]
+"""Worlds that a policy comes by in this mode are starts to train from."""
 
 
 @dataclass(frozen=True)
@@ -197,11 +209,13 @@ class PolicyCase:
 def episode(case: PolicyCase) -> dict[str, Any]:
     """Play an episode and return its success, simulated seconds, decisions, and what went wrong.
 
-    ``blocked`` counts decisions that a claim stood against, ``failed`` actions whose skill did not succeed.
+    ``blocked`` counts decisions that a claim stood against, ``failed`` actions whose skill did not succeed; ``reached``
+    is the confirmed world at a time that is drawn.
     """
     policy, env = _policy(case.policy), _env(case.policy, case.mode)
     observations, _ = env.reset(seed=case.seed)
     found: dict[str, Any] = {"success": False, "seconds": 0.0, "decisions": 0, "blocked": 0, "failed": 0}
+    reached, begun_s = [(0.0, env.grid)], time.process_time()
     while env.agents:
         acting = list(getattr(env, "agents_to_act", env.agents))
         actions = policy(observations)
@@ -212,8 +226,13 @@ def episode(case: PolicyCase) -> dict[str, Any]:
         found["decisions"] += len(acting)
         found["blocked"] += sum(bool(infos[agent].get("blocked")) for agent in acting)
         found["failed"] += sum(one.get("outcome") not in (None, "succeeded") for one in infos.values())
+        if case.mode == REACHED and env.agents:
+            reached.append((found["seconds"], env.core.episodes.confirmed[0].copy()))
     found["deadlock"] = str(info["deadlock"].words) if info.get("deadlock") else ""
     found["unreadable"] = "; ".join(info["problems"])
+    at_s = np.random.default_rng([case.seed, 1]).uniform(0.0, found["seconds"])
+    found["reached"] = [grid for time_s, grid in reached if time_s <= at_s][-1]
+    found["cpu_s"] = time.process_time() - begun_s
     return found | {"seconds": round(found["seconds"], 3)}
 
 
@@ -228,7 +247,12 @@ def _env(name: str, mode: Mode) -> Any:
     config = _policy(name).config
     options: dict[str, Any] = {"rule_set": config.rules, "helper_depth": config.helper_depth}
     if mode.backend == "physics":
-        options |= {"drive": "reduced", "randomization": RANDOMIZE[cast(Randomize, mode.randomize)][1]}
+        options |= {"drive": mode.drive, "randomization": RANDOMIZE[cast(Randomize, mode.randomize)][1]}
+    if mode.network is not None:
+        from craftsim.robots.server import Network
+        from craftsim.robots.simulated import simulated_network
+
+        options["robots"] = simulated_network(Network(*mode.network))
     task = as_task(config.task, config.n_cars, config.n_blocks)
     return parallel_env(task, mode.backend, execution=mode.execution, **options)
 
@@ -247,8 +271,14 @@ def policy_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def policies_report(policies: Sequence[str | Path], episodes: int, seed: int, workers: int) -> Report:
-    """Play so many episodes of each policy in each mode, from the same starts, and return the report."""
+def policies_report(
+    policies: Sequence[str | Path], episodes: int, seed: int, workers: int, out: Path | None = None
+) -> Report:
+    """Play so many episodes of each policy in each mode, from the same starts, and return the report.
+
+    ``out`` takes a file a policy of worlds that it reached, each at a time that is drawn, as starts to train from.
+    """
+    need_network()
     cases = [
         PolicyCase(str(policy), mode, seed + number)
         for policy in policies
@@ -260,6 +290,7 @@ def policies_report(policies: Sequence[str | Path], episodes: int, seed: int, wo
     figures: dict[str, Any] = {}
     tables = []
     names = ("success", "makespan, s", "blocked, %", "deadlocks", "failed")
+    cpu_s: dict[str, dict[str, float]] = {}
     columns = (Column("mode"), *(Column(name, "number") for name in names))
     for policy in map(str, policies):
         rows = []
@@ -270,11 +301,17 @@ def policies_report(policies: Sequence[str | Path], episodes: int, seed: int, wo
             shown = f"{share.rate:.2f} ({share.wilson_low:.2f} to {share.wilson_high:.2f})"
             makespan = "" if own["makespan_s"] is None else f"{own['makespan_s']:.1f}"
             blocked = f"{100 * own['blocked_share']:.1f}"
+            cpu_s.setdefault(policy, {})[str(mode)] = sum(one["cpu_s"] for one in some)
             rows.append((str(mode), shown, makespan, blocked, str(own["deadlocks"]), str(own["failed"])))
-        tables.append(DataTable(columns, rows, f"{policy}, {episodes} episodes each"))
+            if mode == REACHED and out is not None:
+                name = re.sub(r"[^\w.-]+", "-", policy)
+                save_starts(output_directory(out) / f"starts-{name}.npz", [one["reached"] for one in some])
+        spent = f"CPU time: {', '.join(f'{seconds:.0f} s' for seconds in cpu_s[policy].values())}"
+        tables.append(DataTable(columns, rows, f"{policy}, {episodes} episodes each", spent))
     note = (
         "Paired: same starts. Makespan: mean of the episodes that succeed; blocked: decisions that a running action "
-        "stood against; failed: actions whose skill did not succeed."
+        "stood against; failed: actions whose skill did not succeed. Network: as robots on rollers, on a "
+        "workshop_floor, behind a network."
     )
     sentence = f"{', '.join(map(str, policies))}: {len(MODES)} modes, {episodes} episodes each, from the same starts."
     return Report(
@@ -286,6 +323,7 @@ def policies_report(policies: Sequence[str | Path], episodes: int, seed: int, wo
             {"modes": figures},
             command="bench",
             seed=seed,
-            config={"policies": [*map(str, policies)], "episodes": episodes},
+            config={"policies": [*map(str, policies)], "episodes": episodes, "modes": MODES},
+            wall={"cpu_s": cpu_s},
         ),
     )

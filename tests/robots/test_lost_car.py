@@ -21,7 +21,7 @@ from craftsim.validation.rollout import Run, Terms, roll_out
 from craftsim.validation.validation import read_goal
 
 BUSY = Network(0.03, 0.01, 0.02)
-WHY = r"car {} does not answer since [.\d]+ s of its clock"
+WHY = r"car {} has not answered since [.\d]+ s of its clock"
 
 
 class Silent:

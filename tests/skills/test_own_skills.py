@@ -192,6 +192,7 @@ def test_what_is_no_choice_of_skills_is_refused_before_anything_runs(make_site):
         ({7: {Action.LIFT: Nod}}, "there is no car 7"),
         ("nowhere", "module:NAME"),
         ("no_such_module_at_all:X", "cannot import"),
+        ({Action.LIFT: Nod, int(Action.LIFT): {Action.DROP: Nod}}, "LIFT and the car 0 are one key"),
         ("math:pi", "module:NAME"),
     ):
         with pytest.raises(InputError) as error:

@@ -71,13 +71,15 @@ COMMANDS = {
         "session.db",
     ),
     "audit": Command(
-        _words("audit --contexts 'MOVE/scene=on* a second ramp' --trials 2 --workers 2"),
+        _words("audit --situations 'MOVE/scene=on* a second ramp' --trials 2 --workers 2"),
         _trials,
         "session.db",
     ),
-    "margins": Command(_words("margins --quick --scenarios 'lift*' --workers 2"), _trials, "session.db"),
+    "margins": Command(
+        _words("audit margins --quick --situations 'lift*' --workers 2"), _trials, "session.db"
+    ),
     "tune": Command(_words("tune board --evaluations 4 --trials 1 --workers 2"), _trials, "session.db"),
-    "train": Command(_words("train --task strip --steps 60000 --worlds 50 --episodes 50"), _curve, "run.pt"),
+    "train": Command(_words("train strip --steps 60000 --set worlds=50 --episodes 50"), _curve, "run.pt"),
 }
 
 
@@ -194,7 +196,7 @@ def main(names: list[str], rounds: int, seed: int) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", default=list(COMMANDS), help=f"of {', '.join(COMMANDS)}")
-    parser.add_argument("--attempts", type=int, default=5, help="of each command")
+    parser.add_argument("--rounds", type=int, default=5, help="of each command")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     main(given.names, given.rounds, given.seed)

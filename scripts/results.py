@@ -98,8 +98,8 @@ def measure(name: str) -> None:
     store(name, out, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
 
 
-def store(name: str, out: Path, cpu_s: float) -> None:
-    """Store of a report what a table says, with the command and the revision."""
+def store(name: str, out: Path, cpu_s: float | None) -> None:
+    """Store of a report what a table says, with command and revision; a resumed run has no CPU time."""
     revision = subprocess.run(
         ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
     )
@@ -107,7 +107,7 @@ def store(name: str, out: Path, cpu_s: float) -> None:
     kept = {
         "command": MEASURED[name],
         "revision": revision.stdout.strip(),
-        "cpu_s": round(cpu_s, 1),
+        "cpu_s": None if cpu_s is None else round(cpu_s, 1),
         "versions": report["versions"],
         "figures": {key: _without_lists(value) for key, value in report["figures"].items()},
     }
@@ -179,7 +179,7 @@ def physics_table() -> str:
                 (
                     f"`craftsim {run['command']}`",
                     _said(run["figures"]),
-                    f"{run['cpu_s']:.0f} s",
+                    "" if run["cpu_s"] is None else f"{run['cpu_s']:.0f} s",
                     run["revision"],
                 )
             )

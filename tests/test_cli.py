@@ -26,7 +26,7 @@ from craftsim.cli.train import _BESIDES
 from craftsim.errors import InputError
 from craftsim.options import Physics, range_of
 from craftsim.reports import json_file
-from craftsim.reports.text import clean
+from craftsim.reports.text import escape
 from craftsim.training.config import TrainConfig
 
 EVERY = [words for name in COMMANDS for words in ([name], *([name, below] for below in BELOW.get(name, ())))]
@@ -406,7 +406,7 @@ def test_text_that_steers_a_terminal_is_shown_as_escapes(command, capsys):
     assert cli.main(["probe"]) == 2
     told = "craftsim: a\\x1b[31mb\\x9bc\\rd\\u202ee\\udce9f\tg\nh\n"
     assert capsys.readouterr().err == told
-    assert clean("plain: \u00e9 \u2192 \U0001f600") == "plain: \u00e9 \u2192 \U0001f600"
+    assert escape("plain: \u00e9 \u2192 \U0001f600") == "plain: \u00e9 \u2192 \U0001f600"
 
 
 def test_only_two_functions_print():

@@ -26,7 +26,7 @@ from craftsim.discrete.tasks.starts import Targets, read_split
 from craftsim.envs.parallel import Observations
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.envs.text import FORBIDDEN, MARK, Answer, TextConstruction, answer_text, converse
-from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import (
     CONFIDENCE,
     Estimate,
@@ -96,7 +96,7 @@ def _difficulty(targets: Targets) -> str:
     return DIFFICULTIES[int((kinds == Kind.BODY).any())]
 
 
-def build(case: BuilderCase) -> Done:
+def build(case: BuilderCase) -> Result:
     """Let a builder build a design; ``attempts`` are its turns."""
     env = case.world()
     design = env.core.task.design
@@ -125,7 +125,7 @@ def build(case: BuilderCase) -> Done:
         "unreadable": talk.unreadable,
         "simulated_s": round(talk.duration_s, 3),
     }
-    return Done(agrees=talk.success, attempts=turns, extra=figures)
+    return Result(agrees=talk.success, attempts=turns, extra=figures)
 
 
 def _answers(case: BuilderCase, env: TextConstruction) -> Answer:
@@ -167,7 +167,7 @@ def builders_report(
             cases = [BuilderCase(builder, backend, row, seed + row) for _, row in numbered]
             _answers(cases[0], replace(cases[0], backend="grid").world())
             for (difficulty, row), case in zip(numbered, cases, strict=True):
-                items.append(Item(f"{builder}, {backend}, design {row}", difficulty, case.seed, case))
+                items.append(Trial(f"{builder}, {backend}, design {row}", difficulty, case.seed, case))
     starts, _ = read_split(DESIGNS, "test")
     digests = hashlib.sha256(b"".join(starts.take(np.array([row for _, row in numbered])).digests()))
     config = {

@@ -77,7 +77,7 @@ def test_a_table_of_the_protocol_is_of_these_designs(tmp_path, monkeypatch):
 
 def _built(case):
     counts = dict.fromkeys(("predicted", "allowed", "acted", "unreadable", "turns"), 1)
-    return builders.Done(case.row % 2 == 0, extra={"built": case.row % 2 == 0, "in_place": 0.5, **counts})
+    return builders.Result(case.row % 2 == 0, extra={"built": case.row % 2 == 0, "in_place": 0.5, **counts})
 
 
 def test_a_design_without_a_result_counts_as_not_built():

@@ -1,6 +1,6 @@
 """Does the building still stand with a heavier car? Build it with the shipped machines and with my own.
 
-The same from a shell:  craftsim demo --parameters heavier_car.yaml
+The same from a shell:  craftsim demo --machines heavier_car.yaml
 """
 
 from pathlib import Path

@@ -36,7 +36,8 @@ def command_help(app: App, found: Iterable[Argument], words: Sequence[str], belo
     usage += [
         f"[{_value(one)}]" if not one.required else _value(one) for one in arguments if _is_positional(one)
     ]
-    lines = [" ".join([*usage, "[OPTIONS]" if function is not None else "COMMAND"])]
+    usage.append("[OPTIONS]" if function is not None else "COMMAND")
+    lines = textwrap.wrap(" ".join(usage), width, subsequent_indent="    ", break_on_hyphens=False)
     lines += _explanation(function, app, width)
     if below:
         lines += ["", "Commands", *(f"  {name:<12}{text}" for name, text in below.items())]

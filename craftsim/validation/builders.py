@@ -161,7 +161,7 @@ def builders_report(
     rows = {name: rows[:each] for name, rows in chosen_rows().items()}
     numbered = [(name, row) for name, found in rows.items() for row in found]
     items = []
-    for builder in builders:
+    for builder in dict.fromkeys(builders):
         backends: tuple[Backend, ...] = ("physics",) if _own(builder) else ("grid", "physics")
         for backend in backends:
             cases = [BuilderCase(builder, backend, row, seed + row) for _, row in numbered]

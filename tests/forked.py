@@ -23,7 +23,7 @@ from craftsim.workers import actor
 _IMPORTED: Final = [
     *("craftsim.validation.rollout", "craftsim.validation.validation", "craftsim.experiments.session"),
     *("craftsim.envs.vector", "craftsim.cli.app", "craftsim.reports.report"),
-    *("pandas", "scipy.stats", "matplotlib.figure"),
+    *("craftsim.training.trainer", "pandas", "scipy.stats", "matplotlib.figure"),
 ]
 _SPAWNED: Final = actor._Process
 

@@ -1,6 +1,6 @@
 """Does the building still stand with a heavier car? Build it with the shipped machines and with my own.
 
-The same from a shell:  craftsim demo --machines heavier_car.yaml
+The same from a shell:  craftsim demo strip --machines heavier_car.yaml
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ mass = craftsim.load_machines(FILE).car(0).mass_kg
 print(f"the car weighs {mass:.2f} kg instead of {craftsim.SmartcarParameters().mass_kg:.2f} kg")
 
 for name, machines in {"shipped": None, "heavier": FILE}.items():
-    result = craftsim.validate("simple_two_story", machines=machines, randomize="none", trials=1)
+    result = craftsim.validate("strip", machines=machines, randomize="none", trials=1)
     actions = result.to_frame()
     print(
         f"{name}: {(actions.result == 'as predicted').sum()} of {len(actions)} actions as predicted, "

@@ -36,6 +36,7 @@ def main() -> None:
         ("simple_two_story", {"rule_set": "physical"}),
         ("strip", {"rule_set": "published", "helper_depth": 2}),
         ("strip", {"helper_depth": 2, "object_choice": ObjectChoice()}),
+        ("strip", {"execution": "asynchronous", "jitter": 0.1}),
     ):
         task = make_task(name)
         envs = vector_env(task, 1, "grid", **options)

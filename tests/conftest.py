@@ -68,14 +68,16 @@ def alone(tmp_path_factory):
 
 
 @pytest.fixture
-def ray_cluster(alone, monkeypatch):
-    """Yield a cluster of two nodes with a processor each, which RAY_ADDRESS names."""
+def ray_cluster(alone, monkeypatch, request):
+    """Yield a cluster of one node, or as many as the test's parameter, with two processors, which RAY_ADDRESS names."""
     import ray
     from ray.cluster_utils import Cluster
 
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    nodes.add_node(num_cpus=1)
+    each = {"num_cpus": 2 // getattr(request, "param", 1)}
+    nodes = Cluster(initialize_head=True, head_node_args={**each, "include_dashboard": False})
+    if each["num_cpus"] == 1:
+        nodes.add_node(**each)
     monkeypatch.setenv("RAY_ADDRESS", nodes.address)
     yield nodes
     ray.shutdown()

@@ -22,7 +22,8 @@ from craftsim.workers import actor
 
 _IMPORTED: Final = [
     *("craftsim.validation.rollout", "craftsim.validation.validation", "craftsim.experiments.session"),
-    *("craftsim.envs.vector", "craftsim.cli.app", "craftsim.reports.report", "pandas"),
+    *("craftsim.envs.vector", "craftsim.cli.app", "craftsim.reports.report"),
+    *("craftsim.training.trainer", "pandas", "scipy.stats", "matplotlib.figure"),
 ]
 _SPAWNED: Final = actor._Process
 
@@ -63,10 +64,15 @@ def stop() -> None:
     forkserver._forkserver._stop()
 
 
-def _perform(words: Sequence[str], folder: str, environment: dict[str, str], out: str, err: str) -> None:
+def _perform(
+    server: dict[str, Any], words: Sequence[str], folder: str, environment: dict[str, str], out: str, err: str
+) -> None:
     os.environ.clear()
     os.environ.update(environment)
     os.chdir(folder)
+    # What this one starts is a copy of the same process, which is there.
+    vars(forkserver._forkserver).update(server, ensure_running=lambda: None)
+    workers(True)
     for number, path in ((1, out), (2, err)):
         file = os.open(path, os.O_WRONLY)
         os.dup2(file, number)
@@ -84,17 +90,23 @@ def _perform(words: Sequence[str], folder: str, environment: dict[str, str], out
     runpy.run_path(words[0], run_name="__main__")
 
 
-def run(
-    *words: object, cwd: Path | str = ".", check: bool = False, **environment: str
-) -> subprocess.CompletedProcess[str]:
-    """Run ``craftsim`` with options, or a script, as subprocess.run does, with its output as text."""
-    command = [str(word) for word in words]
+def start(
+    *words: object, cwd: Path | str = ".", out: str = os.devnull, err: str = os.devnull
+) -> ForkServerProcess:
+    """Start ``craftsim`` with options, or a script, whose output goes to files that are there."""
+    context = _context()
+    forkserver.ensure_running()
+    names = ("_forkserver_address", "_forkserver_authkey")  # the second from Python 3.14 on
+    server = {name: value for name in names if (value := getattr(forkserver._forkserver, name, None))}
+    arguments = (server, [*map(str, words)], str(Path(cwd).resolve()), dict(os.environ), out, err)
+    process = context.Process(target=_perform, args=arguments)
+    process.start()
+    return process
+
+
+def run(*words: object, cwd: Path | str = ".") -> subprocess.CompletedProcess[str]:
+    """Run it as subprocess.run does, with its output as text."""
     with tempfile.NamedTemporaryFile("r") as out, tempfile.NamedTemporaryFile("r") as err:
-        arguments = (command, str(Path(cwd).resolve()), {**os.environ, **environment}, out.name, err.name)
-        process = _context().Process(target=_perform, args=arguments)
-        process.start()
+        process = start(*words, cwd=cwd, out=out.name, err=err.name)
         process.join()
-        done = subprocess.CompletedProcess(command, process.exitcode, out.read(), err.read())
-    if check:
-        done.check_returncode()
-    return done
+        return subprocess.CompletedProcess(words, process.exitcode, out.read(), err.read())

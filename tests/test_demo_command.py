@@ -63,8 +63,7 @@ def _report(out="out"):
 
 
 def test_the_shipped_demo_succeeds_and_reports_it(demo, folder):
-    words = ("--seed", "7", "--randomize", "none")
-    status, said = demo(*words, out="new/folder")
+    status, said = demo("--seed", "7", *FAST, out="new/folder")
     lines = said.out.splitlines()
     assert (status, said.err) == (0, "")
     assert lines[-1] == "24 of 24 actions agree with the rules; the building matches its goal."

@@ -1,26 +1,22 @@
 """What the documents name exists, their examples run, their tables are those of what is stored, their words plain."""
 
-import os
 import re
 import runpy
 import shlex
-import subprocess
-import sys
 import types
 from pathlib import Path
 
+import forked
 import pytest
 from generated import command_names, help_text
 from results import tables
 
-import craftsim
 from craftsim.cli import former, main
 from craftsim.cli.app import bind
 from craftsim.discrete.files.blueprint import KEYS, parse_blueprint
 from craftsim.envs.text import TextConstruction
 
 ROOT = Path(__file__).parents[1]
-PACKAGE = str(Path(craftsim.__file__).parents[1])
 DOCS = ROOT / "docs"
 PAGES = ["README.md", *sorted(str(path.relative_to(ROOT)) for path in DOCS.rglob("*.md"))]
 DOCUMENTS = [
@@ -87,9 +83,12 @@ def test_every_command_line_of_a_page_is_understood():
             bind(words)
 
 
-@pytest.mark.parametrize("document", [page for page in PAGES if _blocks(page, "python")])
+@pytest.mark.parametrize("document", [page for page in PAGES[1:] if _blocks(page, "python")])
 def test_the_python_of_a_page_runs(document, tmp_path):
-    """Blocks that name a file at their start run each as that file, the others one after the other as one program."""
+    """Blocks that name a file at their start run each as that file, the others one after the other as one program.
+
+    The smallest plan is performed in one world with randomized physics; the README has a test of its own.
+    """
     files: dict[str, str] = {}
     for block in _blocks(document, "python"):
         named = re.match(r"# (\w+\.py)\n", block)
@@ -98,15 +97,11 @@ def test_the_python_of_a_page_runs(document, tmp_path):
     for example in ("yard/yard.yaml", "yard/yard_goal.yaml", "overlap/ramp.yaml"):
         (tmp_path / Path(example).name).write_text(_text(f"examples/{example}"), encoding="utf-8")
     for name, text in files.items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
-        done = subprocess.run(
-            [sys.executable, name],
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join([PACKAGE, *sys.path])},
-            capture_output=True,
-            text=True,
-            check=False,
+        text = re.sub(r"trials=\d+", "trials=1", text).replace(
+            'validate("simple_two_story"', 'validate("strip"'
         )
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        done = forked.run(tmp_path / name, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
 
 
@@ -260,6 +255,7 @@ def test_a_tutorial_can_be_walked(tutorial, tmp_path, capsys, monkeypatch):
             continue
         words = [*words, "--video", "none"] if words[0] == "validate" else words
         command = re.sub(r"--trials \d+", "--trials 1", shlex.join(words))
+        command = re.sub(r"--attempts \d+", "--attempts 5", command)
         statuses.append(main(shlex.split(command)))
     said = capsys.readouterr().out
     expected = {
@@ -275,6 +271,7 @@ def test_the_notebook_of_the_tutorial_runs(capsys):
     module = types.ModuleType("notebook")
     path = ROOT / "examples/yard/notebook.py"
     module.__dict__["__file__"] = str(path)
-    exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), module.__dict__)
+    text = re.sub(r"trials=\d+", "trials=1", path.read_text(encoding="utf-8"))
+    exec(compile(text, str(path), "exec"), module.__dict__)
     assert "cannot be entered sideways" in capsys.readouterr().out
     assert module.__dict__["result"].agrees

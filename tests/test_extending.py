@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import forked
 import numpy as np
 import pytest
 from registered import forget
@@ -190,8 +191,7 @@ def test_a_plan_with_a_registered_action_is_validated_audited_and_replayed(push,
     # In a process of its own: a command line offers the actions that were registered before it was loaded.
     shutil.copy(Path(__file__).parent / "push.py", "push.py")
     words = "--plugins push audit --rules physical --actions PUSH --only legal --randomize none --trials 1 --workers 2"
-    command = [sys.executable, "-m", "craftsim", *words.split(), "--out", "audit"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = forked.run("craftsim", *words.split(), "--out", "audit")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 of " in done.stdout
     recipe = Recipe(blueprint_text(_before_a_block()), (Step.single(0, 0, push),))
@@ -209,8 +209,7 @@ def test_commands_import_plugins_first(tmp_path):
     words = ["validate", "world.yaml", "--plan", "mine.plan", "--randomize", "none"]
 
     def run(*arguments):
-        command = [sys.executable, "-m", "craftsim", *arguments]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        done = forked.run("craftsim", *arguments, cwd=tmp_path)
         return done.returncode, done.stdout + done.stderr
 
     status, said = run("--plugins", "push", *words)

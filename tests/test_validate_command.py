@@ -1,11 +1,10 @@
 """``craftsim validate``: what it runs, what it writes, its exit status, and what it refuses."""
 
 import json
-import subprocess
-import sys
 import textwrap
 import time
 
+import forked
 import pytest
 from disturbances import pushed
 from sessions import cut_off
@@ -195,26 +194,26 @@ def test_a_killed_validation_goes_on_to_the_report_of_an_undisturbed_one(folder)
     (folder / "long.txt").write_text("0 MOVE_LEFT\n0 MOVE_RIGHT\n")
     words = ["empty.yaml", "--actions", "long.txt", "--randomize", "strong"]
     words += ["--trials", "6", "--video", "none", *REDUCED]
-    command = [sys.executable, "-m", "craftsim", "validate", *words, "--out", "killed"]
+    command = ["validate", *words, "--out", "killed"]
 
     def results(out):
         return _report(out), (out / "trials.jsonl").read_bytes()
 
     lines = folder / "killed" / "trials.jsonl"
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    process = forked.start("craftsim", *command)
     end = time.monotonic() + 60
     while not (lines.exists() and lines.read_bytes().count(b"\n")):
         assert time.monotonic() < end
         time.sleep(0.01)
     process.kill()
-    process.wait()
+    process.join()
     kept = lines.read_bytes()
     assert 0 < kept.count(b"\n") < 6
     assert not (folder / "killed" / "report.json").exists()
-    assert cli.main(command[3:]) == 2, "an unfinished run is not overwritten"
+    assert cli.main(command) == 2, "an unfinished run is not overwritten"
     assert lines.read_bytes() == kept
-    status = cli.main([*command[3:], "--resume", "--workers", "2"])
-    assert cli.main([*command[3:-1], "whole"]) == status
+    status = cli.main([*command, "--resume", "--workers", "2"])
+    assert cli.main([*command[:-1], "whole"]) == status
     assert results(folder / "killed") == results(folder / "whole")
 
 

@@ -85,8 +85,7 @@ def same_as_ticks(task, n_cars, options, seed, max_steps=15):
 
 @pytest.mark.parametrize(("task", "n_cars", "options"), CASES)
 def test_equal_durations_give_what_ticks_give(task, n_cars, options):
-    # 54 episodes in all
-    assert sum(same_as_ticks(task, n_cars, options, seed) for seed in range(9)) > 100
+    assert sum(same_as_ticks(task, n_cars, options, seed) for seed in range(3)) > 30
 
 
 @pytest.mark.parametrize(("task", "n_cars", "options"), CASES)
@@ -360,18 +359,15 @@ def test_registered_actions_run_beside_the_others_and_claim_their_cells():
         forget()
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
+def test_options_that_do_not_go_together_are_refused():
+    for options, words in [
         ({"jitter": 0.1}, "asynchronous"),
         ({"execution": "asynchronous", "wait_s": 0.0}, "wait_s"),
         ({"execution": "asynchronous", "backend": "physics", "failures": 0.1}, "physics knows no 'failures'"),
         ({"execution": "later"}, "execution"),
-    ],
-)
-def test_options_that_do_not_go_together_are_refused(options, words):
-    with pytest.raises(InputError, match=words):
-        craftsim.parallel_env("strip", **({"backend": "grid"} | options))
+    ]:
+        with pytest.raises(InputError, match=words):
+            craftsim.parallel_env("strip", **({"backend": "grid"} | options))
 
 
 def test_texts_are_of_ticks():

@@ -1,10 +1,10 @@
 """A dataset that Minari loads holds what was played, bit for bit, and is whole or not there."""
 
 import json
-import subprocess
-import sys
 import threading
+from pathlib import Path
 
+import forked
 import numpy as np
 import pytest
 
@@ -144,24 +144,16 @@ def test_a_second_export_of_a_name_is_refused_and_the_first_loses_nothing(folder
     assert [path.name for path in (folder / NAME).iterdir()] == ["data"]
 
 
-def test_two_processes_that_export_one_name_leave_one_whole_dataset(folder):
-    words = [
-        "export",
-        "strip",
-        "--name",
-        NAME,
-        "--policy",
-        "random",
-        "--episodes",
-        "20",
-        "--out",
-        str(folder),
-    ]
-    command = [sys.executable, "-m", "craftsim", *words]
-    processes = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
-    errors = [process.communicate()[1] for process in processes]
-    assert sorted(process.returncode for process in processes) == [0, 2]
-    assert any("is in use" in text or "exists already" in text for text in errors)
+def test_two_processes_that_export_one_name_leave_one_whole_dataset(folder, tmp_path_factory):
+    words = ["export", "strip", "--name", NAME, "--policy", "random", "--episodes", "20", "--out", folder]
+    errors = [tmp_path_factory.mktemp("said") / name for name in ("one", "two")]
+    for path in errors:
+        path.touch()
+    processes = [forked.start("craftsim", *words, err=str(path)) for path in errors]
+    for process in processes:
+        process.join()
+    assert sorted(process.exitcode for process in processes) == [0, 2]
+    assert any("is in use" in text or "exists already" in text for text in map(Path.read_text, errors))
     assert minari.load_dataset(NAME).total_episodes == 20
 
 

@@ -71,11 +71,11 @@ class Format:
     examples: Callable[[], Sequence[Files]]
     read: Callable[[Path], object]
     """Given the folder of an example."""
-    cases: int = 300
+    cases: int = 150
     """That the tests try: fewer of what takes ten milliseconds each, more where few are right once changed."""
 
 
-def _texts(name: str, read: Callable[[Path], object], *texts: str, cases: int = 300) -> Format:
+def _texts(name: str, read: Callable[[Path], object], *texts: str, cases: int = 150) -> Format:
     """Return a format of one file."""
     return Format(
         lambda: [{name: text.encode()} for text in texts], lambda folder: read(folder / name), cases
@@ -214,6 +214,7 @@ FORMATS = {
         "a.yaml",
         read_task,
         "start: strip\ngoal: strip_goal\nreward: paper\nmax_steps: 40\ncars: 3\nblocks: 6\n",
+        cases=300,
     ),
     "machines": _texts(
         *("a.yaml", load_machines),
@@ -237,11 +238,13 @@ FORMATS = {
         "name",
         lambda path: make_policy(path.read_text("utf-8", "surrogateescape"), 0),
         *("json:dumps", "own.policies:greedy", "strip", "random", "planner", "os.path:join"),
+        cases=300,
     ),
     "task names": _texts(
         "name",
         lambda path: as_task(path.read_text("utf-8", "surrogateescape")),
         *("strip", "shelf.yaml", "random_strip", "tasks:corner", "os.path:join"),
+        cases=300,
     ),
     "durations": Format(
         lambda: _written(_write_durations), lambda folder: read_durations(folder / "durations.csv")

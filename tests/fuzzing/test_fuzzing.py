@@ -13,7 +13,7 @@ from fuzzing.fuzz import attack
 
 EVERY = [[name] for name in COMMANDS if name not in ALONE]
 EVERY += [[name, below] for name, others in BELOW.items() for below in others]
-SAMPLED = 4
+SAMPLED = 6
 """Every so many slots."""
 ODD = ("-1", str(2**99), "nan", "-inf", "1e400", "9" * 9000, "", "x", "1__0", "\udce9", "\x1b[0m")
 

@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import gymnasium
@@ -20,7 +21,7 @@ from craftsim.rendering.viewer.moment import car_html, list_html, live, recorded
 from craftsim.rendering.viewer.recorded import RecordedView, Transport
 from craftsim.rendering.viewer.scene import shapes_of
 
-pytest.importorskip("viser", reason="needs the extra 'view'")
+pytestmark = pytest.mark.skipif(not find_spec("viser"), reason="needs the extra 'view'")
 
 SAMPLED = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
 

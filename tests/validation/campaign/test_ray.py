@@ -5,6 +5,7 @@ import socket
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import cheap_work
@@ -15,11 +16,14 @@ from craftsim.errors import InputError
 from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.session import run_experiment
 
-pytest.importorskip("ray", reason="the extra 'ray' is not installed")
-pytestmark = pytest.mark.usefixtures("alone")
+pytestmark = [
+    pytest.mark.skipif(not find_spec("ray"), reason="the extra 'ray' is not installed"),
+    pytest.mark.usefixtures("alone"),
+]
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("ray_cluster", [2], indirect=True)
 def test_records_are_those_of_local_workers_whatever_goes_wrong(tmp_path, ray_cluster, monkeypatch):
     monkeypatch.chdir(tmp_path)  # of which nothing is imported
     for name in ("wave", "pettingzoo", "gymnasium", "numpy"):

@@ -435,11 +435,12 @@ class AsynchronousEpisodes(Episodes):
         All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
         one that another car forbids.
         """
-        waited = np.isin(self.decisions.outcome[i], (WAITS, ILLEGAL)) & self.decides[i]
+        outcome = self.decisions.outcome[i]
+        waited = self.decides[i] & ((outcome == WAITS) | (outcome == ILLEGAL))
         if not waited.all() or (self.queue[i, :, 0] >= 0).any():
             return None
         stuck = bool(_stuck(self.some(np.array([i])).offered())[0])
-        if not stuck and (self.decisions.outcome[i] != ILLEGAL).any():
+        if not stuck and (outcome != ILLEGAL).any():
             return None
         asked = self.decisions.asked[i]
         found = [self._waits_for(i, car, None if stuck else int(asked[car])) for car in range(self.n_cars)]

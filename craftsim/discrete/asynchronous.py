@@ -46,6 +46,8 @@ __all__ = [
     "Timing",
 ]
 
+USUAL_TICK_S: Final = 1.0
+"""About what a move takes: what is said of a tick, a cost or a discount, is said of so much time."""
 _STOP: Final = int(Action.STOP)
 
 
@@ -343,6 +345,8 @@ class AsynchronousEpisodes(Episodes):
     ) -> Steps:
         """Score an event: as many decisions as cars count as a tick. What it earns is added to the decisions', too.
 
+        What a tick costs in which nothing changes is charged for each usual tick of time.
+
         Args:
             before: what :meth:`worlds_before` returned before it.
             actions: (B, n), what the cars were doing.
@@ -365,9 +369,15 @@ class AsynchronousEpisodes(Episodes):
                 self.transition(i, before[i], done[i], applied[i], took[i], duration_s[i], problems=problems)
                 for i in range(len(self))
             ]
+        potential, given, rule = self.potential, self.bonus_given, self.task.reward
         steps = self.score(applied, self.running.turn, not problems, seen)
+        reward = steps.reward
+        if isinstance(rule, Reward) and rule.rule != "change":
+            idle, _ = rule.of_tick(potential, potential, self.t, given)
+            reward = reward + np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
         if time_weight:
-            steps = replace(steps, reward=steps.reward - time_weight * duration_s)
+            reward = reward - time_weight * duration_s
+        steps = replace(steps, reward=reward)
         self.decisions.earned[:] += steps.reward[:, None]
         return steps
 

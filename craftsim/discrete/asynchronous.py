@@ -157,9 +157,7 @@ class AsynchronousEpisodes(Episodes):
         """Start the episodes ``rows`` anew; all their cars decide."""
         super().begin(rows, starts)
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
-        # What a decision overwrites stays: all cars decide.
-        self.running.action[rows], self.running.n_claims[rows] = DECIDES, 0
-        self.time_s[rows], self.decisions.made[rows], self.decisions.outcome[rows] = 0.0, 0, RUNS
+        events.restart(np.asarray(rows, np.int64), self.running, self.decisions, self.time_s)
 
     def grid(self, i: int) -> Grid:
         """Return a copy of a committed world, with its marks."""
@@ -357,7 +355,7 @@ class AsynchronousEpisodes(Episodes):
         """
         self.t = np.maximum(self.decisions.made - 1, 0) // max(self.n_cars, 1)
         seen, applied = [], ended
-        if self.takes_functions and self.corrections & DERIVED_MARKS:
+        if self.corrections & DERIVED_MARKS and self.takes_functions:
             self.confirmed.derive_marks()
         if before is not None:
             # The rules forbid a STOP on a ramp.
@@ -371,13 +369,12 @@ class AsynchronousEpisodes(Episodes):
             ]
         potential, given, rule = self.potential, self.bonus_given, self.task.reward
         steps = self.score(applied, self.running.turn, not problems, seen)
-        reward = steps.reward
         if isinstance(rule, Reward) and rule.rule != "change":
             idle, _ = rule.of_tick(potential, potential, self.t, given)
-            reward = reward + np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
+            more = np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
+            steps = replace(steps, reward=steps.reward + more)
         if time_weight:
-            reward = reward - time_weight * duration_s
-        steps = replace(steps, reward=reward)
+            steps = replace(steps, reward=steps.reward - time_weight * duration_s)
         self.decisions.earned[:] += steps.reward[:, None]
         return steps
 
@@ -403,8 +400,8 @@ class AsynchronousEpisodes(Episodes):
         """Return some of the episodes to look at; what is done to them is not done to these."""
         other = super().some(rows)
         other.time_s = self.time_s[rows]
-        other.running = Running._make(array[rows] for array in self.running)
-        other.decisions = Decisions._make(array[rows] for array in self.decisions)
+        other.running = Running._make(array.take(rows, 0) for array in self.running)
+        other.decisions = Decisions._make(array.take(rows, 0) for array in self.decisions)
         return other
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:

@@ -36,20 +36,22 @@ def test_a_registered_action(benchmark, own, registered, what):
 
 @pytest.mark.parametrize("task", ["simple_two_story", "complex_two_story"])
 @pytest.mark.parametrize("helper", [None, 10])
+@pytest.mark.parametrize("worlds", [64, 500])
 @pytest.mark.parametrize("execution", ["synchronous", "asynchronous"])
-def test_decisions_of_a_batch(benchmark, task, helper, execution):
-    """A call is a step of masked random play in ``worlds`` worlds; cars whose actions run do not decide."""
+def test_decisions_of_a_batch(benchmark, task, helper, worlds, execution):
+    """A call is a step of ``worlds`` worlds in masked random play; cars whose actions run do not decide."""
     options = {} if execution == "synchronous" else {"execution": execution, "jitter": 0.1}
-    envs = craftsim.vector_env(task, WORLDS, helper_depth=helper, **options)
-    seen, infos = envs.reset(seed=0)
-    rng, decisions = np.random.default_rng(0), []
+    envs = craftsim.vector_env(task, worlds, helper_depth=helper, **options)
+    (seen, infos), rng, decisions = envs.reset(seed=0), np.random.default_rng(0), []
 
-    def step():
+    def choose():
+        actions = pick(rng, seen["action_mask"])
+        decisions.append(infos["decides"].sum() if options else actions.size)
+        return (actions,), {}
+
+    def step(actions):
         nonlocal seen, infos
-        decisions.append(infos["decides"].sum() if infos else seen["action_mask"].shape[0] * n_cars)
-        seen, _, _, _, stepped = envs.step(pick(rng, seen["action_mask"]))
-        infos = {"decides": stepped["decides"]} if "decides" in stepped else {}
+        seen, _, _, _, infos = envs.step(actions)
 
-    n_cars = seen["action_mask"].shape[1]
-    benchmark.pedantic(step, rounds=60, warmup_rounds=20)
+    benchmark.pedantic(step, setup=choose, rounds=60, warmup_rounds=20)
     benchmark.extra_info["decisions_a_second"] = np.mean(decisions[20:]) / benchmark.stats.stats.mean

@@ -47,6 +47,8 @@ __all__ = [
     "Timing",
 ]
 
+USUAL_TICK_S: Final = 1.0
+"""About what a move takes: what is said of a tick, a cost or a discount, is said of so much time."""
 _STOP: Final = int(Action.STOP)
 
 
@@ -156,9 +158,7 @@ class AsynchronousEpisodes(Episodes):
         """Start the episodes ``rows`` anew; all their cars decide."""
         super().begin(rows, starts)
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
-        # What a decision overwrites stays: all cars decide.
-        self.running.action[rows], self.running.n_claims[rows] = DECIDES, 0
-        self.time_s[rows], self.decisions.made[rows], self.decisions.outcome[rows] = 0.0, 0, RUNS
+        events.restart(np.asarray(rows, np.int64), self.running, self.decisions, self.time_s)
 
     def grid(self, i: int) -> Grid:
         """Return a copy of a committed world, with its marks."""
@@ -355,6 +355,8 @@ class AsynchronousEpisodes(Episodes):
     ) -> Steps:
         """Score an event: as many decisions as cars count as a tick. What it earns is added to the decisions', too.
 
+        What a tick costs in which nothing changes is charged for each usual tick of time.
+
         Args:
             before: what :meth:`worlds_before` returned before it.
             actions: (B, n), what the cars were doing.
@@ -365,7 +367,7 @@ class AsynchronousEpisodes(Episodes):
         """
         self.t = np.maximum(self.decisions.made - 1, 0) // max(self.n_cars, 1)
         seen, applied = [], ended
-        if self.takes_functions and self.corrections & DERIVED_MARKS:
+        if self.corrections & DERIVED_MARKS and self.takes_functions:
             self.confirmed.derive_marks()
         if before is not None:
             # The rules forbid a STOP on a ramp.
@@ -377,7 +379,12 @@ class AsynchronousEpisodes(Episodes):
                 self.transition(i, before[i], done[i], applied[i], took[i], duration_s[i], problems=problems)
                 for i in range(len(self))
             ]
+        potential, given, rule = self.potential, self.bonus_given, self.task.reward
         steps = self.score(applied, self.running.turn, not problems, seen)
+        if isinstance(rule, Reward) and rule.rule != "change":
+            idle, _ = rule.of_tick(potential, potential, self.t, given)
+            more = np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
+            steps = replace(steps, reward=steps.reward + more)
         if time_weight:
             steps = replace(steps, reward=steps.reward - time_weight * duration_s)
         self.decisions.earned[:] += steps.reward[:, None]
@@ -405,8 +412,8 @@ class AsynchronousEpisodes(Episodes):
         """Return some of the episodes to look at; what is done to them is not done to these."""
         other = super().some(rows)
         other.time_s = self.time_s[rows]
-        other.running = Running._make(array[rows] for array in self.running)
-        other.decisions = Decisions._make(array[rows] for array in self.decisions)
+        other.running = Running._make(array.take(rows, 0) for array in self.running)
+        other.decisions = Decisions._make(array.take(rows, 0) for array in self.decisions)
         return other
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
@@ -447,14 +454,14 @@ class AsynchronousEpisodes(Episodes):
         All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
         one that another car forbids.
         """
-        lost = self.lost[i]
-        waited = np.isin(self.decisions.outcome[i], (WAITS, ILLEGAL)) & self.decides[i] | lost
+        outcome, lost = self.decisions.outcome[i], self.lost[i]
+        waited = self.decides[i] & ((outcome == WAITS) | (outcome == ILLEGAL)) | lost
         if not waited.all() or (self.queue[i, :, 0] >= 0).any():
             return None
         stuck = bool(_stuck(self.some(np.array([i])).offered())[0])
-        asked = self.decisions.asked[i]
-        if not stuck and (self.decisions.outcome[i] != ILLEGAL)[~lost].any():
+        if not stuck and (outcome != ILLEGAL)[~lost].any():
             return None
+        asked = self.decisions.asked[i]
         cars = range(self.n_cars)
         found = [
             {} if lost[car] else self._waits_for(i, car, None if stuck else int(asked[car])) for car in cars

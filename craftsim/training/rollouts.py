@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from craftsim.discrete.asynchronous import AsynchronousEpisodes, Timing
+from craftsim.discrete.asynchronous import USUAL_TICK_S, AsynchronousEpisodes, Timing
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
@@ -21,8 +21,6 @@ from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.features import Encoder, RelativeEncoder
 
 _HASH_SEED: Final = 2
-USUAL_TICK_S: Final = 1.0
-"""About the duration of a move: in asynchronous execution the discount per tick applies to this time."""
 TRAINED_JITTER: Final = 0.1
 """Relative jitter of durations in asynchronous training."""
 

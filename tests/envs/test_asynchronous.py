@@ -280,6 +280,21 @@ def test_rewards_come_with_the_end_of_an_action_and_sum_to_what_the_team_gets():
     assert total == pytest.approx(dict.fromkeys(total, team + env.core.episodes.potential[0] - start))
 
 
+def test_what_a_tick_costs_is_charged_by_time():
+    env = craftsim.parallel_env("breaking_barrier", "grid", execution="asynchronous", wait_s=0.25)
+    env.reset(seed=0)
+    _, rewards, *_ = env.step(dict.fromkeys(env.agents, STOP))
+    assert set(rewards.values()) == {-0.25}
+    envs = craftsim.vector_env("breaking_barrier", 40, execution="asynchronous", jitter=0.3)
+    (seen, _), rng = envs.reset(seed=0), np.random.default_rng(0)
+    for _ in range(30):
+        before = envs.episodes.potential.copy()
+        actions = np.array([[pick(rng, mask) for mask in masks] for masks in seen["action_mask"]])
+        seen, reward, terminated, truncated, infos = envs.step(actions)
+        same = (envs.episodes.potential == before) & ~(terminated | truncated)
+        np.testing.assert_allclose(reward[same], -infos["duration_s"][same])
+
+
 def episode(env, seed):
     """Return all that happens in a random episode."""
     env.reset(seed=seed)

@@ -271,6 +271,19 @@ def note(
 
 
 @compiled
+def restart(
+    rows: NDArray[np.int64], running: Running, decisions: Decisions, time_s: NDArray[np.float64]
+) -> None:
+    """Let all cars of some worlds decide, at time 0; what a decision overwrites stays."""
+    for i in rows:
+        time_s[i] = 0.0
+        decisions.made[i] = 0
+        for car in range(running.action.shape[1]):
+            running.action[i, car], running.n_claims[i, car] = DECIDES, 0
+            decisions.outcome[i, car] = RUNS
+
+
+@compiled
 def following(running: Running, i: int, turn: int) -> int:
     """Return the car of a world whose action began next after a turn; -1 if there is none."""
     found = -1

@@ -116,7 +116,8 @@ class Episodes:
         """Start the episodes ``rows`` anew, each as the start of the same place says."""
         self.put(rows, starts.grids)
         self.designs[rows] = starts.designs
-        self.queue[rows] = -1
+        if self.depth is not None:
+            self.queue[rows] = -1
         self.t[rows] = 0
         self.bonus_given[rows] = False
         self.done[rows] = False

@@ -20,8 +20,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
+import engines
 import yaml
 
+from craftsim.experiments.intervals import Proportion
 from craftsim.studies.results import plot_results
 from craftsim.studies.study import read_study
 
@@ -139,6 +141,8 @@ def tables() -> dict[str, str]:
         "physics": physics_table(),
         "margins": margins_table(),
         "execution": execution_table(),
+        "engines": table(*engines.table_of(_read(engines.STORED))),
+        "floors": floors_table(_read(engines.STORED)),
         "earlier": earlier_table(),
         **{
             f"speed_{what}": rates_table(_read(RESULTS / f"speed_{what}.json"))
@@ -242,6 +246,21 @@ def execution_table() -> str:
         for mode, one in modes.items()
     ]
     return table(("policy", "mode", "built", "95 %", "makespan, s", "failed", "deadlocks"), *rows)
+
+
+def floors_table(stored: dict[str, Any]) -> str:
+    """Return of each of the six tasks how many actions fail at most, as far as the reference of the engines shows."""
+    tasks = stored["found"][stored["reference"]]["tasks"]["by_task"]
+    rows = [
+        (
+            f"`{task}`",
+            one["runs"],
+            f"{one['good']} of {one['actions']}",
+            f"{100 * (1 - (Proportion.of(one['good'], one['actions']).wilson_low or 0)):.1f} %",
+        )
+        for task, one in tasks.items()
+    ]
+    return table(("task", "runs", "actions as predicted", "share that fails, at most (95 %)"), *rows)
 
 
 def _interval(share: dict[str, float]) -> str:

@@ -46,7 +46,6 @@ SETTINGS: Final[dict[str, dict[str, Any]]] = {
     "5ms": {"timestep_s": 0.005},
     "pgs": {"solver": "pgs"},
 }
-"""What no option of a command sets."""
 
 
 def main() -> int:
@@ -79,6 +78,7 @@ def main() -> int:
         f"MuJoCo {REFERENCE}, reduced drive, with one change at a time",
         Headline("Differs" if unlike else "No difference", Tone.CAUTION if unlike else Tone.GOOD, text),
         sections=[Section("engines", "Engines", "Audit; tasks.", [DataTable(numbers(*head), rows)], True)],
+        notes=[f"{name}: {one['why']}" for name, one in found.items() if "why" in one],
         document=document(stored, command="engines", seed=0, config=counts),
         exit_code=int(bool(unlike)),
     ).publish(asked.out)
@@ -93,8 +93,8 @@ def _runs(name: str, asked: argparse.Namespace) -> dict[str, Any]:
         _audit(name, folder / "audit", asked)
     else:
         trials = {"audit": asked.rows, "tasks": asked.trials}
-        is_release = name not in (REFERENCE, "rollers")
-        python = _environment(name, folder / "environment") if is_release else sys.executable
+        installed = name in (REFERENCE, "rollers")
+        python = sys.executable if installed else _environment(name, folder / "environment")
         common = f"--drive {'rollers' if name == 'rollers' else 'reduced'} --randomize mild --seed 0"
         for command, (run, number) in zip((audit, tasks), trials.items(), strict=True):
             if not _has_run(folder / run, number):
@@ -165,13 +165,11 @@ def _difference(first: Path, other: Path) -> dict[str, Any]:
     """Return how the verdicts of the same trials differ in two runs, where the rules allow what is tried."""
     one, two = (judged_by_rules(read_run(folder).records) for folder in (first, other))
     trials = compare_paired(one, two)
-    bounds = trials.difference
     return {
         "pairs": trials.pairs,
         "differing": trials.only_first + trials.only_second,
-        "only_reference": trials.only_first,
         "p_value": trials.p_value,
-        "least_detectable": least_detectable(bounds.low or 0.0, bounds.high or 0.0),
+        "least_detectable": least_detectable(trials.difference.low or 0.0, trials.difference.high or 0.0),
         "kinds": [
             f"{found.actions} {found.kind}: such as {found.example}" for found in alike(one, two).differences
         ],
@@ -179,21 +177,21 @@ def _difference(first: Path, other: Path) -> dict[str, Any]:
 
 
 def table_of(stored: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Return the table of what is stored, its head first; a change that could not be tried says why."""
+    """Return the table of what is stored, its head first."""
     parts = "rows unsound", "rows' trials", "tasks' actions", "differing", "p", "detectable"
     rows: list[tuple[str, ...]] = [("with", *parts)]
     for name, found in stored["found"].items():
         if "why" in found:
-            rows.append((name, found["why"], *[""] * (len(parts) - 1)))
+            rows.append((name, "does not load", *[""] * (len(parts) - 1)))
             continue
         verdicts, against = found["audit"]["verdicts"], found.get("against", {}).values()
         row = (
-            f"{verdicts['unsound']} of {verdicts['sound'] + verdicts['unsound']}",
-            "{successes:,} of {trials:,}".format(**found["audit"]["runs"]),
-            "{successes:,} of {trials:,}".format(**found["tasks"]["actions"]) if "tasks" in found else "",
-            "; ".join(f"{one['differing']} of {one['pairs']}" for one in against),
+            f"{verdicts['unsound']}/{verdicts['sound'] + verdicts['unsound']}",
+            "{successes}/{trials}".format(**found["audit"]["runs"]),
+            "{successes}/{trials}".format(**found["tasks"]["actions"]) if "tasks" in found else "",
+            "; ".join(f"{one['differing']}/{one['pairs']}" for one in against),
             "; ".join(f"{one['p_value']:.2g}" for one in against),
-            "; ".join(f"{100 * one['least_detectable']:.1f} points" for one in against),
+            "; ".join(f"{100 * one['least_detectable']:.1f} %" for one in against),
         )
         rows.append((name, *row))
     return rows

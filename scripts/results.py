@@ -251,16 +251,12 @@ def execution_table() -> str:
 def floors_table(stored: dict[str, Any]) -> str:
     """Return of each of the six tasks how many actions fail at most, as far as the reference of the engines shows."""
     tasks = stored["found"][stored["reference"]]["tasks"]["by_task"]
-    rows = [
-        (
-            f"`{task}`",
-            one["runs"],
-            f"{one['good']} of {one['actions']}",
-            f"{100 * (1 - (Proportion.of(one['good'], one['actions']).wilson_low or 0)):.1f} %",
-        )
-        for task, one in tasks.items()
-    ]
-    return table(("task", "runs", "actions as predicted", "share that fails, at most (95 %)"), *rows)
+    rows = []
+    for task, one in tasks.items():
+        share = Proportion.of(one["good"], one["actions"])
+        most = "" if share.wilson_low is None else f"{100 * (1 - share.wilson_low):.1f} %"
+        rows.append((f"`{task}`", f"{share.successes}/{share.trials}", most))
+    return table(("task", "actions as predicted", "failures, at most (95 %)"), *rows)
 
 
 def _interval(share: dict[str, float]) -> str:

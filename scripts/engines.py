@@ -39,7 +39,7 @@ from craftsim.validation.forms import read_run
 ROOT: Final = Path(__file__).parents[1]
 STORED: Final = ROOT / "craftsim" / "data" / "engines.json"
 REFERENCE: Final = version("mujoco")
-RELEASES: Final = ("4.0.0", "3.16.0", "3.14.0", "3.12.0", "3.10.0", "3.9.0")
+RELEASES: Final = ("4.0.0", "3.16.0", "3.14.0", "3.11.0", "3.10.0", "3.9.0")
 SETTINGS: Final[dict[str, dict[str, Any]]] = {
     "1ms": {"timestep_s": 0.001},
     "2ms": {"timestep_s": 0.002},

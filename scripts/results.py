@@ -20,9 +20,11 @@ from pathlib import Path
 from statistics import mean, median
 from typing import Any, Final
 
+import engines
 import yaml
 from scipy.stats import ttest_1samp
 
+from craftsim.experiments.intervals import Proportion
 from craftsim.studies.results import plot_results
 from craftsim.studies.study import read_study
 
@@ -143,6 +145,8 @@ def tables() -> dict[str, str]:
         "execution": execution_table(),
         "execution_trained": trained_table(),
         "builders": builders_table(),
+        "engines": table(*engines.table_of(_read(engines.STORED))),
+        "floors": floors_table(_read(engines.STORED)),
         "earlier": earlier_table(),
         **{
             f"speed_{what}": rates_table(_read(RESULTS / f"speed_{what}.json"))
@@ -301,6 +305,17 @@ def builders_table() -> str:
     ]
     head = ("builder", "on", *designs, "95 %", "in place", "as predicted", "forbidden")
     return table(head, *rows)
+
+
+def floors_table(stored: dict[str, Any]) -> str:
+    """Return of each of the six tasks how many actions fail at most, as far as the reference of the engines shows."""
+    tasks = stored["found"][stored["reference"]]["tasks"]["by_task"]
+    rows = []
+    for task, one in tasks.items():
+        share = Proportion.of(one["good"], one["actions"])
+        most = "" if share.wilson_low is None else f"{100 * (1 - share.wilson_low):.1f} %"
+        rows.append((f"`{task}`", f"{share.successes}/{share.trials}", most))
+    return table(("task", "actions as predicted", "failures, at most (95 %)"), *rows)
 
 
 def _interval(share: dict[str, float]) -> str:

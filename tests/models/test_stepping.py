@@ -8,6 +8,7 @@ import pytest
 
 from craftsim.discrete.grid import Grid
 from craftsim.mjcf.parameters import DRIVES, Machines
+from craftsim.models import stepping
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
 
@@ -31,6 +32,19 @@ def test_many_are_those_of_the_bindings_one_after_the_other(drive):
     assert abs(many.data.qpos - many.model.qpos0).max() > 0.01
     np.testing.assert_array_equal(many.data.qpos, single.data.qpos)
     np.testing.assert_array_equal(many.data.qvel, single.data.qvel)
+
+
+def test_without_batches_the_steps_are_the_same(monkeypatch):
+    """As before MuJoCo 3.17."""
+    grid, machines = Grid.empty((3, 1, 1), n_cars=1), Machines(drive="reduced")
+    compiled = PhysicsWorld(grid, machines=machines)
+    monkeypatch.setattr(stepping, "_HAS_BATCHES", False)
+    plain = PhysicsWorld(grid, machines=machines)
+    for world in (compiled, plain):
+        world.drive(0, [5.0, 4.0, 5.0, 4.0])
+        world.run(100)
+    np.testing.assert_array_equal(compiled.data.qpos, plain.data.qpos)
+    assert compiled.capped_steps == plain.capped_steps
 
 
 def test_an_error_in_a_step_is_an_exception_and_the_world_can_go_on():

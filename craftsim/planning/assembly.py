@@ -144,8 +144,30 @@ class Assembly:
         for i in range(_SEARCHES):
             path = self._search(goal, fixed, n_slopes, rng, from_below=i % 4 == 3)
             if path is not None:
-                return tuple(reversed(path))
+                return self._without_needless(tuple(reversed(path)), fixed)
         return None
+
+    def _without_needless(self, order: Order, state: State) -> Order:
+        """Return an order without those of its ramps without which all other steps are possible, too."""
+        i = 0
+        while i < len(order):
+            step = order[i]
+            if (gone := step._replace(taken=True)) in order[i + 1 :] and not step.taken:
+                j = order.index(gone, i)
+                rest = order[i + 1 : j]
+                if self._all_possible(state, rest):
+                    order = (*order[:i], *rest, *order[j + 1 :])
+                    continue
+            state = step.after(state)
+            i += 1
+        return order
+
+    def _all_possible(self, state: State, steps: Order) -> bool:
+        for step in steps:
+            if not self.possible(state, step):
+                return False
+            state = step.after(state)
+        return True
 
     def _search(
         self, goal: State, fixed: State, n_slopes: int, rng: np.random.Generator, from_below: bool

@@ -33,7 +33,7 @@ from craftsim.designs.starts import DesignStart, make_start
 from craftsim.designs.tasks import shape_digest
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.tasks.starts import targets_of
-from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.session import open_session
 from craftsim.planning import NoPlanError, Planned, plan_building
@@ -100,7 +100,7 @@ def first_plan(start: DesignStart) -> tuple[Planned | None, float]:
     return (found if took_s <= LIMIT_S else None), took_s
 
 
-def attempt(job: Job) -> Done:
+def attempt(job: Job) -> Result:
     """Plan a structure, and build it where a drive is given."""
     start = SETS[job.name].start(job.seed)
     planned, took_s = first_plan(start)
@@ -111,10 +111,10 @@ def attempt(job: Job) -> Done:
         "planned": planned is not None,
     }
     if planned is None:
-        return Done(False, extra=extra)
+        return Result(False, extra=extra)
     extra |= {"makespan_s": planned.makespan_s, "actions": sum(map(len, planned.ticks))}
     if job.drive is None:
-        return Done(True, extra=extra)
+        return Result(True, extra=extra)
     setup = setup_of("mild", drive=job.drive)
     judge = set_up(start.grid, setup, Seed((job.seed,)))
     begun_s = time.process_time()
@@ -128,7 +128,7 @@ def attempt(job: Job) -> Done:
         "physics_s": round(time.process_time() - begun_s, 1),
         "first_wrong": None if wrong is None else f"{wrong.action}: {wrong.result}, {wrong.finding}",
     }
-    return Done(extra["built"], extra=extra)
+    return Result(extra["built"], extra=extra)
 
 
 def figures_of(records: Sequence[dict[str, Any]], cars: int, drive: Drive | None) -> dict[str, Any]:
@@ -168,7 +168,7 @@ def figures_of(records: Sequence[dict[str, Any]], cars: int, drive: Drive | None
 def run(name: str, trials: int, drive: Drive | None, out: Path) -> dict[str, Any]:
     """Do the first trials of a set, but for those that were done before, and return the figures of all that are."""
     structures, what = SETS[name], drive or "plan"
-    items = [Item(f"{name} {seed}", name, seed, Job(name, seed, drive)) for seed in range(structures.number)]
+    items = [Trial(f"{name} {seed}", name, seed, Job(name, seed, drive)) for seed in range(structures.number)]
     config = {"size": structures.size, "cars": structures.cars, "drive": drive, "limit_s": LIMIT_S}
     experiment = Experiment("structures", 0, config, items, attempt, timeout_s=TIMEOUT_S)
     with open_session(experiment, out / f"{name}-{what}", RunOptions(resume=True)) as session:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 from craftsim.cli.progress import counting
-from craftsim.cli.text import say, warn_of_strangers
+from craftsim.cli.text import print_safe, warn_if_exposed
 from craftsim.errors import InputError
 from craftsim.options import CarriedPlan, Physics, number
 from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
@@ -78,7 +78,7 @@ def render(
     """
     if out.suffix == "":
         return _draw_figures(Path(what), run, out)
-    from craftsim.rendering.film import Look
+    from craftsim.rendering.film import FilmOptions
     from craftsim.rendering.offscreen import choose_backend
     from craftsim.rendering.render import check_format
     from craftsim.rendering.render import render as render_file
@@ -86,13 +86,13 @@ def render(
 
     captions = False if "captions" in hide else None  # films have them, pictures not
     shown = ("ghost" not in hide, captions, "cards" not in hide)
-    look = Look(_pixels(size), fps, camera, layout, quality, speed, None, *shown, title)
+    look = FilmOptions(_pixels(size), fps, camera, layout, quality, speed, None, *shown, title)
     check_format(out, at)
     choose_backend()
     output_directory(out.parent)
     trajectory = _find_trajectory(what, out, run, physics, carried, policy)
     for path in render_file(trajectory, out, look, workers=workers, at=at, progress=counting("frames", bool)):
-        say(f"Written: {path}")
+        print_safe(f"Written: {path}")
     return 0
 
 
@@ -117,7 +117,7 @@ def _draw_figures(recorded: Path, run: str | None, out: Path) -> int:
         for file in files:
             written = list(write_figures(directory_within(out, file.stem), Signals.of(Trajectory.read(file))))
             on_trajectory(written)
-            say(f"{file.stem}: {len(written)} files in {out / file.stem}")
+            print_safe(f"{file.stem}: {len(written)} files in {out / file.stem}")
     return 0
 
 
@@ -151,8 +151,8 @@ def view(
     runs = _runs(path) if building is None else {}
     with LiveView(host, port, REAL_TIME) as live:
         try:
-            say(f"Watch at {live.address} (Ctrl-C ends it)")
-            warn_of_strangers(host, "look on and press the buttons")
+            print_safe(f"Watch at {live.address} (Ctrl-C ends it)")
+            warn_if_exposed(host, "look on and press the buttons")
             if building is not None:
                 done = _carry_out(building, live)
                 runs[building.name] = lambda: done
@@ -228,7 +228,7 @@ def _find_trajectory(
     trajectory = record_once(
         what, physics.setup(), physics.seed, plan=carried.plan_file, policy=policy, order=carried.order
     )
-    say(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
+    print_safe(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
     return trajectory
 
 

@@ -61,7 +61,7 @@ _Picture = Callable[[int, float], Frame]
 
 
 @dataclass(frozen=True)
-class Look:
+class FilmOptions:
     """How a film looks. Raises InputError for a size or a number that no film has."""
 
     size: tuple[int, int] = (1280, 720)
@@ -105,7 +105,7 @@ class Look:
 class Frames:
     """The frames of a film, by their number; to be closed at the end."""
 
-    def __init__(self, trajectory: Trajectory, look: Look) -> None:
+    def __init__(self, trajectory: Trajectory, look: FilmOptions) -> None:
         """Prepare; raises InputError for a camera that there is not, and RenderingUnavailable where nothing renders."""
         self.trajectory, self.look, self.pace = trajectory, look, pace_of(trajectory, look)
 
@@ -137,7 +137,7 @@ class Frames:
         return len(self.pace.times) + sum(self.look.n_cards)
 
     @staticmethod
-    def count(trajectory: Trajectory, look: Look) -> int:
+    def count(trajectory: Trajectory, look: FilmOptions) -> int:
         """Return how many frames a film has, without preparing one."""
         return len(pace_of(trajectory, look).times) + sum(look.n_cards)
 
@@ -266,7 +266,7 @@ class Pace(NamedTuple):
     """(n,) simulated seconds in a second of film."""
 
 
-def pace_of(trajectory: Trajectory, look: Look) -> Pace:
+def pace_of(trajectory: Trajectory, look: FilmOptions) -> Pace:
     """Return when the frames between the cards are; the first sample and the last are among them.
 
     A film of a given length is never slower than it happened: its last picture stays.

@@ -14,7 +14,7 @@ from PIL import Image
 
 from craftsim.errors import InputError
 from craftsim.rendering.encode import ANIMATIONS, FILMS, Frame, OnFrame, check_animation, encode
-from craftsim.rendering.film import Frames, Look
+from craftsim.rendering.film import FilmOptions, Frames
 from craftsim.rendering.overlay import label
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.writing import write_whole
@@ -38,7 +38,7 @@ def no_progress(total: int) -> AbstractContextManager[OnFrame]:
 def render(
     trajectory: Trajectory,
     path: str | Path,
-    look: Look | None = None,
+    look: FilmOptions | None = None,
     *,
     workers: int = 1,
     at: Sequence[float] = (),
@@ -59,7 +59,7 @@ def render(
         InputError: an argument is not as it should be, or the disk does not take the file.
         RenderingUnavailable: nothing renders on this machine.
     """
-    path, look = Path(path), look or Look()
+    path, look = Path(path), look or FilmOptions()
     check_format(path, at)
     if path.suffix == ".png":
         look = replace(look, captions=bool(look.captions))
@@ -80,7 +80,7 @@ def check_format(path: Path, at: Sequence[float] = ()) -> None:
         raise InputError(f"{path}: moments are pictures; give a name that ends in .png, or leave them out")
 
 
-def render_frames(trajectory: Trajectory, look: Look, workers: int = 1) -> Iterator[Frame]:
+def render_frames(trajectory: Trajectory, look: FilmOptions, workers: int = 1) -> Iterator[Frame]:
     """Yield the frames of a film, the same for any number of workers."""
     if workers == 1:
         with closing(Frames(trajectory, look)) as frames:
@@ -101,7 +101,7 @@ def render_frames(trajectory: Trajectory, look: Look, workers: int = 1) -> Itera
 class FrameMaker:
     """Makes frames of a film in a worker, by their numbers; the film is prepared there, once."""
 
-    def __init__(self, trajectory: Trajectory, look: Look) -> None:
+    def __init__(self, trajectory: Trajectory, look: FilmOptions) -> None:
         """Prepare nothing yet."""
         # A copy has no compiled model, which would be sent along.
         self._trajectory, self._look = replace(trajectory), look
@@ -114,7 +114,7 @@ class FrameMaker:
         return [self._frames[number] for number in numbers]
 
 
-def _stills(trajectory: Trajectory, path: Path, look: Look, at: Sequence[float]) -> list[Path]:
+def _stills(trajectory: Trajectory, path: Path, look: FilmOptions, at: Sequence[float]) -> list[Path]:
     first, last = float(trajectory.time[0]), float(trajectory.time[-1])
     for moment in at:
         if not first <= moment <= last:
@@ -124,7 +124,7 @@ def _stills(trajectory: Trajectory, path: Path, look: Look, at: Sequence[float])
         return [_write_png(name, frames.at(moment)) for name, moment in zip(names, at, strict=True)]
 
 
-def _sheet(trajectory: Trajectory, path: Path, look: Look) -> Path:
+def _sheet(trajectory: Trajectory, path: Path, look: FilmOptions) -> Path:
     """Write moments of the film, at equal distances, as one picture of the look's size."""
     with closing(Frames(trajectory, look)) as frames:
         moments = np.linspace(0, len(frames.pace.times) - 1, SHEET).round().astype(int)

@@ -154,6 +154,7 @@ def tables() -> dict[str, str]:
         },
         "benchmarks": benchmark_tables(_read(RESULTS / "benchmarks.json")),
         "large": large_table(_read(RESULTS / "large.json")),
+        "structures": structures_table(_read(RESULTS / "structures.json")),
         "paper": algorithms_table(_read(TRAINING / "paper.json")),
         "qmix": qmix_table(),
         "studies": studies_table(),
@@ -491,6 +492,48 @@ def large_table(report: dict[str, Any]) -> str:
         f"{PROCESSORS} for both",
     )
     return table(head, *rows)
+
+
+def structures_table(stored: dict[str, Any]) -> str:
+    """Return what scripts/structures.py found of each set: planned, and built in physics on a drive."""
+
+    def share(one: dict[str, Any] | None) -> str:
+        return (
+            ""
+            if one is None
+            else "{successes:,} of {trials:,} ({wilson_low:.3f}-{wilson_high:.3f})".format(**one)
+        )
+
+    def spread(values: list[float]) -> str:
+        return "-".join(f"{value:.1f}" if value < 10 else f"{value:.0f}" for value in dict.fromkeys(values))
+
+    rows = [
+        (
+            f"{name}, {one['cars']} cars",
+            spread(one["blocks"]),
+            drive,
+            share(one["planned"]),
+            spread(one["plan_s"]),
+            share(one.get("built")),
+            share(one.get("as_predicted")),
+            spread(one["executed_s"] if "built" in one else one["makespan_s"]),
+            f"{one['blocks_per_hour']:.0f}" if one["blocks_per_hour"] else "",
+            f"{one['mm3_per_minute_per_car'] / 1e6:.1f}" if one["blocks_per_hour"] else "",
+        )
+        for name, stages in stored.items()
+        for drive, one in stages.items()
+    ]
+    head = (
+        "structures",
+        "blocks",
+        "drive",
+        "planned",
+        "CPU s",
+        "built",
+        "actions as predicted",
+        "makespan, s",
+    )
+    return table((*head, "blocks an hour", "1e6 mm³ a minute per car"), *rows)
 
 
 def algorithms_table(report: dict[str, Any]) -> str:

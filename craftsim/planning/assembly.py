@@ -90,7 +90,10 @@ class Assembly:
         return graph, graph.distances_from(_outside(grid, graph))
 
     def _is_possible(self, state: State, step: Placing) -> bool:
-        thing, grid = step.thing, self.grid(state)
+        thing = step.thing
+        if not _ramps_to(thing.cell[2], state):
+            return False
+        grid = self.grid(state)
         graph, distances = self._graph(state, Kind.AIR if step.taken else thing.load)
         nodes = [node for node in graph.nodes(thing) if distances[node] < UNREACHABLE]
         if not nodes:
@@ -144,8 +147,30 @@ class Assembly:
         for i in range(_SEARCHES):
             path = self._search(goal, fixed, n_slopes, rng, from_below=i % 4 == 3)
             if path is not None:
-                return tuple(reversed(path))
+                return self._without_needless(tuple(reversed(path)), fixed)
         return None
+
+    def _without_needless(self, order: Order, state: State) -> Order:
+        """Return an order without those of its ramps without which all other steps are possible, too."""
+        i = 0
+        while i < len(order):
+            step = order[i]
+            if (gone := step._replace(taken=True)) in order[i + 1 :] and not step.taken:
+                j = order.index(gone, i)
+                rest = order[i + 1 : j]
+                if self._all_possible(state, rest):
+                    order = (*order[:i], *rest, *order[j + 1 :])
+                    continue
+            state = step.after(state)
+            i += 1
+        return order
+
+    def _all_possible(self, state: State, steps: Order) -> bool:
+        for step in steps:
+            if not self.possible(state, step):
+                return False
+            state = step.after(state)
+        return True
 
     def _search(
         self, goal: State, fixed: State, n_slopes: int, rng: np.random.Generator, from_below: bool
@@ -191,14 +216,14 @@ class Assembly:
             here = [thing for thing in upper if thing.cell[2] == level]
             yield from self._last(state, here)
             if ramps_left > 0 and here:
-                for step, serves in self._ramps(state, here, rng):
-                    if serves:
+                for step in self._ramps(state, rng):
+                    if self._serves(state, step, here):
                         yield step
                     else:
                         barren[step] = None
         # A ramp elsewhere may do; the floor level comes last, for what stands on it is driven on.
         yield from self._last(state, [thing for thing in ramps if thing.cell[2] < highest])
-        yield from barren
+        yield from (step for step in barren if self.possible(step.before(state), step))
         if from_below or not upper:
             yield from self._last(state, [thing for thing in things if thing.cell[2] == 1])
 
@@ -208,15 +233,19 @@ class Assembly:
             if self.possible(state - {thing}, step := Placing(thing)):
                 yield step
 
-    def _ramps(
-        self, state: State, upper: list[Piece], rng: np.random.Generator
-    ) -> Iterator[tuple[Placing, bool]]:
-        """Yield ramps that may have been taken away last, and whether something is in reach with each."""
+    def _ramps(self, state: State, rng: np.random.Generator) -> list[Placing]:
+        """Return the ramps for which there is room, as they may have been taken away last."""
         places = list(self._ramp_places(self.grid(state)))
-        for i in rng.permutation(len(places)):
-            before = state | {places[i]}
-            if self.possible(before, step := Placing(places[i], taken=True)):
-                yield step, any(self.possible(before - {thing}, Placing(thing)) for thing in upper)
+        return [Placing(places[i], taken=True) for i in rng.permutation(len(places))]
+
+    def _serves(self, state: State, step: Placing, upper: list[Piece]) -> bool:
+        """Return whether a ramp may have been taken away last, and before it some thing of a level been put there."""
+        before = step.before(state)
+        return (
+            _ramps_to(upper[0].cell[2], before)
+            and self.possible(before, step)
+            and any(self.possible(before - {thing}, Placing(thing)) for thing in upper)
+        )
 
     def _ramp_places(self, grid: Grid) -> Iterator[Piece]:
         """Yield where an unfolded slope has room and leads up to a block, the lowest first."""
@@ -228,6 +257,11 @@ class Assembly:
                     ramp = Piece(Kind.BODY, beside((x, y, z), yaw), yaw)
                     if self.has_room(grid, ramp):
                         yield ramp
+
+
+def _ramps_to(level: int, state: State) -> bool:
+    """Return whether there is a ramp on each level below one: else no car gets there."""
+    return {thing.cell[2] for thing in state if thing.kind == Kind.BODY}.issuperset(range(1, level))
 
 
 def _outside(grid: Grid, graph: MoveGraph) -> NDArray[np.int64]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph
 from craftsim.planning.assembly import Assembly, Order, State, rebuilt
@@ -91,6 +91,8 @@ class Construction:
             (x + dx, y + dy, 1) for x, y, _ in self._keep_free for dx in range(-2, 3) for dy in range(-2, 3)
         }
         """The floor up to two cells away."""
+        loads = [*(thing.load for thing in start.pieces()), *start.cars[:, CarField.LOAD].tolist()]
+        self._n_slopes = loads.count(Kind.FSLOPE)
         n_cars = min(start.n_cars, style.n_cars)
         self._cars = sorted(self.rng.permutation(start.n_cars)[:n_cars].tolist())
         for turn, _ in past:
@@ -184,7 +186,7 @@ class Construction:
         return [k for k in self._left() if self.assembly.possible(self._standing, self.order[k])]
 
     def _bars_nothing(self, k: int) -> bool:
-        """Return whether those steps that come before one in the order can still be made after it."""
+        """Return whether those steps that come before one in the order can still be made after it, with the slopes."""
         state = self.order[k].after(self._standing)
         for earlier in self._left():
             if earlier >= k:
@@ -193,6 +195,8 @@ class Construction:
             if not self.assembly.possible(state, step):
                 return False
             state = step.after(state)
+            if sum(thing.load == Kind.FSLOPE for thing in state) > self._n_slopes:
+                return False
         return True
 
     def _loose(self, grid: Grid) -> dict[Kind, list[Piece]]:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from craftsim import cli
-from craftsim.designs.drawn import random_start
+from craftsim.designs.drawn import random_start, random_structure
+from craftsim.designs.starts import make_start
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
@@ -42,6 +43,13 @@ def test_a_task_is_planned_by_the_rules(name):
     planned = plan_building(grid, task, RULES, rounds=8, time_s=60)
     assert obeys(grid, planned, task.succeeded)
     assert planned.bound_s <= planned.makespan_s <= planned.work_s
+
+
+def test_a_structure_of_three_levels_is_planned_in_one_attempt_since_no_slope_goes_where_it_is_missed_later():
+    rng = np.random.default_rng(1)
+    start = make_start(random_structure((7, 7, 3), rng), 4, rng)
+    planned = plan_building(start.grid, start.design, RULES, rounds=1)
+    assert obeys(start.grid, planned, start.design.satisfied)
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -78,6 +78,8 @@ def render(
         policy: in place of a plan, as of 'craftsim validate'.
         workers: processes to share the work; the pictures do not depend on it.
     """
+    if out.suffix == "" and beside:
+        raise InputError("figures are of one run; give --out a film or a picture, or leave --beside out")
     if out.suffix == "":
         return _draw_figures(Path(what), run, out)
     from craftsim.rendering.film import Look

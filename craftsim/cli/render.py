@@ -77,6 +77,8 @@ def render(
         policy: policy to execute instead of a plan, as in 'craftsim validate'.
         workers: number of processes; the pictures do not depend on it.
     """
+    if out.suffix == "" and beside:
+        raise InputError("figures are of one run; give --out a film or a picture, or leave --beside out")
     if out.suffix == "":
         return _draw_figures(Path(what), run, out)
     from craftsim.rendering.film import FilmOptions

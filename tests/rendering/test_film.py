@@ -257,11 +257,16 @@ def test_what_no_film_is_is_refused_before_it_is_rendered(trajectory, tmp_path, 
     assert not list(tmp_path.iterdir())
 
 
-def test_titles_are_one_for_each_run(capsys):
-    assert main(["render", "a.npz", "--beside", "b.npz", "--title", "one"]) == 2
-    assert "--title names 1 of 2 runs; give a title for each, or none" in " ".join(
-        capsys.readouterr().err.split()
-    )
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--title", "one"), "--title names 1 of 2 runs; give a title for each, or none"),
+        (("--out", "figures/"), "figures are of one run"),
+    ],
+)
+def test_what_several_runs_cannot_have_is_refused(words, said, capsys):
+    assert main(["render", "a.npz", "--beside", "b.npz", *words]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
 
 
 # The writer of films.

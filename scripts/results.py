@@ -53,7 +53,7 @@ MEASURED: Final = {
     "audit_physical": "audit --quick --rules physical --drive reduced",
     "audit_published": "audit --quick --drive reduced",
     "margins": "audit margins --quick",
-    "execution_plans": "bench execution --worlds 95",
+    "execution_plans": "bench execution --worlds 100",
     "execution_policies": "bench execution random_strip random_block random_simple_two_story random_breaking_barrier",
 }
 """What is measured, each in less than four minutes of CPU time but for execution."""

@@ -56,7 +56,7 @@ MEASURED: Final = {
     "audit_physical": "audit --quick --rules physical --drive reduced",
     "audit_published": "audit --quick --drive reduced",
     "margins": "audit margins --quick",
-    "execution_plans": "bench execution --worlds 62",
+    "execution_plans": "bench execution --worlds 100",
     "execution_policies": "bench execution random_strip random_block random_simple_two_story random_breaking_barrier",
     "builders": "bench builders",
 }

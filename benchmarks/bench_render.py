@@ -9,7 +9,7 @@ import pytest
 from craftsim.checking.setup import setup_of
 from craftsim.rendering.cameras import make_view
 from craftsim.rendering.encode import encode
-from craftsim.rendering.film import Frames, Look, pace_of
+from craftsim.rendering.film import FilmOptions, Frames, pace_of
 from craftsim.rendering.layout import arrange
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.playback import Posed
@@ -52,7 +52,7 @@ def bare(trajectory, look):
 def test_sixty_frames(benchmark, tmp_path, what, quality):
     """``film`` has captions and is encoded; processes make its frames alone, their start included."""
     trajectory = recorded()
-    look = Look(quality=quality, speed=trajectory.duration_s / (FRAMES / 30), cards=False)
+    look = FilmOptions(quality=quality, speed=trajectory.duration_s / (FRAMES / 30), cards=False)
     if what == "bare":
         work, close = bare(trajectory, look)
         benchmark.pedantic(work, rounds=2)

@@ -9,7 +9,7 @@ from craftsim.audit.plan import audit_plan
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.setup import setup_of
 from craftsim.mjcf.parameters import DRIVES
-from craftsim.validation.audit import Trial, items_of, try_it
+from craftsim.validation.audit import AuditTrial, trials_of, try_it
 
 TRIALS = 60
 STEPS_S = (0.001, 0.002, 0.004, 0.005)
@@ -20,9 +20,9 @@ def sample(drive, preset):
     """Return some trials of the audit of the published rules, evenly from all of it."""
     found = [
         item.job
-        for item in items_of(audit_plan("published"), 1, 0, setup_of(preset, "published", drive=drive))
+        for item in trials_of(audit_plan("published"), 1, 0, setup_of(preset, "published", drive=drive))
     ]
-    trials = [job for job in found if isinstance(job, Trial)]
+    trials = [job for job in found if isinstance(job, AuditTrial)]
     return [trials[number * len(trials) // TRIALS] for number in range(TRIALS)]
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from craftsim.discrete.kinds import Action
 from craftsim.envs.vector import PhysicsVectorEnv
-from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.session import open_session
 from craftsim.validation.validation import validate
 
@@ -20,7 +20,7 @@ ENGINES = ["local", *(["ray"] if find_spec("ray") and "RAY_ADDRESS" in os.enviro
 
 
 def nothing(job):
-    return Done(True)
+    return Result(True)
 
 
 @pytest.mark.benchmark(timer="processes")
@@ -28,7 +28,7 @@ def nothing(job):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_campaign_of_empty_trials(benchmark, tmp_path, engine, trials):
     """CPU of all processes; the difference of both, over that of their trials, is what a trial costs."""
-    items = [Item(f"item {i}", "all", i, i) for i in range(trials)]
+    items = [Trial(f"item {i}", "all", i, i) for i in range(trials)]
     experiment = Experiment("bench", 0, {}, items, nothing)
 
     def run():

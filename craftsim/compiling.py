@@ -13,7 +13,7 @@ _LINE_EVERY_S: Final = 5.0
 """Where lines cannot be written again one follows the other after so long, the first after a second."""
 
 
-class Teller(logging.Handler):
+class CompilingHandler(logging.Handler):
     """Says on standard error how far compiling is: in one line of a terminal, in a few lines elsewhere."""
 
     def __init__(self) -> None:
@@ -42,14 +42,14 @@ class Teller(logging.Handler):
                 print(text, file=error, flush=True)
 
 
-def tell() -> None:
+def report_compiling() -> None:
     """Say from now on how far compiling is, in this process and in those that it starts."""
-    if not is_told():
-        LOG.addHandler(Teller())
+    if not reports_compiling():
+        LOG.addHandler(CompilingHandler())
         LOG.setLevel(logging.INFO)
         LOG.propagate = False
 
 
-def is_told() -> bool:
+def reports_compiling() -> bool:
     """Return whether this process says it."""
-    return any(isinstance(handler, Teller) for handler in LOG.handlers)
+    return any(isinstance(handler, CompilingHandler) for handler in LOG.handlers)

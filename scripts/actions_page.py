@@ -18,12 +18,12 @@ from craftsim.designs.drawn import random_start
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.schedule import SITUATIONS, nominal_durations
-from craftsim.rendering.film import Look
+from craftsim.rendering.film import FilmOptions
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import Recorder
 
 REFERENCE: Final = Path(__file__).parents[1] / "docs" / "reference"
-LOOK: Final = Look((480, 270), 10, quality="draft", cards=False, captions=False)
+LOOK: Final = FilmOptions((480, 270), 10, quality="draft", cards=False, captions=False)
 WORLDS: Final = 60
 TICKS: Final = 40
 

@@ -21,11 +21,11 @@ from craftsim.cli import main as craftsim_command
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.experiments.bundle import read_bundle
-from craftsim.rendering.film import Look
+from craftsim.rendering.film import FilmOptions
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import Recorder, Trajectory
 from craftsim.storage.writing import write_whole
-from craftsim.validation.minimize import DependsError, Smallest, failing_actions, shrink
+from craftsim.validation.minimize import NotReproducibleError, Smallest, failing_actions, minimize
 from craftsim.validation.validation import record_once
 from craftsim.workers.pool import Pool, answered
 
@@ -59,24 +59,24 @@ Entry = dict[str, Any]
 """What the page says of a film."""
 BUDGET_BYTES: Final = 1_000_000
 """Of a film."""
-TASK_LOOK: Final = Look((960, 540), quality="paper")
+TASK_LOOK: Final = FilmOptions((960, 540), quality="paper")
 HERO: Final = "simple_two_story"
 """The task that README opens with, as an animation that shows without a player."""
-HERO_LOOK: Final = Look((720, 360), fps=12, quality="paper", speed=4.0, cards=False)
+HERO_LOOK: Final = FilmOptions((720, 360), fps=12, quality="paper", speed=4.0, cards=False)
 BUILDINGS: Final = {
     "pyramid": ("pyramid", "--cars", "8", "--area", "12", "12", "4", "--spare-slopes", "2"),
     "house": ("house", "--cars", "8", "--spare-slopes", "1"),
 }
 """Buildings that are planned and built, and what `craftsim design` is asked for."""
-BUILDING_LOOK: Final = Look((640, 360), fps=12, speed=16.0)
+BUILDING_LOOK: Final = FilmOptions((640, 360), fps=12, speed=16.0)
 OVERLAP: Final = "ramp"
 """The plan that is carried out in ticks and asynchronously, in examples/overlap."""
 ORDERS: Final[dict[PlanOrder, str]] = {
     "ticks": "in ticks: all wait for the slowest",
     "concurrent": "asynchronously: each goes on by itself",
 }
-OVERLAP_LOOK: Final = Look((960, 480), quality="paper", speed=1.5)
-RULE_LOOK: Final = Look(
+OVERLAP_LOOK: Final = FilmOptions((960, 480), quality="paper", speed=1.5)
+RULE_LOOK: Final = FilmOptions(
     (720, 320), 15, ("overview", "follow:0"), quality="paper", length_s=4.0, cards=False, captions=False
 )
 TRIES: Final = 5
@@ -168,7 +168,7 @@ def _make_overlap() -> Entry:
     return {order: _metrics(trajectory) for order, trajectory in shown.items()}
 
 
-def _film(trajectory: Trajectory, name: str, look: Look) -> None:
+def _film(trajectory: Trajectory, name: str, look: FilmOptions) -> None:
     render(trajectory, FILMS / f"{name}.mp4", look)
     render(trajectory, FILMS / f"{name}.png", look, at=(float(trajectory.time[-1]),))
 
@@ -230,8 +230,8 @@ def _smallest(bundles: Sequence[Path]) -> tuple[Smallest, Seed, bool] | None:
         bundle = read_bundle(folder).bundle
         for failing in failing_actions(bundle.recipe, bundle.attempts, bundle.most_s):
             try:
-                smallest = shrink(failing)
-            except DependsError:
+                smallest = minimize(failing)
+            except NotReproducibleError:
                 continue
             chance = smallest.setup == failing.setup
             return smallest, failing.seed if chance else SEED_0, chance

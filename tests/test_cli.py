@@ -24,7 +24,7 @@ from craftsim.cli.help import REFERRED, _default, _heading
 from craftsim.errors import InputError
 from craftsim.options import Physics, range_of
 from craftsim.reports import json_file
-from craftsim.reports.text import clean
+from craftsim.reports.text import escape
 
 EVERY = [words for name in COMMANDS for words in ([name], *([name, below] for below in BELOW.get(name, ())))]
 EVERY = [words for words in EVERY if words[0] not in ALONE or len(words) == 2]
@@ -391,7 +391,7 @@ def test_text_that_steers_a_terminal_is_shown_as_escapes(command, capsys):
     assert cli.main(["probe"]) == 2
     told = "craftsim: a\\x1b[31mb\\x9bc\\rd\\u202ee\\udce9f\tg\nh\n"
     assert capsys.readouterr().err == told
-    assert clean("plain: \u00e9 \u2192 \U0001f600") == "plain: \u00e9 \u2192 \U0001f600"
+    assert escape("plain: \u00e9 \u2192 \U0001f600") == "plain: \u00e9 \u2192 \U0001f600"
 
 
 def test_only_two_functions_print():

@@ -11,7 +11,7 @@ from craftsim.checking import setup
 from craftsim.checking.attempt import Thresholds
 from craftsim.discrete import tasks
 from craftsim.discrete.tasks import TASK_NAMES
-from craftsim.rendering.film import Frames, Look
+from craftsim.rendering.film import FilmOptions, Frames
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.reports.json_file import SCHEMA_VERSION
 from craftsim.validation import building
@@ -107,7 +107,7 @@ def test_the_film_plays_in_a_browser(demo, folder):
         assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
         frames = sum(1 for _ in film.decode(stream))
     trajectory = Trajectory.read(folder / "out/own.npz")
-    assert frames == Frames.count(trajectory, Look())
+    assert frames == Frames.count(trajectory, FilmOptions())
     assert trajectory.time[-1] == pytest.approx(_report()["figures"]["simulated_s"])
     assert not [path for path in (folder / "out").glob(".*") if path.name != ".craftsim-lock"]
 

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from craftsim.cli.commands import COMMANDS, overview
-from craftsim.cli.text import complain, drop_output, reader_is_gone, say, show_what_can_be_shown
-from craftsim.compiling import tell
+from craftsim.cli.text import discard_output, output_closed, print_error, print_safe, replace_unencodable
+from craftsim.compiling import report_compiling
 from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
 from craftsim.modules import import_own, safe_path
 from craftsim.storage.paths import check_working_folder
@@ -34,8 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: words after ``craftsim``; those of this process if None.
     """
-    show_what_can_be_shown()
-    tell()
+    replace_unencodable()
+    report_compiling()
     try:
         try:
             with safe_path():
@@ -44,15 +44,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if sys.stdout is not None:
                 sys.stdout.flush()
     except BrokenPipeError:
-        if not reader_is_gone():
+        if not output_closed():
             raise
-        drop_output()
+        discard_output()
         return BROKEN_PIPE
     except OSError as error:
         if error.errno not in DISK_ERRORS:
             raise
-        drop_output()
-        complain(f"cannot write {error.filename or 'the results'}: {error.strerror or error}")
+        discard_output()
+        print_error(f"cannot write {error.filename or 'the results'}: {error.strerror or error}")
         return 2
 
 
@@ -61,28 +61,28 @@ def _answer(words: list[str]) -> int:
         if words[:1] == [PLUGINS]:
             words = _import_plugins(words)
         if not words or words[0] in ("-h", "--help"):
-            say(overview())
+            print_safe(overview())
             return 0 if words else 2
         if words[0] == "--version":
             import craftsim
 
-            say(f"craftsim {craftsim.__version__}")
+            print_safe(f"craftsim {craftsim.__version__}")
             return 0
         if words[0] == COMPLETION:
             return _complete(words[1:])
         check_working_folder()
         return _run(words)
     except CraftsimError as error:
-        complain(error)
+        print_error(error)
         return 2
     except KeyboardInterrupt as interrupt:
-        complain(str(interrupt) or "interrupted")
+        print_error(str(interrupt) or "interrupted")
         return 130
     except ImportError as error:
         # Of a Ctrl-C during its import an extension module such as MuJoCo's makes an error of its own.
         if not any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error)):
             raise
-        complain("interrupted")
+        print_error("interrupted")
         return 130
 
 
@@ -117,7 +117,7 @@ def _run(words: list[str]) -> int:
         raise InputError(f"no command '{words[0]}'{suggestion(words[0], COMMANDS)} (commands: {known})")
     words = former.current(words)
     if {"-h", "--help"} & {*words}:
-        say(help_of(words))
+        print_safe(help_of(words))
         return 0
     function, bound = bind(words)
     ASKED.set(tuple(words))
@@ -136,5 +136,5 @@ def _complete(words: list[str]) -> int:
             f"'craftsim {COMPLETION}' needs a shell: {', '.join(SHELLS)}; for bash: "
             f'eval "$(craftsim {COMPLETION} bash)" in ~/.bashrc'
         )
-    say(make_app().generate_completion(shell=words[0]))  # type: ignore[arg-type]
+    print_safe(make_app().generate_completion(shell=words[0]))  # type: ignore[arg-type]
     return 0

@@ -17,7 +17,7 @@ from cyclopts.config import Dict
 
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
 from craftsim.cli.help import command_help
-from craftsim.cli.text import complain
+from craftsim.cli.text import print_error
 from craftsim.errors import InputError
 from craftsim.options import option_name, range_of
 from craftsim.storage.limits import Range
@@ -148,7 +148,7 @@ def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
     was, now = document.get("versions", {}), versions()
     for name, version in was.items() if isinstance(was, dict) else ():
         if str(version) != now.get(name):
-            complain(f"{file} is of {name} {version}; here is {now.get(name, 'none')}: results may differ")
+            print_error(f"{file} is of {name} {version}; here is {now.get(name, 'none')}: results may differ")
     return {name: value for name, value in options.items() if value is not None}
 
 

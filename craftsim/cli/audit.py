@@ -115,7 +115,7 @@ def audit(
         asked=asked | {"randomize": physics.randomize},
         options=campaign.run(counting("trials", without_error)),
         batch=1 if quick else BATCH,
-        shrink=counting_kinds() if minimize else None,
+        minimize=counting_kinds() if minimize else None,
     )
     if filming or record == "trajectory":
         record_failures(out, result.records, campaign.workers, filming)
@@ -172,14 +172,14 @@ def margins(
         quick: six imperfections in the first scenario of each action, with 20 trials: two minutes on two cores.
         out: folder for report.html, report.json, trials.jsonl and the bundles of what fails first.
     """
-    from craftsim.validation.imperfections import WORTH, axes_of
+    from craftsim.validation.imperfections import DEFAULT_IMPERFECTIONS, imperfections_of
     from craftsim.validation.margins import run_margins, scenarios
     from craftsim.validation.margins_report import margins_report
 
-    over = axes_of(pair or ())
+    over = imperfections_of(pair or ())
     if pair is not None and len(over) != len(pair):
         raise InputError(f"--map is {' '.join(pair)}; allowed: two different imperfections")
-    chosen = axes_of(imperfections or pair or (QUICK if quick else WORTH))
+    chosen = imperfections_of(imperfections or pair or (QUICK if quick else DEFAULT_IMPERFECTIONS))
     rows, setup = scenarios(situations, quick), physics.setup()
     asked = {"axes": imperfections, "scenarios": situations, "pair": pair, "quick": quick}
     result = run_margins(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from cyclopts import Parameter
 
 from craftsim.choices import RuleSet
-from craftsim.cli.text import say
+from craftsim.cli.text import print_safe
 from craftsim.options import OptionalDir, Seeded, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
@@ -264,14 +264,16 @@ def doctor(*, out: OptionalDir = None) -> int:
     Terminal().print(table)
     for check in checks:
         if check.remedy:
-            say(f"{check.what}: run this to fix it:\n    {check.remedy}")
+            print_safe(f"{check.what}: run this to fix it:\n    {check.remedy}")
     if out is not None:
         figures = {"checks": checks, "processors": _processors()}
-        say(f"Report: {write_report(out, figures, command='doctor')}")
+        print_safe(f"Report: {write_report(out, figures, command='doctor')}")
     if not physics.works:
-        say("Physics does not run.")
+        print_safe("Physics does not run.")
         return 2
-    say("All well." if all(check.works for check in films) else "Physics runs; films cannot be made yet.")
+    print_safe(
+        "All well." if all(check.works for check in films) else "Physics runs; films cannot be made yet."
+    )
     return 0
 
 

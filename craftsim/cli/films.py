@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from craftsim.cli.progress import counting
-from craftsim.cli.text import say
+from craftsim.cli.text import print_safe
 from craftsim.experiments.bundle import FILM, TRAJECTORY, Recorded, read_bundle
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.replay import Replay
-from craftsim.rendering.film import Look
+from craftsim.rendering.film import FilmOptions
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
@@ -36,7 +36,7 @@ def rendering_works() -> bool:
     try:
         choose_backend()
     except RenderingUnavailable as error:
-        Terminal().say(f"No film: {error}", style="yellow")
+        Terminal().print_safe(f"No film: {error}", style="yellow")
         return False
     return True
 
@@ -48,10 +48,10 @@ def film_bundle(recorded: Recorded, path: Path) -> Replay:
     return result
 
 
-def _clip(trajectory: Trajectory) -> Look:
+def _clip(trajectory: Trajectory) -> FilmOptions:
     """Return how a film of one failure looks: close to the car that acts first."""
     car = trajectory.story.attempts[0].car
-    return Look(SIZE, cameras=(f"follow:{car}",), length_s=CLIP_S, cards=False)
+    return FilmOptions(SIZE, cameras=(f"follow:{car}",), length_s=CLIP_S, cards=False)
 
 
 def record_failures(out: Path, records: Iterable[TrialRecord], workers: int = 1, films: bool = True) -> None:
@@ -79,10 +79,12 @@ def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Desi
     from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
 
     for ending in FORMATS:
-        say(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")
+        print_safe(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")
     if film:
         path, frames = out / f"{name}-plan.mp4", counting("frames", bool)
-        say(f"film: {film_plan(path, schedule, Rules('physical'), name, wanted_of(design), progress=frames)}")
+        print_safe(
+            f"film: {film_plan(path, schedule, Rules('physical'), name, wanted_of(design), progress=frames)}"
+        )
 
 
 def _do_all(what: str, function: Callable[[Job], None], jobs: Sequence[Job], workers: int) -> None:
@@ -110,4 +112,4 @@ def _record_folder(job: tuple[Path, bool]) -> None:
 
 
 def _film_trajectory(pair: tuple[Path, Path]) -> None:
-    render(Trajectory.read(pair[0]), pair[1], Look(SIZE))
+    render(Trajectory.read(pair[0]), pair[1], FilmOptions(SIZE))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from craftsim.cli.text import complain
+from craftsim.cli.text import print_error
 
 COMMANDS: Final[dict[str, tuple[str, ...]]] = {
     "build": ("validate", "--plan", "auto"),
@@ -80,7 +80,7 @@ def current(words: list[str]) -> list[str]:
 
 
 def _tell(old: str, new: str) -> None:
-    complain(f"'{old}' is called '{new}' now; the old name goes away in 0.4")
+    print_error(f"'{old}' is called '{new}' now; the old name goes away in 0.4")
 
 
 def _renamed(given: list[str], options: dict[str, str]) -> tuple[list[str], list[str]]:

@@ -9,8 +9,6 @@ from functools import partial
 from operator import itemgetter
 from typing import Any, Final
 
-from craftsim.reports.text import clean
-
 LINE_EVERY_S: Final = 20.0
 """Without a terminal, a line says how far things are so often."""
 
@@ -55,7 +53,7 @@ def _count(what: str, good: Callable[[Any], bool], total: int) -> Iterator[Calla
         transient=True,
         disable=not console.is_terminal,
     )
-    what = escape(clean(what))
+    what = escape(escape(what))
     begun = said = time.perf_counter()
     done = failed = 0
     with bar as progress:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 from craftsim.cli.progress import counting
-from craftsim.cli.text import say, warn_of_strangers
+from craftsim.cli.text import print_safe, warn_if_exposed
 from craftsim.errors import InputError
 from craftsim.options import CarriedPlan, Physics, number
 from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
@@ -82,7 +82,7 @@ def render(
         raise InputError("figures are of one run; give --out a film or a picture, or leave --beside out")
     if out.suffix == "":
         return _draw_figures(Path(what), run, out)
-    from craftsim.rendering.film import Look
+    from craftsim.rendering.film import FilmOptions
     from craftsim.rendering.offscreen import choose_backend
     from craftsim.rendering.render import check_format
     from craftsim.rendering.render import render as render_file
@@ -91,7 +91,7 @@ def render(
     hidden = hide or ()
     captions = None if hide is None else "captions" not in hidden
     parts = ("ghost" not in hidden, captions, "cards" not in hidden)
-    look = Look(_pixels(size), fps, camera, layout, quality, speed, None, *parts)
+    look = FilmOptions(_pixels(size), fps, camera, layout, quality, speed, None, *parts)
     names = title or ((Path(what).stem, *(path.stem for path in beside)) if beside else ())
     if names and len(names) != 1 + len(beside):
         raise InputError(
@@ -107,7 +107,7 @@ def render(
     if names:
         shown = [trajectory.titled(name) for trajectory, name in zip(shown, names, strict=True)]
     for path in render_file(shown, out, look, workers=workers, at=at, progress=counting("frames", bool)):
-        say(f"Written: {path}")
+        print_safe(f"Written: {path}")
     return 0
 
 
@@ -132,7 +132,7 @@ def _draw_figures(recorded: Path, run: str | None, out: Path) -> int:
         for file in files:
             written = list(write_figures(directory_within(out, file.stem), Signals.of(Trajectory.read(file))))
             on_trajectory(written)
-            say(f"{file.stem}: {len(written)} files in {out / file.stem}")
+            print_safe(f"{file.stem}: {len(written)} files in {out / file.stem}")
     return 0
 
 
@@ -166,8 +166,8 @@ def view(
     runs = _runs(path) if building is None else {}
     with LiveView(host, port, REAL_TIME) as live:
         try:
-            say(f"Watch at {live.address} (Ctrl-C ends it)")
-            warn_of_strangers(host, "look on and press the buttons")
+            print_safe(f"Watch at {live.address} (Ctrl-C ends it)")
+            warn_if_exposed(host, "look on and press the buttons")
             if building is not None:
                 done = _carry_out(building, live)
                 runs[building.name] = lambda: done
@@ -239,7 +239,7 @@ def _find_trajectory(
     trajectory = record_once(
         what, physics.setup(), physics.seed, plan=carried.plan_file, policy=policy, order=carried.order
     )
-    say(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
+    print_safe(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
     return trajectory
 
 

@@ -56,7 +56,7 @@ def replay(
 
         own_skills(skills)
     if minimize:
-        return _shrink(bundle, out)
+        return _minimize(bundle, out)
     if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("--view needs a display, and there is none here; try --video")
     from craftsim.cli.films import film_bundle, rendering_works
@@ -75,16 +75,16 @@ def replay(
     return _report(recorded, result, written, files).publish(out)
 
 
-def _shrink(folder: Path, out: Path) -> int:
+def _minimize(folder: Path, out: Path) -> int:
     """Shrink what a bundle shows; exit status 0 when it fails from a fresh start, too."""
     from craftsim.experiments.bundle import read_bundle
     from craftsim.reports.json_file import document
-    from craftsim.validation.minimize import MOST_TRIALS, shrink_bundle
+    from craftsim.validation.minimize import MOST_TRIALS, minimize_bundle
     from craftsim.validation.sections import smallest_section
 
     bundle = read_bundle(folder).bundle
     with counting("trials", bool)(MOST_TRIALS) as on_trial:
-        found = shrink_bundle(bundle, out, ".", on_trial)
+        found = minimize_bundle(bundle, out, ".", on_trial)
     written = document({"bundle": folder.name, "smallest": found}, command="replay", config={"shrink": True})
     made = found.folder is not None
     headline = (

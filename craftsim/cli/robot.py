@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from craftsim.cli.text import complain, say, warn_of_strangers
+from craftsim.cli.text import print_error, print_safe, warn_if_exposed
 from craftsim.options import Dir, Physics, number
 from craftsim.robots import LOOPBACK, PORT, need_network
 from craftsim.storage.folders import owning
@@ -80,11 +80,11 @@ def serve(
         world = set_up(grid, setup, Seed.of(seeds[1]), watch_contacts=False).executor.fleet
         assert isinstance(world, PhysicsFleet)
         rngs = np.random.default_rng(seeds[2]), np.random.default_rng(seeds[3])
-        service = serve_simulated(world, world_digest(grid), sockets, network, rngs, lockstep, complain)
+        service = serve_simulated(world, world_digest(grid), sockets, network, rngs, lockstep, print_error)
         server = Server(service, sockets, pace, timeout)
-        say(f"{len(service.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
+        print_safe(f"{len(service.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
         sys.stdout.flush()
-        warn_of_strangers(host, "drive these robots")
+        warn_if_exposed(host, "drive these robots")
         with contextlib.suppress(KeyboardInterrupt):
             server.run(lambda: once and service.farewells > 0)
         server.end()
@@ -99,11 +99,11 @@ def serve(
     config |= {"task": found.name, "digests": setup.digests}
     wall = {"total_s": time.perf_counter() - started, "behind_s": server.behind_s}
     report = write_report(out, figures, command="robot", seed=physics.seed, config=config, wall=wall)
-    say(
+    print_safe(
         f"{service.now_s:.1f} s of the robots' time, {server.behind_s:.2f} s behind the clock; for want of commands "
         f"they stopped {service.inbox.stops} times."
     )
-    say(f"Report: {report}")
+    print_safe(f"Report: {report}")
     return 0
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Drive, Objective
-from craftsim.cli.text import say
+from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.options import RESULTS, Dir, File, GoalFile, OptionalDir, Seeded, Shown, number
 from craftsim.storage.folders import owning
@@ -101,20 +101,20 @@ def show(
     grid = drawing.grid(rng) if task is None else task.draw(rng)
     read = None if plan is None else read_plan(plan, grid.n_cars)
     Terminal(highlight=False).print(world_text(grid, drawing.goal))
-    say(LEGEND)
+    print_safe(LEGEND)
     blocks, slopes = drawing.n_blocks, drawing.n_slopes
     if varied:
         blocks, slopes = (int((grid.kind == kind).sum()) for kind in (Kind.BLOCK, Kind.FSLOPE))
     _say_size(drawing.size, {"cars": drawing.n_cars, "blocks": blocks, "slopes": slopes})
     for note in drawing.notes:
-        say(f"note: {note}")
+        print_safe(f"note: {note}")
     if out is not None:
         from craftsim.rendering.grid_picture import wanted_of
         from craftsim.rendering.plots.levels import draw_blueprint
         from craftsim.storage.folders import output_directory
 
         file = output_directory(out) / f"{path.stem}.png"
-        say(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(wanted))}")
+        print_safe(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(wanted))}")
     if export:
         from craftsim.models.composition import WorldSpec, check_extent
         from craftsim.models.config import SimulationConfig
@@ -126,7 +126,7 @@ def show(
 
 def _say_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
     length, width, height = size
-    say(
+    print_safe(
         f"{length} x {width} cells, {height} levels: {', '.join(f'{n} {what}' for what, n in counts.items())}"
     )
 
@@ -139,10 +139,10 @@ def _export(spec_of: Callable[[Machines], MjSpec], files: Iterable[Path], drive:
     machines = replace(NOMINAL, drive=drive)
     for file in files:
         if file.suffix == ".urdf":
-            say(f"URDF: {write_urdf(file, spec_of(machines))}")
-            say(LACKS)
+            print_safe(f"URDF: {write_urdf(file, spec_of(machines))}")
+            print_safe(LACKS)
         else:
-            say(f"MJCF: {write_mjcf(file, spec_of(machines))}")
+            print_safe(f"MJCF: {write_mjcf(file, spec_of(machines))}")
 
 
 def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) -> int:
@@ -153,12 +153,12 @@ def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) 
     rules = Rules("physical")
     schedule = make_schedule(grid, plan.ticks, rules, after=plan.after)
     took, name = schedule.makespan(), plan.path.stem
-    say(f"plan {name}: {len(schedule.acts)} actions in {len(plan.ticks)} ticks, makespan {took:.1f} s")
+    print_safe(f"plan {name}: {len(schedule.acts)} actions in {len(plan.ticks)} ticks, makespan {took:.1f} s")
     for step in schedule.forbidden[:_NAMED]:
         why = rules.explain(step.before, step.car, step.action).why
-        say(f"forbidden: car {step.car} {step.action.name} in tick {step.tick}: {why}")
+        print_safe(f"forbidden: car {step.car} {step.action.name} in tick {step.tick}: {why}")
     if more := len(schedule.forbidden[_NAMED:]):
-        say(f"and {more} more")
+        print_safe(f"and {more} more")
     if out is not None:
         from craftsim.cli.films import draw_plan
 
@@ -208,7 +208,7 @@ def design(
     from craftsim.errors import InputError
 
     if names:
-        say(listing())
+        print_safe(listing())
         return 0
     seed = chance.seed
     rng = np.random.default_rng(seed)
@@ -244,7 +244,7 @@ def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) 
     console.print(world_text(goal.finished(grid.size)), soft_wrap=True)
     console.print("start", style="bold")
     console.print(world_text(grid), soft_wrap=True)
-    say(LEGEND)
+    print_safe(LEGEND)
     counts = {
         "cars": grid.n_cars,
         "blocks": int((grid.kind == Kind.BLOCK).sum()),
@@ -252,15 +252,17 @@ def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) 
     }
     _say_size(grid.size, counts)
     for name, text in (("goal", design_text(goal)), ("start", blueprint_text(grid))):
-        say(f"{name}: {write_whole(out / f'{name}.yaml', text)}")
+        print_safe(f"{name}: {write_whole(out / f'{name}.yaml', text)}")
     if math.prod(grid.size) <= PHYSICS_CELLS:
         from craftsim.rendering.grid_picture import wanted_of
         from craftsim.rendering.plots.levels import draw_blueprint
 
-        say(f"picture: {draw_blueprint(out / 'design.png', grid, goal.path.stem, None, wanted_of(goal))}")
+        print_safe(
+            f"picture: {draw_blueprint(out / 'design.png', grid, goal.path.stem, None, wanted_of(goal))}"
+        )
     targets = {kind.name.lower(): len(goal.of_kind(kind)) for kind in (Kind.BLOCK, Kind.BODY)}
     figures = {"size": grid.size, "design": targets, **counts}
-    say(f"report: {write_report(out, figures, command='design', seed=seed, config=config)}")
+    print_safe(f"report: {write_report(out, figures, command='design', seed=seed, config=config)}")
 
 
 _ENDING: Final = ".plan"
@@ -310,7 +312,7 @@ def plan(
         nonlocal best
         if planned is not None and planned.cost(objective)[0] < best - 1e-9:
             best = planned.cost(objective)[0]
-            say(f"{time.monotonic() - begun:6.1f} s  attempt {number}: {_figures(planned)}")
+            print_safe(f"{time.monotonic() - begun:6.1f} s  attempt {number}: {_figures(planned)}")
 
     file = out if out.suffix == _ENDING else out / f"{task.name}{_ENDING}"
     with nullcontext() if file is out else owned(out):
@@ -318,12 +320,12 @@ def plan(
             grid, task, objective=objective, rounds=attempts, time_s=time_limit, seed=seed, report=report
         )
         if not planned.ticks:
-            say("the goal is reached already; there is nothing to do")
+            print_safe("the goal is reached already; there is nothing to do")
             return 0
         known = (
             "proved to be the best" if planned.optimal else f"none can take less than {planned.bound_s:.1f} s"
         )
-        say(f"best: {_figures(planned)}; {known}")
+        print_safe(f"best: {_figures(planned)}; {known}")
         if file is not out:
             from craftsim.cli.films import draw_plan
 
@@ -338,9 +340,9 @@ def plan(
             config = {"start": task.name, "objective": objective, "rounds": attempts, "rules": "physical"}
             wall = {"planning_s": time.monotonic() - begun}
             written = write_report(out, figures, command="plan", seed=seed, config=config, wall=wall)
-            say(f"report: {written}")
+            print_safe(f"report: {written}")
         write_plan(planned.ticks, file, planned.schedule)
-        say(f"plan: {file}")
+        print_safe(f"plan: {file}")
         return 0
 
 

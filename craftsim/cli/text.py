@@ -11,24 +11,24 @@ import socket
 import sys
 from typing import Final
 
-from craftsim.reports.text import clean
+from craftsim.reports.text import escape
 
 _ASCII: Final = {"←": "<", "→": ">", "↑": "^", "↓": "v", "…": "."}
 """What stands for a sign that a terminal lacks, where it is not a question mark."""
 _ERRORS: Final = "craftsim.plain"
 
 
-def say(text: object) -> None:
+def print_safe(text: object) -> None:
     """Print a text, cleaned, on standard output."""
-    print(clean(text))
+    print(escape(text))
 
 
-def complain(text: object) -> None:
+def print_error(text: object) -> None:
     """Print a text, cleaned, on standard error, as coming from this program."""
-    print(f"craftsim: {clean(text)}", file=sys.stderr)
+    print(f"craftsim: {escape(text)}", file=sys.stderr)
 
 
-def show_what_can_be_shown() -> None:
+def replace_unencodable() -> None:
     """Let standard output and error put other signs in place of those that their encoding lacks."""
     codecs.register_error(_ERRORS, _other_signs)
     for stream in (sys.stdout, sys.stderr):
@@ -42,7 +42,7 @@ def _other_signs(error: UnicodeError) -> tuple[str, int]:
     return "".join(_ASCII.get(sign, "?") for sign in error.object[error.start : error.end]), error.end
 
 
-def reader_is_gone() -> bool:
+def output_closed() -> bool:
     """Return whether standard output or error is a pipe that nobody reads from any more."""
     poll = select.poll()
     for number in (1, 2):
@@ -50,14 +50,14 @@ def reader_is_gone() -> bool:
     return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
-def drop_output() -> None:
+def discard_output() -> None:
     """Drop what standard output still holds, and all that comes, so that the end of the process does not fail on it."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.close(nowhere)
 
 
-def warn_of_strangers(host: str, what: str) -> None:
+def warn_if_exposed(host: str, what: str) -> None:
     """Say on standard error what people on other machines can do, unless only this machine reaches an address.
 
     Example:
@@ -68,7 +68,7 @@ def warn_of_strangers(host: str, what: str) -> None:
     except (OSError, ValueError):
         places = {host}
     if not all(map(_is_loopback, places)):
-        complain(
+        print_error(
             f"warning: from other machines, too, anybody who reaches {host} can {what}; there is no password. "
             "Without --host only this machine can, and others by ssh -L"
         )

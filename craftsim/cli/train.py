@@ -16,7 +16,7 @@ from cyclopts import Parameter
 from craftsim.choices import AlgoName, Backend, PresetName
 from craftsim.cli.app import FOLDER
 from craftsim.cli.progress import counting
-from craftsim.cli.text import say
+from craftsim.cli.text import print_safe
 from craftsim.errors import InputError, suggestion
 from craftsim.options import Dir, OptionalDir, Record, Seeded, Shown, Work, number
 from craftsim.reports.report import (
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from craftsim.experiments.experiment import TrialRecord
     from craftsim.studies.study import Study, StudyRun
     from craftsim.training.config import Protocol, TrainConfig
-    from craftsim.training.curve import Point
+    from craftsim.training.curve import CurvePoint
     from craftsim.training.trainer import Trainer
 
 INTERRUPTED: Final = 130
@@ -147,7 +147,7 @@ def train(
             _run(trainer, steps, until, folder, besides.get("tensorboard") in (True, "true"))
         except KeyboardInterrupt:
             trainer.save(folder)
-            say(f"Interrupted; --resume goes on. Policy: {folder / 'policy.safetensors'}")
+            print_safe(f"Interrupted; --resume goes on. Policy: {folder / 'policy.safetensors'}")
             return INTERRUPTED
         trainer.save(folder)
         asked = config.as_dict() | {"steps": steps, "until": until, "starts": reached, "episodes": episodes}
@@ -236,7 +236,7 @@ def _trainer(
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
     if resume:
         # As with a campaign: what was cut off before anything was kept begins again.
-        say(f"Nothing is saved in {folder} yet: the run begins.")
+        print_safe(f"Nothing is saved in {folder} yet: the run begins.")
     return Trainer(config, other, task, workers, progress, stages)
 
 
@@ -321,7 +321,7 @@ def _evaluate(
     return 0
 
 
-def _curve_section(curve: Sequence[Point]) -> Section:
+def _curve_section(curve: Sequence[CurvePoint]) -> Section:
     from craftsim.reports.plots import ACCENT, percent_ticks
 
     steps, success = [point.steps for point in curve], [point.success for point in curve]
@@ -400,7 +400,7 @@ def watching(study: Study, out: Path, total: int) -> Iterator[Callable[[TrialRec
     from rich.text import Text
 
     from craftsim.reports.terminal import Terminal
-    from craftsim.reports.text import clean
+    from craftsim.reports.text import escape
     from craftsim.studies.runs import RUNS
 
     console = Terminal()
@@ -419,7 +419,7 @@ def watching(study: Study, out: Path, total: int) -> Iterator[Callable[[TrialRec
 
     if console.is_terminal:
         with Live(
-            get_renderable=lambda: Text(clean("\n".join(lines()))),
+            get_renderable=lambda: Text(escape("\n".join(lines()))),
             console=console,
             refresh_per_second=1,
             transient=True,

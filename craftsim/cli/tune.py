@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from craftsim.choices import Drive
 from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, without_error
-from craftsim.cli.text import say
+from craftsim.cli.text import print_safe
 from craftsim.options import Dir, File, Physics, Work, number
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import EXCITE_M, EXCITE_S, LOGGED_CARS, TRIAL_COUNT
@@ -122,8 +122,8 @@ def excite(
     config = {"setup": setup, "time_s": duration, "length_m": length, "width_m": width, "load": load}
     config |= {"digests": setup.digests}
     report = write_report(out, figures, command="excite", seed=physics.seed, config=config)
-    say(f"Log:      {out / 'log.csv'}\nCommands: {out / 'commands.csv'}\nReport:   {report}")
-    say(
+    print_safe(f"Log:      {out / 'log.csv'}\nCommands: {out / 'commands.csv'}\nReport:   {report}")
+    print_safe(
         f"{log.duration_s:.1f} s; the car came {reach[0]:.2f} m along and {reach[1]:.2f} m across from the centre, "
         f"and ended {np.hypot(*way[-1]):.2f} m from it"
     )

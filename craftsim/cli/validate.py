@@ -12,7 +12,7 @@ from cyclopts import Parameter
 from craftsim.choices import Backend
 from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, counting_kinds
-from craftsim.cli.text import say
+from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.options import RESULTS, Dir, GoalFile, Name, Physics, Rollouts, Shown, Trials, number
 from craftsim.storage.folders import owning
@@ -292,9 +292,11 @@ def _write_dataset(
     config |= {"rules": rules, "name": name, "task_digest": task.digest}
     wall = {"playing_s": time.perf_counter() - begun}
     report = write_report(written.path, figures, command="export", seed=seed, config=config, wall=wall)
-    say(f"{name}: {written.episodes} episodes, {written.steps} steps, {written.successes} reach the goal.")
-    say(f"Report: {report}")
-    say(f"To load it: MINARI_DATASETS_PATH={out.resolve()}, then minari.load_dataset('{name}')")
+    print_safe(
+        f"{name}: {written.episodes} episodes, {written.steps} steps, {written.successes} reach the goal."
+    )
+    print_safe(f"Report: {report}")
+    print_safe(f"To load it: MINARI_DATASETS_PATH={out.resolve()}, then minari.load_dataset('{name}')")
     return 0
 
 

@@ -19,7 +19,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, check_recipe, do, run_up
 from craftsim.checking.judge import Judge
 from craftsim.errors import InputError
-from craftsim.experiments.experiment import Done, Failure, Item, TrialRecord
+from craftsim.experiments.experiment import Failure, Result, Trial, TrialRecord
 from craftsim.experiments.session import Session
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
@@ -228,7 +228,9 @@ def write_bundles(session: Session, recipes: Mapping[int, Callable[[], Recipe]])
     assert out is not None
     folders = {number: f"bundles/{number:05d}" for number in recipes}
     items = [
-        Item(records[number]["key"], "bundles", 0, (out.resolve() / folder, records[number], recipes[number]))
+        Trial(
+            records[number]["key"], "bundles", 0, (out.resolve() / folder, records[number], recipes[number])
+        )
         for number, folder in folders.items()
         # A folder with this file is a whole bundle.
         if not (out / folder / TEXT).exists()
@@ -243,8 +245,8 @@ def write_bundles(session: Session, recipes: Mapping[int, Callable[[], Recipe]])
     return folders
 
 
-def _write_one(job: tuple[Path, TrialRecord, Callable[[], Recipe]]) -> Done:
+def _write_one(job: tuple[Path, TrialRecord, Callable[[], Recipe]]) -> Result:
     """Write one bundle; it must come out as its record has it."""
     folder, record, recipe = job
     write_bundle(folder, record["key"], recipe(), tuple(map(Attempt.of, record["attempts"])))
-    return Done(agrees=True)
+    return Result(agrees=True)

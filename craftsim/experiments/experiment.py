@@ -19,7 +19,7 @@ from craftsim.workers.pool import Engine
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class Trial:
     """One thing to try, independent of all others."""
 
     key: str
@@ -34,7 +34,7 @@ class Item:
 
 
 @dataclass(frozen=True)
-class Done:
+class Result:
     """The result of an item that was tried; made of what JSON knows, and equal whenever the item is."""
 
     agrees: bool
@@ -57,8 +57,8 @@ class Failure:
     """Of what the work raised."""
 
 
-Answer = Done | Failure
-Work = Callable[[Any], Done]
+Answer = Result | Failure
+Work = Callable[[Any], Result]
 
 
 Progress = Callable[[int], AbstractContextManager[Callable[[TrialRecord], None]]]
@@ -73,7 +73,7 @@ class Experiment:
     seed: int
     config: Mapping[str, Any]
     """What else decides the results, for the report; a run is only resumed by an experiment of an equal one."""
-    items: Sequence[Item]
+    items: Sequence[Trial]
     work: Work
     """Gives a trial's job its result; a picklable function, called in the workers. What it raises becomes the record's
     error. A trial whose worker dies is tried once more."""
@@ -101,11 +101,11 @@ class RunOptions:
     """Shows what is done."""
 
 
-def make_record(item: Item, index: int, answer: Answer) -> TrialRecord:
+def make_record(item: Trial, index: int, answer: Answer) -> TrialRecord:
     """Return the record of an item; a failure has no attempts and does not agree."""
     failure = answer if isinstance(answer, Failure) else None
     traced = {"traceback": failure.traceback} if failure is not None and failure.traceback else {}
-    done = answer if isinstance(answer, Done) else Done(agrees=False, extra=traced)
+    done = answer if isinstance(answer, Result) else Result(agrees=False, extra=traced)
     return {
         "key": plain(item.key),
         "index": index,
@@ -121,7 +121,7 @@ def make_record(item: Item, index: int, answer: Answer) -> TrialRecord:
     }
 
 
-def text_of(item: Item, index: int, answer: Answer) -> str:
+def text_of(item: Trial, index: int, answer: Answer) -> str:
     """Return the record of an item as JSON; one that is longer than a line may be gives way to one of a failure."""
     text = json.dumps(make_record(item, index, answer), sort_keys=True, allow_nan=False)
     if len(text) < TRIALS.line_bytes:

@@ -28,11 +28,11 @@ from typing import Any, Final
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import (
     Answer,
-    Done,
     Experiment,
     Failure,
-    Item,
+    Result,
     RunOptions,
+    Trial,
     TrialRecord,
     Work,
     answer_of,
@@ -182,7 +182,7 @@ class Session:
             on_record(record)
         return [self.records[number] for number in jobs]
 
-    def _try(self, items: Iterable[tuple[int, Item]]) -> Iterator[TrialRecord]:
+    def _try(self, items: Iterable[tuple[int, Trial]]) -> Iterator[TrialRecord]:
         experiment, number = self.experiment, None
         for number, answer in self._answers(items, experiment.work, experiment.timeout_s, experiment.batch):
             text = text_of(experiment.items[number], number, answer)
@@ -196,7 +196,7 @@ class Session:
     def map(
         self,
         stage: str | None,
-        items: Sequence[Item],
+        items: Sequence[Trial],
         work: Work,
         doing: str,
         *,
@@ -220,11 +220,11 @@ class Session:
         query = "SELECT answer FROM further WHERE stage = ? AND key = ?"
         for number, item in enumerate(items):
             for (text,) in self._database.execute(query, (stage, item.key)).fetchall():
-                answers[number] = Done(**json.loads(text))
+                answers[number] = Result(**json.loads(text))
                 on_answer(number, answers[number])
         missing = [(number, item) for number, item in enumerate(items) if number not in answers]
         for number, answer in self._answers(missing, work, timeout_s, 1):
-            if stage is not None and isinstance(answer, Done):
+            if stage is not None and isinstance(answer, Result):
                 text = json.dumps(asdict(answer))
                 self._keep("INSERT OR REPLACE INTO further VALUES (?, ?, ?)", stage, items[number].key, text)
             answers[number] = answer
@@ -286,7 +286,7 @@ class Session:
                 file.writelines(f"{text}\n" for _, text in texts(self._database, start, start + _PAGE))
 
     def _answers(
-        self, items: Iterable[tuple[int, Item]], work: Work, timeout_s: float, batch: int
+        self, items: Iterable[tuple[int, Trial]], work: Work, timeout_s: float, batch: int
     ) -> Iterator[tuple[int, Answer]]:
         """Yield the answers to numbered items; nothing is started where there are none."""
         rest = iter(items)

@@ -65,7 +65,7 @@ _Picture = Callable[[int, float], Frame]
 
 
 @dataclass(frozen=True)
-class Look:
+class FilmOptions:
     """How a film looks. Raises InputError for a size or a number that no film has."""
 
     size: tuple[int, int] = (1280, 720)
@@ -120,7 +120,7 @@ def longest(shown: Trajectory | Sequence[Trajectory]) -> Trajectory:
 class Frames:
     """The frames of a film, by their number; to be closed at the end."""
 
-    def __init__(self, shown: Trajectory | Sequence[Trajectory], look: Look) -> None:
+    def __init__(self, shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> None:
         """Prepare; raises InputError for a camera that there is not, and RenderingUnavailable where nothing renders."""
         self.look, self.pace = look, pace_of(longest(shown), look)
         trajectories, self._begins_s = several(shown), float(longest(shown).time[0])
@@ -133,7 +133,7 @@ class Frames:
         return len(self.pace.times) + sum(self.look.n_cards)
 
     @staticmethod
-    def count(shown: Trajectory | Sequence[Trajectory], look: Look) -> int:
+    def count(shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> int:
         """Return how many frames a film has, without preparing one."""
         return len(pace_of(longest(shown), look).times) + sum(look.n_cards)
 
@@ -173,7 +173,7 @@ class Frames:
 class _Pane:
     """Pictures of one trajectory, of the size of its tile of the film."""
 
-    def __init__(self, trajectory: Trajectory, tile: Tile, look: Look) -> None:
+    def __init__(self, trajectory: Trajectory, tile: Tile, look: FilmOptions) -> None:
         self.trajectory, self.tile, self.look = trajectory, tile, look
 
         def hidden_in(first: Tile) -> Callable[[Tile], int]:
@@ -317,7 +317,7 @@ class Pace(NamedTuple):
     """(n,) simulated seconds in a second of film."""
 
 
-def pace_of(trajectory: Trajectory, look: Look) -> Pace:
+def pace_of(trajectory: Trajectory, look: FilmOptions) -> Pace:
     """Return when the frames between the cards are; the first sample and the last are among them.
 
     A film of a given length is never slower than it happened: its last picture stays.

@@ -14,7 +14,7 @@ from PIL import Image
 
 from craftsim.errors import InputError
 from craftsim.rendering.encode import ANIMATIONS, FILMS, Frame, OnFrame, check_animation, encode
-from craftsim.rendering.film import Frames, Look, longest, several
+from craftsim.rendering.film import FilmOptions, Frames, longest, several
 from craftsim.rendering.overlay import label
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.writing import write_whole
@@ -38,7 +38,7 @@ def no_progress(total: int) -> AbstractContextManager[OnFrame]:
 def render(
     shown: Trajectory | Sequence[Trajectory],
     path: str | Path,
-    look: Look | None = None,
+    look: FilmOptions | None = None,
     *,
     workers: int = 1,
     at: Sequence[float] = (),
@@ -60,7 +60,7 @@ def render(
         InputError: an argument is not as it should be, or the disk does not take the file.
         RenderingUnavailable: nothing renders on this machine.
     """
-    path, look = Path(path), look or Look()
+    path, look = Path(path), look or FilmOptions()
     check_format(path, at)
     if path.suffix == ".png":
         look = replace(look, captions=bool(look.captions))
@@ -81,7 +81,9 @@ def check_format(path: Path, at: Sequence[float] = ()) -> None:
         raise InputError(f"{path}: moments are pictures; give a name that ends in .png, or leave them out")
 
 
-def render_frames(shown: Trajectory | Sequence[Trajectory], look: Look, workers: int = 1) -> Iterator[Frame]:
+def render_frames(
+    shown: Trajectory | Sequence[Trajectory], look: FilmOptions, workers: int = 1
+) -> Iterator[Frame]:
     """Yield the frames of a film, the same for any number of workers."""
     if workers == 1:
         with closing(Frames(shown, look)) as frames:
@@ -102,7 +104,7 @@ def render_frames(shown: Trajectory | Sequence[Trajectory], look: Look, workers:
 class FrameMaker:
     """Makes frames of a film in a worker, by their numbers; the film is prepared there, once."""
 
-    def __init__(self, shown: Trajectory | Sequence[Trajectory], look: Look) -> None:
+    def __init__(self, shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> None:
         """Prepare nothing yet."""
         # Copies have no compiled model, which would be sent along.
         self._shown, self._look = [replace(trajectory) for trajectory in several(shown)], look
@@ -116,7 +118,7 @@ class FrameMaker:
 
 
 def _stills(
-    shown: Trajectory | Sequence[Trajectory], path: Path, look: Look, at: Sequence[float]
+    shown: Trajectory | Sequence[Trajectory], path: Path, look: FilmOptions, at: Sequence[float]
 ) -> list[Path]:
     first, last = longest(shown).time[[0, -1]].tolist()
     for moment in at:
@@ -127,7 +129,7 @@ def _stills(
         return [_write_png(name, frames.at(moment)) for name, moment in zip(names, at, strict=True)]
 
 
-def _sheet(shown: Trajectory | Sequence[Trajectory], path: Path, look: Look) -> Path:
+def _sheet(shown: Trajectory | Sequence[Trajectory], path: Path, look: FilmOptions) -> Path:
     """Write moments of the film, at equal distances, as one picture of the look's size."""
     with closing(Frames(shown, look)) as frames:
         moments = np.linspace(0, len(frames.pace.times) - 1, SHEET).round().astype(int)

@@ -66,7 +66,7 @@ class GoalCell:
 
 
 @dataclass(frozen=True)
-class Story:
+class TrajectoryMetadata:
     """What the numbers of a trajectory are of: how it came about, and what was found."""
 
     schema_version: int
@@ -102,7 +102,7 @@ class Trajectory:
         7
     """
 
-    story: Story
+    story: TrajectoryMetadata
     time: NDArray[np.float64]
     """(n,) simulated time in seconds, increasing."""
     qpos: NDArray[np.float64]
@@ -141,7 +141,7 @@ class Trajectory:
             raise InputError(f"'{_TEXT}' is no text; allowed: the bytes of a JSON document")
         data = text.tobytes()
         _check_version(data)
-        trajectory = cls(from_json(Story, data, _TEXT), **arrays)
+        trajectory = cls(from_json(TrajectoryMetadata, data, _TEXT), **arrays)
         trajectory._check()
         return trajectory
 
@@ -288,7 +288,7 @@ class Recorder:
         readings = np.frombuffer(b"".join(read), READING).reshape(n, -1)
         targets = () if design is None else design.targets
         return Trajectory(
-            Story(
+            TrajectoryMetadata(
                 SCHEMA_VERSION,
                 title,
                 versions(),

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from craftsim.reports.report import Cases, Cell, DataTable, Report, Tone, Value, text_of
-from craftsim.reports.text import clean
+from craftsim.reports.text import escape
 
 _STYLES: Final = {Tone.GOOD: "green", Tone.CAUTION: "yellow", Tone.BAD: "red", Tone.MUTED: "dim"}
 _ONE_LINE: Final = 14
@@ -26,20 +26,20 @@ class Terminal(Console):
 
     def render_str(self, text: str, *arguments: Any, **options: Any) -> Text:
         """Return a text with its markup, cleaned."""
-        return super().render_str(clean(text), *arguments, **options)
+        return super().render_str(escape(text), *arguments, **options)
 
     def on_broken_pipe(self) -> None:
         """Leave it to the command line what follows when nobody reads any more."""
         raise
 
-    def say(self, text: object, style: str = "") -> None:
+    def print_safe(self, text: object, style: str = "") -> None:
         """Print a text of others: cleaned, without markup, and in one line, however long it is."""
         self.print(cell(text), style=style, soft_wrap=True, highlight=False)
 
 
 def cell(text: object) -> Text:
     """Return a text of others for a table: cleaned, and without markup."""
-    return Text(clean(text))
+    return Text(escape(text))
 
 
 def print_report(
@@ -54,16 +54,16 @@ def print_report(
                 case Cases():
                     _print_cases(console, block, out or Path())
                 case str():
-                    console.say(block)
+                    console.print_safe(block)
     if any(section.terminal for section in report.sections):
         console.print()
     for note in report.notes:
-        console.say(note)
+        console.print_safe(note)
     width = max(map(len, files), default=0) + 1
     for name, file in files.items():
-        console.say(f"{f'{name}:':<{width}} {file}")
+        console.print_safe(f"{f'{name}:':<{width}} {file}")
     headline = report.headline
-    console.say(headline.sentence, _STYLES.get(headline.tone, ""))
+    console.print_safe(headline.sentence, _STYLES.get(headline.tone, ""))
 
 
 def print_table(console: Terminal, table: DataTable) -> None:
@@ -89,22 +89,22 @@ def print_table(console: Terminal, table: DataTable) -> None:
         grid.add_row(*(_styled(row[number]) for number in shown))
     console.print(grid)
     if more := len(table.rows[table.most :]):
-        console.say(f"and {more:,} more in the report", "dim")
+        console.print_safe(f"and {more:,} more in the report", "dim")
     if table.note:
         console.print(cell(table.note), style="dim")
 
 
 def _styled(value: Value) -> Text:
     tone = value.tone if isinstance(value, Cell) else Tone.PLAIN
-    return Text("-" if value is None else clean(text_of(value)), _STYLES.get(tone, ""))
+    return Text("-" if value is None else escape(text_of(value)), _STYLES.get(tone, ""))
 
 
 def _print_cases(console: Terminal, cases: Cases, out: Path) -> None:
     for case in cases.cases[: cases.most]:
-        console.say(f"{case.title}: {case.result}: {case.reason}", _STYLES.get(case.tone, ""))
+        console.print_safe(f"{case.title}: {case.result}: {case.reason}", _STYLES.get(case.tone, ""))
         for line in case.differences:
             if line not in case.reason:
-                console.say(f"  {line}")
+                console.print_safe(f"  {line}")
         if case.again:
             words = (str(out / word) if isinstance(word, Path) else word for word in case.again)
-            console.say(f"  {shlex.join(words)}")
+            console.print_safe(f"  {shlex.join(words)}")

@@ -11,7 +11,7 @@ _STEERING: Final = re.compile(
 """Control characters besides tab and newline, those that turn the direction of writing, and what is no text."""
 
 
-def clean(text: object) -> str:
+def escape(text: object) -> str:
     """Return a text with escapes such as ``\\x1b`` for all that would steer a terminal.
 
     Example:

@@ -76,7 +76,7 @@ PHYSICS_GOALS: Final = 1024
 """Cells that are marked in a world in physics."""
 PHYSICS_STEPS: Final = 1_000_000
 """Of a replay: an hour of simulated time at the usual time step."""
-SHRINK_S: Final = 3600.0
+MINIMIZE_S: Final = 3600.0
 """Of simulated time, for all trials of the search for the smallest world of one failure."""
 STEP_ACTIONS: Final = 2000
 """Scheduled together, in one step of a recipe: 2 s of scheduling."""

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.session import ALONE, run_experiment
 from craftsim.storage.folders import directory_within, owned
 from craftsim.studies.study import Study, StudyRun
@@ -36,7 +36,7 @@ def run_study(
     asked = study.runs
     folder = out.resolve()
     items = [
-        Item(run.key, f"{run.config.task}, {run.config.algo}", run.config.seed, (run, folder))
+        Trial(run.key, f"{run.config.task}, {run.config.algo}", run.config.seed, (run, folder))
         for run in asked
     ]
     digests = {
@@ -47,7 +47,7 @@ def run_study(
     return list(run_experiment(experiment, out, options))
 
 
-def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Done:
+def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
     """Train, or go on training, and evaluate; what a worker does of a study."""
     run, out = asked
     # Its own too: somebody may go on with this run alone.
@@ -55,7 +55,7 @@ def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Done:
         return _train_and_evaluate(run, place)
 
 
-def _train_and_evaluate(run: StudyRun, place: Path) -> Done:
+def _train_and_evaluate(run: StudyRun, place: Path) -> Result:
     import torch
 
     from craftsim.training.checkpoint import RUN_FILE
@@ -91,4 +91,4 @@ def _train_and_evaluate(run: StudyRun, place: Path) -> Done:
             },
         }
     own = extra["evaluations"][next(iter(run.tests))]["success"]["rate"]
-    return Done(agrees=own >= min(run.until, LEARNED), extra=extra)
+    return Result(agrees=own >= min(run.until, LEARNED), extra=extra)

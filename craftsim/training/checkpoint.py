@@ -22,7 +22,7 @@ from craftsim.storage.reading import ARCHIVE_ERRORS, open_archive, open_file
 from craftsim.storage.records import first_mistake
 from craftsim.storage.writing import whole, write_whole
 from craftsim.training.config import TrainConfig
-from craftsim.training.curve import Point
+from craftsim.training.curve import CurvePoint
 from craftsim.training.identity import TaskIdentity
 from craftsim.training.policy import POLICY_FILE
 from craftsim.training.shape import Shape
@@ -71,7 +71,7 @@ class RunHead:
     wall_s: float
     cpu_s: float
     """Of training, in all calls that the run took; processes that hold worlds in physics aside."""
-    curve: Annotated[list[Point], Field(max_length=CURVE_POINTS), FailFast()]
+    curve: Annotated[list[CurvePoint], Field(max_length=CURVE_POINTS), FailFast()]
 
     def __post_init__(self) -> None:
         if not 0 <= self.iteration < 2**60 or self.wall_s < 0 or self.cpu_s < 0:

@@ -18,7 +18,7 @@ CURVE_FILE: Final = "curve.csv"
 
 
 @dataclass(frozen=True)
-class Played:
+class EvaluationResult:
     """The result of an evaluation."""
 
     episodes: int
@@ -79,7 +79,7 @@ class Played:
 
 
 @dataclass(frozen=True)
-class Point(Played):
+class CurvePoint(EvaluationResult):
     """A point of the learning curve: how well a policy did on fresh episodes after so much training."""
 
     steps: int
@@ -99,9 +99,9 @@ def last_fifth(rates: Sequence[float]) -> float:
     return sum(last) / len(last) if last else 0.0
 
 
-def write_curve(path: Path, curve: Sequence[Point]) -> Path:
+def write_curve(path: Path, curve: Sequence[CurvePoint]) -> Path:
     """Write one line a point as CSV and return the path; raises InputError where the disk does not take it."""
-    names = ("steps", *(field.name for field in fields(Played)))
+    names = ("steps", *(field.name for field in fields(EvaluationResult)))
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(names)
@@ -118,7 +118,7 @@ def read_last(path: Path) -> tuple[int, float] | None:
         return None
 
 
-def plot_curve(path: Path, title: str, curve: Sequence[Point]) -> Path:
+def plot_curve(path: Path, title: str, curve: Sequence[CurvePoint]) -> Path:
     """Draw success, with its interval where starts differ, and return over the steps played; return the path.
 
     Raises InputError where the disk does not take it.

@@ -18,7 +18,7 @@ from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.vector import PhysicsVectorEnv
 from craftsim.training.config import Acting
-from craftsim.training.curve import Played
+from craftsim.training.curve import EvaluationResult
 from craftsim.training.networks import CarNet
 from craftsim.training.repetitions import Repetitions
 from craftsim.training.rollouts import TRAINED_JITTER, Seen
@@ -33,7 +33,7 @@ def evaluate(
     helper_depth: int | None = None,
     acting: Acting = "greedy",
     execution: Execution = "synchronous",
-) -> Played:
+) -> EvaluationResult:
     """Play so many episodes, all at once; ``seed`` draws starts and orders, and actions where they are sampled.
 
     Where a task has a list of held-out starts, episodes take one after the other. In asynchronous execution a tick is
@@ -71,7 +71,7 @@ def evaluate(
 
 def evaluate_in_physics(
     net: CarNet, worlds: PhysicsVectorEnv, episodes: int, seed: int, acting: Acting = "greedy"
-) -> Played:
+) -> EvaluationResult:
     """Play so many episodes, as many at once as there are worlds.
 
     Episode i is seeded with ``seed + i``; how many worlds there are decides nothing.
@@ -101,11 +101,11 @@ def evaluate_in_physics(
 
 def _played(
     won: NDArray[np.float64], total: NDArray[np.float64], ticks: NDArray[np.float64], repetitions: Repetitions
-) -> Played:
+) -> EvaluationResult:
     solved, starts = repetitions.solved(won)
     trajectories = len(np.unique(repetitions.trajectories))
     means = float(total.mean()), float(ticks.mean())
-    return Played(len(won), int(won.sum()), *means, starts, solved, trajectories)
+    return EvaluationResult(len(won), int(won.sum()), *means, starts, solved, trajectories)
 
 
 @torch.no_grad()

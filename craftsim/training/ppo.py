@@ -14,7 +14,7 @@ from torch.nn.functional import smooth_l1_loss
 
 from craftsim.training.learner import Learner, drawn
 from craftsim.training.networks import CarNet, Critic
-from craftsim.training.rollouts import Distinct, Rollout, Seen, joined
+from craftsim.training.rollouts import Rollout, Seen, UniqueObservations, joined
 from craftsim.training.settings import PPOSettings
 from craftsim.training.shape import Shape
 
@@ -45,7 +45,7 @@ class PPOLearner(Learner):
         settings = self.settings
         n, actions = len(rollout), rollout.actions.flatten(0, 1)
         # Of now, then of the tick after: where an episode ends these are not the next of the rollout.
-        distinct = Distinct(joined([rollout.now.flat(), rollout.after.flat()]))
+        distinct = UniqueObservations(joined([rollout.now.flat(), rollout.after.flat()]))
         with torch.no_grad():
             encoded = self.net.encode(distinct.seen)
             now, after = self.critic(encoded)[distinct.inverse].view(2, *rollout.actions.shape)

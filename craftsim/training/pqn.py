@@ -13,7 +13,7 @@ from torch.nn.functional import mse_loss
 from craftsim.training.learner import Learner
 from craftsim.training.networks import CarNet
 from craftsim.training.q_learning import epsilon_greedy, of_actions
-from craftsim.training.rollouts import Distinct, Rollout, Seen, joined, lambda_returns
+from craftsim.training.rollouts import Rollout, Seen, UniqueObservations, joined, lambda_returns
 from craftsim.training.settings import PQNSettings
 from craftsim.training.shape import Shape
 
@@ -36,7 +36,7 @@ class PQNLearner(Learner):
         """Learn from each tick as many times as there are epochs."""
         settings = self.settings
         n, actions = len(rollout), rollout.actions.flatten(0, 1)
-        distinct = Distinct(joined([rollout.now.flat(), rollout.after.flat()]))
+        distinct = UniqueObservations(joined([rollout.now.flat(), rollout.after.flat()]))
         with torch.no_grad():
             best = self.net(distinct.seen).amax(-1).sum(-1)
         after = best[distinct.inverse[n:]].view_as(rollout.rewards)

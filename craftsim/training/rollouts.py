@@ -277,7 +277,7 @@ def lambda_returns(rollout: Rollout, after: Tensor, gamma: float, decay: float) 
     return found
 
 
-class Distinct:
+class UniqueObservations:
     """The distinct rows among N that were seen, by a hash of 64 bits: a network need only look at these.
 
     Episodes that begin alike meet the same worlds again and again, and what a network says of one holds for all its

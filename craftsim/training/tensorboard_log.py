@@ -9,7 +9,7 @@ from typing import Final
 
 from craftsim.errors import InputError
 from craftsim.storage.folders import directory_within
-from craftsim.training.curve import Point
+from craftsim.training.curve import CurvePoint
 
 FOLDER: Final = "tensorboard"
 """In the folder of a training run."""
@@ -21,7 +21,7 @@ class TensorboardLog:
     A run that goes on has its earlier points written again, in place of the log that it left.
     """
 
-    def __init__(self, folder: Path, curve: Sequence[Point]) -> None:
+    def __init__(self, folder: Path, curve: Sequence[CurvePoint]) -> None:
         """Begin the log of a run in its folder, with the points that it has already.
 
         Raises InputError where TensorBoard is not installed.
@@ -39,7 +39,7 @@ class TensorboardLog:
         for point in curve:
             self.write(point)
 
-    def write(self, point: Point) -> None:
+    def write(self, point: CurvePoint) -> None:
         """Write a point, at once."""
         values = {"success": point.success, "return": point.mean_return, "ticks": point.mean_ticks}
         for name, value in values.items():

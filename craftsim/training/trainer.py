@@ -22,7 +22,7 @@ from craftsim.reports.json_file import versions
 from craftsim.training.checkpoint import RUN_FILE, PolicyHead, RunHead, open_run, save_policy, save_run
 from craftsim.training.coma import COMALearner
 from craftsim.training.config import WITH_PROBABILITIES, TrainConfig
-from craftsim.training.curve import CURVE_FILE, Played, Point, write_curve
+from craftsim.training.curve import CURVE_FILE, CurvePoint, EvaluationResult, write_curve
 from craftsim.training.demonstrations import Progress, silent
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.extra import PACKAGES
@@ -100,7 +100,7 @@ class Trainer:
         for stage in self._stages:
             check_stage(stage, self.shape)
         self._made: tuple[int, WorldBatch] | None = None
-        self.curve: list[Point] = []
+        self.curve: list[CurvePoint] = []
         self.wall_s = self.cpu_s = 0.0
         with torch.random.fork_rng():
             torch.manual_seed(config.seed)
@@ -181,12 +181,12 @@ class Trainer:
                 evaluates = imitated or self.steps // every > before // every
                 if evaluates:
                     played = self.evaluate(self.config.n_evaluation_episodes, _EVALUATION)
-                    self.curve.append(Point(**asdict(played), steps=self.steps))
+                    self.curve.append(CurvePoint(**asdict(played), steps=self.steps))
                 self.wall_s += time.perf_counter() - begun
                 self.cpu_s += time.process_time() - cpu_begun
             yield evaluates
 
-    def evaluate(self, episodes: int, purpose: int = _FINAL, record: Path | None = None) -> Played:
+    def evaluate(self, episodes: int, purpose: int = _FINAL, record: Path | None = None) -> EvaluationResult:
         """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
         net, seed, config = self.learner.net, self._seed(purpose), self.config
         if config.backend == "grid":

@@ -22,7 +22,7 @@ from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import CraftsimError, InputError, StartError
-from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.schema import STRICT, Form
 from craftsim.experiments.session import open_session
 from craftsim.extras import need
@@ -104,7 +104,7 @@ class Job:
     """Each is one trial of every situation: its own place on the map, physics and noise."""
 
 
-def try_gains(job: Job) -> Done:
+def try_gains(job: Job) -> Result:
     """Try a candidate in every situation of its blocks: the same places, physics and noise for all candidates.
 
     Left out, for all candidates alike, are worlds that cannot be as they were drawn.
@@ -113,7 +113,7 @@ def try_gains(job: Job) -> Done:
     trials = [trial for block, number in wanted if (trial := _try(job, block, number))]
     if not trials:
         raise CraftsimError("none of the worlds that were drawn can be")
-    return Done(all(trial.agrees for trial in trials), trials, extra={"gains": dict(job.values)})
+    return Result(all(trial.agrees for trial in trials), trials, extra={"gains": dict(job.values)})
 
 
 def _try(job: Job, block: int, number: int) -> TriedAction | None:
@@ -317,13 +317,13 @@ class Tuning:
         self._next = 0
         """The item that comes next: they are all done in their order."""
 
-    def items(self) -> list[Item]:
+    def items(self) -> list[Trial]:
         """Return an item, without a job yet, for each evaluation."""
         names = [f"search {n}" for n in range(self.n_search)]
         names += [f"finalist {n} on block {b}" for n in range(FINALISTS) for b in range(FINAL_BLOCKS)]
         names += [f"{who} held out on block {b}" for who in _COMPARED for b in range(HELD_OUT_BLOCKS)]
         names += ["result", *(f"{gain.name} {way}" for gain in self.gains for way in ("down", "up"))]
-        return [Item(name, name, self.seed, None) for name in names]
+        return [Trial(name, name, self.seed, None) for name in names]
 
     def search(self) -> tuple[list[Candidate], list[Values]]:
         """Return all candidates of all searches, first the start, and the mean of each search's last distribution.

@@ -24,14 +24,14 @@ from craftsim.errors import StartError
 from craftsim.experiments.bundle import write_bundles
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.durations import write_durations
-from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import wilson
 from craftsim.experiments.records import select
 from craftsim.experiments.session import Session, open_session
 from craftsim.experiments.statistics import RESULTS, Figures, campaign_figures, capped_steps, retried
 from craftsim.models.world import PhysicsWorld
 from craftsim.validation.forms import TRIALS
-from craftsim.validation.minimize import ShrinkProgress, Shrunk, kind_of, shrink_failures
+from craftsim.validation.minimize import Counterexample, MinimizeProgress, kind_of, minimize_failures
 
 BATCH: Final = 20
 """Items that a worker takes at once: those of a few situations, so that each world is compiled about once."""
@@ -42,14 +42,14 @@ action is conservative where, by the same bar, it could have allowed it. Set bef
 MIN_TRIALS: Final = 20
 """Trials of a row from which its verdict counts as found, and is provisional with fewer: 20 of 20 put the success rate
 above 0.83 with 95 % confidence."""
-SUSPECTS: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")
+HYPOTHESES: Final[list[Mapping[str, Any]]] = shipped("suspects.yaml")
 """Hypotheses from before anything was tried: a question, and the rows that decide on it as patterns of their names."""
 _AT_ONCE: Final = "order=at-once"
 """How the names of rows end that are evidence only."""
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class AuditTrial:
     """One trial, as it goes to a worker."""
 
     situation: Situation
@@ -65,48 +65,48 @@ class Trial:
         return self.situation.placed(np.random.default_rng([self.seed, self.situation.digest]))
 
 
-def items_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> list[Item]:
+def trials_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> list[Trial]:
     """Return the items of an audit: at least ``trials`` for each row; one, that tries nothing, without a prediction."""
     items = []
     for row in rows:
         if row.no_prediction:
-            items.append(Item(row.name, row.name, seed, None))
+            items.append(Trial(row.name, row.name, seed, None))
             continue
         for situation, number in distribute_trials(row, trials):
-            trial = Trial(situation, row.legal, number, seed, setup)
-            items.append(Item(f"{situation.id}#{number}", row.name, seed, trial, context=situation.id))
+            trial = AuditTrial(situation, row.legal, number, seed, setup)
+            items.append(Trial(f"{situation.id}#{number}", row.name, seed, trial, context=situation.id))
     return items
 
 
-def recipe_of(trial: Trial) -> Recipe:
+def recipe_of(trial: AuditTrial) -> Recipe:
     """Return what a trial does: performing it gives what :func:`try_it` judges."""
     placed = trial.placed
     seed = Seed((trial.seed, trial.situation.digest, trial.number))
     return Recipe(blueprint_text(placed.grid), placed.steps(trial.legal), trial.setup, seed)
 
 
-def try_it(trial: Trial | None) -> Done:
+def try_it(trial: AuditTrial | None) -> Result:
     """Try one action, or one tick, and judge it; nothing for no trial, and nothing in a world that does not stand."""
     if trial is None:
-        return Done(agrees=True)
+        return Result(agrees=True)
     shared = trial.situation, trial.seed, trial.setup
     if problems := _problems(*shared):
-        return Done(agrees=True, extra={"does_not_stand": list(problems)})
+        return Result(agrees=True, extra={"does_not_stand": list(problems)})
     recipe = recipe_of(trial)
     attempts = do(run_up(recipe, _physics(*shared)), recipe.steps[-1])
-    return Done(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
+    return Result(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
 
 
 @lru_cache(maxsize=1)
 def _physics(situation: Situation, seed: int, setup: Setup) -> PhysicsWorld:
     """Return the PhysicsWorld of a situation, which its other trials use again."""
-    return compile_world(Trial(situation, True, 0, seed, setup).placed.grid, setup)
+    return compile_world(AuditTrial(situation, True, 0, seed, setup).placed.grid, setup)
 
 
 @lru_cache(maxsize=1)
 def _problems(situation: Situation, seed: int, setup: Setup) -> tuple[str, ...]:
     """Return how a situation's world, at rest and at nominal physics, differs from what was drawn; or nothing."""
-    grid = Trial(situation, True, 0, seed, setup).placed.grid
+    grid = AuditTrial(situation, True, 0, seed, setup).placed.grid
     world = _physics(situation, seed, setup)
     try:
         reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
@@ -117,7 +117,7 @@ def _problems(situation: Situation, seed: int, setup: Setup) -> tuple[str, ...]:
     return ("the world reads otherwise than it was drawn",)
 
 
-class Judgement(StrEnum):
+class RuleVerdict(StrEnum):
     """The verdict on a rule in a context."""
 
     UNSOUND = "unsound"
@@ -134,7 +134,7 @@ class Judgement(StrEnum):
     """Errors kept all trials from an end, or the solver gave up in all."""
 
 
-DISAGREEMENTS: Final = (Judgement.UNSOUND, Judgement.CONSERVATIVE)
+DISAGREEMENTS: Final = (RuleVerdict.UNSOUND, RuleVerdict.CONSERVATIVE)
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class AuditRow:
     wilson_high: float
     """Of the share that did as predicted, at 95 % confidence."""
     verdict: str
-    """A :class:`Judgement`."""
+    """A :class:`RuleVerdict`."""
     reason: str
     """A reason of the commonest kind why trials did not do as predicted, counted where there are other kinds."""
     bundles: tuple[str, ...]
@@ -183,21 +183,21 @@ class AuditRow:
 
 
 def verdict_counts(rows: Iterable[AuditRow]) -> dict[str, int]:
-    """Return how many rows have each verdict, in the order of :class:`Judgement`, zeros included."""
+    """Return how many rows have each verdict, in the order of :class:`RuleVerdict`, zeros included."""
     found = Counter(row.verdict for row in rows)
-    return {str(judgement): found[judgement] for judgement in Judgement}
+    return {str(judgement): found[judgement] for judgement in RuleVerdict}
 
 
-def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> Judgement:
+def judge(legal: bool, has_prediction: bool, trials: int, as_predicted: int) -> RuleVerdict:
     """Return the verdict on a rule from its trials, by :data:`SOUND_SHARE`."""
     if not has_prediction:
-        return Judgement.NO_PREDICTION
+        return RuleVerdict.NO_PREDICTION
     if not trials:
-        return Judgement.NOT_TRIED
+        return RuleVerdict.NOT_TRIED
     works = as_predicted >= SOUND_SHARE * trials
     if legal:
-        return Judgement.SOUND if works else Judgement.UNSOUND
-    return Judgement.CONSERVATIVE if works else Judgement.RIGHTLY_FORBIDDEN
+        return RuleVerdict.SOUND if works else RuleVerdict.UNSOUND
+    return RuleVerdict.CONSERVATIVE if works else RuleVerdict.RIGHTLY_FORBIDDEN
 
 
 def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
@@ -257,7 +257,7 @@ class _Group:
 
 
 @dataclass(frozen=True)
-class SuspectFinding:
+class HypothesisFinding:
     """What was found on a hypothesis."""
 
     number: int
@@ -270,10 +270,10 @@ class SuspectFinding:
     """The clearest row of the gravest kind, with its figures and reason."""
 
 
-def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[SuspectFinding]:
-    """Return what was found on each of :data:`SUSPECTS`; ``at_once`` are rows that count as evidence only."""
+def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[HypothesisFinding]:
+    """Return what was found on each of :data:`HYPOTHESES`; ``at_once`` are rows that count as evidence only."""
     found = []
-    for number, suspect in enumerate(SUSPECTS, start=1):
+    for number, suspect in enumerate(HYPOTHESES, start=1):
         mine, together = (
             [r for r in some if r.trials and any(fnmatchcase(r.name, p) for p in suspect["rows"])]
             for some in (rows, at_once)
@@ -286,7 +286,7 @@ def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[SuspectF
         verdict = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n) or "not tried"
         trials = sum(row.trials for row in mine)
         found.append(
-            SuspectFinding(number, suspect["question"], len(mine), trials, verdict, "; ".join(evidence))
+            HypothesisFinding(number, suspect["question"], len(mine), trials, verdict, "; ".join(evidence))
         )
     return found
 
@@ -303,14 +303,14 @@ class Audit:
     records: Sequence[TrialRecord]
     rows: tuple[AuditRow, ...]
     """Of actions as the rules have them: one after the other, or by the schedule that keeps them apart."""
-    suspects: tuple[SuspectFinding, ...]
+    suspects: tuple[HypothesisFinding, ...]
     figures: Figures
     config: dict[str, Any]
     seed: int
     corrections: Mapping[str, Sequence[str]]
     """The corrections that would each concern an unsound row, by its name."""
     comparison: Comparison | None
-    smallest: tuple[Shrunk, ...] = ()
+    smallest: tuple[Counterexample, ...] = ()
     """The first failure of each kind in its smallest world, where that was asked for."""
 
     @property
@@ -328,7 +328,7 @@ def corrected(
     rows: Iterable[AuditRow], plan: Sequence[PlanRow], rules: RuleSet
 ) -> dict[str, tuple[str, ...]]:
     """Return the flags that would each correct an unsound row, by its name."""
-    unsound = {row.name for row in rows if row.verdict == Judgement.UNSOUND}
+    unsound = {row.name for row in rows if row.verdict == RuleVerdict.UNSOUND}
     return corrections((row for row in plan if row.name in unsound), rules)
 
 
@@ -342,7 +342,7 @@ def run_audit(
     asked: Mapping[str, Any],
     options: RunOptions,
     batch: int = BATCH,
-    shrink: ShrinkProgress | None = None,
+    minimize: MinimizeProgress | None = None,
 ) -> Audit:
     """Try the rows of a plan in physics, and write report.json, durations.csv and replay bundles into a folder.
 
@@ -358,13 +358,13 @@ def run_audit(
         shrink: shows how the first failure of each kind is shrunk to its smallest world; unless given, none is.
     """
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
-    items = items_of(plan, trials, seed, setup)
+    items = trials_of(plan, trials, seed, setup)
     experiment = Experiment("audit", seed, config, items, try_it, TRIALS, TIMEOUT_S, batch)
     earlier = read_earlier(experiment, out, options)
     with open_session(experiment, out, options) as session:
         records = session.run()
         records = records.with_bundles(_bundle_disagreements(session, records))
-        smallest = () if shrink is None else shrink_failures(session, records, shrink)
+        smallest = () if minimize is None else minimize_failures(session, records, minimize)
         every = audit_rows(records)
         together = tuple(row for row in every if row.context.endswith(_AT_ONCE))
         rows = tuple(row for row in every if row not in together)

@@ -54,8 +54,8 @@ from craftsim.validation.audit import (
     SOUND_SHARE,
     Audit,
     AuditRow,
-    Judgement,
-    SuspectFinding,
+    HypothesisFinding,
+    RuleVerdict,
     judged_by_rules,
     verdict_counts,
 )
@@ -67,24 +67,24 @@ if TYPE_CHECKING:
 MOST_STRIKING: Final = 6
 """Unsound rows shown before all others, of as many actions as there are."""
 _TONES: Final = {
-    Judgement.UNSOUND: Tone.BAD,
-    Judgement.CONSERVATIVE: Tone.CAUTION,
-    Judgement.SOUND: Tone.GOOD,
-    Judgement.RIGHTLY_FORBIDDEN: Tone.PLAIN,
-    Judgement.NO_PREDICTION: Tone.MUTED,
-    Judgement.NOT_TRIED: Tone.CAUTION,
+    RuleVerdict.UNSOUND: Tone.BAD,
+    RuleVerdict.CONSERVATIVE: Tone.CAUTION,
+    RuleVerdict.SOUND: Tone.GOOD,
+    RuleVerdict.RIGHTLY_FORBIDDEN: Tone.PLAIN,
+    RuleVerdict.NO_PREDICTION: Tone.MUTED,
+    RuleVerdict.NOT_TRIED: Tone.CAUTION,
 }
 _COLOURS: Final = {
-    Judgement.SOUND: GOOD,
-    Judgement.UNSOUND: BAD,
-    Judgement.CONSERVATIVE: CAUTION,
-    Judgement.RIGHTLY_FORBIDDEN: MUTED,
+    RuleVerdict.SOUND: GOOD,
+    RuleVerdict.UNSOUND: BAD,
+    RuleVerdict.CONSERVATIVE: CAUTION,
+    RuleVerdict.RIGHTLY_FORBIDDEN: MUTED,
 }
 _OTHERS: Final = {
-    Judgement.SOUND: "The rules allow these, and they work.",
-    Judgement.RIGHTLY_FORBIDDEN: "The rules forbid these, and they do not work.",
-    Judgement.NO_PREDICTION: "The rules forbid these, and nothing is intended that could be tried.",
-    Judgement.NOT_TRIED: "Errors kept all trials of these from an end.",
+    RuleVerdict.SOUND: "The rules allow these, and they work.",
+    RuleVerdict.RIGHTLY_FORBIDDEN: "The rules forbid these, and they do not work.",
+    RuleVerdict.NO_PREDICTION: "The rules forbid these, and nothing is intended that could be tried.",
+    RuleVerdict.NOT_TRIED: "Errors kept all trials of these from an end.",
 }
 """What is listed last, and what it means."""
 _INTERVAL: Final = Column(f"{100 * CONFIDENCE:.0f} % interval", tip="of the share that did as predicted")
@@ -94,7 +94,9 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
     """Return the report of an audit in the folder ``out``; ``command`` is how it can be run again."""
     rows, figures = audit.rows, audit.figures
     found = verdict_counts(rows)
-    unsound, conservative = (_striking_first(rows, j) for j in (Judgement.UNSOUND, Judgement.CONSERVATIVE))
+    unsound, conservative = (
+        _striking_first(rows, j) for j in (RuleVerdict.UNSOUND, RuleVerdict.CONSERVATIVE)
+    )
     first = {row.action: row for row in reversed(unsound)}
     one_each = [row for row in unsound if first[row.action] is row]
     striking = [*one_each, *(row for row in unsound if row not in one_each), *conservative]
@@ -117,10 +119,13 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
         *paired_sections(audit.comparison),
         *smallest_section(audit.smallest),
         *_groups(
-            rows, Judgement.UNSOUND, "The rules allow these, and physics refuses.", unsound, *striking_first
+            rows, RuleVerdict.UNSOUND, "The rules allow these, and physics refuses.", unsound, *striking_first
         ),
         *_groups(
-            rows, Judgement.CONSERVATIVE, "The rules forbid these, and they would have worked.", conservative
+            rows,
+            RuleVerdict.CONSERVATIVE,
+            "The rules forbid these, and they would have worked.",
+            conservative,
         ),
         *recorded_section(out, recorded),
         Section(
@@ -153,7 +158,12 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
         *comparison_notes(audit.comparison),
         *_precision(figures.precision),
     ]
-    decided = (Judgement.UNSOUND, Judgement.SOUND, Judgement.CONSERVATIVE, Judgement.RIGHTLY_FORBIDDEN)
+    decided = (
+        RuleVerdict.UNSOUND,
+        RuleVerdict.SOUND,
+        RuleVerdict.CONSERVATIVE,
+        RuleVerdict.RIGHTLY_FORBIDDEN,
+    )
     least = min((row.trials for row in rows if row.trials), default=0)
     return Report(
         "Audit of the rules",
@@ -165,18 +175,18 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
         ],
         sections,
         notes,
-        exit_code=int(bool(found[Judgement.UNSOUND] or error_counts(audit.records))),
+        exit_code=int(bool(found[RuleVerdict.UNSOUND] or error_counts(audit.records))),
     )
 
 
 def _headline(audit: Audit) -> Headline:
     found, errors = verdict_counts(audit.rows), sum(error_counts(audit.records).values())
-    unsound, conservative = found[Judgement.UNSOUND], found[Judgement.CONSERVATIVE]
-    allowed = unsound + found[Judgement.SOUND]
+    unsound, conservative = found[RuleVerdict.UNSOUND], found[RuleVerdict.CONSERVATIVE]
+    allowed = unsound + found[RuleVerdict.SOUND]
     few = sum(row.provisional for row in audit.rows)
     sentence = (
         f"{audit.config['rules']}: {unsound:,} of {count(allowed, 'row')} that the rules allow are unsound; "
-        f"{conservative:,} that they forbid would have worked, {found[Judgement.RIGHTLY_FORBIDDEN]:,} are rightly "
+        f"{conservative:,} that they forbid would have worked, {found[RuleVerdict.RIGHTLY_FORBIDDEN]:,} are rightly "
         "forbidden."
     )
     sentence += f" {count(errors, 'trial')} did not come to an end." if errors else ""
@@ -185,7 +195,7 @@ def _headline(audit: Audit) -> Headline:
         sentence += f" {few:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."
     if unsound:
         return Headline("Unsound", Tone.BAD, sentence)
-    if not allowed or found[Judgement.NOT_TRIED]:
+    if not allowed or found[RuleVerdict.NOT_TRIED]:
         return Headline("Not decided", Tone.CAUTION, sentence)
     return Headline("Sound", Tone.GOOD, sentence)
 
@@ -204,7 +214,7 @@ def _precision(found: Precision) -> list[str]:
     return [text] if found.car_error_mm else []
 
 
-def _suspects(suspects: Iterable[SuspectFinding]) -> Section:
+def _suspects(suspects: Iterable[HypothesisFinding]) -> Section:
     columns = (
         *(Column("suspect", "wide"), Column("verdict"), Column("evidence", "path", terminal=False)),
         *(Column("rows", "number"), Column("trials", "number")),
@@ -212,7 +222,7 @@ def _suspects(suspects: Iterable[SuspectFinding]) -> Section:
     rows = []
     for one in suspects:
         # Verdicts are listed the gravest first.
-        gravest = next((j for j in Judgement if one.verdict.split(", ")[0].endswith(f" {j}")), None)
+        gravest = next((j for j in RuleVerdict if one.verdict.split(", ")[0].endswith(f" {j}")), None)
         verdict = Cell(one.verdict, _TONES[gravest] if gravest else Tone.MUTED)
         rows.append((f"{one.number}. {one.question}", verdict, one.evidence, one.rows, one.trials))
     table = DataTable(columns, rows, "Suspects", "Evidence is the clearest row of the gravest verdict.")
@@ -245,7 +255,7 @@ def _matrix(rows: Sequence[AuditRow], figures: Figures) -> Section:
 
 
 def _groups(
-    rows: Sequence[AuditRow], judgement: Judgement, lead: str, chosen: Sequence[AuditRow], *first: Block
+    rows: Sequence[AuditRow], judgement: RuleVerdict, lead: str, chosen: Sequence[AuditRow], *first: Block
 ) -> list[Section]:
     """Return the rows with a verdict by action, with the films of them that there are; nothing for no row."""
     if not chosen:
@@ -303,7 +313,7 @@ def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> D
     return DataTable(columns, cells, title, note, folded=bool(verdict), tall=True)
 
 
-def _striking_first(rows: Sequence[AuditRow], judgement: Judgement) -> list[AuditRow]:
+def _striking_first(rows: Sequence[AuditRow], judgement: RuleVerdict) -> list[AuditRow]:
     """Return the rows with a verdict: the unsafe ones first, then those that did least as predicted."""
     return sorted(
         (row for row in rows if row.verdict == judgement),
@@ -321,4 +331,4 @@ def _by_action(rows: Iterable[AuditRow]) -> dict[str, list[AuditRow]]:
 
 def _case(row: AuditRow) -> Case:
     bundle = row.bundles[0] if row.bundles else ""
-    return case_of(row.name, row.verdict, _TONES[Judgement(row.verdict)], row.evidence, bundle)
+    return case_of(row.name, row.verdict, _TONES[RuleVerdict(row.verdict)], row.evidence, bundle)

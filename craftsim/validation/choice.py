@@ -18,7 +18,7 @@ from craftsim.discrete.grid import Grid
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
-from craftsim.experiments.experiment import Item
+from craftsim.experiments.experiment import Trial
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.library import check_cars
 from craftsim.storage.paths import exists, resolved
@@ -38,7 +38,7 @@ World = Task | Grid | RandomWorlds | str | Path
 
 
 @dataclass(frozen=True)
-class Subject:
+class RolloutWorld:
     """A world to run in."""
 
     name: str
@@ -48,7 +48,7 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Pilot:
+class PolicySpec:
     """What decides the cars' actions."""
 
     name: str
@@ -64,7 +64,7 @@ def subjects_of(
     n_cars: int | None = None,
     n_blocks: int | None = None,
     max_steps: int | None = None,
-) -> list[Subject]:
+) -> list[RolloutWorld]:
     """Return the subjects that worlds, or names of them, stand for.
 
     ``n_cars`` and ``n_blocks`` set the numbers of what is drawn at random, ``max_steps`` the length of an episode in
@@ -72,7 +72,7 @@ def subjects_of(
 
     Raises InputError for what names no world, and for two of one name.
     """
-    found: dict[str, Subject] = {}
+    found: dict[str, RolloutWorld] = {}
     for world in worlds:
         one = _subject(world, n_cars, n_blocks, max_steps)
         if one.name in found:
@@ -83,24 +83,24 @@ def subjects_of(
     return list(found.values())
 
 
-def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None) -> Subject:
+def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None) -> RolloutWorld:
     if isinstance(world, str) and world == RANDOM:
         world = RandomWorlds(n_cars, n_blocks, RandomWorlds.max_steps if max_steps is None else max_steps)
     if isinstance(world, RandomWorlds):
-        return Subject(RANDOM, world, _digest(repr(world).encode()), world.n_cars or MAX_CARS)
+        return RolloutWorld(RANDOM, world, _digest(repr(world).encode()), world.n_cars or MAX_CARS)
     if isinstance(world, Grid):
         world = free_play("grid", (parse_blueprint(blueprint_text(world), "grid"),))
     if isinstance(world, str | Path) and (n_cars is not None or n_blocks is not None):
         world = as_task(str(world), n_cars, n_blocks)
     if isinstance(world, Task):
-        return Subject(world.name, world, world.digest, world.layout.n_cars)
+        return RolloutWorld(world.name, world, world.digest, world.layout.n_cars)
     name = str(resolved(world)) if exists(world) and world not in TASK_NAMES else str(world)
     task = as_task(name)
     digest = SHIPPED if name in TASK_NAMES else task.digest
-    return Subject(task.name, name, digest, task.layout.n_cars)
+    return RolloutWorld(task.name, name, digest, task.layout.n_cars)
 
 
-def check_starts(subjects: Sequence[Subject], setup: Setup, seed: int) -> None:
+def check_starts(subjects: Sequence[RolloutWorld], setup: Setup, seed: int) -> None:
     """Raise StartError for a world of one's own in which something stands in something else, and InputError for a skill
     for a car that it has not."""
     for subject in subjects:
@@ -112,29 +112,29 @@ def check_starts(subjects: Sequence[Subject], setup: Setup, seed: int) -> None:
             check_start(PhysicsWorld(start, setup.simulation, machines=setup.machines))
 
 
-def plan_pilot(plan: Plan, order: PlanOrder) -> Pilot:
+def plan_pilot(plan: Plan, order: PlanOrder) -> PolicySpec:
     """Return what carries out a plan, whatever happens."""
     said = (plan.ticks, *plan.after.items()) if plan.after else plan.ticks
     steps = steps_of(plan.ticks, order, plan.after)
-    return Pilot(writable(plan.path.stem), _digest(repr(said).encode()), steps)
+    return PolicySpec(writable(plan.path.stem), _digest(repr(said).encode()), steps)
 
 
 def policy_pilot(
     policy: str | Policy,
-    subjects: Sequence[Subject],
+    subjects: Sequence[RolloutWorld],
     order: PlanOrder,
     rules: RuleSet = "physical",
     timeout_s: float = 600.0,
-) -> Pilot:
+) -> PolicySpec:
     """Return what does as a policy says; one of others is asked now what it does at the start of each world.
 
     Raises InputError where there is no such policy, and where it does not answer in time with an action for each agent.
     """
     if not isinstance(policy, str):
         name = getattr(policy, "__name__", type(policy).__name__)
-        return Pilot(name, _digest(name.encode()), policy)
+        return PolicySpec(name, _digest(name.encode()), policy)
     if policy == PLAY:
-        return Pilot(PLAY, SHIPPED, RandomPlay(order))
+        return PolicySpec(PLAY, SHIPPED, RandomPlay(order))
     if policy != PLANNER:
         own = exists(policy) and not is_shipped_policy(policy)
         place = str(resolved(policy)) if own else policy
@@ -142,7 +142,7 @@ def policy_pilot(
             world = subject.world
             task = world.task(np.random.default_rng(0)) if isinstance(world, RandomWorlds) else as_task(world)
             check_policy(place, task, rules, timeout_s)
-        return Pilot(writable(policy), policy_digest(place), place)
+        return PolicySpec(writable(policy), policy_digest(place), place)
     for subject in subjects:
         if isinstance(subject.world, RandomWorlds) or not as_task(subject.world).has_goal:
             raise InputError(
@@ -151,12 +151,12 @@ def policy_pilot(
             )
     shipped = [subject for subject in subjects if subject.world in TASK_NAMES]
     plans = {s.name: steps_of(read_plan(shipped_plan(s.name), s.n_cars).ticks, order) for s in shipped}
-    return Pilot(PLANNER, SHIPPED, PLANNER, plans)
+    return PolicySpec(PLANNER, SHIPPED, PLANNER, plans)
 
 
 def items_of(
-    subjects: Sequence[Subject], pilots: Sequence[Pilot], trials: int, terms: Terms
-) -> Iterator[Item]:
+    subjects: Sequence[RolloutWorld], pilots: Sequence[PolicySpec], trials: int, terms: Terms
+) -> Iterator[Trial]:
     """Yield all runs: every pilot in every subject, so many times."""
     for episode in range(trials):
         for subject in subjects:
@@ -164,7 +164,7 @@ def items_of(
                 key = f"{subject.name}/{pilot.name}/{episode:04d}"
                 by = pilot.plans.get(subject.name, pilot.by)
                 run = Run(key, subject.world, by, episode, terms)
-                yield Item(key, pilot.name, terms.seed, run, subject.name, episode)
+                yield Trial(key, pilot.name, terms.seed, run, subject.name, episode)
 
 
 def _digest(data: bytes) -> str:

@@ -35,7 +35,7 @@ _SHAPES: Final = ("floor.tile_m", "floor.wavelength_m", "sensors.min_delay_s")
 
 
 @dataclass(frozen=True)
-class Axis:
+class Imperfection:
     """One imperfection that grows, with all else as in a base; hashable."""
 
     name: str
@@ -110,7 +110,7 @@ _SAID: Final[dict[str, tuple[str, float, dict[str, float | None]]]] = {
     "sensors.undocked_share": ("lost-plug-contact", 0, {}),
 }
 """By figure: a name, a largest value, and companions with their values, each where it has one of its own."""
-WORTH: Final = (
+DEFAULT_IMPERFECTIONS: Final = (
     *("lippage", "unevenness", "floor-tilt", "friction", "mass", "motor-strength", "backlash", "motor-lag"),
     *("wheel-radius", "underside-height", "pocket-place", "position-noise", "heading-noise", "position-bias"),
     *("heading-bias", "delay", "localisation-period", "lost-localisations"),
@@ -120,15 +120,15 @@ ALL: Final = "all"
 
 
 @cache
-def axes() -> dict[str, Axis]:
+def imperfections() -> dict[str, Imperfection]:
     """Return all axes by name, in the order of the figures."""
     found = [_axis(figure) for figure in _figures(NONE) if figure not in _SHAPES]
     return {axis.name: axis for axis in found}
 
 
-def axes_of(names: Sequence[str]) -> tuple[Axis, ...]:
+def imperfections_of(names: Sequence[str]) -> tuple[Imperfection, ...]:
     """Return the axes of these names; for ``all`` every one. Raises InputError for one that there is not."""
-    known = axes()
+    known = imperfections()
     for name in names:
         if name not in known and name != ALL:
             raise InputError(
@@ -137,12 +137,12 @@ def axes_of(names: Sequence[str]) -> tuple[Axis, ...]:
     return tuple(known[name] for name in dict.fromkeys(known if ALL in names else names))
 
 
-def _axis(figure: str) -> Axis:
+def _axis(figure: str) -> Imperfection:
     name, largest, also = _SAID.get(figure, ("", 0, {}))
     ending = next(end for end in _UNITS if figure.endswith(end))
     unit, scale, usual = _UNITS[ending]
     name = name or figure.rpartition(".")[2].removesuffix(ending).replace("_", "-")
-    return Axis(name, figure, unit, scale, largest or usual, tuple(also.items()))
+    return Imperfection(name, figure, unit, scale, largest or usual, tuple(also.items()))
 
 
 def _figures(part: Any, prefix: str = "") -> Iterator[str]:

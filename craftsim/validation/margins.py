@@ -39,7 +39,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, StartError
 from craftsim.experiments.bundle import write_bundles
-from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.schema import STRICT, Form
 from craftsim.experiments.session import Session, open_session
@@ -48,7 +48,7 @@ from craftsim.models.randomization import Making
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.paths import resolved
 from craftsim.validation.forms import Judged
-from craftsim.validation.imperfections import Axis
+from craftsim.validation.imperfections import Imperfection
 
 COMMAND: Final = "margins"
 TIMEOUT_S: Final = 600.0
@@ -69,9 +69,9 @@ STRIDE: Final = 4
 """Every fourth level of an axis is on a map: those of the preferred numbers R5, which grow by 60 %."""
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
-Levels = Sequence[tuple[Axis, float]]
+Levels = Sequence[tuple[Imperfection, float]]
 """Imperfections and their values."""
-Pair = tuple[Axis, Axis]
+Pair = tuple[Imperfection, Imperfection]
 """The axes of a map: to the right, and up."""
 
 
@@ -196,7 +196,7 @@ class End(StrEnum):
 
 
 @dataclass(frozen=True)
-class Limit:
+class MarginResult:
     """A margin with its interval; values in the figure's own unit."""
 
     __pydantic_config__ = STRICT
@@ -226,17 +226,17 @@ class RowFound:
     """Trials of each."""
 
 
-MARGINS: Final = Form(Judged, Limit | RowFound)
+MARGINS: Final = Form(Judged, MarginResult | RowFound)
 """What the records of a search for margins hold."""
 
 
-def limit_of(record: TrialRecord) -> Limit:
+def margin_of_record(record: TrialRecord) -> MarginResult:
     """Return what the record of a search says."""
-    return Limit(**{**record["extra"], "end": End(record["extra"]["end"])})
+    return MarginResult(**{**record["extra"], "end": End(record["extra"]["end"])})
 
 
 @dataclass(frozen=True, slots=True)
-class Rig:
+class ScenarioSetup:
     """A scenario under a base's setup, in which levels are tried; hashable."""
 
     scenario: Scenario
@@ -272,7 +272,7 @@ class Rig:
 
 
 @lru_cache(maxsize=2)
-def _physics(rig: Rig, floor: Floor, making: Making) -> PhysicsWorld:
+def _physics(rig: ScenarioSetup, floor: Floor, making: Making) -> PhysicsWorld:
     """Return the compiled world of a rig, which all trials on the same kind of floor use again."""
     recipe = rig.recipe(0)
     drawn = replace(recipe.setup.randomization, floor=floor, making=making)
@@ -288,27 +288,27 @@ def _situation(scenario: Scenario, rules: RuleSet) -> Situation:
 class MarginSearch:
     """The search of a margin along one axis, or a row of the map of two; goes to a worker."""
 
-    rig: Rig
-    axes: tuple[Axis, ...]
+    rig: ScenarioSetup
+    axes: tuple[Imperfection, ...]
     trials: int
     up: int = 0
     """Number of a row's level."""
 
     @property
-    def item(self) -> Item:
+    def item(self) -> Trial:
         """It, as a campaign's item."""
         scenario, names = self.rig.scenario, " x ".join(axis.name for axis in self.axes)
         row = f"/{self.up}" if len(self.axes) > 1 else ""
         key = f"{scenario.name}/{names}{row}"
-        return Item(key, scenario.action, self.rig.seed, self, context=scenario.name)
+        return Trial(key, scenario.action, self.rig.seed, self, context=scenario.name)
 
 
-def work(job: MarginSearch) -> Done:
+def work(job: MarginSearch) -> Result:
     """Do one item of the campaign."""
     return find_row(job) if len(job.axes) > 1 else find(job)
 
 
-def find(one: MarginSearch) -> Done:
+def find(one: MarginSearch) -> Result:
     """Search a margin."""
     rig, (axis,) = one.rig, one.axes
     base = axis.value(rig.setup.randomization)
@@ -322,16 +322,16 @@ def find(one: MarginSearch) -> Done:
 
     def done(
         end: End, margin: int | None, upper: int | None = None, edge: tuple[int, int] | None = None
-    ) -> Done:
+    ) -> Result:
         attempts, reason = result(*edge) if edge else ((), "")
         fails_at = values[edge[1]] if edge and edge[1] != BASE else None
-        limit = Limit(
+        limit = MarginResult(
             end,
             None if margin is None else values[margin],
             None if upper is None else values[upper],
             *(fails_at, edge[0] if edge else None, reason, len(results)),
         )
-        return Done(end is not End.BASE, attempts, extra=asdict(limit) | {"end": end.value})
+        return Result(end is not End.BASE, attempts, extra=asdict(limit) | {"end": end.value})
 
     largest, probes = len(values) - 1, range(min(PROBES, one.trials))
     if all(result(n, BASE) == result(n, largest) and not result(n, BASE)[1] for n in probes):
@@ -341,19 +341,19 @@ def find(one: MarginSearch) -> Done:
     return done(end, *found)
 
 
-def values_of(axis: Axis) -> tuple[float, ...]:
+def values_of(axis: Imperfection) -> tuple[float, ...]:
     """Return the values of an axis that are on a map; 0 stands for the base's."""
     return (0.0, *axis.levels[::-1][::STRIDE][::-1])
 
 
-def find_row(row: MarginSearch) -> Done:
+def find_row(row: MarginSearch) -> Result:
     """Try all pairs of levels of one row of a map."""
     rig, (right, up) = row.rig, row.axes
     base, value, stood = rig.setup.randomization, values_of(up)[row.up], []
     for other in values_of(right):
         levels = [(axis, v) for axis, v in ((right, other), (up, value)) if v > axis.value(base)]
         stood.append(sum(not rig.attempt(n, levels)[1] for n in range(row.trials)))
-    return Done(agrees=True, extra=asdict(RowFound(tuple(stood), row.trials)))
+    return Result(agrees=True, extra=asdict(RowFound(tuple(stood), row.trials)))
 
 
 class Map(NamedTuple):
@@ -373,9 +373,9 @@ class Margin:
 
     action: str
     scenario: str
-    axis: Axis
-    limit: Limit
-    before: Limit | None = None
+    axis: Imperfection
+    limit: MarginResult
+    before: MarginResult | None = None
     """That of an earlier campaign, where there is one to compare with."""
     bundle: str = ""
     """Folder of the replay bundle of the trial that fails next to it, relative to the campaign's; empty without one."""
@@ -426,7 +426,7 @@ class Margins:
         return found
 
     @property
-    def telling(self) -> list[Axis]:
+    def with_effect(self) -> list[Imperfection]:
         """The axes that have an effect on any action."""
         tells = {one.axis for one in self.margins if one.limit.end is not End.NO_EFFECT}
         ranked = sorted(self.margins, key=lambda one: -one.rank[0])
@@ -441,7 +441,7 @@ class Margins:
 
 def run_margins(
     scenarios: Sequence[Scenario],
-    axes: Sequence[Axis],
+    axes: Sequence[Imperfection],
     setup: Setup,
     trials: int,
     seed: int,
@@ -466,7 +466,7 @@ def run_margins(
     """
     earlier = _earlier(options.against, out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
-    rigs = [Rig(scenario, setup, seed) for scenario in scenarios]
+    rigs = [ScenarioSetup(scenario, setup, seed) for scenario in scenarios]
     searches = [MarginSearch(rig, (axis,), trials) for rig in rigs for axis in axes]
     ups = range(len(values_of(pair[1]))) if pair else range(0)
     rows = [MarginSearch(rig, pair or (), min(trials, MAP_TRIALS), up) for rig in rigs for up in ups]
@@ -476,7 +476,7 @@ def run_margins(
         records = session.run()
         ended = [(one, r) for one, r in zip(searches, records, strict=False) if r["error"] is None]
         margins = [
-            Margin(r["group"], r["context"] or "", one.axes[0], limit_of(r), earlier.get(r["key"]))
+            Margin(r["group"], r["context"] or "", one.axes[0], margin_of_record(r), earlier.get(r["key"]))
             for one, r in ended
         ]
         found = [records[len(searches) + number] for number in range(len(rows))]
@@ -498,14 +498,14 @@ def _map(pair: Pair, rows: Sequence[TrialRecord]) -> Map | None:
     return Map(rows[0]["context"] or "", pair, stood, rows[0]["extra"]["of"])
 
 
-def _earlier(folder: Path | None, out: Path) -> dict[str, Limit]:
+def _earlier(folder: Path | None, out: Path) -> dict[str, MarginResult]:
     """Return the margins that an earlier search found, by the keys of their records."""
     if folder is None:
         return {}
     if resolved(folder) == resolved(out):
         raise InputError(f"--against {folder} is the folder of this run; choose another --out")
     records = read_finished(folder, COMMAND, MARGINS).records
-    return {r["key"]: limit_of(r) for r in records if r["error"] is None and "margin" in r["extra"]}
+    return {r["key"]: margin_of_record(r) for r in records if r["error"] is None and "margin" in r["extra"]}
 
 
 def _bundles(
@@ -519,7 +519,7 @@ def _bundles(
     wanted = {}
     for one, record in ended:
         if record["key"] in shown and record["attempts"]:
-            limit = limit_of(record)
+            limit = margin_of_record(record)
             levels = () if limit.fails_at is None else ((one.axes[0], limit.fails_at),)
             assert limit.trial is not None
             wanted[record["index"]] = partial(one.rig.recipe, limit.trial, levels)

@@ -24,7 +24,7 @@ from craftsim.reports.report import (
     count,
     percent,
 )
-from craftsim.validation.imperfections import Axis
+from craftsim.validation.imperfections import Imperfection
 from craftsim.validation.margins import SHARE, Map, Margin, Margins, confidence, values_of
 from craftsim.validation.sections import case_of
 
@@ -37,7 +37,7 @@ _SIDE_IN: Final = 5.4
 def margins_report(result: Margins, command: str) -> Report:
     """Return the report of a search; ``command`` is how it can be run again."""
     weakest = {
-        action: [by_axis[axis.name] for axis in result.telling if axis.name in by_axis]
+        action: [by_axis[axis.name] for axis in result.with_effect if axis.name in by_axis]
         for action, by_axis in result.weakest.items()
     }
     compared, trials = any(one.before for one in result.margins), result.config["trials"]
@@ -49,7 +49,7 @@ def margins_report(result: Margins, command: str) -> Report:
             KeyFigure(
                 f"{len({one.scenario for one in result.margins})}", "scenarios", f"{len(weakest)} actions"
             ),
-            KeyFigure(f"{len(result.telling)}", "imperfections that matter", "to one action or more"),
+            KeyFigure(f"{len(result.with_effect)}", "imperfections that matter", "to one action or more"),
             KeyFigure(
                 f"{trials}",
                 "trials stand each margin",
@@ -102,7 +102,7 @@ def _sheet(result: Margins) -> Section:
     )
     rows = [
         (f"{axis.words}, {axis.unit}", *(_sheet_cell(by.get(axis.name)) for by in result.weakest.values()))
-        for axis in result.telling
+        for axis in result.with_effect
     ]
     columns = (Column("up to"), *(Column(action, "number") for action in result.weakest))
     lead = (
@@ -126,7 +126,7 @@ def _first_failures(result: Margins) -> Section:
     weakest = result.weakest.values()
     first = [
         min((by[axis.name] for by in weakest if axis.name in by), key=lambda one: one.rank)
-        for axis in result.telling
+        for axis in result.with_effect
     ]
     cases = [
         case_of(
@@ -201,12 +201,14 @@ def _limits(margins: Iterable[Margin], title: str, compared: bool) -> DataTable:
     return DataTable(columns, rows, title, folded=True, tall=True)
 
 
-def _text(axis: Axis, value: float | None, otherwise: str) -> str:
+def _text(axis: Imperfection, value: float | None, otherwise: str) -> str:
     return otherwise if value is None else axis.text(value)
 
 
 def _notes(result: Margins) -> Iterator[str]:
-    quiet = [axis for axis in dict.fromkeys(one.axis for one in result.margins) if axis not in result.telling]
+    quiet = [
+        axis for axis in dict.fromkeys(one.axis for one in result.margins) if axis not in result.with_effect
+    ]
     if quiet:
         yield f"no effect on any action: {', '.join(axis.words for axis in quiet)}"
     for one in result.margins:

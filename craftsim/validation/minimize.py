@@ -26,11 +26,11 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import Bundle, read_bundle
-from craftsim.experiments.experiment import Answer, Done, Failure, Item, TrialRecord
+from craftsim.experiments.experiment import Answer, Failure, Result, Trial, TrialRecord
 from craftsim.experiments.session import Session
 from craftsim.models.randomization import NONE
 from craftsim.storage.folders import directory_within
-from craftsim.storage.limits import SHRINK_S
+from craftsim.storage.limits import MINIMIZE_S
 from craftsim.storage.writing import write_whole
 from craftsim.validation.counterexample import (
     WorldPart,
@@ -51,7 +51,7 @@ _TIMEOUT_S: Final = 3600.0
 """After which the search for a smallest world is given up."""
 
 MOST_TRIALS: Final = 150
-"""After so many trials the search ends with the smallest world so far; as after :data:`SHRINK_S` of simulated time."""
+"""After so many trials the search ends with the smallest world so far; as after :data:`MINIMIZE_S` of simulated time."""
 
 OnTrial = Callable[[bool], None]
 """Called after each trial: whether the action still failed."""
@@ -63,7 +63,7 @@ _MOVES: Final = {way: action for action, way in MOVE_DIRECTION.items()}
 
 
 @dataclass(frozen=True)
-class Situated:
+class FailingAction:
     """An action of one car in a world, in which it is legal, and the physics that it is tried in."""
 
     grid: Grid
@@ -92,11 +92,13 @@ class Smallest:
         return words_of(self.grid, self.action, self.attempt.result, Rules(self.setup.rules))
 
 
-class DependsError(Exception):
+class NotReproducibleError(Exception):
     """The action by itself, from a fresh start, does not fail: why, in words."""
 
 
-def failing_actions(recipe: Recipe, attempts: Sequence[Attempt], most_s: float = math.inf) -> list[Situated]:
+def failing_actions(
+    recipe: Recipe, attempts: Sequence[Attempt], most_s: float = math.inf
+) -> list[FailingAction]:
     """Return the legal actions of a recipe's last step that fail, each in the world right before it.
 
     That world is what was read before the step, and after the actions of the step that come before it, by the rules.
@@ -116,11 +118,14 @@ def failing_actions(recipe: Recipe, attempts: Sequence[Attempt], most_s: float =
     schedule = make_schedule(judge.grid, ticks, judge.rules, step.order or "sequential")
     before = {(step.number + s.tick, s.car): s.before for s in schedule.steps}
     return [
-        Situated(before[a.tick, a.car], a.car, Action[a.action], recipe.setup, recipe.seed) for a in wrong
+        FailingAction(before[a.tick, a.car], a.car, Action[a.action], recipe.setup, recipe.seed)
+        for a in wrong
     ]
 
 
-def shrink(failing: Situated, on_trial: OnTrial = lambda fails: None, most: int = MOST_TRIALS) -> Smallest:
+def minimize(
+    failing: FailingAction, on_trial: OnTrial = lambda fails: None, most: int = MOST_TRIALS
+) -> Smallest:
     """Return the smallest world in which an action still fails with the same result, after so many trials at most.
 
     It is tried without noise and with the nominal physics; where it works with these, with the setup and the seed of
@@ -134,8 +139,8 @@ def shrink(failing: Situated, on_trial: OnTrial = lambda fails: None, most: int 
             return search.run(trials)
         trials += search.trials
     if not trials:
-        raise DependsError("the world before it cannot be set up from a fresh start as it was read")
-    raise DependsError(
+        raise NotReproducibleError("the world before it cannot be set up from a fresh start as it was read")
+    raise NotReproducibleError(
         "tried alone from a fresh start it does as predicted: "
         "the failure depends on what went before, or on what happens at the same time"
     )
@@ -144,10 +149,10 @@ def shrink(failing: Situated, on_trial: OnTrial = lambda fails: None, most: int 
 class _Search:
     """The search for one action; it remembers what was tried."""
 
-    def __init__(self, failing: Situated, on_trial: OnTrial, most: int) -> None:
+    def __init__(self, failing: FailingAction, on_trial: OnTrial, most: int) -> None:
         self.setup, self.seed, self.rules = failing.setup, failing.seed, Rules(failing.setup.rules)
         self.on_trial, self.most, self.trials = on_trial, most, 0
-        self.left_s = SHRINK_S
+        self.left_s = MINIMIZE_S
         self.known: dict[str, bool] = {}
         self.attempt: Attempt | None = None
         self.pieces, self.size = pieces_of(failing.grid, failing.car), failing.grid.size
@@ -240,7 +245,7 @@ class _Search:
 
 
 @dataclass(frozen=True)
-class Shrunk:
+class Counterexample:
     """A failure in its smallest world."""
 
     key: str
@@ -258,11 +263,13 @@ class Shrunk:
     """With its blueprint and its actions, relative to the campaign's."""
 
 
-ShrinkProgress = Callable[[int], AbstractContextManager[Callable[[Shrunk], None]]]
+MinimizeProgress = Callable[[int], AbstractContextManager[Callable[[Counterexample], None]]]
 """Given the number of kinds, opens what is called with each one's result."""
 
 
-def shrink_bundle(bundle: Bundle, out: Path, name: str, on_trial: OnTrial = lambda fails: None) -> Shrunk:
+def minimize_bundle(
+    bundle: Bundle, out: Path, name: str, on_trial: OnTrial = lambda fails: None
+) -> Counterexample:
     """Shrink the failure of a replay bundle, and write its smallest world into the folder ``name`` of ``out``.
 
     Raises InputError where no legal action fails, and for a folder that cannot be written.
@@ -270,32 +277,34 @@ def shrink_bundle(bundle: Bundle, out: Path, name: str, on_trial: OnTrial = lamb
     rules, why = bundle.recipe.setup.rules, ""
     for failing in failing_actions(bundle.recipe, bundle.attempts, bundle.most_s):
         try:
-            found = shrink(failing, on_trial)
-        except DependsError as error:
+            found = minimize(failing, on_trial)
+        except NotReproducibleError as error:
             why = why or f"car {failing.car} {failing.action.name}: {error}"
             continue
         folder = directory_within(out, name)
         write_blueprint(found.grid, folder / BLUEPRINT)
         write_whole(folder / ACTIONS, f"0 {found.action.name}\n")
-        return Shrunk(bundle.key, found.words, rules, found.minimal, found.trials, found.grid.size, name)
-    return Shrunk(bundle.key, why, rules, minimal=False, trials=0, cells=None, folder=None)
+        return Counterexample(
+            bundle.key, found.words, rules, found.minimal, found.trials, found.grid.size, name
+        )
+    return Counterexample(bundle.key, why, rules, minimal=False, trials=0, cells=None, folder=None)
 
 
-def shrink_failures(
-    session: Session, records: Iterable[TrialRecord], progress: ShrinkProgress
-) -> tuple[Shrunk, ...]:
+def minimize_failures(
+    session: Session, records: Iterable[TrialRecord], progress: MinimizeProgress
+) -> tuple[Counterexample, ...]:
     """Shrink the first failure of each kind that has a replay bundle, and write its world into :data:`FOLDER`."""
     bundles = list(first_of_each_kind(records).values())
     if not bundles or session.out is None:
         return ()
     out = session.out.resolve()
     items = [
-        Item(bundle, FOLDER, 0, (out, bundle, f"{FOLDER}/{number:02d}"))
+        Trial(bundle, FOLDER, 0, (out, bundle, f"{FOLDER}/{number:02d}"))
         for number, bundle in enumerate(bundles)
     ]
     with progress(len(items)) as on_each:
         answers = session.map(
-            *(FOLDER, items, _shrink, "looking for the smallest worlds"),
+            *(FOLDER, items, _minimize, "looking for the smallest worlds"),
             timeout_s=_TIMEOUT_S,
             on_answer=lambda number, answer: on_each(_shrunk(bundles[number], answer)),
         )
@@ -317,15 +326,16 @@ def first_of_each_kind(records: Iterable[TrialRecord]) -> dict[str, str]:
     return found
 
 
-def _shrink(job: tuple[Path, str, str]) -> Done:
+def _minimize(job: tuple[Path, str, str]) -> Result:
     out, bundle, name = job
-    return Done(
-        agrees=True, extra=asdict(shrink_bundle(read_bundle(out / bundle, of_own_run=True).bundle, out, name))
+    return Result(
+        agrees=True,
+        extra=asdict(minimize_bundle(read_bundle(out / bundle, of_own_run=True).bundle, out, name)),
     )
 
 
-def _shrunk(bundle: str, answer: Answer) -> Shrunk:
+def _shrunk(bundle: str, answer: Answer) -> Counterexample:
     if isinstance(answer, Failure):
-        return Shrunk(bundle, answer.text, "", minimal=False, trials=0, cells=None, folder=None)
+        return Counterexample(bundle, answer.text, "", minimal=False, trials=0, cells=None, folder=None)
     cells = answer.extra["cells"]
-    return Shrunk(**{**answer.extra, "cells": None if cells is None else tuple(cells)})
+    return Counterexample(**{**answer.extra, "cells": None if cells is None else tuple(cells)})

@@ -64,7 +64,7 @@ ALL: Final = "all"
 
 
 @dataclass(frozen=True)
-class Doing:
+class PlayedAction:
     """An action, where it is done, and what is around it."""
 
     verb: str
@@ -83,14 +83,14 @@ class Doing:
         return " ".join([*words, "slope"] if self.on_slope else words)
 
 
-def doing(before: Grid, after: Grid, car: int, action: Action) -> Doing:
+def doing(before: Grid, after: Grid, car: int, action: Action) -> PlayedAction:
     """Return what an action is, from the worlds before and after it."""
     row = before.cars[car]
     here, there = cell_of(before, car), cell_of(after, car)
     slope = bool(row[CarField.SLOPE] or after.cars[car, CarField.SLOPE])
     near = _near(before, car, here) | _near(before, car, there)
     listed = tuple(name for name in NEIGHBOURS if name in near) or ("nothing",)
-    return Doing(ACTIONS[action].verb, here[2], Kind(row[CarField.LOAD]), slope, listed)
+    return PlayedAction(ACTIONS[action].verb, here[2], Kind(row[CarField.LOAD]), slope, listed)
 
 
 def _near(grid: Grid, me: int, cell: Cell) -> set[str]:
@@ -120,7 +120,7 @@ class Play:
     """What the cars of a world do, tick by tick, each action legal in its turn."""
 
     ticks: tuple[Joint, ...]
-    doings: tuple[tuple[Doing, ...], ...]
+    doings: tuple[tuple[PlayedAction, ...], ...]
     """What each action is and where, parallel to ``ticks``."""
 
 
@@ -157,7 +157,7 @@ def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> Pl
     return Play(tuple(ticks), tuple(doings))
 
 
-def _weight(grid: Grid, after: Grid, rules: Rules, car: int, one: Doing) -> float:
+def _weight(grid: Grid, after: Grid, rules: Rules, car: int, one: PlayedAction) -> float:
     weight = _VERBS.get(one.verb, 1.0)
     weight *= _ABOVE_FLOOR if one.level > 1 else 1.0
     weight *= _SLOPE if one.on_slope else 1.0
@@ -190,7 +190,7 @@ def covered(played: Play, attempts: Iterable[Attempt]) -> dict[str, dict[str, in
     return {name: dict(counts) for name, counts in found.items()}
 
 
-def _classes(doing: Doing) -> list[str]:
+def _classes(doing: PlayedAction) -> list[str]:
     """Return the totals that an action counts in, whatever is around it."""
     loaded_turn = doing.verb.startswith("ROTATE") and doing.load != Kind.AIR
     classes = {

@@ -28,7 +28,7 @@ from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import StartError
 from craftsim.experiments.bundle import write_bundle
-from craftsim.experiments.experiment import Done
+from craftsim.experiments.experiment import Result
 from craftsim.logs.files import LOG_SUFFIX, write_table
 from craftsim.logs.log import Log
 from craftsim.logs.recorder import LogRecorder
@@ -124,7 +124,7 @@ def _within(after: Constraints, tick: int, joint: Sequence[tuple[int, Action]]) 
     }
 
 
-def do_run(run: Run) -> Done:
+def do_run(run: Run) -> Result:
     """Run in physics, and by the rules alone; write the bundle of the first disagreement, if there is one."""
     try:
         done = roll_out(run, run.terms.record)
@@ -132,7 +132,7 @@ def do_run(run: Run) -> Done:
         if not isinstance(run.by, RandomPlay):
             raise
         nothing = {"ticks": 0, "forbidden": 0, "makespan_s": 0.0}
-        return Done(agrees=True, extra=nothing | {"does_not_stand": str(error)})
+        return Result(agrees=True, extra=nothing | {"does_not_stand": str(error)})
     episode = done.episode
     extra: dict[str, Any] = {
         "ticks": episode.n_ticks,
@@ -149,7 +149,7 @@ def do_run(run: Run) -> Done:
     follows = isinstance(run.by, tuple)
     # What is left of a plan when another one takes its place says nothing of any action.
     unperformed = not isinstance(run.by, Replanning)
-    return Done(
+    return Result(
         agrees=episode.agrees and not (follows and episode.forbidden),
         attempts=[a for a in episode.attempts if (a.legal or follows) and (unperformed or a.performed)],
         bundle=None if run.terms.out is None else _write(run, done, run.terms.out),

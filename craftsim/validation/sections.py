@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import FILM, TRAJECTORY
-from craftsim.experiments.experiment import Item, TrialRecord
+from craftsim.experiments.experiment import Trial, TrialRecord
 from craftsim.rendering.plots.figures import plots_of
 from craftsim.rendering.plots.signals import Signals
 from craftsim.rendering.plots.style import DENSE, WIDTH_IN
@@ -30,7 +30,7 @@ from craftsim.reports.report import (
     Value,
     count,
 )
-from craftsim.validation.minimize import ACTIONS, BLUEPRINT, Shrunk
+from craftsim.validation.minimize import ACTIONS, BLUEPRINT, Counterexample
 
 MOST_FAILURES: Final = 1000
 """Failures that a report lists."""
@@ -202,7 +202,7 @@ class RecordedRun(NamedTuple):
     """Whether physics did what the rules predict."""
 
 
-def recorded_runs(items: Sequence[Item], records: Sequence[TrialRecord]) -> list[RecordedRun]:
+def recorded_runs(items: Sequence[Trial], records: Sequence[TrialRecord]) -> list[RecordedRun]:
     """Return the runs that were recorded and came to an end, those first that disagree."""
     ended = [
         RecordedRun(item.key, f"{TRAJECTORIES}/{item.job.file_name}{SUFFIX}", record["agrees"])
@@ -244,7 +244,7 @@ def _recorded(out: Path, run: RecordedRun, first: bool) -> Group:
     return Group(run.title, drawings, badge, tone, first)
 
 
-def smallest_section(found: Sequence[Shrunk]) -> list[Section]:
+def smallest_section(found: Sequence[Counterexample]) -> list[Section]:
     """Return failures in their smallest worlds; nothing where none was shrunk."""
     if not found:
         return []
@@ -254,7 +254,7 @@ def smallest_section(found: Sequence[Shrunk]) -> list[Section]:
     return [Section("smallest", title, lead, [cases], terminal=True)]
 
 
-def _smallest(one: Shrunk) -> Case:
+def _smallest(one: Counterexample) -> Case:
     if one.folder is None or one.cells is None:
         return Case(one.key, "not made smaller", Tone.MUTED, one.sentence)
     left = "" if one.minimal else "; perhaps not the smallest: the trials were used up"

@@ -24,7 +24,7 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.errors import InputError
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.durations import write_durations
-from craftsim.experiments.experiment import Experiment, Item, Progress, RunOptions, TrialRecord
+from craftsim.experiments.experiment import Experiment, Progress, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.records import Finished
 from craftsim.experiments.session import Session, open_session
@@ -44,7 +44,7 @@ from craftsim.validation.choice import (
     subjects_of,
 )
 from craftsim.validation.forms import BUILDS, RUNS
-from craftsim.validation.minimize import ShrinkProgress, Shrunk, shrink_failures
+from craftsim.validation.minimize import Counterexample, MinimizeProgress, minimize_failures
 from craftsim.validation.play import Coverage
 from craftsim.validation.policies import RANDOM
 from craftsim.validation.replanning import Replanning
@@ -112,13 +112,13 @@ class Validation:
     config: dict[str, Any]
     """What decided it, besides the seed."""
     seed: int
-    items: Sequence[Item]
+    items: Sequence[Trial]
     """What was run, parallel to the records."""
     comparison: Comparison | None = None
     """With an earlier run, where one was given."""
     coverage: Coverage | None = None
     """Of random play, where there was some."""
-    smallest: tuple[Shrunk, ...] = ()
+    smallest: tuple[Counterexample, ...] = ()
     """The first failure of each kind in its smallest world, where that was asked for."""
     builds: BuildFigures | None = None
     """Of buildings with re-planning."""
@@ -175,7 +175,7 @@ def validate(
     record: bool = False,
     observers: Iterable[Observer] = (),
     progress: Progress = lambda total: nullcontext(lambda record: None),
-    minimize: ShrinkProgress | None = None,
+    minimize: MinimizeProgress | None = None,
     **options: Any,
 ) -> Validation:
     """Run plans, lists of actions or policies in physics and judge every action on the poses that it ends with.
@@ -259,7 +259,7 @@ def validate(
     how = campaign.run(progress)
 
     def find(session: Session, records: Sequence[TrialRecord]) -> dict[str, Any]:
-        smallest = () if minimize is None else shrink_failures(session, records, minimize)
+        smallest = () if minimize is None else minimize_failures(session, records, minimize)
         return {"coverage": Coverage.of(records), "smallest": smallest}
 
     return _run(experiment, folder, how, read_earlier(experiment, folder, how), find)
@@ -304,7 +304,7 @@ def build_all(
     }
     terms = Terms(seed, setup, out.resolve(), record=record)
     runs = [Run(f"{task.name}/{episode:04d}", task, asked, episode, terms) for episode in range(trials)]
-    items = [Item(run.key, "built", seed, run, task.name, run.episode) for run in runs]
+    items = [Trial(run.key, "built", seed, run, task.name, run.episode) for run in runs]
     experiment = Experiment("build", seed, config, items, do_run, BUILDS, timeout_s)
     earlier = read_earlier(experiment, out, options)
     # Whether anything can be built is said before anything is begun; it may take long to find out.

@@ -19,7 +19,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from queue import SimpleQueue
 from typing import Any, Final
 
-from craftsim.compiling import is_told, tell
+from craftsim.compiling import report_compiling, reports_compiling
 from craftsim.errors import CraftsimError
 from craftsim.modules import REGISTERING, SAFE_PATH, import_registering, safe_path, set_safe_path
 
@@ -149,7 +149,7 @@ def spawn_context() -> SpawnContext:
 class _Process(SpawnProcess):
     def start(self) -> None:
         self._inherited = os.environ.get(SAFE_PATH)
-        self._tells = is_told()
+        self._tells = reports_compiling()
         self._registering = tuple(REGISTERING)
         with _safe_path():
             # Its first start would undo the block.
@@ -164,7 +164,7 @@ class _Process(SpawnProcess):
         # What code of the user's starts from here looks for its modules as it does elsewhere.
         set_safe_path(self._inherited)
         if self._tells:
-            tell()
+            report_compiling()
         for module in self._registering:
             import_registering(module)
         super().run()

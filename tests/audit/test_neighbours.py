@@ -27,7 +27,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.composition import placements
-from craftsim.validation.audit import Trial, try_it
+from craftsim.validation.audit import AuditTrial, try_it
 
 SITUATIONS = {one.id: one for one in bare_situations()}
 OCCUPANTS = {one.name: one for one in occupants()}
@@ -141,7 +141,7 @@ def test_physics_meets_what_geometry_expects_in_the_way():
         for near, _, _ in nearby("published", ("ROTATE_LEFT",))
         if near.id == "ROTATE_LEFT/load=block/near=wall@(-1,0,1)"
     )
-    done = try_it(Trial(near, True, 0, 0, setup_of("none", "published")))
+    done = try_it(AuditTrial(near, True, 0, 0, setup_of("none", "published")))
     assert near.clearance_mm < -10
     assert "wall touched block 0" in done.attempts[0].reason
 

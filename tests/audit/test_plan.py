@@ -16,7 +16,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import describe_car
 from craftsim.discrete.rules import Rules
-from craftsim.validation.audit import items_of
+from craftsim.validation.audit import trials_of
 
 RULES = ("published", "physical")
 BOTH = pytest.mark.parametrize("rules", RULES)
@@ -64,7 +64,7 @@ def test_what_the_physical_rules_allow_begins_where_their_play_can_lead():
 
 @BOTH
 def test_a_full_audit_tries_each_row_often_and_each_context_and_stays_within_its_time(rules):
-    items = items_of(audit_plan(rules), 20, 0, setup_of("none", rules))
+    items = trials_of(audit_plan(rules), 20, 0, setup_of("none", rules))
     assert len({item.key for item in items}) == len(items) < 30_000
     tried = Counter(item.group for item in items if item.job is not None)
     assert min(tried.values()) >= 20

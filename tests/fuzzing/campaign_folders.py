@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 from craftsim.checking.attempt import Attempt
 from craftsim.experiments.compare import compare_paired
-from craftsim.experiments.experiment import Done, Experiment, Item, RunOptions
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.records import DATABASE, OLD, TRIALS, read_finished
 from craftsim.experiments.session import open_session, run_experiment
 from craftsim.experiments.statistics import campaign_figures
@@ -61,18 +61,18 @@ def _attempt(tick: int, result: str = "as predicted") -> Attempt:
     )
 
 
-def _stored(number: int) -> Done:
+def _stored(number: int) -> Result:
     """Return the result of a trial."""
     return (
-        Done(True, [_attempt(0), _attempt(1)], extra=EXTRA),
-        Done(False, [_attempt(0), _attempt(1, "failed")], "bundles/strip-play-0001", EXTRA),
-        Done(True, (), extra={**EXTRA, "does_not_stand": "two in one place"}),
+        Result(True, [_attempt(0), _attempt(1)], extra=EXTRA),
+        Result(False, [_attempt(0), _attempt(1, "failed")], "bundles/strip-play-0001", EXTRA),
+        Result(True, (), extra={**EXTRA, "does_not_stand": "two in one place"}),
     )[number]
 
 
 EXPERIMENT = Experiment(
     *("validate", 7, {"worlds": {"strip": "shipped"}, "trials": 3, "setup": {"gains": [1.5, None]}}),
-    *([Item(f"strip/play/{i:04d}", "play", 7, i, "strip", i) for i in range(3)], _stored, RUNS),
+    *([Trial(f"strip/play/{i:04d}", "play", 7, i, "strip", i) for i in range(3)], _stored, RUNS),
 )
 
 

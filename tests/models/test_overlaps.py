@@ -11,7 +11,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import StartError
 from craftsim.models.world import PhysicsWorld
-from craftsim.validation.audit import Trial, try_it
+from craftsim.validation.audit import AuditTrial, try_it
 
 IN_THE_GEAR = draw((5, 3, 2), [(Kind.FSLOPE, (2, 1, 1), 2)], [(1, 1, 1, 0, Kind.BLOCK, 0, 0)])
 """A carried block where a folded slope has its gear."""
@@ -41,6 +41,6 @@ def test_no_judge_takes_such_a_world(tmp_path):
 
 def test_an_audit_tries_nothing_there_and_says_why():
     scene = Situation(Row("DROP", scene="in the gear"), IN_THE_GEAR, (Action.DROP,))
-    done = try_it(Trial(scene, True, 0, 0, Setup()))
+    done = try_it(AuditTrial(scene, True, 0, 0, Setup()))
     assert not done.attempts
     assert "block 0 and slope 0 stand" in done.extra["does_not_stand"][0]

@@ -26,14 +26,14 @@ from craftsim.errors import InputError
 from craftsim.models.framing import box_corners
 from craftsim.rendering.cameras import make_view, reached_m
 from craftsim.rendering.encode import VideoWriter
-from craftsim.rendering.film import IDLE, SPEEDS, Frames, Look, pace_of, predicted_worlds
+from craftsim.rendering.film import IDLE, SPEEDS, FilmOptions, Frames, pace_of, predicted_worlds
 from craftsim.rendering.layout import arrange
 from craftsim.rendering.overlay import PAPER, caption_of
 from craftsim.rendering.plan_film import FPS, LONGEST_S, PlanFilm
 from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import Recorder
 
-SMALL = Look((192, 128), 5)
+SMALL = FilmOptions((192, 128), 5)
 QUICK = replace(SMALL, cameras=("grid",))
 RULES = Rules("physical")
 
@@ -49,7 +49,9 @@ def trajectory() -> Trajectory:
 # When frames are, and what is said.
 
 
-@pytest.mark.parametrize("look", [Look(fps=fps, speed=speed) for fps in (1, 30) for speed in (2.0, None)])
+@pytest.mark.parametrize(
+    "look", [FilmOptions(fps=fps, speed=speed) for fps in (1, 30) for speed in (2.0, None)]
+)
 def test_a_film_begins_with_the_first_sample_and_ends_with_the_last(trajectory, look):
     times = pace_of(trajectory, look).times
     assert (times[0], times[-1]) == pytest.approx((trajectory.time[0], trajectory.time[-1]))
@@ -57,7 +59,7 @@ def test_a_film_begins_with_the_first_sample_and_ends_with_the_last(trajectory, 
 
 
 def test_an_adapted_film_is_slow_where_something_is_lifted_and_fast_where_nobody_acts(trajectory):
-    pace = pace_of(trajectory, Look())
+    pace = pace_of(trajectory, FilmOptions())
     _, lift = trajectory.story.attempts
     ends_s = lift.start_s + lift.duration_s
     lifting = (pace.times > lift.start_s + 0.5) & (pace.times < ends_s - 0.5)
@@ -66,21 +68,21 @@ def test_an_adapted_film_is_slow_where_something_is_lifted_and_fast_where_nobody
     film_s = 2 * np.diff(pace.times) / (pace.factors[:-1] + pace.factors[1:])
     assert film_s[:-1].mean() == pytest.approx(1 / 30, rel=0.02), "the factor is the one that is shown"
     close = replace(trajectory, time=1e-300 * np.arange(len(trajectory)))
-    assert len(pace_of(close, Look()).times) == 1, "smoothing does not take all of the memory"
+    assert len(pace_of(close, FilmOptions()).times) == 1, "smoothing does not take all of the memory"
 
 
 def test_an_adapted_film_shows_the_end_of_a_failed_action_in_slow_motion(trajectory):
     attempts = [replace(attempt, result="unsafe") for attempt in trajectory.story.attempts]
     failed = replace(trajectory, story=replace(trajectory.story, attempts=tuple(attempts)))
-    pace, plain = (pace_of(one, Look()) for one in (failed, trajectory))
+    pace, plain = (pace_of(one, FilmOptions()) for one in (failed, trajectory))
     ends_s = [attempt.start_s + attempt.duration_s for attempt in attempts]
     assert np.interp(ends_s, pace.times, pace.factors).max() < 1.0 < plain.factors.min()
 
 
 def test_a_fitted_film_has_its_length_and_is_never_slower_than_life(trajectory):
-    times = pace_of(trajectory, Look(length_s=2.0)).times
+    times = pace_of(trajectory, FilmOptions(length_s=2.0)).times
     assert (len(times), times[-1] < trajectory.time[-1] + 1e-9) == (60, True)
-    assert pace_of(trajectory, Look(length_s=100.0)).factors[0] == 1.0
+    assert pace_of(trajectory, FilmOptions(length_s=100.0)).factors[0] == 1.0
 
 
 def test_captions_say_what_a_car_does_and_then_what_came_of_it(trajectory):
@@ -138,7 +140,7 @@ def test_views_fill_the_frame_as_far_as_their_shapes_allow(layout):
 @pytest.mark.parametrize("camera", ["overview", "top"])
 def test_insets_hide_none_of_the_area_and_go_into_a_column_where_they_would(trajectory, camera):
     size = (1280, 720)
-    frames = Frames(trajectory, Look(size, cameras=(camera, "grid"), layout="inset"))
+    frames = Frames(trajectory, FilmOptions(size, cameras=(camera, "grid"), layout="inset"))
     (first, _), (inset, _) = frames._panes[0]._views
     frames.close()
     aspect = first.width / first.height
@@ -164,7 +166,7 @@ def test_trajectories_side_by_side_show_the_same_time_and_the_shorter_one_its_en
     cut = trajectory.at(0.5 * float(trajectory.time[-1]))
     names = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
     short = replace(trajectory.titled("short"), **{name: getattr(trajectory, name)[:cut] for name in names})
-    look = Look((192, 96), 5, captions=False, speed=1.0)
+    look = FilmOptions((192, 96), 5, captions=False, speed=1.0)
     both, alone = Frames([short, trajectory], look), Frames(trajectory, replace(look, size=(94, 96)))
     moments_s = trajectory.time[[cut - 1, -1]].tolist()
     early, late = map(both.at, moments_s)

@@ -19,7 +19,7 @@ from craftsim.errors import InputError
 from craftsim.studies.report import conclusions, runs_table
 from craftsim.studies.runs import RUNS, train_and_evaluate
 from craftsim.studies.study import SHIPPED, Study, read_study
-from craftsim.training.curve import CURVE_FILE, Point, read_last, write_curve
+from craftsim.training.curve import CURVE_FILE, CurvePoint, read_last, write_curve
 
 TEXT = """
 title: Tiny
@@ -76,7 +76,9 @@ def test_progress_says_how_far_each_run_is(tiny, tmp_path, monkeypatch):
     with train_command.watching(study, tmp_path, 2) as on_record:
         (tmp_path / "runs" / first.key).mkdir(parents=True)
         _wait_for("0 of 2 runs done, 0 reached 0.99; strip/ippo/0: no evaluation yet", said)
-        write_curve(tmp_path / "runs" / first.key / CURVE_FILE, [Point(20, 5, 0.0, 1.0, 1, 0, 1, steps=1200)])
+        write_curve(
+            tmp_path / "runs" / first.key / CURVE_FILE, [CurvePoint(20, 5, 0.0, 1.0, 1, 0, 1, steps=1200)]
+        )
         _wait_for("strip/ippo/0: 1,200 of at most 400 steps, success 0.25", said)
         on_record({"key": first.key, "agrees": True})
         (tmp_path / "runs" / second.key).mkdir(parents=True)

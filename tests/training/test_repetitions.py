@@ -5,7 +5,7 @@ import pytest
 
 from craftsim.cli import main
 from craftsim.training.config import TrainConfig
-from craftsim.training.curve import Played
+from craftsim.training.curve import EvaluationResult
 from craftsim.training.repetitions import Repetitions
 from craftsim.training.trainer import Trainer
 
@@ -34,8 +34,8 @@ def test_another_design_is_another_start():
 
 
 def test_one_start_has_no_interval():
-    assert Played(1000, 1000, 1.0, 1.0, 1, 1, 1).interval is None
-    low, high = Played(1000, 1000, 1.0, 1.0, 1000, 1000, 1000).interval
+    assert EvaluationResult(1000, 1000, 1.0, 1.0, 1, 1, 1).interval is None
+    low, high = EvaluationResult(1000, 1000, 1.0, 1.0, 1000, 1000, 1000).interval
     assert 0.995 < low < high == pytest.approx(1.0)
 
 

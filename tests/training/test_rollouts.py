@@ -12,7 +12,14 @@ from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.training.features import Encoder
 from craftsim.training.learner import drawn, drawn_offers
 from craftsim.training.novelty import BUCKETS, NoveltyWorlds
-from craftsim.training.rollouts import AsynchronousWorlds, Distinct, GridWorlds, PhysicsWorlds, Seen, play
+from craftsim.training.rollouts import (
+    AsynchronousWorlds,
+    GridWorlds,
+    PhysicsWorlds,
+    Seen,
+    UniqueObservations,
+    play,
+)
 from craftsim.training.shape import Shape
 from craftsim.training.trainer import TrainConfig, Trainer
 
@@ -99,7 +106,7 @@ def test_a_car_that_can_do_nothing_is_offered_stop():
 def test_rows_are_the_same_exactly_where_all_their_columns_are():
     rows = torch.tensor([[1, 2], [1, 2], [2, 1], [1, 2], [1, -2]], dtype=torch.int32)
     flags = torch.tensor([[True], [True], [True], [False], [True]])
-    distinct = Distinct(Seen(rows, flags))
+    distinct = UniqueObservations(Seen(rows, flags))
     assert len(distinct.seen.places) == 4
     assert torch.equal(distinct.seen.places[distinct.inverse], rows)
     assert torch.equal(distinct.seen.offers[distinct.inverse], flags)
@@ -109,7 +116,7 @@ def test_what_the_network_says_of_distinct_worlds_it_says_of_all():
     trainer = Trainer(TrainConfig("strip", worlds=20, width=8))
     with torch.random.fork_rng():
         seen = trainer.play(0).now.flat()
-    net, distinct = trainer.learner.net, Distinct(seen)
+    net, distinct = trainer.learner.net, UniqueObservations(seen)
     assert len(distinct.seen.places) < len(seen.places)
     assert torch.allclose(net(distinct.seen)[distinct.inverse], net(seen), atol=1e-6)
 

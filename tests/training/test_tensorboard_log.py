@@ -4,12 +4,12 @@ import pytest
 
 from craftsim.cli import main
 from craftsim.errors import InputError
-from craftsim.training.curve import Point
+from craftsim.training.curve import CurvePoint
 from craftsim.training.tensorboard_log import FOLDER, TensorboardLog
 
 
 def _point(steps):
-    return Point(10, steps // 100, 0.5, 12.0, 1, 0, 3, steps=steps)
+    return CurvePoint(10, steps // 100, 0.5, 12.0, 1, 0, 3, steps=steps)
 
 
 def test_every_point_is_there_once_after_a_run_went_on(tmp_path):

@@ -2,7 +2,7 @@
 
 from contextlib import contextmanager
 
-from craftsim.experiments.experiment import Done, make_record
+from craftsim.experiments.experiment import Result, make_record
 from craftsim.tuning.tune import Job
 
 BEST = {"board.gain": 40.0, "board.acceleration": 1.0}
@@ -44,7 +44,7 @@ class AnalyticSession:
             trials = trials_of(job)
             if self.lose(job):
                 trials = [{**trial, "agrees": False} for trial in trials]
-            done = Done(True, trials, extra={"gains": dict(job.values) | self.other})
+            done = Result(True, trials, extra={"gains": dict(job.values) | self.other})
             records.append(make_record(self.items[number], number, done))
             on_record(records[-1])
         return records

@@ -97,7 +97,7 @@ PLANTS: Final = (
 
 
 @dataclass(frozen=True)
-class Look:
+class FilmOptions:
     """What a quick audit of a plant found."""
 
     changed: int
@@ -119,7 +119,7 @@ def copy_of(package: Path, place: Path, plant: Plant) -> Path:
     return source
 
 
-def look(plant: Plant, allowed: dict[str, str]) -> Look:
+def look(plant: Plant, allowed: dict[str, str]) -> FilmOptions:
     """Audit a plant quickly; ``allowed`` has the situations that the rules allow without it."""
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
@@ -136,7 +136,7 @@ def look(plant: Plant, allowed: dict[str, str]) -> Look:
         planted = situations(place)
     legal = {f"{row['action']}/{row['context']}": row["verdict"] for row in rows if row["legal"]}
     new = {row for situation, row in planted.items() if situation not in allowed}
-    return Look(
+    return FilmOptions(
         changed=len(new),
         tried=len(new & set(legal)),
         unsound=tuple(name for name, verdict in legal.items() if verdict == "unsound"),

@@ -19,12 +19,12 @@ from craftsim.experiments.bundle import read_bundle
 from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.replay import replay
 from craftsim.validation.audit import (
-    Judgement,
-    Trial,
+    AuditTrial,
+    RuleVerdict,
     audit_rows,
-    items_of,
     judge,
     run_audit,
+    trials_of,
     try_it,
     verdict_counts,
 )
@@ -67,7 +67,7 @@ def found(plan, tmp_path_factory):
 def test_a_trial_alone_and_in_any_order_is_the_trial_of_the_campaign(plan, found):
     recorded = {record["key"]: record for record in found.records}
     assert all(record["error"] is None for record in found.records)
-    items = [item for item in items_of(plan, 2, 0, SETUP) if item.job][::-1]
+    items = [item for item in trials_of(plan, 2, 0, SETUP) if item.job][::-1]
     for item in items[::3]:
         done = try_it(item.job)
         assert recorded[item.key]["agrees"] == done.agrees
@@ -167,14 +167,14 @@ def _of(verb):
 def test_a_sample_of_what_physical_allows_succeeds_on_rollers(verb):
     mine, wanted = _of(verb), 6 if verb == "MOVE" else 2
     for situation in mine[:: max(1, len(mine) // wanted)][:wanted]:
-        done = try_it(Trial(situation, True, 0, 1, setup_of("none")))
+        done = try_it(AuditTrial(situation, True, 0, 1, setup_of("none")))
         assert done.agrees, (situation.id, done)
         assert done.attempts[0].agrees
 
 
 def test_an_error_beyond_its_limit_is_a_failure_with_a_reason():
     strict = replace(SETUP, thresholds=Thresholds(car_m=-1.0))
-    done = try_it(Trial(_of("DROP")[0], True, 0, 0, strict))
+    done = try_it(AuditTrial(_of("DROP")[0], True, 0, 0, strict))
     (attempt,) = done.attempts
     assert (done.agrees, attempt.result, attempt.finding) == (False, "failed", "agrees")
     assert attempt.reason.startswith("the car is ")
@@ -182,7 +182,9 @@ def test_an_error_beyond_its_limit_is_a_failure_with_a_reason():
 
 def test_each_trial_of_a_situation_has_its_own_noise_and_physics():
     setup, stop = setup_of("strong", drive="reduced"), _of("STOP")[0]
-    first, second, again = (try_it(Trial(stop, True, number, 0, setup)).attempts[0] for number in (0, 1, 0))
+    first, second, again = (
+        try_it(AuditTrial(stop, True, number, 0, setup)).attempts[0] for number in (0, 1, 0)
+    )
     assert first == again
     assert first.car_error_m != second.car_error_m
 
@@ -190,12 +192,12 @@ def test_each_trial_of_a_situation_has_its_own_noise_and_physics():
 @pytest.mark.parametrize(
     ("legal", "has_prediction", "trials", "good", "verdict"),
     [
-        (True, True, 20, 19, Judgement.SOUND),
-        (True, True, 20, 18, Judgement.UNSOUND),
-        (False, True, 20, 19, Judgement.CONSERVATIVE),
-        (False, True, 20, 0, Judgement.RIGHTLY_FORBIDDEN),
-        (False, False, 0, 0, Judgement.NO_PREDICTION),
-        (True, True, 0, 0, Judgement.NOT_TRIED),
+        (True, True, 20, 19, RuleVerdict.SOUND),
+        (True, True, 20, 18, RuleVerdict.UNSOUND),
+        (False, True, 20, 19, RuleVerdict.CONSERVATIVE),
+        (False, True, 20, 0, RuleVerdict.RIGHTLY_FORBIDDEN),
+        (False, False, 0, 0, RuleVerdict.NO_PREDICTION),
+        (True, True, 0, 0, RuleVerdict.NOT_TRIED),
     ],
 )
 def test_verdicts(legal, has_prediction, trials, good, verdict):
@@ -226,5 +228,5 @@ def test_no_record_is_lost():
     rows = audit_rows(records)
     counts = verdict_counts(rows)
     assert len(rows) == sum(counts.values()) == len({r["group"] for r in records})
-    assert all(counts[verdict] for verdict in Judgement if verdict is not Judgement.NOT_TRIED)
-    assert all(not row.has_prediction for row in rows if row.verdict == Judgement.NO_PREDICTION)
+    assert all(counts[verdict] for verdict in RuleVerdict if verdict is not RuleVerdict.NOT_TRIED)
+    assert all(not row.has_prediction for row in rows if row.verdict == RuleVerdict.NO_PREDICTION)

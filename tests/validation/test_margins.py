@@ -12,7 +12,7 @@ from craftsim import cli
 from craftsim.checking.attempt import Thresholds
 from craftsim.checking.setup import RANDOMIZE, Setup, imperfect, setup_of
 from craftsim.models.randomization import NONE, DomainRandomization
-from craftsim.validation.imperfections import axes, axes_of
+from craftsim.validation.imperfections import axes, imperfections_of
 from craftsim.validation.margins import (
     BASE,
     CHOSEN,
@@ -20,7 +20,7 @@ from craftsim.validation.margins import (
     SHARE,
     TRIALS,
     MarginSearch,
-    Rig,
+    ScenarioSetup,
     confidence,
     find,
     scenarios,
@@ -33,7 +33,7 @@ NOMINAL = setup_of("none", drive="reduced")
 
 @pytest.mark.parametrize("scenario", CHOSEN, ids=lambda one: one.name)
 def test_every_scenario_is_legal_and_stood_without_imperfections(scenario):
-    attempts, reason = Rig(scenario, NOMINAL, 3).attempt(0)
+    attempts, reason = ScenarioSetup(scenario, NOMINAL, 3).attempt(0)
     assert attempts
     assert reason == ""
 
@@ -44,7 +44,10 @@ def test_names_of_scenarios_are_their_own():
 
 
 def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
-    rig, (axis,) = Rig(scenarios("lift a block")[0], NOMINAL, 0), axes_of(["position-bias"])
+    rig, (axis,) = (
+        ScenarioSetup(scenarios("lift a block")[0], NOMINAL, 0),
+        imperfections_of(["position-bias"]),
+    )
     found = find(MarginSearch(rig, (axis,), 7)).extra
     assert found["end"] == "edge"
     assert all(not rig.attempt(number, [(axis, found["margin"])])[1] for number in range(7))
@@ -52,8 +55,8 @@ def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
 
 
 def test_an_imperfection_that_changes_nothing_has_no_effect():
-    rig = Rig(scenarios("move unloaded")[0], NOMINAL, 0)
-    found = find(MarginSearch(rig, axes_of(["hinge-bias"]), 7)).extra
+    rig = ScenarioSetup(scenarios("move unloaded")[0], NOMINAL, 0)
+    found = find(MarginSearch(rig, imperfections_of(["hinge-bias"]), 7)).extra
     assert (found["end"], found["tried"]) == ("no effect", 6)
 
 
@@ -84,9 +87,10 @@ def test_a_report_holds_margins_maps_and_bundles_that_replay(searched, capsys):
 def test_a_search_finds_the_same_in_any_process(searched):
     out, _ = searched
     first = json.loads((out / "trials.jsonl").read_text().splitlines()[0])
-    (axis,) = axes_of(["position-bias"])
+    (axis,) = imperfections_of(["position-bias"])
     assert (
-        find(MarginSearch(Rig(scenarios("lift a block")[0], NOMINAL, 2), (axis,), 1)).extra == first["extra"]
+        find(MarginSearch(ScenarioSetup(scenarios("lift a block")[0], NOMINAL, 2), (axis,), 1)).extra
+        == first["extra"]
     )
 
 
@@ -206,7 +210,7 @@ def test_an_axis_changes_its_figure_and_those_that_go_with_it_alone():
 
 
 def test_values_are_preferred_numbers_with_units():
-    (axis,) = axes_of(["position-bias"])
+    (axis,) = imperfections_of(["position-bias"])
     assert [axis.text(value) for value in axis.levels[:4]] == ["0.2 mm", "0.224 mm", "0.25 mm", "0.28 mm"]
     assert axis.text(axis.levels[-1]) == "20 mm"
 
@@ -218,6 +222,6 @@ def test_limits_widen_for_the_world_alone_and_not_twice(preset):
     there, back = imperfect(setup, NONE), imperfect(imperfect(setup, NONE), setup.randomization)
     assert there.thresholds.car_m == pytest.approx(RANDOMIZE[preset][0].car_m)
     assert back.thresholds.height_m == pytest.approx(setup.thresholds.height_m)
-    (bias,) = axes_of(["position-bias"])
+    (bias,) = imperfections_of(["position-bias"])
     biased = imperfect(Setup(), bias.on(DomainRandomization(), 0.006))
     assert biased.thresholds.placed_m == pytest.approx(Thresholds().placed_m + 0.006)

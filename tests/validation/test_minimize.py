@@ -22,7 +22,13 @@ from craftsim.validation.counterexample import (
     pieces_of,
     without,
 )
-from craftsim.validation.minimize import DependsError, Situated, failing_actions, first_of_each_kind, shrink
+from craftsim.validation.minimize import (
+    FailingAction,
+    NotReproducibleError,
+    failing_actions,
+    first_of_each_kind,
+    minimize,
+)
 
 BLOCK, FSLOPE, BODY, AIR = Kind.BLOCK, Kind.FSLOPE, Kind.BODY, Kind.AIR
 
@@ -93,7 +99,7 @@ def test_a_crop_keeps_every_cell_inside():
 
 
 def test_only_what_the_failure_needs_is_left():
-    found = shrink(Situated(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED))
+    found = minimize(FailingAction(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED))
     assert found.minimal
     left = pieces_of(found.grid)
     assert [(piece.is_car, piece.load) for piece in left] == [(True, BLOCK), (True, AIR)]
@@ -105,14 +111,14 @@ def test_only_what_the_failure_needs_is_left():
 
 def test_the_search_ends_when_the_trials_are_used_up():
     tried = []
-    found = shrink(Situated(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED), tried.append, most=2)
+    found = minimize(FailingAction(CROWDED, 0, Action.ROTATE_LEFT, PUBLISHED), tried.append, most=2)
     assert not found.minimal
     assert len(tried) == found.trials == 2
 
 
 def test_what_works_from_a_fresh_start_is_said_to_depend_on_what_went_before():
-    with pytest.raises(DependsError, match="depends on what went before"):
-        shrink(Situated(CROWDED, 0, Action.STOP, PUBLISHED))
+    with pytest.raises(NotReproducibleError, match="depends on what went before"):
+        minimize(FailingAction(CROWDED, 0, Action.STOP, PUBLISHED))
 
 
 def test_the_first_of_each_kind_is_shrunk():

@@ -14,7 +14,7 @@ from craftsim.checking.setup import Setup
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
-from craftsim.experiments.experiment import Item
+from craftsim.experiments.experiment import Trial
 from craftsim.experiments.statistics import campaign_figures
 from craftsim.rendering.trajectory import TRAJECTORIES, Recorder
 from craftsim.reports import html
@@ -265,7 +265,7 @@ def test_recorded_runs_are_drawn_those_first_that_disagree_and_a_damaged_one_is_
     for name, result in {"one": Verdict.AS_PREDICTED, "two": Verdict.FAILED, "bad": Verdict.FAILED}.items():
         trajectory.write(tmp_path / TRAJECTORIES / f"{name}.npz")
         job = SimpleNamespace(file_name=name, terms=SimpleNamespace(record=True))
-        items.append(Item(f"<b>{name}", "planner", 0, job))
+        items.append(Trial(f"<b>{name}", "planner", 0, job))
         records.append(record(name, attempt(result)))
     (tmp_path / TRAJECTORIES / "bad.npz").write_bytes(b"PK")
     page = page_of(tmp_path, validate_report(tmp_path, records, items=items))

@@ -176,7 +176,7 @@ class ViewerPage:
         """The browsers that look on."""
         return tuple(self._server.get_clients().values())
 
-    def complain(self, text: str) -> None:
+    def print_error(self, text: str) -> None:
         """Show what is wrong to everybody."""
         for client in self.clients:
             client.add_notification("This cannot be shown", text, color="red")

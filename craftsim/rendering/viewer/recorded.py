@@ -117,7 +117,7 @@ class RecordedView(Controls):
         try:
             self._open(run)
         except InputError as error:
-            self._page.complain(str(error))
+            self._page.print_error(str(error))
 
     def _open(self, name: str) -> None:
         trajectory = self._runs[name]()

@@ -7,12 +7,12 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from craftsim.experiments.experiment import Done, Experiment, Item
+from craftsim.experiments.experiment import Experiment, Result, Trial
 
 
 def items(n, **jobs):
     """Return n items; ``jobs`` gives some of them, by ``i`` and their number, something else to do."""
-    return [Item(f"item {i}", f"group {i % 2}", 7, (i, jobs.get(f"i{i}", "add"))) for i in range(n)]
+    return [Trial(f"item {i}", f"group {i % 2}", 7, (i, jobs.get(f"i{i}", "add"))) for i in range(n)]
 
 
 def experiment(n_or_items, command="test", config=None, **options):
@@ -35,13 +35,13 @@ def work(job):
         case "die":
             os.kill(os.getpid(), signal.SIGKILL)
         case "nan":
-            return Done(False, [{"error_m": float("nan")}])
+            return Result(False, [{"error_m": float("nan")}])
         case "disk":
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "bundles/one")
         case "large":
-            return Done(True, [{"sum": number / 3, "text": "x" * 400}] * 60)
+            return Result(True, [{"sum": number / 3, "text": "x" * 400}] * 60)
         case ("text", int() as length):
-            return Done(True, [{"text": "x" * length}])
+            return Result(True, [{"text": "x" * length}])
         case "slow":
             time.sleep(0.02)
         case ("slow while", Path() as mark) if mark.exists():
@@ -52,7 +52,7 @@ def work(job):
         case ("touch", Path() as mark):
             mark.touch()
             time.sleep(3600)
-    return Done(True, [{"sum": number / 3}], extra={"number": number})
+    return Result(True, [{"sum": number / 3}], extra={"number": number})
 
 
 def left_in(folder, item):

@@ -18,7 +18,7 @@ from statistics import median
 import cheap_work
 
 from craftsim.checking.setup import setup_of
-from craftsim.experiments.experiment import Experiment, Item, RunOptions, TrialRecord
+from craftsim.experiments.experiment import Experiment, RunOptions, Trial, TrialRecord
 from craftsim.experiments.session import run_experiment
 from craftsim.validation.choice import PLAY, items_of, policy_pilot, subjects_of
 from craftsim.validation.policies import RANDOM
@@ -92,7 +92,7 @@ def _read(path: Path) -> str:
 
 
 def _soak(
-    what: str, items: Sequence[Item], work: Callable[..., object], memory: Memory, batch: int = 1
+    what: str, items: Sequence[Trial], work: Callable[..., object], memory: Memory, batch: int = 1
 ) -> None:
     with tempfile.TemporaryDirectory() as folder, contextlib.suppress(_EnoughError):
         options = RunOptions(WORKERS, progress=lambda total: contextlib.nullcontext(memory.on_record))

@@ -13,7 +13,7 @@ import pytest
 from sessions import cut_off, make_old, manifest_of, put
 
 from craftsim.errors import InputError
-from craftsim.experiments.experiment import Item, RunOptions, answer_of, text_of
+from craftsim.experiments.experiment import RunOptions, Trial, answer_of, text_of
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.session import open_session, run_experiment
 from craftsim.storage.limits import MAX_ERROR_CHARACTERS, TRIALS
@@ -144,7 +144,7 @@ def test_a_damaged_manifest_is_refused(unfinished, change):
 
 
 def test_what_utf_8_cannot_say_is_recorded_as_an_escape_and_read_back(tmp_path):
-    odd = [Item("caf\udce9/0", "group \udce9", 7, (0, "odd"), "caf\udce9")]
+    odd = [Trial("caf\udce9/0", "group \udce9", 7, (0, "odd"), "caf\udce9")]
     own = cheap_work.experiment(odd, "validate", {"worlds": {"caf\udce9": "shipped"}})
     (record,) = run_experiment(own, tmp_path)
     assert record["key"] == "caf\\udce9/0"

@@ -15,7 +15,7 @@ import pytest
 from sessions import cut_off, make_old, put
 
 from craftsim.errors import InputError
-from craftsim.experiments.experiment import Done, Failure, RunOptions
+from craftsim.experiments.experiment import Failure, Result, RunOptions
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.session import open_session, run_experiment
 
@@ -90,11 +90,11 @@ def test_what_goes_wrong_is_the_answer_and_harms_no_other(tmp_path):
         4: "no answer within 1 s",
         7: "SystemExit: 3",
     }
-    assert answers[6] == Done(True, [{"sum": 2.0}], extra={"number": 6})
+    assert answers[6] == Result(True, [{"sum": 2.0}], extra={"number": 6})
     # What was done is not done again when the run goes on.
     again = _map(tmp_path, cheap_work.items(8, i0="die", i2="die"), RunOptions(resume=True))
     assert [again[0], again[2]] == [answers[0], answers[2]]
-    assert again[1] == Done(True, [{"sum": 1 / 3}], extra={"number": 1})
+    assert again[1] == Result(True, [{"sum": 1 / 3}], extra={"number": 1})
     with pytest.raises(InputError, match=r"bundles/one: No space left on device; .*--resume"):
         _map(tmp_path / "full", cheap_work.items(3, i1="disk"))
 

@@ -31,7 +31,7 @@ from craftsim.experiments.bundle import (
     write_bundle,
 )
 from craftsim.experiments.replay import replay
-from craftsim.validation.audit import Trial, recipe_of, try_it
+from craftsim.validation.audit import AuditTrial, recipe_of, try_it
 from craftsim.validation.recording import record_bundle
 
 
@@ -130,7 +130,7 @@ def test_what_comes_out_otherwise_gets_no_bundle(calm, tmp_path):
 def test_the_recipe_of_a_trial_is_the_trial():
     scene = next(one for one in SCENES if one.legal(Rules("physical")))
     for randomize in ("none", "strong"):
-        trial = Trial(scene, True, 3, 7, setup_of(randomize, drive="reduced"))
+        trial = AuditTrial(scene, True, 3, 7, setup_of(randomize, drive="reduced"))
         assert _perform(recipe_of(trial)) == try_it(trial).attempts
 
 

@@ -172,25 +172,42 @@ def test_a_car_on_the_foot_of_a_slope_or_on_its_body_stands_on_that_slope():
         assert under(reading, yard(goal), 0) == ([0] if stands else [])
 
 
-def test_a_stack_that_sways_under_a_car_on_its_way_is_held_against_no_other_action():
-    """A loaded car drives fast over two stacks of four blocks, which give way by a millimetre meanwhile."""
+def _swaying_stacks():
+    """Return a judge on two stacks of four blocks with a loaded car on top, and how far the last block is off."""
     stacks = [(Kind.BLOCK, (x, 0, z)) for x in (0, 1) for z in (1, 2, 3, 4)]
     grid = draw((4, 2, 5), stacks, [(0, 0, 5, 0, Kind.FSLOPE, 2), (3, 1, 1, 0)])
     gains = nominal_gains()
     judge = set_up(grid, Setup(gains=replace(gains, drive=replace(gains.drive, rocking=9.0)), assumed=EXACT))
+    physics = judge.physics
+    start = physics.free_body_state(physics.blocks[7])[0]
+    return judge, lambda: float(np.linalg.norm(physics.free_body_state(physics.blocks[7])[0] - start))
+
+
+def test_a_stack_that_sways_under_a_car_on_its_way_is_held_against_no_other_action():
+    """A loaded car drives fast over two stacks, which give way by a millimetre meanwhile."""
+    judge, sway_m = _swaying_stacks()
     swayed = []
-
-    def note(physics):
-        top = physics.data.qpos[physics.blocks[7].qpos : physics.blocks[7].qpos + 3]
-        swayed.append(float(np.linalg.norm(top - start)))
-
-    start = judge.physics.free_body_state(judge.physics.blocks[7])[0]
-    judge.executor.observers.append(note)
+    judge.executor.observers.append(lambda physics: swayed.append(sway_m()))
     drive, turn = judge.perform_tick([(0, RIGHT), (1, Action.ROTATE_LEFT)], order="concurrent")
     assert max(swayed) > judge.thresholds.bystander_m > swayed[-1]
     assert swayed[round(turn.duration_s / 0.02)] > judge.thresholds.bystander_m
     assert drive.agrees
     assert turn.agrees
+
+
+def test_what_sways_when_an_action_begins_is_held_against_no_action():
+    """The same, and a turn that begins while the stacks give way and ends when they are back."""
+    judge, sway_m = _swaying_stacks()
+    begin(judge, 0, RIGHT)
+    while sway_m() < judge.thresholds.bystander_m:
+        judge.next(judge.physics.time_s + 0.02)
+    begin(judge, 1, Action.ROTATE_LEFT)
+    attempts = []
+    while judge.running:
+        attempts += judge.next()
+    assert [attempt.car for attempt in attempts] == [0, 1]
+    assert sway_m() < judge.thresholds.bystander_m
+    assert all(attempt.agrees for attempt in attempts)
 
 
 def test_the_schedule_of_a_plan_makes_the_same_attempts_one_by_one():

@@ -57,41 +57,38 @@ def bench(
     chance: Seeded = Seeded(),  # noqa: B008
     out: OptionalDir = None,
 ) -> int:
-    """Measure how fast the rules, the environments or the physics are here, or how plans and policies are executed.
+    """Benchmark the rules, the environments, the physics, the execution of plans and policies, or text builders.
 
-    Speeds are steps a CPU second of masked random play, resets included; a step is one tick of one world, with the
-    masks of all cars for the next one. A calibration in plain Python is timed in turns with each: "CraftEnv" is an
-    estimate from it of what CraftEnv would do here and now, "times" the ratio. The repository has more benchmarks:
-    `make bench`.
+    Speeds are steps per CPU second of masked random play, including resets; a step is one tick of one world, with the
+    masks of all cars for the next one. A calibration in plain Python runs in turns with each: "CraftEnv" is an estimate
+    from it of what CraftEnv would do on this machine now, "times" the ratio. `make bench` runs more benchmarks.
 
     rules: the rules alone; "helper" adds the action helper's search and the global observation of every car.
 
     env: the grid through PettingZoo and in batches.
 
-    physics: joint steps through PettingZoo on either drive.
+    physics: joint steps through PettingZoo with either drive.
 
-    execution: makespans in physics of the plans of the six tasks and of random designs: one action after the other,
-    tick after tick, and each action as early as those that it depends on have ended, beside the predicted makespans.
-    Of policies instead: their success on the grid and in physics, where all cars decide together, tick by tick, and
-    where each decides when its own action has ended: on the reduced drive with mild randomization, and as robots on
-    rollers, on a workshop_floor, behind a network (delay 30 ms, jitter 10 ms, loss 2 % each way), which takes most of
-    the time. Paired starts.
+    execution: makespans in physics of the plans of the six tasks and of random designs, sequential, tick by tick and
+    concurrent, beside the predicted makespans. With policies: their success in synchronous and asynchronous execution
+    on the grid and in physics, on the reduced drive with mild randomization, and at most 10 episodes as robots on
+    rollers, on a workshop floor, behind a network (delay 30 ms, jitter 10 ms, loss 2 % each way). Starts are paired.
 
-    builders: how much of 30 held-out designs is built by who reads the world and answers in words, a language model
-    for instance, as 'module:function' from two texts to an answer; beside random play, the planner and a shipped
-    policy. Contact physics, reduced drive, mild randomization; with --out and --resume it goes on.
+    builders: the share of 30 held-out designs that builders complete which read the world as text and answer in text,
+    such as language models, given as 'module:function' from two texts to an answer; beside random play, the planner and
+    a shipped policy. Contact physics, reduced drive, mild randomization; can be resumed.
 
     Args:
         what: what to measure.
-        policies: shipped or trained policies to execute in place of plans; of builders random, planner, designs, and
-            whoever answers, the first three unless given.
-        rules: the rule set to run; rules only.
-        worlds: how many a batch has, 1000 unless given; of execution how many random designs are built besides the six
-            tasks, none unless given, or how many episodes each policy has in each mode, 100 unless given; of builders
-            how many designs of each difficulty, 10 unless given, and at most.
-        seconds: how long each measurement runs.
-        out: folder for report.json, and for the table in Markdown; of policies also for starts-POLICY.npz, worlds at
-            drawn times of their asynchronous episodes in mild physics, for 'craftsim train --set starts=FILE'.
+        policies: for execution shipped or trained policies, instead of plans; for builders random, planner, designs, or
+            'module:function'; default: the first three.
+        rules: rule set; for rules only.
+        worlds: size of a batch, default 1000; for execution the number of random designs, default 0, or the number of
+            episodes of each policy and mode, default 100; for builders the number of designs of each difficulty, at
+            most and by default 10.
+        seconds: duration of each measurement.
+        out: folder for report.json and the table in Markdown; with policies also for starts-POLICY.npz, worlds at
+            random times of their asynchronous episodes in mild physics, for 'craftsim train --set starts=FILE'.
     """
     from craftsim.cli.calibration import COLUMNS, measure
     from craftsim.reports.json_file import document
@@ -258,10 +255,10 @@ class Check:
 
 @owning
 def doctor(*, out: OptionalDir = None) -> int:
-    """Say what works on this machine, and the command that fixes what does not.
+    """Check physics, rendering and packages on this machine, and print the commands that fix problems.
 
-    Physics and rendering are really tried, each in a process of its own. Exit status 0 when physics runs, even if
-    films cannot be made, 2 when it does not.
+    Physics and rendering are tried in separate processes. Exit status: 0 if physics works, even without rendering, 2 if
+    not.
 
     Args:
         out: folder for report.json.

@@ -33,22 +33,22 @@ def serve(
     physics: Physics = Physics(),  # noqa: B008
     out: Dir = Path("out/robot"),
 ) -> int:
-    """Simulate robots in the world of a task, and let who connects drive them: craftsim demo --robot ADDRESS.
+    """Simulate robots in the world of a task, and serve them on a network: 'craftsim demo --robot ADDRESS' drives them.
 
-    It says at which address they are reached, and serves them until Ctrl-C. Exit status 0 then, and 2 for wrong input.
+    Prints the address, and serves them until Ctrl-C. Exit status: 0, or 2 for invalid input.
 
     Args:
-        task: whose start is their world: a shipped task's name, a start or task file, or 'module:factory'.
-        host: address to listen on. Only this machine reaches the usual one; there is no password.
-        port: 0 takes one that is free.
-        delay_ms: how long the network takes for a message, in each direction; drawn from the seed, as the two below.
-        jitter_ms: half-width of the uniform distribution around it.
-        loss: share of the messages that never come.
-        pace: seconds of the robots' time in a second.
-        lockstep: let their time stand still until each measurement has been answered: the same seed then gives the
-            same run, however slow the machine is.
-        timeout: how long they wait for an answer in lock-step, before their time goes on without.
-        once: end when who has driven them says goodbye, or has closed the connection.
+        task: world of the robots: the name of a task, a start or task file, or 'module:factory'.
+        host: address to listen on; the default is reachable from this machine only. There is no password.
+        port: port; 0 takes a free one.
+        delay_ms: network delay of a message in each direction; drawn from the seed, as jitter and loss.
+        jitter_ms: half-width of the uniform distribution of the delay.
+        loss: share of lost messages.
+        pace: seconds of the robots' time per second.
+        lockstep: stop the robots' time until each measurement has been answered, so that a seed gives the same run on
+            any machine.
+        timeout: time limit of an answer in lock-step, after which time goes on without it.
+        once: exit when the client disconnects.
         out: folder for report.json.
     """
     need_network()

@@ -3,7 +3,7 @@
 import gymnasium
 
 from craftsim import envs
-from craftsim.discrete import kinds
+from craftsim.discrete import kinds, schedule
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import registry
@@ -18,3 +18,4 @@ def forget():
     for name in list(registry._REGISTERED):
         gymnasium.registry.pop(envs.GYMNASIUM_IDS.pop(name), None)
         del registry._REGISTERED[name]
+    schedule._durations.cache_clear()

@@ -19,7 +19,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def log():
-    compiling.tell()
+    compiling.report_compiling()
     yield compiling.LOG
     for handler in list(compiling.LOG.handlers):
         compiling.LOG.removeHandler(handler)
@@ -63,4 +63,4 @@ def test_a_process_says_it_if_the_one_that_starts_it_does(told, request):
 
 
 def _answer(answers):
-    answers.put(compiling.is_told())
+    answers.put(compiling.reports_compiling())

@@ -41,7 +41,7 @@ def render(
     speed: Annotated[float | None, number(FILM_SPEED)] = None,
     at: Annotated[tuple[float, ...], number(MOMENT_S, "SECONDS")] = (),
     hide: tuple[Literal["ghost", "captions", "cards", "none"], ...] | None = None,
-    title: tuple[str, ...] = (),
+    title: Annotated[tuple[str, ...], Parameter(metavar="TITLE")] = (),
     run: Annotated[str | None, Parameter(metavar="NAME")] = None,
     carried: CarriedPlan = CarriedPlan(),  # noqa: B008
     policy: Annotated[str | None, Parameter(metavar="NAME")] = None,

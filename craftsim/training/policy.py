@@ -131,8 +131,12 @@ def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:
     Raises:
         InputError: the extra ``train`` is not installed, or the file is not a policy.
 
-    Example: >>> import craftsim >>> policy = craftsim.load_policy(trained)  # what `craftsim train --out` wrote >>> env
-        = craftsim.parallel_env("strip", "grid") >>> sorted(policy(env.reset(seed=0)[0])) ['car_0', 'car_1']
+    Example:
+        >>> import craftsim
+        >>> policy = craftsim.load_policy(trained)  # what `craftsim train --out` wrote
+        >>> env = craftsim.parallel_env("strip", "grid")
+        >>> sorted(policy(env.reset(seed=0)[0]))
+        ['car_0', 'car_1']
     """
     need_torch()
     from craftsim.training.checkpoint import read_policy

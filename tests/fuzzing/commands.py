@@ -67,7 +67,7 @@ SLOTS = (
     *("render gone.npz --camera @", "render gone.npz --size @", "render . --run @ --out film.png"),
     *("render strip --plan @.plan --out film.png --gains gone.yaml", "render gone.npz --title @"),
     *("render strip --policy @.safetensors --out film.png --gains gone.yaml",),
-    *("render @.npz f/", "render @ f/", "render @{bundle.json} f/"),
+    *("render gone.npz --beside @.npz --out film.png", "render @.npz f/", "render @ f/", "render @{bundle.json} f/"),
     *("render @{trajectories/a.npz} f/", "render . f/ --run @"),
     *("validate --config @.yaml --baseline gone", "audit --config @ --baseline gone"),
     *("view @.npz", "view @.yaml --host 256.1.1.1", "view @ --host 256.1.1.1", "view gone.npz --host @"),

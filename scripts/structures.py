@@ -166,7 +166,7 @@ def figures_of(records: Sequence[dict[str, Any]], cars: int, drive: Drive | None
 
 
 def run(name: str, trials: int, drive: Drive | None, out: Path) -> dict[str, Any]:
-    """Do the first trials of a set, but for those that were done before, and return the figures of all that are."""
+    """Run the first trials of a set that have no result yet, and return the metrics of all finished ones."""
     structures, what = SETS[name], drive or "plan"
     items = [Trial(f"{name} {seed}", name, seed, Job(name, seed, drive)) for seed in range(structures.number)]
     config = {"size": structures.size, "cars": structures.cars, "drive": drive, "limit_s": LIMIT_S}

@@ -272,8 +272,8 @@ class Judge:
         lost_cars = self.executor.fleet.lost_cars
         self._stranded |= {one.step.car: one.own for one in over if one.step.car in lost_cars}
         swaying = {index for one in running.values() for index in one.below}
-        # What swayed under a car is back once that has ended; actions that began meanwhile saw it elsewhere:
-        # where it was put last is what ``drift_m`` holds it against.
+        # What swayed under a car is back once that has ended, or else that car's action is held responsible;
+        # actions that began meanwhile saw it elsewhere.
         self._drift.settle([self._n_cars + index for one in over for index in one.below])
         for one in over:
             rows = [self._n_cars + index for index in one.below]

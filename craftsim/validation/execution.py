@@ -1,7 +1,7 @@
-"""What it makes of plans and policies how their actions follow each other.
+"""The effect of execution on plans and policies.
 
-Plans take so long one action after the other, in ticks, and asynchronously, and as predicted; policies succeed so often
-where cars decide together and where each decides by itself, on the grid and in physics.
+Makespans of plans executed sequentially, in ticks and concurrently, beside the predicted ones; success of policies in
+synchronous and asynchronous execution, on the grid, in physics, and behind a network.
 """
 
 from __future__ import annotations
@@ -300,7 +300,7 @@ def policies_report(
             some = [answered(found[one]) for one in cases if one.policy == policy and one.mode == mode]
             own = figures.setdefault(policy, {})[str(mode)] = policy_figures(some)
             share: Proportion = own["success"]
-            shown = f"{share.rate:.2f} ({share.wilson_low:.2f} to {share.wilson_high:.2f})"
+            shown = f"{share.successes}/{share.trials} ({share.wilson_low:.2f}-{share.wilson_high:.2f})"
             makespan = "" if own["makespan_s"] is None else f"{own['makespan_s']:.1f}"
             blocked = f"{100 * own['blocked_share']:.1f}"
             cpu_s.setdefault(policy, {})[str(mode)] = sum(one["cpu_s"] for one in some)
@@ -309,13 +309,13 @@ def policies_report(
                 name = re.sub(r"[^\w.-]+", "-", policy)
                 save_starts(output_directory(out) / f"starts-{name}.npz", [one["reached"] for one in some])
         spent = f"CPU time: {', '.join(f'{seconds:.0f} s' for seconds in cpu_s[policy].values())}"
-        tables.append(DataTable(columns, rows, f"{policy}, {episodes} episodes each", spent))
+        tables.append(DataTable(columns, rows, policy, spent))
     note = (
         "Paired: same starts. Makespan: mean of the episodes that succeed; blocked: decisions that a running action "
         "stood against; failed: actions whose skill did not succeed. Network: as robots on rollers, on a "
         "workshop_floor, behind a network."
     )
-    sentence = f"{', '.join(map(str, policies))}: {len(MODES)} modes, {episodes} episodes each, from the same starts."
+    sentence = f"{', '.join(map(str, policies))}: {len(MODES)} modes, from the same starts."
     return Report(
         "Execution of policies",
         "synchronous and asynchronous, on the grid and in physics",

@@ -210,6 +210,24 @@ def test_what_sways_when_an_action_begins_is_held_against_no_action():
     assert all(attempt.agrees for attempt in attempts)
 
 
+def test_what_is_displaced_for_good_while_a_stack_sways_is_reported():
+    """A shove moves the block that the car has just left, and it stays there: its drive is held responsible."""
+    judge, _ = _swaying_stacks()
+    physics, block = judge.physics, judge.physics.blocks[3]
+    start = physics.free_body_state(block)[0].copy()
+    begin(judge, 0, RIGHT)
+    while judge.reading.cars[0].cell[0] == 0:
+        judge.next(physics.time_s + 0.02)
+    begin(judge, 1, Action.ROTATE_LEFT)
+    while np.linalg.norm(physics.free_body_state(block)[0] - start) < 0.003:
+        physics.data.xfrc_applied[block.body, 1] = 6.0
+        assert not judge.next(physics.time_s + 0.02), "nothing ends before it is displaced"
+    physics.data.xfrc_applied[block.body] = 0.0
+    drive, turn = (*judge.next(), *judge.next())
+    assert (drive.car, drive.agrees, turn.car, turn.agrees) == (0, False, 1, True)
+    assert "block 3 was moved" in drive.reason
+
+
 def test_the_schedule_of_a_plan_makes_the_same_attempts_one_by_one():
     schedule = make_schedule(_yard(), PLAN, set_up(_yard(), SETUP).rules)
     whole, judge = set_up(_yard(), SETUP), set_up(_yard(), SETUP)

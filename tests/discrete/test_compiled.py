@@ -4,17 +4,25 @@ import os
 import subprocess
 import sys
 import weakref
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numba import config
 
+import craftsim
+from craftsim.discrete import footprint, grid, reasons, rules
 from craftsim.discrete.actions import Action
+from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.kernel import code_cache, jit
+from craftsim.discrete.kernel import batch, claims, code_cache, jit
+from craftsim.discrete.kernel import state as marks
+from craftsim.discrete.kernel import tasks as scores
 from craftsim.discrete.kernel.jit import compiled, plain, seldom
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.tasks import rewards
+from craftsim.validation.worlds import RandomWorlds
 
 needs_compiler = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
 
@@ -210,6 +218,64 @@ def test_what_is_called_seldom_is_plain_python_until_that_takes_as_long_as_compi
         call(numbers, 0)
     assert call(numbers, 0) == numbers[0]
     assert len(outer.signatures) == len(inner.signatures) == 1
+
+
+def _copied(value):
+    if isinstance(value, tuple):
+        found = [_copied(one) for one in value]
+        return type(value)._make(found) if hasattr(value, "_make") else tuple(found)
+    return value.copy() if isinstance(value, np.ndarray) else value
+
+
+def _arrays(value):
+    if isinstance(value, tuple):
+        return [array for one in value for array in _arrays(one)]
+    return [np.asarray(value)]
+
+
+@needs_compiler
+def test_plain_python_gives_what_compiled_code_gives(monkeypatch):
+    """How long a function stays plain depends on the machine's speed, so that results must not depend on it."""
+    calls = Counter()
+    for module, name, function in (
+        (rules, "_masks", batch.masks),
+        (rules, "_step", batch.step),
+        (reasons, "_reason", batch.reason),
+        (grid, "_derive_marks", marks.derive_marks),
+        (footprint, "_write_claims", claims.write_claims),
+        (rewards, "_score_building", scores.score_buildings),
+    ):
+
+        def both(*arguments, name=name, function=function):
+            calls[name] += 1
+            others = _copied(arguments)
+            one, other = function(*arguments), function.plain(*others)
+            for a, b in zip(_arrays((one or 0, arguments)), _arrays((other or 0, others)), strict=True):
+                assert a.tobytes() == b.tobytes() if a.shape else a == b, name
+            return one
+
+        monkeypatch.setattr(module, name, both)
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        for rule_set in ("published", "physical"):
+            world, legal = RandomWorlds().grid(rng), craftsim.Rules(rule_set)
+            legal.mask(world)
+            every = [(car, action) for car in range(world.n_cars) for action in range(15)]
+            for car, action in every:
+                legal.explain(world, car, Action(action))
+            for car, action in every:
+                if not legal.legal(world, car, action):
+                    continue
+                Footprint.built_in(world, car, Action(action))
+                after = legal.apply(world, car, Action(action))
+            after.derive_marks()
+    for name in ("simple_two_story", "complex_two_story"):
+        env = craftsim.parallel_env(name, "grid")
+        seen, _ = env.reset(seed=0)
+        for _ in range(5):
+            actions = {a: int(rng.choice(np.flatnonzero(one["action_mask"]))) for a, one in seen.items()}
+            seen, *_ = env.step(actions)
+    assert len(calls) == 6, calls
 
 
 @needs_compiler

@@ -1,4 +1,4 @@
-"""Builders: the designs are fixed, whoever answers is judged, and what went wrong is tried again."""
+"""Builders: the designs are fixed, answers are judged, and errors are tried again."""
 
 import json
 
@@ -39,7 +39,7 @@ def test_the_planner_that_speaks_builds_within_the_budget():
     assert len(done.attempts) <= 20
 
 
-def test_whoever_answers_is_judged_in_physics_and_tried_again_where_it_raised(tmp_path, monkeypatch, capsys):
+def test_a_builder_is_judged_in_physics_and_tried_again_after_an_exception(tmp_path, monkeypatch, capsys):
     row = chosen_rows()["one level"][0]
     monkeypatch.setattr(builders, "chosen_rows", lambda: {"one level": [row]})
     monkeypatch.chdir(tmp_path)

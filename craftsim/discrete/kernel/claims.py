@@ -74,6 +74,18 @@ def add_swept(out: Claims, count: int, x: int, y: int, z: int) -> int:
 
 
 @compiled
+def add_rest_of_ramp(car: Pose, new: Pose, out: Claims, count: int) -> int:
+    """Append what the rules ask of the rest of a ramp, and of its far end, when a car drives onto it from the flat."""
+    if car.slope != 0 or new.slope == 0:
+        return count
+    dx, dy = new.x - car.x, new.y - car.y
+    z = car.z + 1 if new.slope == 1 else car.z - 1
+    count = add(out, count, car.x + 2 * dx, car.y + 2 * dy, z, SPACE)
+    count = add(out, count, car.x + 3 * dx, car.y + 3 * dy, z, SPACE)
+    return add(out, count, car.x + 3 * dx, car.y + 3 * dy, z - 1, RELIES)
+
+
+@compiled
 def pose_after(w: World, car: Pose, action: int) -> Pose:
     """Return a car's state after any legal action."""
     if ROTATE_LEFT <= action <= LAST_MOVE:
@@ -101,6 +113,7 @@ def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
         for i in range(count if car.load != AIR else 0):
             if out[i, 3] & SPACE:
                 count = add_swept(out, count, out[i, 0], out[i, 1], out[i, 2])
+        count = add_rest_of_ramp(car, new, out, count)
     elif action in (ROTATE_LEFT, ROTATE_RIGHT) and car.load != AIR:
         # A load sweeps the neighbour cells, a folded slope the corners, too.
         for dx in range(-1, 2):

@@ -114,8 +114,7 @@ def train(
         for name, value in {**physical, "record": None if record == "none" else record}.items():
             if value is not None:
                 raise InputError(f"{name} is for physics; on the grid nothing moves: leave it out")
-    run = _protocol(preset, task, algo)
-    steps = run.steps if steps is None else steps
+    run = _protocol(preset, task, algo, steps)
     until = run.until if until is None else until
     config = _config(given, besides, run, task=task, algo=algo, seed=chance.seed, backend=backend)
     learnt = as_task(task, cars, blocks)
@@ -140,13 +139,18 @@ def train(
     ):
         _ = trainer.guidance  # shows progress of its own
         try:
-            _run(trainer, steps, until, folder, besides.get("tensorboard") in (True, "true"))
+            _run(trainer, run.steps, until, folder, besides.get("tensorboard") in (True, "true"))
         except KeyboardInterrupt:
             trainer.save(folder)
             print_safe(f"Interrupted; --resume goes on. Policy: {folder / 'policy.safetensors'}")
             return INTERRUPTED
         trainer.save(folder)
-        asked = config.as_dict() | {"steps": steps, "until": until, "starts": reached, "episodes": episodes}
+        asked = config.as_dict() | {
+            "steps": run.steps,
+            "until": until,
+            "starts": reached,
+            "episodes": episodes,
+        }
         asked |= {"task_digest": trainer.task.digest, "starts_digest": trainer.starts}
         asked["pretrained_digest"] = trainer.pretrained
         place = folder / TRAJECTORIES if record == "trajectory" else None
@@ -169,10 +173,10 @@ def _settings_of(words: Iterable[str]) -> dict[str, Any]:
     return found
 
 
-def _protocol(preset: PresetName | None, task: str, algo: AlgoName) -> Protocol:
+def _protocol(preset: PresetName | None, task: str, algo: AlgoName, steps: int | None) -> Protocol:
     from craftsim.training.config import Protocol, protocol
 
-    return protocol(preset, task, algo) if preset else Protocol(steps=3_000_000)
+    return protocol(preset, task, algo, steps) if preset else Protocol(steps=steps or 3_000_000)
 
 
 def _config(given: dict[str, Any], besides: dict[str, Any], run: Protocol, **flags: Any) -> TrainConfig:

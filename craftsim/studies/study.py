@@ -171,8 +171,8 @@ class Study:
                 }
                 stages = tuple(tasks[name] for name in config.stages)
                 tests = {name: tasks[name] for name in self._tests(task)}
-                run = protocol(self.preset, task, algo) if self.preset else Protocol()
-                steps = self.of_tasks.get(task, {}).get("steps", self.steps or run.steps)
+                run = protocol(self.preset, task, algo, self._steps(task)) if self.preset else Protocol()
+                steps = self._steps(task) or run.steps
                 until = run.until if self.until is None else self.until
                 runs += [
                     StudyRun(
@@ -183,21 +183,29 @@ class Study:
                 ]
         return runs
 
+    def _steps(self, task: str) -> int | None:
+        """Return the length that was asked for, of a task's runs."""
+        steps = self.of_tasks.get(task, {}).get("steps", self.steps)
+        if steps is not None:
+            if not isinstance(steps, int):
+                raise ValueError(f"key 'of_tasks.{task}.steps': must be an integer, not {str(steps)[:40]!r}")
+            TRAIN_STEPS.check(f"key 'of_tasks.{task}.steps'", steps)
+        return steps
+
     def _tests(self, task: str) -> tuple[str, ...]:
         return self.tests.get(task, (task,))
 
     def _config(self, task: str, algo: AlgoName) -> TrainConfig:
         """Return the configuration of a task's runs, the first seed's."""
         given: dict[str, Any] = {"hyperparameters": {}}
-        preset = protocol(self.preset, task, algo).settings if self.preset else {}
+        steps = self._steps(task)
+        preset = protocol(self.preset, task, algo, steps).settings if self.preset else {}
         for layer in (preset, self.settings, self.of_tasks.get(task, {})):
             before = given["hyperparameters"]
             given |= layer
             if isinstance(own := given["hyperparameters"], Mapping):
                 given["hyperparameters"] = {**before, **own}
-        if not isinstance(steps := given.pop("steps", 1), int):
-            raise ValueError(f"key 'of_tasks.{task}.steps': must be an integer, not {str(steps)[:40]!r}")
-        TRAIN_STEPS.check(f"key 'of_tasks.{task}.steps'", steps)
+        given.pop("steps", None)
         text = json.dumps({"task": task, "algo": algo, **given}, default=str)
         return from_json(TrainConfig, text.encode(), f"settings of '{task}' by {algo}")
 

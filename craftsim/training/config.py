@@ -185,15 +185,16 @@ class Protocol:
     until: float = LEARNED
 
 
-def protocol(preset: PresetName, task: str, algo: AlgoName) -> Protocol:
+def protocol(preset: PresetName, task: str, algo: AlgoName, steps: int | None = None) -> Protocol:
     """Return the protocol of CraftEnv's paper (Zhao et al., AAMAS 2023) for a task and an algorithm.
 
     Published rules, the action helper with depth 20, the task's own start, greedy evaluations of 20 episodes every
     10,000 ticks, and no early stop. Value-based algorithms explore with probability 0.21, decaying to 0.2. Learning
-    rates except PPO's decay to 0. ``paper_plus`` adds our own exploration before learning.
+    rates except PPO's decay to 0 over the run, the paper's length unless ``steps`` is given. ``paper_plus`` adds
+    exploration before learning.
     """
     short = task in _SHORT_TASKS
-    steps = PAPER_STEPS if short else PAPER_LONG_STEPS
+    steps = steps or (PAPER_STEPS if short else PAPER_LONG_STEPS)
     hyperparameters: dict[str, float] = {} if algo in ("ippo", "mappo") else {"decay_ticks": steps}
     if algo not in WITH_PROBABILITIES:
         hyperparameters |= {"epsilon_start": 0.21, "epsilon_end": 0.2, "epsilon_ticks": 50_000}

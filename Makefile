@@ -12,7 +12,7 @@ QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/disc
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow bench lint compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours results engines constraints newest recipes packages wheel libraries clean
+.PHONY: help demo test slow bench lint style types suite compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours results engines constraints newest recipes packages wheel libraries clean
 
 help:  ## Explain the targets
 	@echo "Usage: make TARGET [ARGS='...']"
@@ -25,8 +25,8 @@ demo: $(VENV)/installed libraries  ## Build the simple two-story building in phy
 test newest: export OMP_NUM_THREADS := 1
 test newest: export PYTHONDONTWRITEBYTECODE :=
 test: libraries  ## Lint, type-check and run all tests, from a fresh checkout (ARGS are passed to pytest)
-	@$(MAKE) --no-print-directory -j2 lint compiled
-	$(BIN)/pytest -n 3 --dist worksteal $(ARGS)
+	@$(MAKE) --no-print-directory -j2 style compiled
+	@$(MAKE) --no-print-directory -j2 types suite
 
 slow: $(VENV)/installed-dev  ## Run the few tests that "make test" leaves out for their length
 	$(BIN)/pytest -m slow $(ARGS)
@@ -34,10 +34,18 @@ slow: $(VENV)/installed-dev  ## Run the few tests that "make test" leaves out fo
 bench: $(VENV)/installed-dev  ## Run the benchmarks on a quiet machine (half an hour; ARGS='benchmarks/bench_physics.py --benchmark-json FILE')
 	OMP_NUM_THREADS=1 $(BIN)/pytest -c benchmarks/pytest.ini $(or $(ARGS),benchmarks)
 
-lint: $(VENV)/installed-dev  ## Check style, formatting and types
+lint: style types  ## Check style, formatting and types
+
+style: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+# One process for a minute, which tests use better than they wait for it.
+types: $(VENV)/installed-dev
 	$(BIN)/mypy
+
+suite: $(VENV)/installed-dev
+	$(BIN)/pytest -n 3 --dist worksteal $(ARGS)
 
 # Beside installing and linting; what it leaves out, tests compile. A package that is just being installed stops it.
 compiled: $(VENV)/installed

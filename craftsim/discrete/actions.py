@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.footprint import Footprint, cell_of
-from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.grid_checks import check_values
+from craftsim.discrete.grid import Cell, Grid, check_values
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.rules import why

@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, FailFast, Field, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
-from craftsim.discrete.files.blueprint import MAX_SIDE
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
-from craftsim.discrete.grid_checks import check_size, check_values
+from craftsim.discrete.grid import MAX_SIDE, CarField, Cell, Grid, Kind, check_size, check_values
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.kinds import Action, CellField, Correction
 from craftsim.discrete.rules import Rules

@@ -18,7 +18,17 @@ from pydantic import PlainValidator, ValidationInfo
 from craftsim.discrete.files.placement import Placement, build_grid
 from craftsim.discrete.files.sense import CarRow, check_sense, outside
 from craftsim.discrete.files.shipped import find
-from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece
+from craftsim.discrete.grid import (
+    MAX_CARS,
+    MAX_CELLS,
+    MAX_SIDE,
+    SECOND_PART,
+    CarField,
+    Cell,
+    Grid,
+    Kind,
+    Piece,
+)
 from craftsim.discrete.kinds import CARRIED
 from craftsim.errors import BlueprintError
 from craftsim.storage.limits import YAML_VALUES, Range
@@ -28,10 +38,6 @@ from craftsim.storage.yaml import Document, dump, parse_document, read_document
 
 NO_CELL: Final[Cell] = (-1, -2, 1)
 """The coordinates with which CraftEnv's files say that there is no flag or no goal."""
-
-MAX_SIDE: Final = 128
-MAX_CELLS: Final = 131_072
-MAX_CARS: Final = 256
 
 OBJECT_KEYS: Final = {
     "block": Kind.BLOCK,

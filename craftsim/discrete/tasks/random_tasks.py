@@ -19,8 +19,7 @@ from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.placement import free_floor
 from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece
-from craftsim.discrete.grid_checks import check_size
+from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece, check_size
 from craftsim.discrete.tasks.rewards import Reward
 from craftsim.discrete.tasks.starts import Split, Starts, belongs, check_split, read_split, targets_of
 from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task

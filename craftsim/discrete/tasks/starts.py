@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import FILE_DTYPES, Grid, Kind, Piece
-from craftsim.discrete.grid_checks import check_grid
+from craftsim.discrete.grid import FILE_DTYPES, Grid, Kind, Piece, check_grid
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import START_WORLDS, STARTS, size_text
 from craftsim.storage.reading import Arrays, read_arrays

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple, NotRequired, TypeVar, get_args
@@ -221,19 +221,6 @@ def recorded_grid(size: Cell, state: Record) -> Grid:
     return grid
 
 
-@dataclass(frozen=True)
-class Mismatch:
-    """One thing in which a record and our rules differ."""
-
-    where: str
-    """Episode, tick and line."""
-    what: str
-    expected: str
-    got: str
-    grids: tuple[Grid, ...]
-    """Before; of a tick also after it, as recorded and by our rules."""
-
-
 _Comparison = tuple[str, str, Sequence[str], Any, Any]
 """Who acts; what is compared; the actions that it is about; as recorded, and as ours."""
 
@@ -258,7 +245,9 @@ class Checker:
         """Actions taken, by name, and of these the ones that were legal."""
         self.action_mismatches = Counter[str]()
         """Actions, by name, whose applied flag or plan differs, or that a wrong mask entry is about."""
-        self.first: list[Mismatch] = []
+        self.first: list[tuple[str, tuple[Grid, ...]]] = []
+        """The mismatches that are kept, in words: where, what, as recorded and as ours. With the worlds before and, of
+        a tick, after it: as recorded and by our rules."""
 
     def figures(self) -> dict[str, Any]:
         """Return all counts by name, and the sums of checks and mismatches."""
@@ -302,7 +291,8 @@ class Checker:
                 self.mismatches[what] += 1
                 self.action_mismatches.update(actions)
                 if len(self.first) < self.keep:
-                    self.first.append(Mismatch(f"{where}{who}", what, str(expected), str(got), grids))
+                    words = f"{where}{who}: {what}\nexpected {expected}\ngot      {got}"
+                    self.first.append((words, grids))
 
     def _tick(
         self, record: Record, before: Grid, expected: Grid, after: Grid, applied: NDArray[np.bool_]

@@ -156,8 +156,8 @@ class Rules:
             raise ValueError(f"{action!r} is not one of the four moves")
         _check_car(grid, car)
         steps = np.empty(depth + 1, np.int8)
-        arrays = grid.cells, grid.cars, int(self.corrections)
-        length = batch.plan(*arrays, car, int(action), self._space(grid), depth, steps)
+        world = grid.world(self.corrections)
+        length = batch.plan(world, car, int(action), self._space(grid), depth, steps)
         return None if length < 0 else tuple(Action(step) for step in steps[:length].tolist())
 
     def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
@@ -205,5 +205,5 @@ def _check_car(grid: Grid, car: int) -> None:
 
 def has_room(grid: Grid) -> bool:
     """Return whether what each car carries is clear of all else by the rules: else no play of them leads there."""
-    arrays = grid.cells, grid.cars, int(RULE_SETS["physical"])
-    return all(batch.has_room(*arrays, car) for car in range(grid.n_cars))
+    world = grid.world(RULE_SETS["physical"])
+    return all(batch.has_room(world, car) for car in range(grid.n_cars))

@@ -94,7 +94,7 @@ def entity_rows(grids: Grid, layout: Layout, designs: Targets) -> NDArray[np.int
     """
     out, slots = np.empty((len(grids), layout.n_rows, ROW), np.int32), np.empty_like(layout.slots)
     goals = layout.goal_cell, 1 if layout.shows_flag else 2
-    if not write_rows(grids.world(), layout.slots[0], layout.slots[1], slots, *goals, out):
+    if not write_rows(grids.cells, grids.cars, layout.slots[0], layout.slots[1], slots, *goals, out):
         raise CraftsimError(
             f"the world has more than the {layout.n_slopes} slopes and {layout.n_blocks} blocks announced"
         )

@@ -115,27 +115,20 @@ class Rules:
 
         Returns the world after the tick and, parallel to ``joint``, whether each action was legal when its turn came.
         """
-        highest = 0
-        for car, action in joint:
+        for car, _ in joint:
             _check_car(grid, car)
-            highest = max(highest, action)
-        if highest >= N_ACTIONS and any(is_own(action) for _, action in joint):
-            return self._tick_with_own(grid, joint)
+        after, applied = grid.copy(), np.zeros((1, len(joint)), np.bool_)
+        if any(is_own(action) for _, action in joint):
+            for i, (car, action) in enumerate(joint):
+                if is_own(action):
+                    applied[0, i] = act_own(after, self.corrections, car, action)
+                else:
+                    after, applied[0, i : i + 1] = self.tick(after, [(car, action)])
+            return after, applied[0]
         turns = np.array([car for car, _ in joint], np.int64)[None]
         acts = np.array([int(action) for _, action in joint], np.int64)[None]
-        after, applied = grid.copy(), np.zeros(turns.shape, np.bool_)
         _step(after.cells[None], after.cars[None], int(self.corrections), turns, acts, applied)
         return after, applied[0]
-
-    def _tick_with_own(self, grid: Grid, joint: Joint) -> tuple[Grid, NDArray[np.bool_]]:
-        after, applied = grid.copy(), []
-        for car, action in joint:
-            if is_own(action):
-                applied.append(act_own(after, self.corrections, car, action))
-            else:
-                after, legal = self.tick(after, [(car, action)])
-                applied.append(bool(legal[0]))
-        return after, np.array(applied, np.bool_)
 
     def reachable(self, grid: Grid, depth: int = DEFAULT_DEPTH) -> NDArray[np.bool_]:
         """Return (n_cars, 15): legal actions, and moves that are not legal but that the action helper has a plan for.

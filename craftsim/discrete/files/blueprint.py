@@ -231,13 +231,13 @@ class Blueprint:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether nothing is left to chance."""
+        """Whether it has no random parts."""
         numbers = (self.n_blocks, self.n_slopes, self.n_cars)
         return numbers == (self.listed(Kind.BLOCK), self.listed(Kind.FSLOPE, Kind.BODY), len(self.cars))
 
     @property
     def content(self) -> dict[str, Any]:
-        """What is in it, whatever its file, as JSON has it: that of which digests are made."""
+        """Its content as JSON, independent of the file, for digests."""
 
         def plain(pieces: tuple[Piece, ...]) -> list[dict[str, Any]]:
             return [{"kind": kind.name, "cell": cell, "yaw": yaw} for kind, cell, yaw in pieces]
@@ -346,7 +346,7 @@ def blueprint_of(document: Document) -> Blueprint:
 
 
 def _counts(blueprint: Blueprint) -> Iterator[Mistake]:
-    """Yield the numbers that do not cover what is listed."""
+    """Yield the counts that are less than what is listed."""
     for key, number, found in (
         ("block_num", blueprint.n_blocks, blueprint.listed(Kind.BLOCK)),
         ("slope_num", blueprint.n_slopes, blueprint.listed(Kind.FSLOPE, Kind.BODY)),

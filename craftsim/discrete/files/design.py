@@ -91,7 +91,7 @@ class Design:
 
     @property
     def content(self) -> dict[str, Any]:
-        """What is to be built, whatever its file, as JSON has it: that of which digests are made."""
+        """What is to be built as JSON, independent of the file, for digests."""
         return {"targets": [{"kind": target.kind.name, "cell": target.cell} for target in self.targets]}
 
     def moved(self, dx: int, dy: int) -> Design:

@@ -14,15 +14,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kinds import CarField, CellField, Correction, Kind
 
-AIR = int(Kind.AIR)
-GROUND = int(Kind.GROUND)
-WALL = int(Kind.WALL)
-BLOCK = int(Kind.BLOCK)
-FLAG = int(Kind.FLAG)
-FSLOPE = int(Kind.FSLOPE)
-GEAR = int(Kind.GEAR)
-BODY = int(Kind.BODY)
-FOOT = int(Kind.FOOT)
+AIR, GROUND, WALL, BLOCK, FLAG, FSLOPE, GEAR, BODY, FOOT = map(int, Kind)
 
 SUPPORTS = (GROUND, BLOCK)
 """What a car or an object can stand on."""
@@ -32,19 +24,8 @@ ROOMY = (AIR, GEAR)
 NOTHING = -1
 OBJECT = -2
 
-KIND = int(CellField.KIND)
-YAW = int(CellField.YAW)
-OCCUPANT = int(CellField.OCCUPANT)
-LANDING = int(CellField.LANDING)
-
-F_X = int(CarField.X)
-F_Y = int(CarField.Y)
-F_Z = int(CarField.Z)
-F_YAW = int(CarField.YAW)
-F_LOAD = int(CarField.LOAD)
-F_LOAD_YAW = int(CarField.LOAD_YAW)
-F_SLOPE = int(CarField.SLOPE)
-
+KIND, YAW, OCCUPANT, LANDING = map(int, CellField)
+F_X, F_Y, F_Z, F_YAW, F_LOAD, F_LOAD_YAW, F_SLOPE = map(int, CarField)
 
 DERIVED_MARKS = int(Correction.derived_marks)
 SWINGING_FLAP = int(Correction.swinging_flap)

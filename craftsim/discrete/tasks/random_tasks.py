@@ -88,7 +88,7 @@ class RandomPlacement:
         return Starts.of([grid], targets_of(self.task.design))
 
     def _place(self, rng: np.random.Generator, n: int) -> tuple[Starts, NDArray[np.int64]]:
-        """Return n starts, and which of them will not do."""
+        """Return n starts, and which of them are not valid."""
         plan, starts = self.task.starts[0], self._bare.take(np.zeros(n, np.int64))
         kinds = [Kind.FLAG] * (self.flag_x >= 0) + [Kind.FSLOPE] * plan.n_slopes
         kinds += [Kind.BLOCK] * (plan.n_blocks - plan.listed(Kind.BLOCK))
@@ -279,7 +279,7 @@ def _blueprint(
 
 
 def whole_size(area: tuple[int, ...] | None, usual: Cell) -> Cell:
-    """Return length, width and height of an area that is given without some of them; InputError for what is none."""
+    """Return length, width and height of an area, the usual ones unless given; raise InputError if invalid."""
     given = () if area is None else area
     if len(given) not in (0, 2, 3):
         raise InputError(f"the area is {given}; allowed: length and width, perhaps height, in cells")

@@ -179,7 +179,7 @@ def flag_at_goal(grids: Grid, designs: Targets, layout: Layout) -> Bools:
 def three_high(grids: Grid, designs: Targets, layout: Layout) -> Bools:
     """Return whether three blocks stand on one another from the floor."""
     stacks = np.all(grids.kind[..., 1:4] == Kind.BLOCK, axis=-1)
-    found: Bools = np.any(stacks, axis=(1, 2))
+    found: Bools = np.any(stacks, axis=(1, 2)) & (grids.size[2] >= 3)
     return found
 
 
@@ -254,7 +254,7 @@ class Reward:
 
 
 def rewards_of(function: RewardFunction, transitions: Iterable[Transition]) -> Floats:
-    """Return what a reward function gives for ticks of worlds; raises InputError where that is no finite number."""
+    """Return what a reward function gives for ticks of worlds; raises InputError for anything but a finite number."""
     found = []
     for transition in transitions:
         value: object = function(transition)
@@ -265,7 +265,7 @@ def rewards_of(function: RewardFunction, transitions: Iterable[Transition]) -> F
 
 
 def check_name(what: str, value: Any, known: Iterable[str]) -> None:
-    """Raise InputError for what is neither a function nor a known name of one."""
+    """Raise InputError for anything but a function or the known name of one."""
     if not callable(value) and value not in (names := list(known)):
         raise InputError(
             f"unknown {what} '{value}'{suggestion(str(value), names)}; there are {', '.join(names)}, or a function"

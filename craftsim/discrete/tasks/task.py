@@ -150,7 +150,7 @@ class Task:
 
     @cached_property
     def _fixed(self) -> list[Grid | None]:
-        """The worlds of the start files that leave nothing to chance."""
+        """The worlds of the start files without random parts."""
         rng = np.random.default_rng(0)
         return [start.grid(rng, self.placement) if start.is_fixed else None for start in self.starts]
 

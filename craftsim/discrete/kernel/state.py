@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kinds import CarField, CellField, Correction, Kind
 
-AIR, GROUND, WALL, BLOCK, FLAG, FSLOPE, GEAR, BODY, FOOT = map(int, Kind)
+AIR, GROUND, WALL, BLOCK, FLAG, FSLOPE, GEAR, BODY, FOOT, *_ = map(int, Kind)
 
 SUPPORTS = (GROUND, BLOCK)
 """What a car or an object can stand on."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import Final, get_args
 
 import numpy as np
@@ -10,12 +11,12 @@ from numpy.typing import NDArray
 
 from craftsim.choices import RuleSet as RuleSet
 from craftsim.discrete.actions import act_own, as_own, carry_out, is_own, own_columns, own_reason
-from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.jit import seldom
-from craftsim.discrete.kernel.search import SearchBuffers, search_buffers
+from craftsim.discrete.kernel.search import search_buffers
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action, Correction
 from craftsim.discrete.reasons import Explanation, explain
 from craftsim.errors import InputError, suggestion
@@ -29,6 +30,8 @@ DEFAULT_DEPTH: Final = 10
 Joint = Sequence[tuple[int, int]]
 """(car, action) in acting order; a car that is not listed does nothing."""
 
+_search_buffers: Final = lru_cache(maxsize=2)(search_buffers)
+"""They may take 20 MB for each map size."""
 _NO_SPACE: Final = search_buffers((1, 1, 1))
 _masks, _step = seldom(batch.masks), seldom(batch.step)
 
@@ -69,7 +72,6 @@ class Rules:
         self.own = as_own(tuple(actions))
         self.actions = (*Action, *self.own)
         """What the columns of masks stand for."""
-        self._last: tuple[Cell, SearchBuffers] | None = None
 
     def mask(self, grid: Grid) -> NDArray[np.bool_]:
         """Return the legality of the 15 actions of each car, shape (n_cars, 15), all judged on this state.
@@ -138,7 +140,7 @@ class Rules:
         """
         out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
         arrays = grid.cells[None], grid.cars[None], int(self.corrections)
-        batch.masks(*arrays, self._space(grid), depth, out)
+        batch.masks(*arrays, _search_buffers(grid.size), depth, out)
         return self._with_own(out, grid)[0]
 
     def plan_move(
@@ -150,7 +152,7 @@ class Rules:
         _check_car(grid, car)
         steps = np.empty(depth + 1, np.int8)
         world = grid.world(self.corrections)
-        length = batch.plan(world, car, int(action), self._space(grid), depth, steps)
+        length = batch.plan(world, car, int(action), _search_buffers(grid.size), depth, steps)
         return None if length < 0 else tuple(Action(step) for step in steps[:length].tolist())
 
     def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
@@ -170,12 +172,6 @@ class Rules:
     def _with_own(self, mask: NDArray[np.bool_], grid: Grid) -> NDArray[np.bool_]:
         """Return a mask (1, n_cars, 15) with a column for each registered action that is offered."""
         return own_columns(mask, grid[None], self.corrections, self.own) if self.own else mask
-
-    def _space(self, grid: Grid) -> SearchBuffers:
-        """Return scratch arrays; those of one map size are kept, and no more: they may take 20 MB each."""
-        if self._last is None or self._last[0] != grid.size:
-            self._last = grid.size, search_buffers(grid.size)
-        return self._last[1]
 
 
 def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:

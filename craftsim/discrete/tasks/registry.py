@@ -30,7 +30,7 @@ from craftsim.discrete.tasks.task import (
     make_task,
 )
 from craftsim.errors import BlueprintError, CraftsimError, InputError, suggestion
-from craftsim.modules import import_own, note_registering, place_of
+from craftsim.modules import find_named, note_registering
 from craftsim.storage.limits import Range
 from craftsim.storage.paths import is_file
 from craftsim.storage.records import record
@@ -64,8 +64,6 @@ _OF_TASKS: Final = {one.name for one in fields(_File)} - {*KEYS}
 
 _REGISTERED: Final[dict[str, Task]] = {}
 _LISTENERS: Final[list[Callable[[Task], None]]] = []
-_ANYTHING: Final = (Exception, SystemExit)
-"""What others' code may raise, when it is imported or called."""
 _LONGEST: Final = 1000
 """Characters of a name in a file, which messages repeat."""
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
@@ -216,33 +214,18 @@ def _found(
 
 def _made(text: str) -> Task:
     """Return the task that ``module:factory`` makes."""
-    name, _, attribute = text.partition(":")
-    dotted = name.split(".") + attribute.split(".")
-    if not all(part.isidentifier() for part in dotted):
-        raise InputError(f"task '{text}': must be module:factory, such as mypackage.tasks:corner")
-    try:
-        module = import_own(name)
-    except _ANYTHING as error:
-        raise InputError(
-            f"task '{text}': module '{name}' cannot be imported: {type(error).__name__}: {error}"
-        ) from error
-    found: Any = module
-    for part in attribute.split("."):
-        if not hasattr(found, part):
-            hint = suggestion(part, [word for word in dir(found) if not word.startswith("_")])
-            raise InputError(f"task '{text}': '{name}' ({place_of(module)}) has no '{attribute}'{hint}")
-        found = getattr(found, part)
+    found = find_named(text, f"task '{text}'", "module:factory, such as mypackage.tasks:corner")
     if isinstance(found, Task):
         return found
     if not callable(found):
         raise InputError(
-            f"task '{text}': '{attribute}' is neither a Task nor callable, but {type(found).__name__}"
+            f"task '{text}': '{text.partition(':')[2]}' is neither a Task nor callable, but {type(found).__name__}"
         )
     try:
         task = found()
     except CraftsimError:
         raise
-    except _ANYTHING as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"task '{text}': the factory raised {type(error).__name__}: {error}") from error
     if not isinstance(task, Task):
         raise InputError(f"task '{text}': returned {type(task).__name__}; it must return a Task")

@@ -5,11 +5,14 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import textwrap
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
-from typing import Final
+from typing import Any, Final
+
+from craftsim.errors import InputError, suggestion
 
 REGISTERING: Final[list[str]] = []
 """The modules that have registered something, in order; processes that craftsim starts import them, too."""
@@ -27,6 +30,31 @@ def import_own(name: str) -> ModuleType:
         if (here := os.getcwd()) not in sys.path:
             sys.path.append(here)
     return importlib.import_module(name)
+
+
+def find_named(text: str, what: str, example: str, allowed: str = "") -> Any:
+    """Import a module, and return the object in it that ``module:name`` stands for; the name may have dots.
+
+    ``what`` names the text in messages; they show an ``example`` of its form, and what else is ``allowed``. Raises
+    InputError for another form, a module that cannot be imported, and a name that it does not have.
+    """
+    name, _, attribute = text.partition(":")
+    if not all(part.isidentifier() for part in (*name.split("."), *attribute.split("."))):
+        raise InputError(f"{what}: must be {example}")
+    try:
+        module = import_own(name)
+    except (Exception, SystemExit) as error:
+        said = textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
+        if isinstance(error, ModuleNotFoundError):
+            said += "; modules are looked for in this folder too" + (allowed and f"; allowed: {allowed}")
+        raise InputError(f"{what}: module '{name}' cannot be imported: {said}") from error
+    found: Any = module
+    for part in attribute.split("."):
+        if not hasattr(found, part):
+            hint = suggestion(part, [word for word in dir(found) if not word.startswith("_")])
+            raise InputError(f"{what}: '{name}' ({place_of(module)}) has no '{attribute}'{hint}")
+        found = getattr(found, part)
+    return found
 
 
 def note_registering(depth: int = 2) -> str:

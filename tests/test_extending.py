@@ -319,7 +319,7 @@ CARRYING = """
 import craftsim
 from craftsim import Action
 from craftsim.discrete.drawing import world_text
-from craftsim.discrete.grid_checks import check_grid
+from craftsim.discrete.grid import check_grid
 
 grid = craftsim.Grid.empty((5, 2, 2), 1)
 grid.kind[1, 0, 1] = craftsim.Kind.CRATE

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
     from craftsim.audit.neighbours import Neighbour
     from craftsim.audit.plan import PlanRow
-    from craftsim.discrete.conformance import Checker, Mismatch
+    from craftsim.discrete.conformance import Checker
+    from craftsim.discrete.grid import Grid
     from craftsim.discrete.rules import Rules
 
 Actions = Annotated[tuple[str, ...], Parameter(metavar="ACTION")]
@@ -373,15 +374,14 @@ def _compared(checker: Checker) -> Iterable[Section]:
     lead = "Recordings of CraftEnv, record by record."
     yield Section("compared", "What was compared", lead, tables, terminal=True)
     if checker.first:
-        drawn = [*map(_drawn, checker.first), str(LEGEND)]
+        drawn = [*(_drawn(*one) for one in checker.first), str(LEGEND)]
         yield Section("first", "First mismatches", "", drawn, terminal=True)
 
 
-def _drawn(mismatch: Mismatch) -> str:
+def _drawn(words: str, grids: tuple[Grid, ...]) -> str:
     from craftsim.discrete.drawing import world_text
 
-    lines = [f"{mismatch.where}: {mismatch.what}"]
-    lines += [f"expected {mismatch.expected}", f"got      {mismatch.got}"]
-    for title, grid in zip(("before", "expected after", "got after"), mismatch.grids, strict=False):
+    lines = [words]
+    for title, grid in zip(("before", "expected after", "got after"), grids, strict=False):
         lines += [f"{title}:", world_text(grid).plain]
     return "\n".join(lines)

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from craftsim.designs.library import LIBRARY, make_design, sizes_of
-from craftsim.discrete.files.blueprint import MAX_SIDE
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
+from craftsim.discrete.grid import MAX_SIDE
 from craftsim.errors import InputError
 from craftsim.storage.limits import MESH, MESH_PIECES, PICTURE
 from craftsim.storage.reading import read_bytes

@@ -12,10 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.files.blueprint import MAX_CELLS, MAX_SIDE
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
-from craftsim.discrete.grid_checks import check_size
+from craftsim.discrete.grid import MAX_CELLS, MAX_SIDE, CarField, Cell, Grid, Kind, Piece, beside, check_size
 from craftsim.errors import InputError
 from craftsim.storage.limits import DESIGN_CELLS
 

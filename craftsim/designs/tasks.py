@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from craftsim.designs.drawn import Size, start_of
 from craftsim.designs.starts import DesignStart
 from craftsim.discrete.files.blueprint import Blueprint
-from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Cell, Grid
-from craftsim.discrete.grid_checks import check_size
+from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Cell, Grid, check_size
 from craftsim.discrete.tasks.random_tasks import whole_size
 from craftsim.discrete.tasks.registry import DESIGNS
 from craftsim.discrete.tasks.starts import (

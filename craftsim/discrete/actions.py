@@ -18,11 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.footprint import Footprint, cell_of
-from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.grid_checks import check_values
+from craftsim.discrete.grid import Cell, Grid, check_values
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kernel.effects import apply
-from craftsim.discrete.kernel.rules import why
 from craftsim.discrete.kernel.state import DERIVED_MARKS
 from craftsim.discrete.kinds import CARRIED, MOVE_DIRECTION, Action, CarField, CellField, Kind, add_action
 from craftsim.errors import InputError
@@ -36,10 +33,6 @@ Touched = Callable[[Grid, Grid, int], Iterable[Cell]]
 """(before, after, car) -> the cells (x, y, z) that the action sweeps, or whose things it changes."""
 
 
-def _nothing(grid: Grid, car: int) -> str:
-    return ""
-
-
 @dataclass(frozen=True)
 class ActionSpec:
     """What makes an action in the grid world; see the table :data:`ACTIONS`."""
@@ -50,7 +43,7 @@ class ActionSpec:
     """How captions and logs say it."""
     duration: str
     """Its row in ``craftsim/data/durations.yaml``; empty where no skill performs it, as no rule ever allows it."""
-    nothing_to_try: Callable[[Grid, int], str] = _nothing
+    nothing_to_try: Callable[[Grid, int], str] = lambda grid, car: ""
     """Says why there is nothing to try where it is forbidden: (grid, car) -> words, empty where there is something."""
     direction: int | None = None
     """Of a move: the grid yaw in which it goes."""
@@ -128,16 +121,6 @@ if list(ACTIONS) != list(Action):
         f"{missing.name} has a number in craftsim/discrete/kinds.py, but no row in craftsim/discrete/actions.py"
     )
 
-for _rules in (why, apply):
-    _code = getattr(_rules, "py_func", _rules).__code__
-    for _action, _spec in ACTIONS.items():
-        if (
-            _spec.performed
-            and _action not in (*MOVE_DIRECTION, Action.STOP)
-            and _action.name not in _code.co_names
-        ):
-            raise RuntimeError(f"{_action.name} is not chosen by {_code.co_name}() in {_rules.__module__}")
-
 
 def verbs() -> tuple[str, ...]:
     """Return all verbs, in the order of the actions."""
@@ -187,7 +170,7 @@ def own_reason(grid: Grid, corrections: int, car: int, action: int) -> str:
 
 
 def carry_out(grid: Grid, car: int, action: int) -> None:
-    """Change a grid as a registered action does. Raises InputError where that leaves no grid world."""
+    """Change a grid as a registered action does. Raises InputError if the result is not a valid grid."""
     spec = ACTIONS[Action(action)]
     assert spec.effect is not None
     result: object = spec.effect(grid, car)
@@ -307,7 +290,7 @@ def register_action(
 
 
 def _check_takes(name: str, what: str, function: Any, arguments: tuple[str, ...]) -> None:
-    """Raise InputError for what is no function of these arguments."""
+    """Raise InputError for anything but a function of these arguments."""
     form = f"{what}({', '.join(arguments)})"
     if not callable(function):
         raise InputError(f"{name}: {what} must be a function, {form}, not {function!r}")

@@ -1,4 +1,4 @@
-"""Do our rules do what CraftEnv did? Reads recordings, replays them, and compares everything that they tell.
+"""Compare the rules with recordings of CraftEnv: replay each record, and count what differs.
 
 A recording is gzip-compressed JSON lines, each a record of a tick, of plans, or of both.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple, NotRequired, TypeVar, get_args
@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, FailFast, Field, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
-from craftsim.discrete.files.blueprint import MAX_SIDE
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
-from craftsim.discrete.grid_checks import check_size, check_values
+from craftsim.discrete.grid import MAX_SIDE, CarField, Cell, Grid, Kind, check_size, check_values
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.kinds import Action, CellField, Correction
 from craftsim.discrete.rules import Rules
@@ -148,7 +146,7 @@ _RECORDS: Final = TypeAdapter[Any](RecordKeys)
 
 
 def parse_record(line: bytes) -> Record:
-    """Return the record of a line; raise InputError, with the key, for what is none."""
+    """Return the record of a line; raise InputError, with the key, if it is not one."""
     try:
         record: Record = _RECORDS.validate_json(line)
     except ValidationError as error:
@@ -171,7 +169,7 @@ def parse_record(line: bytes) -> Record:
 
 
 def read_records(path: Path) -> Iterator[tuple[int, Record]]:
-    """Yield line number and content of each record; raise InputError with file and line if there is none."""
+    """Yield line number and content of each record; raise InputError with file and line for an invalid line."""
     number = cells = 0
     for number, line in read_lines(path, limits.RECORDING, packed=True):
         try:
@@ -192,48 +190,30 @@ def read_records(path: Path) -> Iterator[tuple[int, Record]]:
 
 
 def recorded_grid(size: Cell, state: Record) -> Grid:
-    """Return the world of a recorded state, with its marks; raise InputError for one that cannot be."""
-    length, width, height = size
+    """Return the world of a recorded state, with its marks; raise InputError for an impossible one."""
     grid = Grid.empty(size, len(state["cars"]))
-    kinds, yaws, occupants, landings = grid.kind, grid.yaw, grid.occupant, grid.landing
-
-    def inside(x: int, y: int, z: int) -> bool:
-        return 0 <= x < length and 0 <= y < width and 0 <= z <= height
 
     def outside(key: str, *cell: int, otherwise: str = "") -> InputError:
         return InputError(f"key '{key}': the cell {cell} is outside the map of size {tuple(size)}{otherwise}")
 
     for name, x, y, z, yaw in state["objs"]:
-        if not inside(x, y, z) or z == 0:
+        if not grid.inside((x, y, z)) or z == 0:
             raise outside("objs", x, y, z)
-        kinds[x, y, z], yaws[x, y, z] = KINDS[name], yaw
+        grid.kind[x, y, z], grid.yaw[x, y, z] = KINDS[name], yaw
     for row, car in zip(grid.cars, state["cars"], strict=True):
         load = KINDS[car["load"]] if car["load"] else 0
         row[:] = (car["x"], car["y"], car["z"], car["yaw"], load, car["load_yaw"] or 0, car["slope"])
     check_values(grid)
     grid.derive_marks()
     for x, y, z, mark in state["dev"]["on"]:
-        if not inside(x, y, z) or mark >= grid.n_cars:
+        if not grid.inside((x, y, z)) or mark >= grid.n_cars:
             raise outside("dev.on", x, y, z, otherwise=f" or names a car that is not there: {mark}")
-        occupants[x, y, z] = mark
+        grid.occupant[x, y, z] = mark
     for x, y, z, flag in state["dev"]["back"]:
-        if not inside(x, y, z) or kinds[x, y, z] != Kind.BLOCK:
+        if not grid.inside((x, y, z)) or grid.kind[x, y, z] != Kind.BLOCK:
             raise outside("dev.back", x, y, z, otherwise=" or holds no block")
-        landings[x, y, z] = flag
+        grid.landing[x, y, z] = flag
     return grid
-
-
-@dataclass(frozen=True)
-class Mismatch:
-    """One thing in which a record and our rules differ."""
-
-    where: str
-    """Episode, tick and line."""
-    what: str
-    expected: str
-    got: str
-    grids: tuple[Grid, ...]
-    """Before; of a tick also after it, as recorded and by our rules."""
 
 
 _Comparison = tuple[str, str, Sequence[str], Any, Any]
@@ -260,7 +240,9 @@ class Checker:
         """Actions taken, by name, and of these the ones that were legal."""
         self.action_mismatches = Counter[str]()
         """Actions, by name, whose applied flag or plan differs, or that a wrong mask entry is about."""
-        self.first: list[Mismatch] = []
+        self.first: list[tuple[str, tuple[Grid, ...]]] = []
+        """The mismatches that are kept, in words: where, what, as recorded and as ours. With the worlds before and, of
+        a tick, after it: as recorded and by our rules."""
 
     def figures(self) -> dict[str, Any]:
         """Return all counts by name, and the sums of checks and mismatches."""
@@ -304,7 +286,8 @@ class Checker:
                 self.mismatches[what] += 1
                 self.action_mismatches.update(actions)
                 if len(self.first) < self.keep:
-                    self.first.append(Mismatch(f"{where}{who}", what, str(expected), str(got), grids))
+                    words = f"{where}{who}: {what}\nexpected {expected}\ngot      {got}"
+                    self.first.append((words, grids))
 
     def _tick(
         self, record: Record, before: Grid, expected: Grid, after: Grid, applied: NDArray[np.bool_]

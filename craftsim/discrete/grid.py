@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.kernel.jit import seldom
 from craftsim.discrete.kernel.state import World, derive_marks
-from craftsim.discrete.kinds import CARRIED, CarField, CellField, Kind
+from craftsim.discrete.kinds import CARRIED, NAMES, CarField, CellField, Kind
 from craftsim.errors import InputError
 
 __all__ = ["KINDS_WITH_YAW", "SECOND_PART", "CarField", "Cell", "Grid", "Kind", "Piece", "beside"]
@@ -24,6 +24,10 @@ SECOND_PART: Final = {Kind.FSLOPE: Kind.GEAR, Kind.BODY: Kind.FOOT}
 
 MOVABLE: Final = (*CARRIED, Kind.BODY)
 """What cars can move, an unfolded slope once it is folded."""
+
+MAX_SIDE: Final = 128
+MAX_CELLS: Final = 131_072
+MAX_CARS: Final = 256
 
 _derive_marks = seldom(derive_marks)
 
@@ -238,3 +242,71 @@ class Grid:
                 raise InputError(f"the array '{name}' holds {odd.flat[0]}; allowed: at most 32767")
         fields = [arrays[name] for name in ("kind", "yaw", "top", "back")]
         return cls(np.stack(fields, axis=-1).astype(np.int16), np.ascontiguousarray(arrays["cars"], np.int16))
+
+
+def check_size(size: Cell, n_cars: int) -> None:
+    """Raise InputError for a map that is larger than any blueprint's, or has none of its cells, or too many cars."""
+    if not all(1 <= side <= MAX_SIDE for side in size) or size[0] * size[1] * size[2] > MAX_CELLS:
+        raise InputError(
+            f"the size is {tuple(size)}; allowed: 1 to {MAX_SIDE} each way, and at most {MAX_CELLS} cells"
+        )
+    if n_cars > MAX_CARS:
+        raise InputError(f"{n_cars} cars; allowed: at most {MAX_CARS}")
+
+
+def check_grid(grid: Grid) -> None:
+    """Raise InputError, with cell or car and what is allowed, for arrays that are not those of a single world.
+
+    The compiled rules look up what arrays hold and check nothing. What play may lead to need not make sense, and is not
+    checked for it: two cars in a cell, half a slope, old marks.
+    """
+    for name, array in ("cells", grid.cells), ("cars", grid.cars):
+        if not isinstance(array, np.ndarray) or array.dtype != np.int16:
+            found = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+            raise InputError(f"the array '{name}' holds {found}; allowed: int16")
+    cells, cars = grid.cells.shape, grid.cars.shape
+    if (len(cells), len(cars), cells[-1], cars[-1]) != (4, 2, len(CellField), len(CarField)):
+        raise InputError(
+            f"the arrays have the shapes {cells} and {cars}; allowed: (L, W, H + 1, {len(CellField)}) for the cells, "
+            f"and (n, {len(CarField)}) for the cars"
+        )
+    check_size(grid.size, grid.n_cars)
+    check_values(grid)
+
+
+def check_values(grid: Grid) -> None:
+    """Raise InputError for a cell or car that holds what no world has; the arrays are those of a single grid."""
+    kind, yaw, mark, landing = np.moveaxis(grid.cells, -1, 0)
+    ground_layer = np.arange(kind.shape[2]) == 0
+    turned = np.isin(kind, KINDS_WITH_YAW)
+    back = (landing != 0) & ((kind != Kind.BLOCK) | (landing != 1))
+    cells = (
+        ("kind", kind, (kind < Kind.AIR) | (kind >= len(Kind)), f"the kinds 0 to {len(Kind) - 1}"),
+        ("kind", kind, ground_layer != (kind == Kind.GROUND), "ground in the layer 0, and nowhere else"),
+        ("yaw", yaw, (yaw < 0) | (yaw > 3 * turned), "the yaws 0 to 3 for what has one, else 0"),
+        ("top", mark, (mark < -2) | (mark >= grid.n_cars), "the marks -2, -1 and the numbers of its cars"),
+        ("back", landing, back, "a mark as landing on blocks alone"),
+    )
+    for name, values, wrong, allowed in cells:
+        for place in map(tuple, np.argwhere(wrong)[:1].tolist()):
+            raise InputError(f"'{name}' of the cell {place} is {values[place]}; allowed: {allowed}")
+    x, y, z, yaw, load, load_yaw, slope = grid.cars.T
+    length, width, height = grid.size
+    # A car may stand above the highest cell.
+    inside = (x >= 0) & (x < length) & (y >= 0) & (y < width) & (z >= 1) & (z <= height + 1)
+    for car in np.flatnonzero(~inside)[:1].tolist():
+        at = tuple(grid.cars[car, : CarField.YAW].tolist())
+        raise InputError(f"car {car} is at {at}, outside the map of size {grid.size}")
+    loads = (Kind.AIR, *CARRIED)
+    named = f"{', '.join(NAMES[one] for one in loads[:-1])} or {NAMES[loads[-1]]}"
+    on_slope = (slope == 0) | ((slope == 1) & (z <= height)) | ((slope == 2) & (z > 1))
+    most = 3 * (load == Kind.FSLOPE)
+    cars = (
+        ("yaw", yaw, (yaw < 0) | (yaw > 3), "0 to 3"),
+        ("load", load, ~np.isin(load, loads), f"{named} ({', '.join(str(int(one)) for one in loads)})"),
+        ("load_yaw", load_yaw, (load_yaw < 0) | (load_yaw > most), "0 to 3 with a folded slope, else 0"),
+        ("slope", slope, ~on_slope, "0, 1 below the top level, and 2 above the floor"),
+    )
+    for name, values, wrong, allowed in cars:
+        for car in np.flatnonzero(wrong)[:1].tolist():
+            raise InputError(f"'{name}' of car {car} is {values[car]}; allowed: {allowed}")

@@ -45,14 +45,9 @@ class KindSpec:
     plural: str = ""
     """Of what cars carry."""
     letter: str = ""
-    """How text shows it as a car's load."""
+    """How text shows it as a car's load; empty for what no car carries."""
     stands: bool = False
     """Whether it is a thing of its own that stands on something."""
-
-    @property
-    def carried(self) -> bool:
-        """Whether cars carry it."""
-        return bool(self.letter)
 
 
 KINDS: Final = {
@@ -70,7 +65,7 @@ KINDS: Final = {
 
 NAMES: Final = {kind: spec.words for kind, spec in KINDS.items()}
 """What is in a cell, in words."""
-CARRIED: Final = tuple(kind for kind, spec in KINDS.items() if spec.carried)
+CARRIED: Final = tuple(kind for kind, spec in KINDS.items() if spec.letter)
 """What cars carry."""
 STANDING: Final = tuple(kind for kind, spec in KINDS.items() if spec.stands)
 """What is a thing of its own; gears and feet come with their slopes."""

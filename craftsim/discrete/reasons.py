@@ -265,20 +265,15 @@ class _Case(Formatter):
             return x, y, z + (1 if beyond == "above" else -1)
         return _PLACES[name](self)
 
-    def ahead(self, cells: int) -> Cell:
-        """Return the cell so many ahead in the direction of a move."""
-        cell = self.own
-        for _ in range(cells):
-            cell = beside(cell, self.direction)
-        return cell
-
-    def car_of(self, column: CarField) -> int:
-        """Return a column of the car that the reason names."""
-        return int(self.grid.cars[self.detail, column])
-
 
 def _other(case: _Case) -> Cell:
-    return case.car_of(CarField.X), case.car_of(CarField.Y), case.car_of(CarField.Z)
+    x, y, z = case.grid.cars[case.detail, : CarField.YAW].tolist()
+    return x, y, z
+
+
+def _ahead(case: _Case, cells: int) -> Cell:
+    """Return the cell so many ahead in the direction of a move."""
+    return beside(_ahead(case, cells - 1), case.direction) if cells else case.own
 
 
 _PLACES: Final[dict[str, Callable[[_Case], Cell]]] = {
@@ -287,11 +282,11 @@ _PLACES: Final[dict[str, Callable[[_Case], Cell]]] = {
     "side": lambda case: beside(case.own, case.detail),
     "corner": lambda case: beside(beside(case.own, case.load_yaw), case.load_yaw + case.turn),
     "other": _other,
-    "other gear": lambda case: beside(_other(case), case.car_of(CarField.LOAD_YAW)),
+    "other gear": lambda case: beside(_other(case), int(case.grid.cars[case.detail, CarField.LOAD_YAW])),
     "swept": lambda case: beside(beside(case.own, case.yaw + 2), case.direction),
-    "target": lambda case: case.ahead(1),
-    "second": lambda case: case.ahead(2),
-    "third": lambda case: case.ahead(3),
+    "target": lambda case: _ahead(case, 1),
+    "second": lambda case: _ahead(case, 2),
+    "third": lambda case: _ahead(case, 3),
 }
 """The places that reasons name; ``above`` and ``under`` may precede each.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from typing import Final, get_args
 
 import numpy as np
@@ -10,12 +11,12 @@ from numpy.typing import NDArray
 
 from craftsim.choices import RuleSet as RuleSet
 from craftsim.discrete.actions import act_own, as_own, carry_out, is_own, own_columns, own_reason
-from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.jit import seldom
-from craftsim.discrete.kernel.search import SearchBuffers, search_buffers
+from craftsim.discrete.kernel.search import search_buffers
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action, Correction
 from craftsim.discrete.reasons import Explanation, explain
 from craftsim.errors import InputError, suggestion
@@ -29,6 +30,8 @@ DEFAULT_DEPTH: Final = 10
 Joint = Sequence[tuple[int, int]]
 """(car, action) in acting order; a car that is not listed does nothing."""
 
+_search_buffers: Final = lru_cache(maxsize=2)(search_buffers)
+"""They may take 20 MB for each map size."""
 _NO_SPACE: Final = search_buffers((1, 1, 1))
 _masks, _step = seldom(batch.masks), seldom(batch.step)
 
@@ -69,7 +72,6 @@ class Rules:
         self.own = as_own(tuple(actions))
         self.actions = (*Action, *self.own)
         """What the columns of masks stand for."""
-        self._last: tuple[Cell, SearchBuffers] | None = None
 
     def mask(self, grid: Grid) -> NDArray[np.bool_]:
         """Return the legality of the 15 actions of each car, shape (n_cars, 15), all judged on this state.
@@ -115,27 +117,20 @@ class Rules:
 
         Returns the world after the tick and, parallel to ``joint``, whether each action was legal when its turn came.
         """
-        highest = 0
-        for car, action in joint:
+        for car, _ in joint:
             _check_car(grid, car)
-            highest = max(highest, action)
-        if highest >= N_ACTIONS and any(is_own(action) for _, action in joint):
-            return self._tick_with_own(grid, joint)
+        after, applied = grid.copy(), np.zeros((1, len(joint)), np.bool_)
+        if any(is_own(action) for _, action in joint):
+            for i, (car, action) in enumerate(joint):
+                if is_own(action):
+                    applied[0, i] = act_own(after, self.corrections, car, action)
+                else:
+                    after, applied[0, i : i + 1] = self.tick(after, [(car, action)])
+            return after, applied[0]
         turns = np.array([car for car, _ in joint], np.int64)[None]
         acts = np.array([int(action) for _, action in joint], np.int64)[None]
-        after, applied = grid.copy(), np.zeros(turns.shape, np.bool_)
         _step(after.cells[None], after.cars[None], int(self.corrections), turns, acts, applied)
         return after, applied[0]
-
-    def _tick_with_own(self, grid: Grid, joint: Joint) -> tuple[Grid, NDArray[np.bool_]]:
-        after, applied = grid.copy(), []
-        for car, action in joint:
-            if is_own(action):
-                applied.append(act_own(after, self.corrections, car, action))
-            else:
-                after, legal = self.tick(after, [(car, action)])
-                applied.append(bool(legal[0]))
-        return after, np.array(applied, np.bool_)
 
     def reachable(self, grid: Grid, depth: int = DEFAULT_DEPTH) -> NDArray[np.bool_]:
         """Return (n_cars, 15): legal actions, and moves that are not legal but that the action helper has a plan for.
@@ -145,7 +140,7 @@ class Rules:
         """
         out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
         arrays = grid.cells[None], grid.cars[None], int(self.corrections)
-        batch.masks(*arrays, self._space(grid), depth, out)
+        batch.masks(*arrays, _search_buffers(grid.size), depth, out)
         return self._with_own(out, grid)[0]
 
     def plan_move(
@@ -156,8 +151,8 @@ class Rules:
             raise ValueError(f"{action!r} is not one of the four moves")
         _check_car(grid, car)
         steps = np.empty(depth + 1, np.int8)
-        arrays = grid.cells, grid.cars, int(self.corrections)
-        length = batch.plan(*arrays, car, int(action), self._space(grid), depth, steps)
+        world = grid.world(self.corrections)
+        length = batch.plan(world, car, int(action), _search_buffers(grid.size), depth, steps)
         return None if length < 0 else tuple(Action(step) for step in steps[:length].tolist())
 
     def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
@@ -177,12 +172,6 @@ class Rules:
     def _with_own(self, mask: NDArray[np.bool_], grid: Grid) -> NDArray[np.bool_]:
         """Return a mask (1, n_cars, 15) with a column for each registered action that is offered."""
         return own_columns(mask, grid[None], self.corrections, self.own) if self.own else mask
-
-    def _space(self, grid: Grid) -> SearchBuffers:
-        """Return scratch arrays; those of one map size are kept, and no more: they may take 20 MB each."""
-        if self._last is None or self._last[0] != grid.size:
-            self._last = grid.size, search_buffers(grid.size)
-        return self._last[1]
 
 
 def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:
@@ -205,5 +194,5 @@ def _check_car(grid: Grid, car: int) -> None:
 
 def has_room(grid: Grid) -> bool:
     """Return whether what each car carries is clear of all else by the rules: else no play of them leads there."""
-    arrays = grid.cells, grid.cars, int(RULE_SETS["physical"])
-    return all(batch.has_room(*arrays, car) for car in range(grid.n_cars))
+    world = grid.world(RULE_SETS["physical"])
+    return all(batch.has_room(world, car) for car in range(grid.n_cars))

@@ -17,10 +17,9 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
 from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.reach import car_in
 from craftsim.discrete.kernel.rules import act, legal_actions
 from craftsim.discrete.kernel.search import SUCCESSORS, node_of
-from craftsim.discrete.kernel.state import DERIVED_MARKS, World, derive_marks
+from craftsim.discrete.kernel.state import DERIVED_MARKS, World, car_in, derive_marks
 from craftsim.discrete.kinds import Action, Kind
 from craftsim.discrete.move_graph import N_STEPS, UNREACHABLE, Distances, node_number, pose_at_node
 from craftsim.discrete.rules import Rules

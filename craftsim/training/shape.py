@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from craftsim.discrete.grid_checks import check_size
+from craftsim.discrete.grid import check_size
 from craftsim.discrete.kernel.tasks import IS_BLOCK, IS_BODY, IS_CAR, IS_FLAG, IS_FOOT, IS_FSLOPE, ROW
 from craftsim.discrete.tasks import Task
 from craftsim.errors import InputError

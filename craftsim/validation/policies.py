@@ -22,7 +22,7 @@ from craftsim.envs.actions import by_agent, checked
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
-from craftsim.modules import import_own, place_of
+from craftsim.modules import find_named
 from craftsim.storage.limits import POLICY
 from craftsim.storage.paths import exists
 from craftsim.storage.reading import read_bytes
@@ -144,25 +144,12 @@ def _is_trained(name: str) -> bool:
 
 
 def _function(name: str) -> Policy:
-    module, colon, function = name.partition(":")
     shipped = ", ".join(shipped_policies())
     known = f"'{RANDOM}', '{PLANNER}', 'module:function', the path of a trained policy, or a shipped one: {shipped}"
-    if not colon:
+    if ":" not in name:
         raise InputError(f"no policy '{name}': there is no such file; allowed: {known}")
     what = f"policy '{name}'"
-    if not all(part.isidentifier() for part in (*module.split("."), function)):
-        raise InputError(f"{what}: must be module:function, such as mypackage.policies:greedy")
-    try:
-        loaded = import_own(module)
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"{what}: {error}; modules are looked for in this folder too; allowed: {known}"
-        ) from error
-    except _ANYTHING as error:
-        raise InputError(f"{what}: module '{module}' cannot be imported: {_said(error)}") from error
-    found: Policy | None = getattr(loaded, function, None)
-    if found is None:
-        raise InputError(f"{what}: the module {module} ({place_of(loaded)}) has no '{function}'")
+    found: Policy = find_named(name, what, "module:function, such as mypackage.policies:greedy", known)
     if not callable(found):
         raise InputError(f"{what} is a {type(found).__name__}, not a function")
     return found

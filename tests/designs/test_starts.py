@@ -9,8 +9,7 @@ from craftsim.designs.drawn import Growth, random_start, random_structure
 from craftsim.designs.library import make_design
 from craftsim.designs.starts import FreeFloor, make_start
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
-from craftsim.discrete.grid import CarField, Kind, Piece, beside
-from craftsim.discrete.grid_checks import check_grid
+from craftsim.discrete.grid import CarField, Kind, Piece, beside, check_grid
 from craftsim.errors import InputError
 
 SEEDS = range(2)

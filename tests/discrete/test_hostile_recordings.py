@@ -12,8 +12,7 @@ import pytest
 
 from craftsim.cli import main
 from craftsim.discrete.conformance import parse_record
-from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.discrete.grid_checks import check_grid
+from craftsim.discrete.grid import CarField, Grid, Kind, check_grid
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.starts import load_starts, save_starts
 from craftsim.errors import InputError

@@ -73,13 +73,17 @@ def test_a_structure_is_worth_what_its_parts_weigh():
 
 
 def test_three_blocks_from_the_floor_are_a_success_and_what_hangs_or_lies_is_none():
-    def reached(pieces):
-        return bool(GOALS["three_high"](world(pieces)[None], np.zeros((1, 0, 5), np.int64), None)[0])
+    def reached(pieces, grid=None):
+        grid = world(pieces) if grid is None else grid
+        return bool(GOALS["three_high"](grid[None], np.zeros((1, 0, 5), np.int64), None)[0])
 
     stack = [block(2, 2, z) for z in (1, 2, 3)]
     assert reached(stack)
     assert not any(reached([piece for piece in stack if piece != one]) for one in stack)
     assert not reached(FLOOR)
+    low = Grid.empty((1, 1, 2))
+    low.kind[0, 0, 1:] = Kind.BLOCK
+    assert not reached((), low)
 
 
 def test_the_finished_tower_is_worth_the_same_turned_and_reflected():

@@ -70,7 +70,7 @@ def test_a_registered_task_is_found_by_its_name(monkeypatch):
     ):
         with pytest.raises(InputError, match=message):
             register_task(wrong)
-    with pytest.raises(InputError, match="its own numbers of cars"):
+    with pytest.raises(InputError, match="its own area and numbers of cars"):
         as_task("corner", n_cars=2)
     with pytest.raises(
         InputError, match=r"unknown task 'korner'; did you mean 'corner'\?; there are strip, .*corner"

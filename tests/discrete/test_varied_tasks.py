@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from craftsim.designs.tasks import DrawnDesigns, designs_task, shape_digest, with_reflections
-from craftsim.discrete.grid import Kind
-from craftsim.discrete.grid_checks import check_grid
+from craftsim.discrete.grid import Kind, check_grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import (
     VARIED_NAMES,

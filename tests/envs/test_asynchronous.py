@@ -12,8 +12,7 @@ import craftsim
 from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.actions import footprint
 from craftsim.discrete.asynchronous import BEGUN, BLOCKED, WAITS, AsynchronousEpisodes, Timing
-from craftsim.discrete.grid import Grid, Kind, Piece
-from craftsim.discrete.grid_checks import check_values
+from craftsim.discrete.grid import Grid, Kind, Piece, check_values
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule

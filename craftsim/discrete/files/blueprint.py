@@ -18,7 +18,17 @@ from pydantic import PlainValidator, ValidationInfo
 from craftsim.discrete.files.placement import Placement, build_grid
 from craftsim.discrete.files.sense import CarRow, check_sense, outside
 from craftsim.discrete.files.shipped import find
-from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece
+from craftsim.discrete.grid import (
+    MAX_CARS,
+    MAX_CELLS,
+    MAX_SIDE,
+    SECOND_PART,
+    CarField,
+    Cell,
+    Grid,
+    Kind,
+    Piece,
+)
 from craftsim.discrete.kinds import CARRIED
 from craftsim.errors import BlueprintError
 from craftsim.storage.limits import YAML_VALUES, Range
@@ -28,10 +38,6 @@ from craftsim.storage.yaml import Document, dump, parse_document, read_document
 
 NO_CELL: Final[Cell] = (-1, -2, 1)
 """The coordinates with which CraftEnv's files say that there is no flag or no goal."""
-
-MAX_SIDE: Final = 128
-MAX_CELLS: Final = 131_072
-MAX_CARS: Final = 256
 
 OBJECT_KEYS: Final = {
     "block": Kind.BLOCK,
@@ -225,13 +231,13 @@ class Blueprint:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether nothing is left to chance."""
+        """Whether it has no random parts."""
         numbers = (self.n_blocks, self.n_slopes, self.n_cars)
         return numbers == (self.listed(Kind.BLOCK), self.listed(Kind.FSLOPE, Kind.BODY), len(self.cars))
 
     @property
     def content(self) -> dict[str, Any]:
-        """What is in it, whatever its file, as JSON has it: that of which digests are made."""
+        """Its content as JSON, independent of the file, for digests."""
 
         def plain(pieces: tuple[Piece, ...]) -> list[dict[str, Any]]:
             return [{"kind": kind.name, "cell": cell, "yaw": yaw} for kind, cell, yaw in pieces]
@@ -340,7 +346,7 @@ def blueprint_of(document: Document) -> Blueprint:
 
 
 def _counts(blueprint: Blueprint) -> Iterator[Mistake]:
-    """Yield the numbers that do not cover what is listed."""
+    """Yield the counts that are less than what is listed."""
     for key, number, found in (
         ("block_num", blueprint.n_blocks, blueprint.listed(Kind.BLOCK)),
         ("slope_num", blueprint.n_slopes, blueprint.listed(Kind.FSLOPE, Kind.BODY)),

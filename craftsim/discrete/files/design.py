@@ -8,9 +8,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Final, NoReturn
 
-from craftsim.discrete.files.blueprint import MAX_SIDE
 from craftsim.discrete.files.shipped import find
-from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.grid import MAX_SIDE, Cell, Grid, Kind, Piece, beside
 from craftsim.errors import BlueprintError
 from craftsim.storage.limits import DESIGN_CELLS, Range
 from craftsim.storage.records import Loc, key_words, record
@@ -92,7 +91,7 @@ class Design:
 
     @property
     def content(self) -> dict[str, Any]:
-        """What is to be built, whatever its file, as JSON has it: that of which digests are made."""
+        """What is to be built as JSON, independent of the file, for digests."""
         return {"targets": [{"kind": target.kind.name, "cell": target.cell} for target in self.targets]}
 
     def moved(self, dx: int, dy: int) -> Design:

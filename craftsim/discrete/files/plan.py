@@ -101,11 +101,12 @@ def read_actions(path: str | Path, n_cars: int) -> Plan:
 
 def plan_text(ticks: Iterable[Iterable[tuple[int, Action]]], after: Constraints | None = None) -> str:
     """Return the text of a plan; each tick is (car, action) pairs in acting order, ``after`` as of :class:`Plan`."""
-    return "".join(
-        f"{tick} {car} {Action(action).name}{_after_text((after or {}).get((tick, car), ()))}\n"
-        for tick, joint in enumerate(ticks)
-        for car, action in joint
-    )
+    lines = []
+    for tick, joint in enumerate(ticks):
+        for car, action in joint:
+            acts = "".join(f" {other}:{before}" for before, other in (after or {}).get((tick, car), ()))
+            lines.append(f"{tick} {car} {Action(action).name}{' after' if acts else ''}{acts}\n")
+    return "".join(lines)
 
 
 def write_plan(
@@ -133,11 +134,6 @@ def write_plan(
     if not text:
         raise InputError(f"{path}: the plan has no actions")
     write_whole(path, text)
-
-
-def _after_text(acts: Iterable[tuple[int, int]]) -> str:
-    named = [f"{car}:{tick}" for tick, car in acts]
-    return " ".join([" after", *named]) if named else ""
 
 
 def _found(path: str | Path) -> Path:

@@ -1,4 +1,4 @@
-"""Does a drawing make sense: one thing in a cell, everything stands on something, cars fit where they are."""
+"""Checks of a drawing: one thing in a cell, everything stands on something, cars fit where they are."""
 
 from __future__ import annotations
 

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled, plain
-from craftsim.discrete.kernel.reach import car_in, carried_gear_in
 from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions, load_below_walls, load_fits
 from craftsim.discrete.kernel.search import (
     UNKNOWN,
@@ -23,7 +22,11 @@ from craftsim.discrete.kernel.state import (
     AIR,
     DERIVED_MARKS,
     FSLOPE,
+    Cars,
+    Cells,
     World,
+    car_in,
+    carried_gear_in,
     derive_marks,
     dir_x,
     dir_y,
@@ -35,8 +38,6 @@ from craftsim.discrete.kernel.state import (
 NO_HELPER = -1
 """A search depth: the action helper is off."""
 
-Cells = NDArray[np.int16]
-Cars = NDArray[np.int16]
 Mask = NDArray[np.bool_]
 Queues = NDArray[np.int8]
 
@@ -125,27 +126,16 @@ def enforce(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -
 
 
 @compiled
-def plan(
-    cells: Cells,
-    cars: Cars,
-    corrections: int,
-    car: int,
-    action: int,
-    space: SearchBuffers,
-    depth: int,
-    out: NDArray[np.int8],
-) -> int:
+def plan(w: World, car: int, action: int, space: SearchBuffers, depth: int, out: NDArray[np.int8]) -> int:
     """Write the primitives of the helper's plan for a MOVE of a single world's car; return how many, -1 if none."""
-    w = World(cells, cars, corrections)
     space.legal[:] = UNKNOWN
     node = plan_move(w, car, space, action, depth)
     return write_plan(space, node, out) if node >= 0 else -1
 
 
 @plain
-def has_room(cells: Cells, cars: Cars, corrections: int, me: int) -> bool:
+def has_room(w: World, me: int) -> bool:
     """Return whether what a car of a single world carries is clear of all else, as in all that play leads to."""
-    w = World(cells, cars, corrections)
     car = pose_of(w, me)
     if car.load == AIR:
         return True

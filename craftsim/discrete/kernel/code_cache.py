@@ -1,9 +1,9 @@
-"""Where compiled code is kept from one process to the next: a file for each function, named by all that it depends on.
+"""The cache of compiled code: a file for each function, named by a digest of all that it depends on.
 
-The files lie in the user's cache directory, or where NUMBA_CACHE_DIR says. They are unpickled, which runs code: so a
-folder that others may write to is not used, and nothing but the environment says where it is, while numba's own cache
-would heed a file of the working folder. A wheel may bring code for any processor of the platform it was made on
-(``make wheel``), which is read where the user's folder has none.
+The files are in the user's cache directory, or in NUMBA_CACHE_DIR. Unpickling runs code, so a folder that others may
+write to is refused, and only the environment sets the folder: numba's own cache also reads a file of the working
+directory. A wheel may ship code for any processor of its platform (``make wheel``), which is read where the user's
+folder has none.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ SHIPPED: Final = Path(__file__).parents[2] / "data" / "compiled"
 _GENERIC: Final = ("generic", "")
 """Name and features of the processor that shipped code is for."""
 _MOST: Final = 600
-"""So many files are kept at most, those that were written or read last: several versions of all that is compiled."""
+"""Files that are kept, the last used ones: several versions of all that is compiled."""
 _DIGEST_BYTES: Final = 32
 _FORMAT: Final = 2
 """Of the files: what a library needs, what others need of it, and the code."""
 
 
 def load(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
-    """Return what was compiled under a name, a ``CompileResult`` of numba; None where there is nothing whole.
+    """Return the ``CompileResult`` of numba that was saved under a name; None if there is none, or a damaged one.
 
     Args:
-        name: differs for whatever differs.
-        context: numba's target context, which takes the code in.
-        bring: makes ready what the code needs, as ``needs`` of its library says.
+        name: unique to the function and all that it depends on.
+        context: numba's target context, which loads the code.
+        bring: loads the functions that the code calls, ``needs`` of its library.
     """
     context.refresh()
     triple, *processor = context.codegen().magic_tuple()
@@ -68,7 +68,7 @@ def load(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
 
 
 def save(name: str, result: Any) -> None:
-    """Keep what was compiled under a name, a ``CompileResult`` of numba, if it can be kept at all."""
+    """Save a ``CompileResult`` of numba under a name, if there is a safe folder."""
     own = folder()
     if own is None or result.library.has_dynamic_globals:
         return
@@ -99,7 +99,7 @@ def _file(name: str, triple: str, processor: str, features: str) -> str:
 
 @cache
 def folder() -> Path | None:
-    """Return the folder that this process writes to, which is made; None where there is none that is safe."""
+    """Return the folder that this process writes to, created if needed; None if it is not safe."""
     named = os.environ.get("NUMBA_CACHE_DIR")
     place = Path(named) if named else platformdirs.user_cache_path("craftsim")
     folder = place / "craftsim-compiled" if named else place / "compiled"
@@ -122,7 +122,7 @@ _turns = 0
 
 @contextmanager
 def alone() -> Iterator[None]:
-    """Keep other processes from compiling in the block, so that none compiles what another does; blocks may nest."""
+    """Hold the lock that lets one process compile at a time; blocks may nest."""
     global _turns
     own = folder()
     if own is None or _turns:
@@ -141,7 +141,7 @@ def alone() -> Iterator[None]:
 
 
 def _remove_old(own: Path) -> None:
-    """Remove what has not been used for longest, beyond so many files."""
+    """Remove the least recently used files beyond the limit."""
     with suppress(OSError):
         files = sorted(own.iterdir(), key=lambda file: file.stat().st_mtime, reverse=True)
         for file in files[_MOST:]:

@@ -2,17 +2,7 @@
 
 from __future__ import annotations
 
-from craftsim.discrete.kernel.codes import (
-    DROP,
-    FIRST_MOVE,
-    FOLD,
-    LAST_MOVE,
-    LIFT,
-    MOVE_DIRECTIONS,
-    ROTATE_LEFT,
-    ROTATE_RIGHT,
-    UNFOLD,
-)
+from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.state import (
     AIR,
@@ -110,9 +100,9 @@ def set_occupant(w: World, x: int, y: int, z: int, mark: int) -> None:
 @compiled
 def after(w: World, car: Pose, action: int) -> Pose:
     """Return a car's state after a turn, with which a carried slope turns, or after a move."""
-    if action not in (ROTATE_LEFT, ROTATE_RIGHT):
-        return moved(w, car, MOVE_DIRECTIONS[action - FIRST_MOVE])
-    turn = 1 if action == ROTATE_LEFT else -1
+    if action not in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
+        return moved(w, car, code.MOVE_DIRECTIONS[action - code.FIRST_MOVE])
+    turn = 1 if action == code.ROTATE_LEFT else -1
     load_yaw = (car.load_yaw + turn) & 3 if car.load == FSLOPE else 0
     return Pose(car.x, car.y, car.z, (car.yaw + turn) & 3, car.load, load_yaw, car.slope)
 
@@ -149,21 +139,21 @@ def exchange(w: World, me: int, car: Pose, lifting: bool) -> None:
 def apply(w: World, me: int, action: int) -> None:
     """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
     car = pose_of(w, me)
-    if FIRST_MOVE <= action <= LAST_MOVE:
+    if code.FIRST_MOVE <= action <= code.LAST_MOVE:
         new = after(w, car, action)
         # A gear left behind counts as an object here, though not elsewhere (docs/rules.md#gear-mark).
         left_air = kind_at(w, car.x, car.y, car.z) == AIR
         set_occupant(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
         set_occupant(w, new.x, new.y, new.z - 1, me)
         write_pose(w, me, new)
-    elif action in (ROTATE_LEFT, ROTATE_RIGHT):
+    elif action in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
         write_pose(w, me, after(w, car, action))
-    elif action in (LIFT, DROP):
-        exchange(w, me, car, action == LIFT)
-    elif action in (FOLD, UNFOLD):
+    elif action in (code.LIFT, code.DROP):
+        exchange(w, me, car, action == code.LIFT)
+    elif action in (code.FOLD, code.UNFOLD):
         # The ramp in the own cell becomes a folded slope, or a folded slope a ramp behind the car. The landing of a
         # folded ramp is unmarked even if another ramp leans there (docs/rules.md#landing-forgotten).
-        folding, yaw = action == FOLD, (car.yaw + 2) & 3
+        folding, yaw = action == code.FOLD, (car.yaw + 2) & 3
         x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
         put(w, car.x, car.y, car.z, FSLOPE if folding else BODY, yaw)
         put(w, x, y, car.z, AIR if folding else FOOT, 0 if folding else yaw)

@@ -1,12 +1,12 @@
-"""How rules and controllers are compiled: numba in nopython mode, one signature a function, kept in a cache.
+"""Compilation of rules and controllers: numba in nopython mode, one signature a function, with an own cache.
 
-Compiled functions may not make arrays; they work on those they are given. So numba needs no reference counting in
-them, which would otherwise take ten times as long as the rules themselves (``_nrt``), and all of them can be inlined.
+Compiled functions must not allocate arrays. They then need no reference counting (``_nrt``), which would take ten times
+as long as the rules themselves, and can all be inlined.
 
-What Python calls needs a wrapper that takes Python's objects apart, which takes as long to compile as the function
-itself. So a function has none until Python calls it; those that only other compiled functions call never have one.
+The wrapper through which Python calls a function takes as long to compile as the function. It is compiled at the first
+call from Python; functions that only other compiled functions call have none.
 
-What Python calls seldom (:func:`seldom`) is plain Python at first, which is quicker than compiling it.
+A function that Python calls rarely (:func:`seldom`) runs as plain Python at first, which is faster than compiling it.
 """
 
 from __future__ import annotations
@@ -25,11 +25,10 @@ from typing import Any, Final, TypeVar, cast, overload
 
 import numpy as np
 from llvmlite import binding as llvm
-from numba.core import bytecode, config, sigutils, typed_passes, types, untyped_passes
+from numba.core import bytecode, config, sigutils, types, untyped_passes
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.compiler_machinery import PassManager
 from numba.core.registry import CPUDispatcher
 from numpy.typing import NDArray
 
@@ -62,9 +61,9 @@ def compiled(function: F | None = None, *, inline: bool = True, nogil: bool = Fa
     """Compile a function with numba at its first call; NUMBA_DISABLE_JIT=1 leaves it plain Python.
 
     Args:
-        function: what is to be compiled.
-        inline: whether its code becomes part of each function that calls it. A large one that many call is better
-            called: it is compiled once then.
+        function: the function.
+        inline: whether its code is inlined into its callers. A large one with many callers is better not inlined: it is
+            then compiled once.
         nogil: whether a call from Python releases the interpreter's lock.
     """
     options = {"forceinline": inline, "nogil": nogil}
@@ -76,7 +75,7 @@ def compiled(function: F | None = None, *, inline: bool = True, nogil: bool = Fa
 
 
 def plain(function: F) -> F:
-    """Return a function for which all that it calls is plain Python: it is called too seldom to be compiled."""
+    """Return a function as plain Python, and all that it calls, for what is called too rarely to compile."""
     function = getattr(function, "py_func", function)
     code, names = function.__code__, function.__globals__
     found = {name: _not_compiled(names[name]) for name in _names(code) if name in names}
@@ -89,10 +88,9 @@ def _not_compiled(value: Any) -> Any:
 
 
 def seldom(function: F) -> F:
-    """Return a compiled function for callers that call it now and then.
+    """Return a compiled function that is compiled only once its calls have taken INTERPRETED_S as plain Python.
 
-    Unless it is compiled already, or in the cache, calls are plain Python until they have taken INTERPRETED_S: less
-    than compiling it takes. The function must work on numbers and arrays of numbers.
+    If it is compiled already, or in the cache, it is used at once. Its arguments are numbers and arrays of numbers.
     """
     if config.DISABLE_JIT:
         return function
@@ -151,7 +149,7 @@ class _Compiled(CPUDispatcher):
         return plain(self.py_func)
 
     def bring(self, arguments: tuple[types.Type, ...]) -> None:
-        """Make ready what machine code that was compiled before calls by its name, whether Python calls it or not."""
+        """Compile or load it for machine code that calls it by name."""
         with global_compiler_lock:
             if arguments in self._callable:
                 return
@@ -168,14 +166,13 @@ class _Compiled(CPUDispatcher):
         name = self._name(arguments)
         if self._load(name):
             return
-        with _progress.of(self), code_cache.alone(), _signatures_remembered():
+        with _progress(self), code_cache.alone(), _signatures_remembered():
             # Another process may have compiled it in the meantime.
             if self._load(name):
                 return
             self.overloads.pop(arguments, None)
-            self._compiler.pipeline_class = (
-                _Compiler if self._for_python else partial(_InnerCompiler, self.content)
-            )
+            inner = partial(_InnerCompiler, self.content)
+            self._compiler.pipeline_class = Compiler if self._for_python else inner
             self._compiler.targetoptions = self.targetoptions | {"no_cpython_wrapper": not self._for_python}
             super().compile(arguments)
             library = self.overloads[arguments].library
@@ -219,13 +216,11 @@ class _Compiled(CPUDispatcher):
         constants that it refers to, and so on. Comments, docstrings and whatever else is in these files do not count.
 
         What is kept in the cache imports the modules of all functions in it: one that moved must not be found there."""
-        code = _text(self.py_func.__code__.replace(co_consts=self._constants()))
-        parts = (_OPTIONS, self.targetoptions, self.py_func.__module__, code, *map(_text, self._refers_to()))
+        code, doc = self.py_func.__code__, self.py_func.__doc__
+        code = code.replace(co_consts=tuple(None if one is doc else one for one in code.co_consts))
+        refers_to = map(_text, self._refers_to())
+        parts = (_OPTIONS, self.targetoptions, self.py_func.__module__, _text(code), *refers_to)
         return hashlib.sha256(repr(parts).encode()).hexdigest()
-
-    def _constants(self) -> tuple[Any, ...]:
-        code = self.py_func.__code__
-        return tuple(None if one is self.py_func.__doc__ else one for one in code.co_consts)
 
     def _refers_to(self) -> Iterator[Any]:
         function = self.py_func
@@ -251,7 +246,7 @@ class _Compiled(CPUDispatcher):
 
 
 class _Part(JITCodeLibrary):
-    """Code that becomes a part of others': it is made machine code with each of those, and not by itself."""
+    """Code of an inlined function: it becomes machine code with its callers, not by itself."""
 
     def _optimize_final_module(self) -> None:
         """Inline what it calls; what is inlined itself is optimised where it ends up."""
@@ -270,68 +265,29 @@ class _Part(JITCodeLibrary):
 
 
 class _Called(JITCodeLibrary):
-    """Code that others call: it is made machine code once, and others only name it."""
+    """Code of a function that is not inlined: it becomes machine code once, and callers refer to it by name."""
 
     _shared_module: Any
 
     def _get_module_for_linking(self) -> Any:
-        """Return nothing to link: what calls it finds it by its name when it is made ready."""
+        """Return an empty module: callers resolve the function by name when they are loaded."""
         self._ensure_finalized()
         if self._shared_module is None:
             self._shared_module = llvm.parse_assembly(str(self._codegen._create_empty_module(self.name)))
         return self._shared_module
 
 
-_NOT_NEEDED: Final = {
-    untyped_passes.WithLifting,
-    untyped_passes.InlineClosureLikes,
-    untyped_passes.RewriteSemanticConstants,
-    untyped_passes.DeadBranchPrune,
-    untyped_passes.RewriteDynamicRaises,
-    untyped_passes.MakeFunctionToJitFunction,
-    untyped_passes.InlineInlinables,
-    untyped_passes.FindLiterallyCalls,
-    untyped_passes.LiteralUnroll,
-    untyped_passes.LiteralPropagationSubPipelinePass,
-    typed_passes.InlineOverloads,
-    typed_passes.NopythonRewrites,
-    typed_passes.NoPythonSupportedFeatureValidation,
-    typed_passes.AnnotateTypes,
-    typed_passes.DumpParforDiagnostics,
-}
-"""Passes of numba for closures, literals, array expressions and other things that our functions do without."""
-
-
-class _Compiler(Compiler):
-    """Compiles a function as numba does, without what ours do not need."""
-
-    def define_pipelines(self) -> list[PassManager]:
-        """Return numba's passes but for some."""
-        (passes,) = super().define_pipelines()
-        passes.passes = [one for one in passes.passes if one[0] not in _NOT_NEEDED]
-        passes.finalize()
-        return [passes]
-
-
-class _InnerCompiler(_Compiler):
+class _InnerCompiler(Compiler):
     """Compiles a function that other compiled functions call, under a name that depends on its content alone."""
 
     def __init__(
-        self,
-        content: str,
-        typingctx: Any,
-        targetctx: Any,
-        library: None,
-        args: Any,
-        return_type: Any,
-        flags: Any,
-        locals: Any,
+        self, content: str, typing: Any, target: Any, _: None, args: Any, result: Any, flags: Any, names: Any
     ) -> None:
         flags.no_compile = True
         self._content = content
-        own = (_Part if flags.forceinline else _Called)(targetctx.codegen(), "inner")
-        own.enable_object_caching()
-        super().__init__(typingctx, targetctx, own, args, return_type, flags, locals)
+        library = (_Part if flags.forceinline else _Called)(target.codegen(), "inner")
+        library.enable_object_caching()
+        super().__init__(typing, target, library, args, result, flags, names)
 
     def compile_extra(self, func: Callable[..., Any]) -> Any:
         """Compile a function as numba does, but for its number, which becomes a part of its name."""
@@ -364,53 +320,53 @@ def _signatures_remembered() -> Iterator[None]:
         types.BaseFunction.get_call_type = before
 
 
-class _Progress:
-    """How many functions this process has compiled, of those that it had to compile so far."""
+_wanted: Final[set[_Compiled]] = set()
+"""What this process has compiled, and what it is about to."""
+_depth, _said = 0, -math.inf
 
-    def __init__(self) -> None:
-        self._wanted: set[_Compiled] = set()
-        self._depth, self._said = 0, -math.inf
 
-    @contextmanager
-    def of(self, function: _Compiled) -> Iterator[None]:
-        """Compile a function in the block, and in blocks within it all that it calls."""
-        outermost = not self._depth
-        collects = gc.isenabled()
+@contextmanager
+def _progress(function: _Compiled) -> Iterator[None]:
+    """Compile a function in the block, and in blocks within it all that it calls; log how far that is."""
+    global _depth, _said
+    outermost, collects = not _depth, gc.isenabled()
+    if outermost:
+        # An eighth of the time would go into looking for garbage in what numba still needs.
+        gc.disable()
+        _wanted.update(one for one in function.calls() if not one.overloads)
+        _said = -math.inf
+        _say()
+    _depth += 1
+    try:
+        yield
+    finally:
+        _depth -= 1
         if outermost:
-            # An eighth of the time would go into looking for garbage in what numba still needs.
-            gc.disable()
-            self._wanted |= {one for one in function.calls() if not one.overloads}
-            self._say()
-        self._depth += 1
-        try:
-            yield
-        finally:
-            self._depth -= 1
-            if outermost:
-                if collects:
-                    gc.enable()
-                # Others were not called.
-                self._wanted = {one for one in self._wanted if one.overloads}
-            if outermost or time.monotonic() - self._said >= 1:
-                self._say()
-
-    def _say(self) -> None:
-        self._said = time.monotonic()
-        done = sum(bool(one.overloads) for one in self._wanted)
-        LOG.info("compiling, on the first run only: %d of %d functions", done, len(self._wanted))
+            if collects:
+                gc.enable()
+            # Others were not called.
+            _wanted.intersection_update([one for one in _wanted if one.overloads])
+            _said = -math.inf
+        _say()
 
 
-_progress: Final = _Progress()
+def _say() -> None:
+    """Log how many functions are compiled, once a second at most."""
+    global _said
+    if time.monotonic() - _said >= 1:
+        _said = time.monotonic()
+        done = sum(bool(one.overloads) for one in _wanted)
+        LOG.info("compiling, on the first run only: %d of %d functions", done, len(_wanted))
 
 
 def _bring(needs: set[Need]) -> None:
-    """Have functions compiled or read that the machine code of another one calls."""
+    """Compile or load the functions that the machine code of another one calls."""
     for module, name, arguments in sorted(needs, key=str):
         getattr(import_module(module), name).bring(arguments)
 
 
 def _plain(kind: types.Type) -> types.Type:
-    """Return the type of a value whatever that value is: an integer for a literal one and for a member of an enum."""
+    """Return a type without literal values and enums: an integer for both."""
     kind = types.unliteral(kind)
     return types.int64 if isinstance(kind, types.IntEnumMember) else kind
 

@@ -10,17 +10,6 @@ from __future__ import annotations
 from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kernel.effects import apply, moved
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.reach import (
-    GEAR_MM,
-    LIP_MM,
-    below_leaning,
-    car_in,
-    carried_gear_in,
-    downhill_of,
-    gear_across,
-    leans_into,
-    reaches_up,
-)
 from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
@@ -35,7 +24,9 @@ from craftsim.discrete.kernel.state import (
     FOOT,
     FSLOPE,
     GEAR,
+    GEAR_MM,
     LEANING_LOAD,
+    LIP_MM,
     NOTHING,
     OVERHEAD_WALL,
     OWN_RAMP,
@@ -49,14 +40,21 @@ from craftsim.discrete.kernel.state import (
     WALL,
     Pose,
     World,
+    below_leaning,
     car_field,
+    car_in,
+    carried_gear_in,
     dir_x,
     dir_y,
+    downhill_of,
+    gear_across,
     inside,
     is_landing,
     kind_at,
+    leans_into,
     occupant_of,
     pose_of,
+    reaches_up,
     yaw_at,
 )
 

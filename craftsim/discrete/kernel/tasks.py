@@ -24,6 +24,8 @@ from craftsim.discrete.kernel.state import (
     FSLOPE,
     GEAR,
     KIND,
+    Cars,
+    Cells,
     World,
     car_field,
     derived_landing,
@@ -44,7 +46,8 @@ TYPE_FLAGS = tuple(_FLAGS.get(kind, 0) for kind in range(len(Kind)))
 
 @compiled
 def score_buildings(
-    worlds: World,
+    cells: Cells,
+    cars: Cars,
     designs: NDArray[np.int64],
     thing: float,
     upper_block: float,
@@ -58,7 +61,7 @@ def score_buildings(
     ``thing`` once its body and foot are both in place; a finished building counts ``completion`` more.
     """
     for i in range(out.shape[0]):
-        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        w = World(cells[i], cars[i], 0)
         score, finished = 0.0, True
         for row in range(designs.shape[1]):
             kind, x, y, z, yaw = designs[i, row]
@@ -81,11 +84,11 @@ def score_buildings(
 
 @compiled
 def score_buildings_as_published(
-    worlds: World, designs: NDArray[np.int64], completion: float, out: NDArray[np.float64]
+    cells: Cells, cars: Cars, designs: NDArray[np.int64], completion: float, out: NDArray[np.float64]
 ) -> None:
     """Write how far each building is as CraftEnv's code computes it (docs/rules.md#goal-score) into out (B,)."""
     for i in range(out.shape[0]):
-        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        w = World(cells[i], cars[i], 0)
         score = 0.0
         hits = wanted = 0
         for row in range(designs.shape[1]):
@@ -105,7 +108,8 @@ def score_buildings_as_published(
 
 @compiled
 def largest_platforms(
-    worlds: World,
+    cells: Cells,
+    cars: Cars,
     also: int,
     levels: int,
     seen: NDArray[np.bool_],
@@ -117,7 +121,7 @@ def largest_platforms(
     ``also`` is another kind that counts as a block; ``seen`` (L, W) and ``stack`` (L * W, 2) are scratch.
     """
     for i in range(out.shape[0]):
-        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        w = World(cells[i], cars[i], 0)
         largest = 0
         for z in range(1, levels + 1):
             seen[:] = False
@@ -144,7 +148,7 @@ def largest_platforms(
 
 
 @compiled
-def score_structures(worlds: World, weights: tuple[float, ...], out: NDArray[np.float64]) -> None:
+def score_structures(cells: Cells, cars: Cars, weights: tuple[float, ...], out: NDArray[np.float64]) -> None:
     """Write how elaborate the buildings of each world are into out (B,).
 
     ``weights`` are those of a landing of a ramp, a block on a block, a folded slope on a block, an unfolded one, such a
@@ -152,7 +156,7 @@ def score_structures(worlds: World, weights: tuple[float, ...], out: NDArray[np.
     """
     landing, on_block, folded, unfolded, leads, stack = weights
     for i in range(out.shape[0]):
-        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        w = World(cells[i], cars[i], 0)
         score = 0.0
         for x in range(w.cells.shape[0]):
             for y in range(w.cells.shape[1]):
@@ -177,13 +181,13 @@ def score_structures(worlds: World, weights: tuple[float, ...], out: NDArray[np.
 
 
 @compiled
-def flag_distances(worlds: World, goal: tuple[int, int, int], out: NDArray[np.float64]) -> None:
+def flag_distances(cells: Cells, cars: Cars, goal: tuple[int, int, int], out: NDArray[np.float64]) -> None:
     """Write the Manhattan distance of the flag, carried or not, to the goal in each world into out (B,).
 
     A lost flag is farther than any cell.
     """
     for i in range(out.shape[0]):
-        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        w = World(cells[i], cars[i], 0)
         distance = w.cells.shape[0] + w.cells.shape[1] + w.cells.shape[2]
         for x in range(w.cells.shape[0]):
             for y in range(w.cells.shape[1]):
@@ -207,7 +211,8 @@ def write_row(row: NDArray[np.int32], x: int, y: int, z: int, flag: int, yaw: in
 
 @compiled
 def write_rows(
-    worlds: World,
+    cells: Cells,
+    cars: Cars,
     first_rows: NDArray[np.int64],
     counts: NDArray[np.int64],
     slots: NDArray[np.int64],
@@ -222,7 +227,7 @@ def write_rows(
     """
     fit = True
     for i in range(out.shape[0]):
-        w, rows = World(worlds.cells[i], worlds.cars[i], worlds.corrections), out[i]
+        w, rows = World(cells[i], cars[i], 0), out[i]
         rows[:] = 0
         for row in range(out.shape[1] - n_goals, out.shape[1]):
             write_row(rows[row], goal[0], goal[1], goal[2], IS_GOAL, 0)

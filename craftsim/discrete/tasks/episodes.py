@@ -179,47 +179,38 @@ class Episodes:
         acting = np.take_along_axis(acts, turns, axis=1)
         in_order = np.empty(turns.shape, np.bool_)
         if acting.max(initial=0) < N_ACTIONS:
-            self._step(slice(None), slice(None), turns, acting, in_order)
+            self._step(turns, acting, in_order)
         else:
             self._step_with_own(turns, acting, in_order)
         applied = np.empty_like(in_order)
         np.put_along_axis(applied, turns, in_order, axis=1)
         return applied
 
-    def _step(
-        self,
-        worlds: slice,
-        places: slice,
-        turns: NDArray[np.int64],
-        acting: NDArray[np.int64],
-        applied: NDArray[np.bool_],
-    ) -> None:
-        """Let the cars whose turns are at these places of the order act in some worlds, by the compiled rules."""
-        some = self.grids.cells[worlds], self.grids.cars[worlds], self.corrections
-        rows = turns[worlds, places], acting[worlds, places], applied[worlds, places]
+    def _step(self, turns: NDArray[np.int64], acting: NDArray[np.int64], applied: NDArray[np.bool_]) -> None:
+        """Let cars act by the compiled rules, in this order."""
+        arrays = self.grids.cells, self.grids.cars, self.corrections, turns, acting, applied
         if self.depth is None:
-            batch.step(*some, *rows)
+            batch.step(*arrays)
         else:
-            batch.step_with_helper(*some, *rows, self.queue[worlds], self._space, self.depth)
+            batch.step_with_helper(*arrays, self.queue, self._space, self.depth)
 
     def _step_with_own(
         self, turns: NDArray[np.int64], acting: NDArray[np.int64], applied: NDArray[np.bool_]
     ) -> None:
-        """Do the same where some actions are registered ones: their worlds take one turn after the other.
+        """Do the same where some actions are registered ones: one turn after the other.
 
         A car whose queue still has something to do goes on with that, as it does whatever else it is asked for.
         """
-        done = 0
-        for i in [*np.flatnonzero((acting >= N_ACTIONS).any(axis=1)).tolist(), len(self)]:
-            self._step(slice(done, i), slice(None), turns, acting, applied)
-            done = i + 1
-            for turn in range(self.n_cars if i < len(self) else 0):
-                car, action = int(turns[i, turn]), int(acting[i, turn])
-                queued = self.depth is not None and self.queue[i, car, 0] >= 0
-                if queued or not is_own(action):
-                    self._step(slice(i, i + 1), slice(turn, turn + 1), turns, acting, applied)
-                else:
-                    applied[i, turn] = act_own(self.grids[i], self.corrections, car, action)
+        for turn in range(self.n_cars):
+            cars, actions = turns[:, turn].copy(), acting[:, turn].copy()
+            legal = np.empty((len(self), 1), np.bool_)
+            queued = self.queue[np.arange(len(self)), cars, 0] >= 0
+            own = [i for i in np.flatnonzero(~queued).tolist() if is_own(actions[i])]
+            actions[own] = Action.STOP
+            self._step(cars[:, None], actions[:, None], legal)
+            for i in own:
+                legal[i] = act_own(self.grids[i], self.corrections, int(cars[i]), int(acting[i, turn]))
+            applied[:, turn] = legal[:, 0]
 
     def score(
         self,

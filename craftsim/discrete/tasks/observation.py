@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.blueprint import NO_CELL
-from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel.tasks import (
     IS_BLOCK,
     IS_BODY,
@@ -24,15 +23,13 @@ from craftsim.discrete.kernel.tasks import (
     IS_FSLOPE,
     IS_GOAL,
     ROW,
+    TYPE_FLAGS,
     YAW_HIGH,
     YAW_LOW,
     write_rows,
 )
 from craftsim.discrete.tasks.starts import Targets
 from craftsim.errors import CraftsimError
-
-_TYPE_FLAGS: Final = {Kind.FSLOPE: IS_FSLOPE, Kind.BODY: IS_BODY, Kind.FOOT: IS_FOOT, Kind.BLOCK: IS_BLOCK}
-"""Of what may be built."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +91,7 @@ def entity_rows(grids: Grid, layout: Layout, designs: Targets) -> NDArray[np.int
     """
     out, slots = np.empty((len(grids), layout.n_rows, ROW), np.int32), np.empty_like(layout.slots)
     goals = layout.goal_cell, 1 if layout.shows_flag else 2
-    if not write_rows(grids.world(), layout.slots[0], layout.slots[1], slots, *goals, out):
+    if not write_rows(grids.cells, grids.cars, layout.slots[0], layout.slots[1], slots, *goals, out):
         raise CraftsimError(
             f"the world has more than the {layout.n_slopes} slopes and {layout.n_blocks} blocks announced"
         )
@@ -116,8 +113,9 @@ def target_rows(designs: Targets) -> NDArray[np.int32]:
     kind, yaw = designs[..., 0], np.maximum(designs[..., 4], 0)
     rows = np.zeros((*designs.shape[:-1], ROW), np.int32)
     rows[..., :3] = designs[..., 1:4]
-    for one, flag in _TYPE_FLAGS.items():
-        rows[..., flag] = kind == one
+    for one, flag in enumerate(TYPE_FLAGS):
+        if flag:
+            rows[..., flag] = kind == one
     rows[..., YAW_HIGH], rows[..., YAW_LOW], rows[..., IS_GOAL] = yaw >> 1, yaw & 1, 1
     rows[kind == 0] = 0
     return rows

@@ -19,8 +19,7 @@ from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.placement import free_floor
 from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece
-from craftsim.discrete.grid_checks import check_size
+from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece, check_size
 from craftsim.discrete.tasks.rewards import Reward
 from craftsim.discrete.tasks.starts import Split, Starts, belongs, check_split, read_split, targets_of
 from craftsim.discrete.tasks.task import TASK_NAMES, RewardName, Task, make_task
@@ -89,7 +88,7 @@ class RandomPlacement:
         return Starts.of([grid], targets_of(self.task.design))
 
     def _place(self, rng: np.random.Generator, n: int) -> tuple[Starts, NDArray[np.int64]]:
-        """Return n starts, and which of them will not do."""
+        """Return n starts, and which of them are not valid."""
         plan, starts = self.task.starts[0], self._bare.take(np.zeros(n, np.int64))
         kinds = [Kind.FLAG] * (self.flag_x >= 0) + [Kind.FSLOPE] * plan.n_slopes
         kinds += [Kind.BLOCK] * (plan.n_blocks - plan.listed(Kind.BLOCK))
@@ -280,7 +279,7 @@ def _blueprint(
 
 
 def whole_size(area: tuple[int, ...] | None, usual: Cell) -> Cell:
-    """Return length, width and height of an area that is given without some of them; InputError for what is none."""
+    """Return length, width and height of an area, the usual ones unless given; raise InputError if invalid."""
     given = () if area is None else area
     if len(given) not in (0, 2, 3):
         raise InputError(f"the area is {given}; allowed: length and width, perhaps height, in cells")

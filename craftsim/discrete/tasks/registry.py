@@ -1,4 +1,4 @@
-"""From a word to a task: the paper's six, tasks that were registered, files, and factories in Python modules.
+"""Tasks by name: the paper's six, tasks that were registered, files, and factories in Python modules.
 
 What stands in a file is looked up by :func:`known_task`, which imports nothing; what is given on the command line or in
 Python by :func:`as_task`, which also takes ``module:factory``. A file is a blueprint, with a goal file beside it, or a
@@ -30,7 +30,7 @@ from craftsim.discrete.tasks.task import (
     make_task,
 )
 from craftsim.errors import BlueprintError, CraftsimError, InputError, suggestion
-from craftsim.modules import import_own, note_registering, place_of
+from craftsim.modules import find_named, note_registering
 from craftsim.storage.limits import Range
 from craftsim.storage.paths import is_file
 from craftsim.storage.records import record
@@ -64,8 +64,6 @@ _OF_TASKS: Final = {one.name for one in fields(_File)} - {*KEYS}
 
 _REGISTERED: Final[dict[str, Task]] = {}
 _LISTENERS: Final[list[Callable[[Task], None]]] = []
-_ANYTHING: Final = (Exception, SystemExit)
-"""What others' code may raise, when it is imported or called."""
 _LONGEST: Final = 1000
 """Characters of a name in a file, which messages repeat."""
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
@@ -112,7 +110,7 @@ def gymnasium_id(name: str) -> str:
 
 
 def on_registration(listener: Callable[[Task], None]) -> None:
-    """Have a function called with each task that is registered, and has been."""
+    """Call a function with each registered task, now and from now on."""
     _LISTENERS.append(listener)
     for task in _REGISTERED.values():
         listener(task)
@@ -177,12 +175,18 @@ def _found(
 ) -> Task:
     """Return the task of a name, a file or, where code may be imported, ``module:factory``."""
     name, _, split = text.partition("@")
-    is_code, counts = ":" in text and not is_file(text), (n_cars, n_blocks) != (None, None)
+    names, is_code = ", ".join(task_names()), ":" in text and not is_file(text)
+    if is_code and not may_import:
+        raise InputError(
+            f"task '{text}': module:factory is code, which is imported where the command line or Python names it, "
+            f"never where a file does; allowed: {names}, a file .yaml"
+        )
+    fixed = name in LARGE_NAMES or is_code or text in _REGISTERED
+    if fixed and (n_cars, n_blocks, area) != (None, None, None):
+        raise InputError(
+            f"task '{text}' has its own area and numbers of cars and blocks; they cannot be given"
+        )
     if name in LARGE_NAMES:
-        if counts or area is not None:
-            raise InputError(
-                f"task '{text}' has its own area and numbers of cars and blocks; they cannot be given"
-            )
         return large_task(name, cast(Split, split or "train"))
     if name in VARIED_NAMES:
         # The generator's room is above this one, as those are that factories of one's own lie in.
@@ -192,22 +196,16 @@ def _found(
             varied, given = importlib.import_module("craftsim.designs.tasks").designs_task, given[1:]
         task: Task = varied(*given, n_cars=n_cars, n_blocks=n_blocks, area=area)
         return task
-    names = ", ".join(task_names())
-    if is_code and not may_import:
-        raise InputError(
-            f"task '{text}': module:factory is code, which is imported where the command line or Python names it, "
-            f"never where a file does; allowed: {names}, a file .yaml"
-        )
+    if is_code:
+        return _made(text)
+    if text in _REGISTERED:
+        return _REGISTERED[text]
     if area is not None:
         raise InputError(
             f"task '{text}' has its own area; only those that vary take one: {', '.join(VARIED_NAMES)}"
         )
     if text in TASK_NAMES:
         return make_task(text, n_cars=n_cars, n_blocks=n_blocks)
-    if is_code or text in _REGISTERED:
-        if counts:
-            raise InputError(f"task '{text}' has its own numbers of cars and blocks; they cannot be given")
-        return _made(text) if is_code else _REGISTERED[text]
     if is_file(text) or text.endswith((".yaml", ".yml")):
         return read_task(text, n_cars, n_blocks)
     hint, others = suggestion(text[:80], task_names()), ", or module:factory" if may_import else ""
@@ -216,33 +214,18 @@ def _found(
 
 def _made(text: str) -> Task:
     """Return the task that ``module:factory`` makes."""
-    name, _, attribute = text.partition(":")
-    dotted = name.split(".") + attribute.split(".")
-    if not all(part.isidentifier() for part in dotted):
-        raise InputError(f"task '{text}': must be module:factory, such as mypackage.tasks:corner")
-    try:
-        module = import_own(name)
-    except _ANYTHING as error:
-        raise InputError(
-            f"task '{text}': module '{name}' cannot be imported: {type(error).__name__}: {error}"
-        ) from error
-    found: Any = module
-    for part in attribute.split("."):
-        if not hasattr(found, part):
-            hint = suggestion(part, [word for word in dir(found) if not word.startswith("_")])
-            raise InputError(f"task '{text}': '{name}' ({place_of(module)}) has no '{attribute}'{hint}")
-        found = getattr(found, part)
+    found = find_named(text, f"task '{text}'", "module:factory, such as mypackage.tasks:corner")
     if isinstance(found, Task):
         return found
     if not callable(found):
         raise InputError(
-            f"task '{text}': '{attribute}' is neither a Task nor callable, but {type(found).__name__}"
+            f"task '{text}': '{text.partition(':')[2]}' is neither a Task nor callable, but {type(found).__name__}"
         )
     try:
         task = found()
     except CraftsimError:
         raise
-    except _ANYTHING as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"task '{text}': the factory raised {type(error).__name__}: {error}") from error
     if not isinstance(task, Task):
         raise InputError(f"task '{text}': returned {type(task).__name__}; it must return a Task")

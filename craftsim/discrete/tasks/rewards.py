@@ -100,7 +100,7 @@ def building(grids: Grid, designs: Targets, layout: Layout, upper_block: float =
 def published_building(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     """Return how far each building is as CraftEnv's code computes it."""
     out = np.empty(len(grids))
-    score_buildings_as_published(grids.world(), designs, PUBLISHED_COMPLETION, out)
+    score_buildings_as_published(grids.cells, grids.cars, designs, PUBLISHED_COMPLETION, out)
     return out
 
 
@@ -118,7 +118,7 @@ def published_platform(grids: Grid, designs: Targets, layout: Layout) -> Floats:
 def flag_nearness(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     """Return minus the Manhattan distance of the flag to the goal; a lost flag is farther than any cell."""
     out = np.empty(len(grids))
-    flag_distances(grids.world(), layout.goal_cell, out)
+    flag_distances(grids.cells, grids.cars, layout.goal_cell, out)
     return -out
 
 
@@ -145,7 +145,7 @@ def structure(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     unfolded one 10, and 25 more where it leads to a block, and a stack of three blocks from the floor 50.
     """
     out = np.empty(len(grids))
-    score_structures(grids.world(), STRUCTURE_WEIGHTS, out)
+    score_structures(grids.cells, grids.cars, STRUCTURE_WEIGHTS, out)
     return out
 
 
@@ -179,7 +179,7 @@ def flag_at_goal(grids: Grid, designs: Targets, layout: Layout) -> Bools:
 def three_high(grids: Grid, designs: Targets, layout: Layout) -> Bools:
     """Return whether three blocks stand on one another from the floor."""
     stacks = np.all(grids.kind[..., 1:4] == Kind.BLOCK, axis=-1)
-    found: Bools = np.any(stacks, axis=(1, 2))
+    found: Bools = np.any(stacks, axis=(1, 2)) & (grids.size[2] >= 3)
     return found
 
 
@@ -254,7 +254,7 @@ class Reward:
 
 
 def rewards_of(function: RewardFunction, transitions: Iterable[Transition]) -> Floats:
-    """Return what a reward function gives for ticks of worlds; raises InputError where that is no finite number."""
+    """Return what a reward function gives for ticks of worlds; raises InputError for anything but a finite number."""
     found = []
     for transition in transitions:
         value: object = function(transition)
@@ -265,7 +265,7 @@ def rewards_of(function: RewardFunction, transitions: Iterable[Transition]) -> F
 
 
 def check_name(what: str, value: Any, known: Iterable[str]) -> None:
-    """Raise InputError for what is neither a function nor a known name of one."""
+    """Raise InputError for anything but a function or the known name of one."""
     if not callable(value) and value not in (names := list(known)):
         raise InputError(
             f"unknown {what} '{value}'{suggestion(str(value), names)}; there are {', '.join(names)}, or a function"
@@ -277,7 +277,7 @@ def _building_scores(
 ) -> Floats:
     out = np.empty(len(grids))
     score = _score_building if len(out) == 1 else score_buildings
-    score(grids.world(), designs, thing, upper_block, completion, out)
+    score(grids.cells, grids.cars, designs, thing, upper_block, completion, out)
     return out
 
 
@@ -286,5 +286,5 @@ def _platforms(grids: Grid, also: Kind, levels: int) -> Floats:
     length, width, _ = grids.size
     seen, stack = np.empty((length, width), np.bool_), np.empty((length * width, 2), np.int64)
     out = np.empty(len(grids))
-    largest_platforms(grids.world(), int(also), levels, seen, stack, out)
+    largest_platforms(grids.cells, grids.cars, int(also), levels, seen, stack, out)
     return out

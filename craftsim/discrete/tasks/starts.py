@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import FILE_DTYPES, Grid, Kind, Piece
-from craftsim.discrete.grid_checks import check_grid
+from craftsim.discrete.grid import FILE_DTYPES, Grid, Kind, Piece, check_grid
 from craftsim.errors import InputError, suggestion
 from craftsim.storage.limits import START_WORLDS, STARTS, size_text
 from craftsim.storage.reading import Arrays, read_arrays
@@ -37,7 +36,7 @@ _ARRAYS: Final = tuple(FILE_DTYPES)
 
 
 def targets_of(design: Design | None) -> Targets:
-    """Return the targets of a design, (T, 5), yaw -1 where the drawing does not say; none of none."""
+    """Return the targets of a design, (T, 5), yaw -1 where any will do; no rows without a design."""
     rows = [(t.kind, *t.cell, t.yaw) for t in design.targets] if design else []
     return np.array(rows, np.int64).reshape(-1, 5)
 
@@ -77,7 +76,7 @@ class Starts:
         return Starts(self.grids[rows], self.designs[rows])
 
     def put(self, rows: NDArray[np.integer], others: Starts) -> None:
-        """Replace some of them by others, each by the one of the same place."""
+        """Replace the starts ``rows`` by others, in the same order."""
         self.grids.cells[rows], self.grids.cars[rows] = others.grids.cells, others.grids.cars
         self.designs[rows] = others.designs
 
@@ -119,7 +118,7 @@ def belongs(digests: Sequence[bytes], split: Split) -> NDArray[np.bool_]:
 
 
 def check_split(split: str) -> None:
-    """Raise InputError for what is no split."""
+    """Raise InputError for an unknown split."""
     if split not in SPLITS:
         raise InputError(
             f"unknown split '{split}'{suggestion(split, SPLITS)}; there are {' and '.join(SPLITS)}"
@@ -169,13 +168,10 @@ def load_starts(path: Path) -> list[Grid]:
 def _grids(path: Path, arrays: Arrays) -> list[Grid]:
     """Return the worlds of stacked arrays, checked; raise InputError for others."""
     shapes = {name: arrays[name].shape for name in _ARRAYS}
-    counts, odd = {shape[:1] for shape in shapes.values()}, ""
-    if len(counts) > 1 or counts == {()}:
-        odd = ", and not one world after another"
-    elif len({shape for name, shape in shapes.items() if name != "cars"}) > 1:
-        odd = "; those of cells must agree"
-    if odd:
-        raise InputError(f"{path}: not a file of starts: its arrays are of {shapes}{odd}")
+    cells = {shape for name, shape in shapes.items() if name != "cars"}
+    if len(cells) > 1 or () in shapes.values() or len({shape[0] for shape in shapes.values()}) > 1:
+        words = "one world after another, those of cells of one shape"
+        raise InputError(f"{path}: not a file of starts: its arrays are of {shapes}; allowed: {words}")
     n, n_bytes = len(arrays["kind"]), sum(arrays[name].nbytes for name in _ARRAYS)
     if n > START_WORLDS or n_bytes > STARTS.content_bytes:
         raise InputError(

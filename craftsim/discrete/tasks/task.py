@@ -16,8 +16,7 @@ from craftsim.discrete.files.blueprint import Blueprint, read_blueprint
 from craftsim.discrete.files.design import Design, read_design
 from craftsim.discrete.files.placement import Placement
 from craftsim.discrete.files.shipped import shipped_blueprint
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
-from craftsim.discrete.grid_checks import check_grid
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, check_grid
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS, Reward, RewardFunction, check_name
 from craftsim.discrete.tasks.starts import Split, Starts, StartSampler, Targets, targets_of
@@ -151,7 +150,7 @@ class Task:
 
     @cached_property
     def _fixed(self) -> list[Grid | None]:
-        """The worlds of the start files that leave nothing to chance."""
+        """The worlds of the start files without random parts."""
         rng = np.random.default_rng(0)
         return [start.grid(rng, self.placement) if start.is_fixed else None for start in self.starts]
 

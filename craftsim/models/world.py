@@ -6,9 +6,11 @@ It is composed from a Grid. After a reset the only change is ``mj_step`` under m
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
+from itertools import chain
 from typing import Any, Final
 
 import mujoco
@@ -16,13 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.readback import Poses
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines
 from craftsim.models.composition import WorldSpec, check_extent, placements
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import IDEAL, Drivetrain, StepEffect, effects_of
 from craftsim.models.floor import FLAT, Floor, tiles_of
-from craftsim.models.parts import FreeBody, MachineNames, Overlap, overlaps, parts_of, trees_of_motors
+from craftsim.models.parts import Joint, MachineNames, overlaps, parts_of, trees_of_motors
 from craftsim.models.stepping import Stepping
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
@@ -92,7 +95,7 @@ KEPT: Final = 4
 
 
 @lru_cache(maxsize=KEPT)
-def _kept(start: Hashable) -> list[tuple[PhysicsState, tuple[Overlap, ...]]]:
+def _kept(start: Hashable) -> list[tuple[PhysicsState, tuple[str, ...]]]:
     """Return where a start at rest, with its overlaps, is kept: an empty list, the first time."""
     return []
 
@@ -144,7 +147,7 @@ class PhysicsWorld:
         """Whether wheels may come off the ground, as :meth:`set_baseline` says."""
         self.lift_m = 0.0
         """How high above its place everything that moves is put by a reset, to come down onto an uneven floor."""
-        self.overlaps: tuple[Overlap, ...] = ()
+        self.overlaps: tuple[str, ...] = ()
         """What stood in something else at the last reset, before it came to rest: such a start cannot be."""
         self.capped_steps = 0
         """Physics steps since the reset in which the solver gave up, at ``config.solver_iterations``. MuJoCo keeps this
@@ -161,8 +164,12 @@ class PhysicsWorld:
         self.cars, self.slopes, tables = parts_of(self.model, machines)
         self._heights = self.model.jnt_qposadr[self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] + 2
         if machines.drive == "reduced":
-            for car in self.cars:
-                car.add_spin(self.model)
+            # As heavy to speed up as wheels and motors make a car: MJCF has one armature for all six directions of a
+            # free joint, and the wheels' spin has none along z.
+            for base, spec in ((car.base, car.parameters) for car in self.cars):
+                added = spec.spin_mass_kg
+                armature = (added, added, 0.0, 0.0, 0.0, added * spec.turn_radius_m**2)
+                self.model.dof_armature[base.dof : base.dof + 6] = armature
             mujoco.mj_setConst(self.model, self.data)
         self._warnings = self.data.warning.number
         self._ctrl, self._stepping = self.data.ctrl, Stepping(self.model, self.data)
@@ -175,6 +182,9 @@ class PhysicsWorld:
         """Blocks, flags, and what else has a block's shape and is carried, by kind."""
         self.table_kinds = tuple(kind for kind, found in tables.items() for _ in found)
         """The kind of each of them."""
+        bases = [car.base for car in self.cars], self.tables, [slope.base for slope in self.slopes]
+        self.pose_places = np.array([body.qpos for body in chain(*bases)], np.intp)[:, None] + np.arange(7)
+        """(n, 7): where in qpos the pose lies of everything that moves: cars by id; then tables and slopes."""
         self.machine_names = MachineNames.of(self.model)
         """The machines by their geoms."""
         self.compiled = Baseline.of(self.model)
@@ -207,7 +217,7 @@ class PhysicsWorld:
             self.data.qpos[drive.qpos] = position
             self.data.act[drive.activation] = position
         mujoco.mj_forward(self.model, self.data)
-        self.overlaps = tuple(overlaps(self.machine_names, self.data))
+        self.overlaps = overlaps(self.machine_names, self.data)
         self.capped_steps = 0
         for effect in self.effects:
             effect.start(self)
@@ -228,7 +238,7 @@ class PhysicsWorld:
             self._rested.append((self.save(), self.overlaps))
 
     @cached_property
-    def _rested(self) -> list[tuple[PhysicsState, tuple[Overlap, ...]]]:
+    def _rested(self) -> list[tuple[PhysicsState, tuple[str, ...]]]:
         return _kept(self._start)
 
     @cached_property
@@ -362,7 +372,20 @@ class PhysicsWorld:
         self.model.opt.enableflags = flags
         return self._spare
 
-    def free_body_state(self, body: FreeBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def poses(self) -> Poses:
+        """Return the true poses of everything that moves."""
+        poses, n = self.data.qpos[self.pose_places], len(self.cars)
+        hinges = [self.data.qpos[slope.hinge.qpos] for slope in self.slopes]
+        return Poses(
+            car_positions=poses[:n, :3],
+            car_quaternions=poses[:n, 3:],
+            kinds=self.table_kinds + (Kind.FSLOPE,) * len(self.slopes),
+            positions=poses[n:, :3],
+            quaternions=poses[n:, 3:],
+            hinges=np.array([math.nan] * len(self.tables) + hinges),
+        )
+
+    def free_body_state(self, body: Joint) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return copies of a body's position (3,) in metres and unit quaternion (4,), w first, in the world frame."""
         pose = self.data.qpos[body.qpos : body.qpos + 7].copy()
         return pose[:3], pose[3:]

@@ -19,7 +19,7 @@ from craftsim.discrete.kinds import STANDING
 from craftsim.discrete.schedule import incline_under
 from craftsim.errors import InputError, StartError
 from craftsim.mjcf.block import TABLE_NAMES, TABLES, add_block
-from craftsim.mjcf.building import Frame, new_world
+from craftsim.mjcf.building import ORIGIN, Pose, new_world
 from craftsim.mjcf.car import add_car
 from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, SmartcarParameters
 from craftsim.mjcf.slope import add_slope
@@ -142,9 +142,7 @@ class WorldSpec:
         for item in placed:
             number = numbers[item.kind]
             prefix = f"car{number}/" if item.kind == "smartcar" else f"{item.kind}{number}/"
-            _add(
-                spec, item.kind, prefix, Frame(item.position, item.quaternion), self.machines, number, visual
-            )
+            _add(spec, item.kind, prefix, (item.position, item.quaternion), self.machines, number, visual)
             numbers[item.kind] += 1
         if visual:
             _add_markers(spec, self.goals)
@@ -170,7 +168,7 @@ class WorldSpec:
 
 
 def _add(
-    spec: mujoco.MjSpec, kind: str, prefix: str, pose: Frame, machines: Machines, number: int, visual: bool
+    spec: mujoco.MjSpec, kind: str, prefix: str, pose: Pose, machines: Machines, number: int, visual: bool
 ) -> None:
     """Add one of MACHINES; ``number`` is of the car. The ground is there already."""
     match kind:
@@ -187,7 +185,7 @@ def machine_spec(kind: str, machines: Machines, number: int = 0, visual: bool = 
     spec = new_world(machines.contact, (0.0, 0.0, 0.05), (0.0, 0.0, 0.0), visual)
     spec.modelname = kind
     configure(spec, replace(SimulationConfig.of(machines.drive), sleep=False), machines.drive)
-    _add(spec, kind, "", Frame(), machines, number, visual)
+    _add(spec, kind, "", ORIGIN, machines, number, visual)
     return spec
 
 

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.drawing import CAR_COLOURS, Rgb
 from craftsim.discrete.geometry import CELL_PITCH_M, cell_position, yaw_angle
-from craftsim.mjcf.block import meshes as block_meshes
+from craftsim.mjcf.block import looks as block_looks
 from craftsim.mjcf.parameters import Machines
-from craftsim.mjcf.slope import meshes as slope_meshes
-from craftsim.mjcf.solids import add_mesh
+from craftsim.mjcf.slope import looks as slope_looks
+from craftsim.mjcf.solids import add_mesh, meshes
 from craftsim.models.composition import WorldSpec
 from craftsim.models.config import SimulationConfig
 from craftsim.rendering.cameras import label_strip_m, reached_m
@@ -121,7 +121,8 @@ class Stage:
         config = recipe.setup.simulation or SimulationConfig.of(machines.drive)
         spec = WorldSpec(recipe.grid, config, machines, recipe.goals).spec()
         _number_cars(spec, machines, recipe.grid.n_cars)
-        for name, mesh in (block_meshes(machines.block) | slope_meshes(machines.slope)).items():
+        made = meshes(block_looks, machines.block) | meshes(slope_looks, machines.slope)
+        for name, mesh in made.items():
             if name in _GHOST_MESHES:
                 add_mesh(spec, name, mesh)
         if story.design:

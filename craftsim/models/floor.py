@@ -7,9 +7,8 @@ flat or part of an undulation (docs/explanation/imperfections.md). The plane bel
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -22,6 +21,8 @@ from craftsim.mjcf.building import FLOOR_RGBA, GROUND
 from craftsim.models.config import Amount, Length
 from craftsim.storage.records import record
 
+LEVEL: Final = 0.5
+"""What a height of 0 is in the heights of a model's tiles."""
 NAME: Final = "floor"
 """The body of the tiles."""
 MOST_TILES: Final = 4096
@@ -74,6 +75,16 @@ class Floor:
         return not (self.lippage_m or self.unevenness_m or (self.joint_m and self.joint_depth_m))
 
     @property
+    def half_tile_m(self) -> float:
+        """Half a tile's side, without its joint."""
+        return (self.tile_m - self.joint_m) / 2
+
+    @property
+    def span_m(self) -> float:
+        """Height from the lowest to the highest point that a tile can have."""
+        return max(self.relief_m, _LEAST_SPAN_M)
+
+    @property
     def relief_m(self) -> float:
         """Height from the lowest to the highest place on which something can stand."""
         return self.lippage_m + self.unevenness_m
@@ -82,63 +93,19 @@ class Floor:
 FLAT: Final = Floor()
 
 
-@dataclass(frozen=True)
-class Tiles:
-    """Where the tiles of a floor lie, in the frame of the floor, and at which points their heights are given."""
+class _Layout(NamedTuple):
+    """Where the tiles of a floor lie, in the frame of the floor."""
 
-    floor: Floor
     radius_m: float
     """Of the circle about the middle of the area that tiles cover however they lie."""
     centres: NDArray[np.float64]
     """(n, 2) metres."""
     points: int
-    """Along each side of a tile."""
-
-    @property
-    def half_m(self) -> float:
-        """Half a tile's side."""
-        return (self.floor.tile_m - self.floor.joint_m) / 2
-
-    @property
-    def span_m(self) -> float:
-        """Height from the lowest to the highest point that a tile can have."""
-        return max(self.floor.relief_m, _LEAST_SPAN_M)
-
-    @property
-    def bottom_m(self) -> float:
-        """Height of the plane below the tiles."""
-        depth = self.floor.joint_depth_m if self.floor.joint_m else 0.0
-        return -self.floor.relief_m / 2 - (depth or _BELOW_M)
-
-    def heights(self, steps: NDArray[np.float64], waves: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (tile, row along y, column along x): heights in metres, 0 in the mean of what can be drawn.
-
-        Args:
-            steps: (n,): each tile's height, from -0.5 to 0.5.
-            waves: (m, 3): direction in radians, wave number as a share of the largest, phase in radians.
-        """
-        along = np.linspace(-self.half_m, self.half_m, self.points)
-        x = self.centres[:, None, None, 0] + along[None, None, :]
-        y = self.centres[:, None, None, 1] + along[None, :, None]
-        heights = np.broadcast_to(
-            self.floor.lippage_m * steps[:, None, None], (len(self.centres), *2 * (self.points,))
-        )
-        if not self.floor.unevenness_m:
-            return heights
-        wave = np.zeros(heights.shape)
-        for towards, number, phase in waves:
-            k = math.tau * number / self.floor.wavelength_m
-            wave += np.sin(k * (math.cos(towards) * x + math.sin(towards) * y) + phase)
-        # Of the lowest and the highest point those count where machines are.
-        within = wave[np.hypot(x, y) <= self.radius_m]
-        low, high = float(within.min()), float(within.max())
-        share = np.clip((wave - low) / (high - low), 0.0, 1.0) - 0.5
-        uneven: NDArray[np.float64] = heights + self.floor.unevenness_m * share
-        return uneven
+    """Along each side of a tile, at which its heights are given."""
 
 
 @lru_cache(maxsize=8)
-def tiles_of(floor: Floor, size: Cell) -> Tiles:
+def _layout(floor: Floor, size: Cell) -> _Layout:
     """Return the tiles of a floor under an area of ``size`` cells. Raises InputError for too many of them."""
     radius = CELL_PITCH_M * math.hypot(*(n / 2 + _MARGIN_CELLS for n in size[:2]))
     # A tile may be shifted by half of its diagonal, and reaches as far from its centre.
@@ -153,16 +120,20 @@ def tiles_of(floor: Floor, size: Cell) -> Tiles:
             f"{floor.wavelength_m:g} m: too fine to compute; larger tiles, longer waves or a smaller world will do"
         )
     centres = floor.tile_m * np.stack(np.meshgrid(*2 * [np.arange(-n, n + 1)]), -1).reshape(-1, 2)
-    return Tiles(floor, radius, centres[np.hypot(*centres.T) <= reach], points)
+    return _Layout(radius, centres[np.hypot(*centres.T) <= reach], points)
 
 
-def add_tiles(spec: mujoco.MjSpec, tiles: Tiles) -> None:
-    """Put tiles in the middle of the ground of a spec, which touch as it does, and its plane below them."""
-    ground = spec.geom(GROUND)
-    ground.pos[2] = tiles.bottom_m
+def add_tiles(spec: mujoco.MjSpec, floor: Floor, size: Cell) -> None:
+    """Put the tiles of a floor under an area of ``size`` cells: they touch as the ground does, its plane lies below.
+
+    Raises InputError for too many of them.
+    """
+    layout, ground = _layout(floor, size), spec.geom(GROUND)
+    depth_m = (floor.joint_depth_m if floor.joint_m else 0.0) or _BELOW_M
+    ground.pos[2] = -floor.relief_m / 2 - depth_m
     body = spec.worldbody.add_body(name=NAME, pos=[*ground.pos[:2], 0.0])
-    half, span, count = tiles.half_m, tiles.span_m, tiles.points
-    for number, (x, y) in enumerate(tiles.centres):
+    half, span, count = floor.half_tile_m, floor.span_m, layout.points
+    for number, (x, y) in enumerate(layout.centres):
         field = spec.add_hfield(
             name=f"tile{number}",
             size=[half, half, span, _THICK_M],
@@ -190,23 +161,50 @@ def tiles_body(model: mujoco.MjModel) -> int:
     return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, NAME)
 
 
-def level(model: mujoco.MjModel) -> None:
-    """Put all tiles of a compiled model at height 0."""
-    model.hfield_data[:] = 0.5
-
-
-def lay(model: mujoco.MjModel, tiles: Tiles, rng: np.random.Generator) -> float:
+def lay(model: mujoco.MjModel, floor: Floor, size: Cell, rng: np.random.Generator) -> float:
     """Draw the floor of a compiled model; return the height of its highest point in metres.
 
-    The same is drawn for all figures of one layout.
+    The same is drawn for all parameters of one layout.
     """
+    layout = _layout(floor, size)
     turn_rad = rng.uniform(0, math.tau)
-    x, y = tiles.floor.tile_m * rng.uniform(-0.5, 0.5, 2)
+    x, y = floor.tile_m * rng.uniform(-0.5, 0.5, 2)
     waves = rng.uniform([0, 0.5, 0], [math.tau, 1, math.tau], (_WAVES, 3))
-    heights = tiles.heights(rng.uniform(-0.5, 0.5, len(tiles.centres)), waves)
+    heights = _heights(floor, layout, rng.uniform(-0.5, 0.5, len(layout.centres)), waves)
     body, c, s = tiles_body(model), math.cos(turn_rad), math.sin(turn_rad)
     middle_x, middle_y, _ = model.geom_pos[model.geom(GROUND).id]
     model.body_pos[body, :2] = middle_x + c * x - s * y, middle_y + s * x + c * y
     model.body_quat[body] = math.cos(turn_rad / 2), 0.0, 0.0, math.sin(turn_rad / 2)
-    model.hfield_data[:] = (heights / tiles.span_m + 0.5).ravel()
+    model.hfield_data[:] = (heights / floor.span_m + LEVEL).ravel()
     return float(heights.max())
+
+
+def _heights(
+    floor: Floor, layout: _Layout, steps: NDArray[np.float64], waves: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return (tile, row along y, column along x): heights in metres, 0 in the mean of what can be drawn.
+
+    Args:
+        floor: how uneven it is.
+        layout: where its tiles lie.
+        steps: (n,): each tile's height, from -0.5 to 0.5.
+        waves: (m, 3): direction in radians, wave number as a share of the largest, phase in radians.
+    """
+    along = np.linspace(-floor.half_tile_m, floor.half_tile_m, layout.points)
+    x = layout.centres[:, None, None, 0] + along[None, None, :]
+    y = layout.centres[:, None, None, 1] + along[None, :, None]
+    heights = np.broadcast_to(
+        floor.lippage_m * steps[:, None, None], (len(layout.centres), *2 * (layout.points,))
+    )
+    if not floor.unevenness_m:
+        return heights
+    wave = np.zeros(heights.shape)
+    for towards, number, phase in waves:
+        k = math.tau * number / floor.wavelength_m
+        wave += np.sin(k * (math.cos(towards) * x + math.sin(towards) * y) + phase)
+    # Of the lowest and the highest point those count where machines are.
+    within = wave[np.hypot(x, y) <= layout.radius_m]
+    low, high = float(within.min()), float(within.max())
+    share = np.clip((wave - low) / (high - low), 0.0, 1.0) - 0.5
+    uneven: NDArray[np.float64] = heights + floor.unevenness_m * share
+    return uneven

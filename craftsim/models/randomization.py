@@ -131,8 +131,8 @@ def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np
 
     Raises InputError for a floor that the PhysicsWorld was not composed with.
     """
-    model, tiles = physics.model, physics.tiles
-    if (tiles.floor if tiles else None) != (None if randomization.floor.flat else randomization.floor):
+    model, floor = physics.model, randomization.floor
+    if floor != physics.floor and not (floor.flat and physics.floor.flat):
         raise InputError(
             "the floor that is drawn must be that of the PhysicsWorld: PhysicsWorld(..., floor=...)"
         )
@@ -144,10 +144,10 @@ def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np
     angle, towards = randomization.tilt_rad * math.sqrt(tilt.uniform()), tilt.uniform(0, math.tau)
     down = (math.sin(angle) * math.cos(towards), math.sin(angle) * math.sin(towards), -math.cos(angle))
     model.opt.gravity[:] = float(np.linalg.norm(model.opt.gravity)) * np.array(down)
-    lift_m = lay(model, tiles, draw(GROUND, "floor")) if tiles else 0.0
+    lift_m = 0.0 if floor.flat else lay(model, floor, physics.size, draw(GROUND, "floor"))
     if not randomization.making.exact:
         _make(physics, randomization.making, draw)
-    uneven = tiles is not None or randomization.making.wheel_radius_m > 0
+    uneven = not floor.flat or randomization.making.wheel_radius_m > 0
     physics.drivetrain = IDEAL
     physics.set_baseline(Baseline.of(model), uneven, lift_m)
     physics.reset()

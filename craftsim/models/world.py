@@ -9,7 +9,7 @@ import copy
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import chain
 from typing import Any, Final
 
@@ -21,10 +21,10 @@ from craftsim.discrete.grid import Cell, Grid, Kind
 from craftsim.discrete.readback import Poses
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines
-from craftsim.models.composition import WorldSpec, check_extent, placements
+from craftsim.models.composition import check_extent, compile_world, placements, world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import IDEAL, Drivetrain, StepEffect, effects_of
-from craftsim.models.floor import FLAT, Floor, tiles_of
+from craftsim.models.floor import FLAT, Floor
 from craftsim.models.parts import Joint, MachineNames, overlaps, parts_of, trees_of_motors
 from craftsim.models.stepping import Stepping
 
@@ -157,9 +157,9 @@ class PhysicsWorld:
         self._start = (grid.size, *standing, tuple(goals), self.config, machines, floor)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
-        self.world_spec = WorldSpec(grid.copy(), self.config, machines, tuple(goals), floor)
-        self.tiles = None if floor.flat else tiles_of(floor, grid.size)
-        self.model = self.world_spec.model(visual=False)
+        self.floor = floor
+        self._spec = partial(world_spec, grid.copy(), self.config, machines, tuple(goals), floor)
+        self.model = compile_world(self._spec(visual=False))
         self.data = mujoco.MjData(self.model)
         self.cars, self.slopes, tables = parts_of(self.model, machines)
         self._heights = self.model.jnt_qposadr[self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] + 2
@@ -278,6 +278,10 @@ class PhysicsWorld:
         for effect in self.effects:
             effect.start(self)
         self._stepping.run(0)
+
+    def seen_model(self) -> mujoco.MjModel:
+        """Return the model of this world as it was compiled, with what is only seen; it has the same positions."""
+        return compile_world(self._spec(visual=True))
 
     @property
     def diverged(self) -> bool:

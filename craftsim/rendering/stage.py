@@ -21,7 +21,7 @@ from craftsim.mjcf.block import looks as block_looks
 from craftsim.mjcf.parameters import Machines
 from craftsim.mjcf.slope import looks as slope_looks
 from craftsim.mjcf.solids import add_mesh, meshes
-from craftsim.models.composition import WorldSpec
+from craftsim.models.composition import world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.rendering.cameras import label_strip_m, reached_m
 from craftsim.rendering.offscreen import upload_texture
@@ -119,7 +119,7 @@ class Stage:
         story, physics = trajectory.story, trajectory.physics
         recipe, machines = story.recipe, story.recipe.setup.machines
         config = recipe.setup.simulation or SimulationConfig.of(machines.drive)
-        spec = WorldSpec(recipe.grid, config, machines, recipe.goals).spec()
+        spec = world_spec(recipe.grid, config, machines, recipe.goals)
         _number_cars(spec, machines, recipe.grid.n_cars)
         made = meshes(block_looks, machines.block) | meshes(slope_looks, machines.slope)
         for name, mesh in made.items():

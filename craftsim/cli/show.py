@@ -120,7 +120,7 @@ def show(
         from craftsim.models.config import SimulationConfig
 
         check_extent(grid)
-        _export(lambda machines: world_spec(grid, SimulationConfig.of(drive), machines), export, drive)
+        _export(lambda machines: world_spec(grid, SimulationConfig(), machines), export, drive)
     return 0 if read is None else _show_plan(read, grid, wanted, out)
 
 

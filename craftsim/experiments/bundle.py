@@ -150,7 +150,7 @@ def _write(folder: Path, bundle: Bundle, judge: Judge, before: Arrays) -> None:
     assert judge.log is not None
     judge.log.write(folder / CONTACTS)
     recipe = bundle.recipe
-    config = recipe.setup.simulation or SimulationConfig.of(recipe.setup.machines.drive)
+    config = recipe.setup.simulation or SimulationConfig()
     spec = world_spec(recipe.grid, config, recipe.setup.machines, recipe.goals)
     write_mjcf(directory_within(folder, SCENE) / "site.xml", spec)
     # Written last, so that a folder with this file is a whole bundle.

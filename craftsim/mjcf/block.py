@@ -62,13 +62,7 @@ def add_block(
     stands on a board by its front and back bars; the other two, a little higher, add nothing to that support but
     contacts to compute, and only stop the boss, by its bevel.
 
-    Args:
-        spec: of the world.
-        prefix: begins the names of all its parts.
-        pose: where it stands.
-        machines: the parameters.
-        name: which of :data:`TABLE_NAMES`.
-        visual: whether it has what is only seen.
+    ``name`` is which of :data:`TABLE_NAMES`; the other arguments are as of :func:`craftsim.mjcf.car.add_car`.
     """
     block, contact, table = machines.block, machines.contact, TABLES[TABLE_NAMES[name]]
     of_solid = {**touching("things"), **surface(contact, block.friction), "rgba": [*table.rgb, 0.4]}

@@ -41,15 +41,7 @@ _DARK: Final = [0.25, 0.27, 0.30, 1.0]
 
 
 def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, visual: bool = True) -> None:
-    """Add a slope to a spec.
-
-    Args:
-        spec: of the world.
-        prefix: begins the names of all its parts.
-        pose: where it stands.
-        machines: the parameters.
-        visual: whether it has what is only seen.
-    """
+    """Add a slope to a spec; the arguments are as of :func:`craftsim.mjcf.car.add_car`."""
     slope = machines.slope
     of_solid = {**touching("things"), **surface(machines.contact, slope.friction)}
     builder = Builder(spec, prefix, "slope", visual, looks, slope, rgba=[0.35, 0.55, 0.75, 0.4], **of_solid)

@@ -192,7 +192,7 @@ def compile_world(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 def machine_spec(kind: str, machines: Machines, number: int = 0, visual: bool = True) -> mujoco.MjSpec:
     """Return the spec of one of MACHINES on the floor, or of the floor alone; ``number`` is of the car."""
-    config = replace(SimulationConfig.of(machines.drive), sleep=False)
+    config = replace(SimulationConfig(), sleep=False)
     spec = _floor_spec(kind, machines, config, ((0.0, 0.0, 0.05), (0.0, 0.0, 0.0)), visual)
     _add(spec, kind, "", ORIGIN, machines, number, visual)
     return spec

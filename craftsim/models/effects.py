@@ -55,13 +55,7 @@ that an acceleration of the car, in its own frame, takes to turn wheel and motor
 
 @record()
 class Drivetrain:
-    """What wheel motors and gears lack; hashable. Raises InputError for a figure outside [0, 1).
-
-    Example:
-        >>> from craftsim.models.effects import Drivetrain
-        >>> Drivetrain(gear_loss=0.1).ideal
-        False
-    """
+    """What wheel motors and gears lack; hashable. Raises InputError for a figure outside [0, 1)."""
 
     torque_slope: Amount = 0.0
     """Share of a driving motor's largest torque that is lost at its top speed, in proportion to the speed."""

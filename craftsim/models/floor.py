@@ -44,13 +44,7 @@ _LEAST_SPAN_M: Final = 1e-4
 
 @record()
 class Floor:
-    """How uneven a floor is; hashable. Raises InputError for a figure outside [0, 1).
-
-    Example:
-        >>> from craftsim.models.floor import Floor
-        >>> Floor(lippage_m=0.001).flat
-        False
-    """
+    """How uneven a floor is; hashable. Raises InputError for a figure outside [0, 1)."""
 
     lippage_m: Amount = 0.0
     """Largest difference in height between two tiles; each tile's height is drawn uniformly."""

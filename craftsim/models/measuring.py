@@ -43,9 +43,6 @@ motor in MjData.ctrl; these are -1 for other things."""
 CROSS_M: Final = 0.15
 """How far the two lines of a cross reach from its middle: assumed, to the legs of a block."""
 
-PerWheel = tuple[float, float, float, float]
-"""A number for each wheel, in the order of WHEELS."""
-
 
 Metres = Annotated[float, Range(-1e4, 1e4)]
 """Several times the largest world."""
@@ -54,6 +51,7 @@ Radians = Annotated[float, Range(-1e3, 1e3)]
 WheelSpeed = Annotated[float, Range(-1e3, 1e3)]
 """rad/s: 50 times what the wheels do."""
 Wheels = tuple[WheelSpeed, WheelSpeed, WheelSpeed, WheelSpeed]
+"""A number for each wheel, in the order of WHEELS."""
 Hinge = Annotated[float, Range(-1.0, math.pi + 1.0)]
 """rad; 0 unfolded, pi folded."""
 
@@ -265,7 +263,7 @@ class Motors:
         self.speeds = np.zeros((len(physics.cars), 4))
         """(n, 4) rad/s: the servos' commands."""
 
-    def drive(self, car: int, wheels: PerWheel) -> None:
+    def drive(self, car: int, wheels: Wheels) -> None:
         """Command the wheels of a car, in rad/s."""
         commanded = np.array(wheels, dtype=float)
         drive_wheels(commanded, self.speeds[car], self.share, self._cars[car], self._ctrl)

@@ -29,13 +29,7 @@ from craftsim.storage.yaml import read_document
 class Making:
     """Tolerances of making: half-widths of uniform distributions, drawn for each machine; hashable.
 
-    Raises InputError for a figure outside [0, 1).
-
-    Example:
-        >>> from craftsim.models.randomization import Making
-        >>> Making(wheel_radius_m=0.0001).exact
-        False
-    """
+    Raises InputError for a figure outside [0, 1)."""
 
     wheel_radius_m: Amount = 0.0
     """Of each wheel by itself."""

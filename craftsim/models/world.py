@@ -140,7 +140,7 @@ class PhysicsWorld:
         """
         check_extent(grid, goals)
         machines.check_number(grid.n_cars)
-        self.config = config or SimulationConfig.of(machines.drive)
+        self.config = config or SimulationConfig()
         self.machines = machines
         self.size = grid.size
         self.uneven = False

@@ -118,7 +118,7 @@ class Stage:
         """Build the stage of a trajectory, in ``draft`` or ``paper`` quality."""
         story, physics = trajectory.story, trajectory.physics
         recipe, machines = story.recipe, story.recipe.setup.machines
-        config = recipe.setup.simulation or SimulationConfig.of(machines.drive)
+        config = recipe.setup.simulation or SimulationConfig()
         spec = world_spec(recipe.grid, config, machines, recipe.goals)
         _number_cars(spec, machines, recipe.grid.n_cars)
         made = meshes(block_looks, machines.block) | meshes(slope_looks, machines.slope)

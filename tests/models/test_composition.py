@@ -41,7 +41,7 @@ def test_what_is_only_seen_changes_no_number():
     """But how large MuJoCo takes bodies to be (``dof_length``), which decides when what hardly turns may sleep."""
     for drive in ("rollers", "reduced"):
         for floor in (FLAT, Floor(lippage_m=0.001)):
-            config = replace(SimulationConfig.of(drive), sleep=False)
+            config = replace(SimulationConfig(), sleep=False)
             world = _grid(), config, _machines(drive), GOALS, floor
             bare, seen = (compile_world(world_spec(*world, visual=visual)) for visual in (False, True))
             assert (bare.ncam, bare.nlight, bare.ntex) == (0, 0, 0)

@@ -29,7 +29,8 @@ from craftsim.storage.yaml import read_document
 class Making:
     """Tolerances of making: half-widths of uniform distributions, drawn for each machine; hashable.
 
-    Raises InputError for a figure outside [0, 1)."""
+    Raises InputError for a figure outside [0, 1).
+    """
 
     wheel_radius_m: Amount = 0.0
     """Of each wheel by itself."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -20,6 +20,8 @@ from craftsim.errors import InputError
 from craftsim.mjcf.building import FLOOR_RGBA, GROUND
 from craftsim.models.config import Amount, Length
 from craftsim.storage.records import record
+
+Floats = NDArray[np.float64]
 
 LEVEL: Final = 0.5
 """What a height of 0 is in the heights of a model's tiles."""
@@ -87,20 +89,13 @@ class Floor:
 FLAT: Final = Floor()
 
 
-class _Layout(NamedTuple):
-    """Where the tiles of a floor lie, in the frame of the floor."""
-
-    radius_m: float
-    """Of the circle about the middle of the area that tiles cover however they lie."""
-    centres: NDArray[np.float64]
-    """(n, 2) metres."""
-    points: int
-    """Along each side of a tile, at which its heights are given."""
-
-
 @lru_cache(maxsize=8)
-def _layout(floor: Floor, size: Cell) -> _Layout:
-    """Return the tiles of a floor under an area of ``size`` cells. Raises InputError for too many of them."""
+def _layout(floor: Floor, size: Cell) -> tuple[float, Floats, int]:
+    """Return how the tiles of a floor lie under an area of ``size`` cells. Raises InputError for too many of them.
+
+    Returns the radius in metres of the circle about the middle of the area that they cover however they lie; their
+    centres, (n, 2) metres; and at how many points along each side of a tile its heights are given.
+    """
     radius = CELL_PITCH_M * math.hypot(*(n / 2 + _MARGIN_CELLS for n in size[:2]))
     # A tile may be shifted by half of its diagonal, and reaches as far from its centre.
     reach = radius + math.sqrt(2) * floor.tile_m
@@ -114,7 +109,7 @@ def _layout(floor: Floor, size: Cell) -> _Layout:
             f"{floor.wavelength_m:g} m: too fine to compute; larger tiles, longer waves or a smaller world will do"
         )
     centres = floor.tile_m * np.stack(np.meshgrid(*2 * [np.arange(-n, n + 1)]), -1).reshape(-1, 2)
-    return _Layout(radius, centres[np.hypot(*centres.T) <= reach], points)
+    return radius, centres[np.hypot(*centres.T) <= reach], points
 
 
 def add_tiles(spec: mujoco.MjSpec, floor: Floor, size: Cell) -> None:
@@ -122,12 +117,13 @@ def add_tiles(spec: mujoco.MjSpec, floor: Floor, size: Cell) -> None:
 
     Raises InputError for too many of them.
     """
-    layout, ground = _layout(floor, size), spec.geom(GROUND)
+    _, centres, count = _layout(floor, size)
+    ground = spec.geom(GROUND)
     depth_m = (floor.joint_depth_m if floor.joint_m else 0.0) or _BELOW_M
     ground.pos[2] = -floor.relief_m / 2 - depth_m
     body = spec.worldbody.add_body(name=NAME, pos=[*ground.pos[:2], 0.0])
-    half, span, count = floor.half_tile_m, floor.span_m, layout.points
-    for number, (x, y) in enumerate(layout.centres):
+    half, span = floor.half_tile_m, floor.span_m
+    for number, (x, y) in enumerate(centres):
         field = spec.add_hfield(
             name=f"tile{number}",
             size=[half, half, span, _THICK_M],
@@ -164,7 +160,7 @@ def lay(model: mujoco.MjModel, floor: Floor, size: Cell, rng: np.random.Generato
     turn_rad = rng.uniform(0, math.tau)
     x, y = floor.tile_m * rng.uniform(-0.5, 0.5, 2)
     waves = rng.uniform([0, 0.5, 0], [math.tau, 1, math.tau], (_WAVES, 3))
-    heights = _heights(floor, layout, rng.uniform(-0.5, 0.5, len(layout.centres)), waves)
+    heights = _heights(floor, layout, rng.uniform(-0.5, 0.5, len(layout[1])), waves)
     body, c, s = tiles_body(model), math.cos(turn_rad), math.sin(turn_rad)
     middle_x, middle_y, _ = model.geom_pos[model.geom(GROUND).id]
     model.body_pos[body, :2] = middle_x + c * x - s * y, middle_y + s * x + c * y
@@ -173,23 +169,20 @@ def lay(model: mujoco.MjModel, floor: Floor, size: Cell, rng: np.random.Generato
     return float(heights.max())
 
 
-def _heights(
-    floor: Floor, layout: _Layout, steps: NDArray[np.float64], waves: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _heights(floor: Floor, layout: tuple[float, Floats, int], steps: Floats, waves: Floats) -> Floats:
     """Return (tile, row along y, column along x): heights in metres, 0 in the mean of what can be drawn.
 
     Args:
         floor: how uneven it is.
-        layout: where its tiles lie.
+        layout: of its tiles, as :func:`_layout` returns it.
         steps: (n,): each tile's height, from -0.5 to 0.5.
         waves: (m, 3): direction in radians, wave number as a share of the largest, phase in radians.
     """
-    along = np.linspace(-floor.half_tile_m, floor.half_tile_m, layout.points)
-    x = layout.centres[:, None, None, 0] + along[None, None, :]
-    y = layout.centres[:, None, None, 1] + along[None, :, None]
-    heights = np.broadcast_to(
-        floor.lippage_m * steps[:, None, None], (len(layout.centres), *2 * (layout.points,))
-    )
+    radius, centres, points = layout
+    along = np.linspace(-floor.half_tile_m, floor.half_tile_m, points)
+    x = centres[:, None, None, 0] + along[None, None, :]
+    y = centres[:, None, None, 1] + along[None, :, None]
+    heights = np.broadcast_to(floor.lippage_m * steps[:, None, None], (len(centres), points, points))
     if not floor.unevenness_m:
         return heights
     wave = np.zeros(heights.shape)
@@ -197,8 +190,8 @@ def _heights(
         k = math.tau * number / floor.wavelength_m
         wave += np.sin(k * (math.cos(towards) * x + math.sin(towards) * y) + phase)
     # Of the lowest and the highest point those count where machines are.
-    within = wave[np.hypot(x, y) <= layout.radius_m]
+    within = wave[np.hypot(x, y) <= radius]
     low, high = float(within.min()), float(within.max())
     share = np.clip((wave - low) / (high - low), 0.0, 1.0) - 0.5
-    uneven: NDArray[np.float64] = heights + floor.unevenness_m * share
+    uneven: Floats = heights + floor.unevenness_m * share
     return uneven

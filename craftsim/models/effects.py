@@ -108,27 +108,26 @@ def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> tuple[list[StepEf
 
 def _wheels(world: PhysicsWorld) -> Records:
     """Return the wheels of all cars, (4 n,) of WHEEL, in the order of WHEELS."""
-    model, baseline = world.model, world.baseline
-    wheels = records(4 * len(world.cars), WHEEL)
-    for number, wheel in enumerate(wheels):
-        car = world.cars[number // 4]
-        motor = int(car.wheel_actuators[number % 4])
-        wheel["motor"], wheel["tree"] = motor, car.base.tree
-        wheel["dof"], wheel["body"] = car.base.dof, car.base.body
-        wheel["slowest"], wheel["fastest"] = model.actuator_ctrlrange[motor]
-        wheel["own_low"], wheel["own_high"] = baseline.actuator_forcerange[motor]
-        wheel["own_gain"] = baseline.actuator_gainprm[motor, 0]
-        if world.machines.drive == "rollers":
-            gear = int(car.wheel_dofs[number % 4])
-            wheel["dry_nm"] = baseline.dof_frictionloss[gear]
-        else:
-            # The gears of the reduced drive are motors without power; what they pass on is in proportion to their gear.
-            wheel["own_gear"], gear = (
-                baseline.actuator_gear[motor],
-                model.actuator(model.actuator(motor).name.replace("wheel", "gear")).id,
-            )
-            wheel["dry_nm"] = baseline.actuator_biasprm[gear, 3]
-        wheel["gear"] = gear
+    model, baseline, cars = world.model, world.baseline, world.cars
+    wheels = records(4 * len(cars), WHEEL)
+    motors = np.array([car.wheel_actuators for car in cars], np.intp).ravel()
+    for name in ("tree", "dof", "body"):
+        wheels[name] = np.repeat([getattr(car.base, name) for car in cars], len(WHEELS))
+    wheels["slowest"], wheels["fastest"] = model.actuator_ctrlrange[motors].T
+    wheels["own_low"], wheels["own_high"] = baseline.actuator_forcerange[motors].T
+    wheels["own_gain"] = baseline.actuator_gainprm[motors, 0]
+    if world.machines.drive == "rollers":
+        gears = np.array([car.wheel_dofs for car in cars], np.intp).ravel()
+        wheels["dry_nm"] = baseline.dof_frictionloss[gears]
+    else:
+        # The gears of the reduced drive are motors without power; what they pass on is in proportion to their gear.
+        names = [model.actuator(motor).name.replace("wheel", "gear") for motor in motors]
+        gears = np.array([model.actuator(name).id for name in names], np.intp)
+        wheels["own_gear"], wheels["dry_nm"] = (
+            baseline.actuator_gear[motors],
+            baseline.actuator_biasprm[gears, 3],
+        )
+    wheels["motor"], wheels["gear"] = motors, gears
     wheels["low"], wheels["high"], wheels["engaged"] = wheels["own_low"], wheels["own_high"], 1
     return wheels
 

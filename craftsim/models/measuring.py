@@ -32,9 +32,9 @@ WIRING: Final = np.dtype(
     ],
     align=True,
 )
-"""Where a car's joints and motors lie in MuJoCo's arrays, and its wheels' speeds in what :func:`read_cars` hands on;
-how far from its middle it feels a slope's plug, and how high something is above it; how far its line sensors lie
-before and behind its middle, and beside it, and how far to a side each sees."""
+"""Where a car's joints and motors lie in MuJoCo's arrays, and its wheels' speeds in qvel or, on the reduced drive, in
+actuator_velocity; how far from its middle it feels a slope's plug, and how high something is above it; how far its line
+sensors lie before and behind its middle, and beside it, and how far to a side each sees."""
 
 UNDERSIDE: Final = np.dtype([(name, "i8") for name in ("pose", "slope", "hinge", "motor")], align=True)
 """What bears a cross below: where its pose lies in MjData.qpos; a slope's number, where its hinge lies there, and its

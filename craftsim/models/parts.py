@@ -48,16 +48,6 @@ class Joint:
         return cls(name, body, tree, int(joint.qposadr[0]), dof, actuator, activation)
 
 
-def trees_of_motors(model: mujoco.MjModel) -> NDArray[np.intp]:
-    """Return the kinematic tree (nu,) that each motor moves."""
-    bodies = [
-        model.jnt_bodyid[target] if kind == mujoco.mjtTrn.mjTRN_JOINT else model.site_bodyid[target]
-        for kind, target in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True)
-    ]
-    roots = model.body_rootid[np.array(bodies, np.intp)]
-    return model.dof_treeid[model.body_dofadr[roots]].astype(np.intp)
-
-
 @dataclass(frozen=True)
 class Car:
     """One smartcar: its parameters, and handles of its body, its board and its wheels, in the order of WHEELS."""

@@ -25,7 +25,7 @@ from craftsim.models.composition import check_extent, compile_world, placements,
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import IDEAL, Drivetrain, StepEffect, effects_of
 from craftsim.models.floor import FLAT, Floor
-from craftsim.models.parts import Joint, MachineNames, overlaps, parts_of, trees_of_motors
+from craftsim.models.parts import Joint, MachineNames, overlaps, parts_of
 from craftsim.models.stepping import Stepping
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
@@ -152,7 +152,6 @@ class PhysicsWorld:
         self.capped_steps = 0
         """Physics steps since the reset in which the solver gave up, at ``config.solver_iterations``. MuJoCo keeps this
         figure of the first 20 islands that move at a time."""
-        self._placements = placements(grid, machines)
         standing = (array.tobytes() for array in (grid.kind, grid.yaw, grid.cars))
         self._start = (grid.size, *standing, tuple(goals), self.config, machines, floor)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
@@ -162,7 +161,6 @@ class PhysicsWorld:
         self.model = compile_world(self._spec(visual=False))
         self.data = mujoco.MjData(self.model)
         self.cars, self.slopes, tables = parts_of(self.model, machines)
-        self._heights = self.model.jnt_qposadr[self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] + 2
         if machines.drive == "reduced":
             # As heavy to speed up as wheels and motors make a car: MJCF has one armature for all six directions of a
             # free joint, and the wheels' spin has none along z.
@@ -171,12 +169,15 @@ class PhysicsWorld:
                 armature = (added, added, 0.0, 0.0, 0.0, added * spec.turn_radius_m**2)
                 self.model.dof_armature[base.dof : base.dof + 6] = armature
             mujoco.mj_setConst(self.model, self.data)
+        placed = placements(grid, machines)
+        starts = [part.joint for kind in ("smartcar", "slope") for part in placed if part.kind == kind]
+        boards, hinges = [car.board for car in self.cars], [slope.hinge for slope in self.slopes]
+        self._start_joints = list(zip(boards + hinges, starts, strict=True))
         self._warnings = self.data.warning.number
         self._ctrl, self._stepping = self.data.ctrl, Stepping(self.model, self.data)
         self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = b""
         """Which motors had a command in the last period, a byte each; empty where the policies may not fit it."""
-        self._tree_of_motor = trees_of_motors(self.model)
         self.blocks = tables[Kind.BLOCK]
         self.tables = tuple(table for found in tables.values() for table in found)
         """Blocks, flags, and what else has a block's shape and is carried, by kind."""
@@ -199,6 +200,8 @@ class PhysicsWorld:
         self.effects: Sequence[StepEffect] = ()
         """What changes the model's parameters as the world runs, in this order."""
         self._begin_effects()
+        joints = self.model.actuator_trnid[:, 0]
+        self._tree_of_motor = self.model.dof_treeid[self.model.jnt_dofadr[joints]].astype(np.intp)
         if reset:
             self.reset()
 
@@ -207,15 +210,9 @@ class PhysicsWorld:
         self.baseline.write(self.model)
         mujoco.mj_resetData(self.model, self.data)
         self._set_policies(self._policies)
-        self.data.qpos[self._heights] += self.lift_m
-        joints: dict[str, list[float]] = {"smartcar": [], "slope": []}
-        for placed in self._placements:
-            if placed.kind in joints:
-                joints[placed.kind].append(placed.joint)
-        drives = [car.board for car in self.cars] + [slope.hinge for slope in self.slopes]
-        for drive, position in zip(drives, joints["smartcar"] + joints["slope"], strict=True):
-            self.data.qpos[drive.qpos] = position
-            self.data.act[drive.activation] = position
+        self.data.qpos[self.pose_places[:, 2]] += self.lift_m
+        for joint, position in self._start_joints:
+            self.data.qpos[joint.qpos] = self.data.act[joint.activation] = position
         mujoco.mj_forward(self.model, self.data)
         self.overlaps = overlaps(self.machine_names, self.data)
         self.capped_steps = 0

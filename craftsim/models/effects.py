@@ -67,13 +67,9 @@ class Drivetrain:
     """Share of the largest torque, of that at standstill, that is lost at any speed when all motors of a car drive with
     all they have: the battery's voltage drops."""
 
-    @property
-    def ideal(self) -> bool:
-        """Whether motors and gears lack nothing."""
-        return self == IDEAL
-
 
 IDEAL: Final = Drivetrain()
+"""Motors and gears that lack nothing."""
 
 
 class StepEffect:
@@ -101,7 +97,7 @@ def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> tuple[list[StepEf
     """Return the effects of a world with its present baseline, in the order in which they act; and its motors that are
     turned."""
     wheels = _wheels(world)
-    found: list[StepEffect] = [] if drivetrain.ideal else [DrivetrainLosses(world, wheels, drivetrain)]
+    found: list[StepEffect] = [] if drivetrain == IDEAL else [DrivetrainLosses(world, wheels, drivetrain)]
     found.append(Bearings(world) if world.machines.drive == "rollers" else Grip(world, wheels))
     return found, turned_motors(world, wheels)
 

@@ -47,13 +47,9 @@ class Making:
     pocket_m: Amount = 0.0
     """Of the place of a block's pocket and of a slope's pads, forward and sideways."""
 
-    @property
-    def exact(self) -> bool:
-        """Whether every machine is as it is drawn."""
-        return self == AS_DRAWN
-
 
 AS_DRAWN: Final = Making()
+"""Every machine is as it is drawn."""
 
 
 @record()
@@ -89,7 +85,7 @@ class DomainRandomization:
     def nominal(self) -> bool:
         """Whether the physics is the nominal one, so that nothing of it is drawn; sensors and motors aside."""
         drawn = self.friction or self.mass or self.motor or self.joint_friction or self.tilt_rad
-        return not drawn and self.floor.flat and self.making.exact
+        return not drawn and self.floor.flat and self.making == AS_DRAWN
 
 
 _FEET: Final = ("foot_fl", "foot_fr", "foot_rl", "foot_rr")
@@ -140,7 +136,7 @@ def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np
     down = (math.sin(angle) * math.cos(towards), math.sin(angle) * math.sin(towards), -math.cos(angle))
     model.opt.gravity[:] = float(np.linalg.norm(model.opt.gravity)) * np.array(down)
     lift_m = 0.0 if floor.flat else lay(model, floor, physics.size, draw(GROUND, "floor"))
-    if not randomization.making.exact:
+    if randomization.making != AS_DRAWN:
         _make(physics, randomization.making, draw)
     uneven = not floor.flat or randomization.making.wheel_radius_m > 0
     physics.drivetrain = IDEAL

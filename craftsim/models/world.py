@@ -84,7 +84,6 @@ class PhysicsState:
     """A saved state. MuJoCo's state vector leaves out which trees sleep, so the whole of MjData is kept."""
 
     data: mujoco.MjData
-    policies: NDArray[np.int32]
     capped_steps: int
     effects: tuple[NDArray[np.float64], ...]
     """What each effect remembers."""
@@ -175,9 +174,8 @@ class PhysicsWorld:
         self._start_joints = list(zip(boards + hinges, starts, strict=True))
         self._warnings = self.data.warning.number
         self._ctrl, self._stepping = self.data.ctrl, Stepping(self.model, self.data)
-        self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = b""
-        """Which motors had a command in the last period, a byte each; empty where the policies may not fit it."""
+        """Which motors had a command in the last period, a byte each; empty where that is not known."""
         self.blocks = tables[Kind.BLOCK]
         self.tables = tuple(table for found in tables.values() for table in found)
         """Blocks, flags, and what else has a block's shape and is carried, by kind."""
@@ -209,7 +207,8 @@ class PhysicsWorld:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""
         self.baseline.write(self.model)
         mujoco.mj_resetData(self.model, self.data)
-        self._set_policies(self._policies)
+        self._commanded = b""
+        self._rouse()
         self.data.qpos[self.pose_places[:, 2]] += self.lift_m
         for joint, position in self._start_joints:
             self.data.qpos[joint.qpos] = self.data.act[joint.activation] = position
@@ -333,9 +332,7 @@ class PhysicsWorld:
     def save(self) -> PhysicsState:
         """Return a copy of the full state: restoring it and going on gives the same numbers, bit for bit."""
         effects = tuple(effect.state.copy() for effect in self.effects)
-        return PhysicsState(
-            copy.copy(self.data), self.model.tree_sleep_policy.copy(), self.capped_steps, effects
-        )
+        return PhysicsState(copy.copy(self.data), self.capped_steps, effects)
 
     def restore(self, state: PhysicsState) -> None:
         """Go back to a state that this PhysicsWorld, or another one composed from an equal grid and config, has saved.
@@ -345,7 +342,7 @@ class PhysicsWorld:
         """
         if (
             state.data.qpos.shape != self.data.qpos.shape
-            or state.policies.shape != self.model.tree_sleep_policy.shape
+            or state.data.ctrl.shape != self.data.ctrl.shape
             or [len(saved) for saved in state.effects] != [len(effect.state) for effect in self.effects]
         ):
             raise InputError(
@@ -358,7 +355,8 @@ class PhysicsWorld:
                 effect.after_step(self)
         self._stepping.run(0)
         self.capped_steps = state.capped_steps
-        self._set_policies(state.policies)
+        self._commanded = b""
+        self._rouse()
 
     def awake_copy(self) -> mujoco.MjData:
         """Return a copy of the state in which contacts between sleeping machines, which MuJoCo leaves out, show.
@@ -390,10 +388,6 @@ class PhysicsWorld:
         """Return copies of a body's position (3,) in metres and unit quaternion (4,), w first, in the world frame."""
         pose = self.data.qpos[body.qpos : body.qpos + 7].copy()
         return pose[:3], pose[3:]
-
-    def _set_policies(self, policies: NDArray[np.int32]) -> None:
-        self.model.tree_sleep_policy[:] = policies
-        self._commanded = b""
 
     def _rouse(self) -> bool:
         """Keep commanded trees awake, let the others sleep; return whether a commanded one is asleep."""

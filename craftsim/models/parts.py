@@ -41,11 +41,14 @@ class Joint:
     @classmethod
     def find(cls, model: mujoco.MjModel, name: str) -> Joint:
         """Return the handle of the joint of this full name; its motor bears the same name."""
-        joint = model.joint(name)
-        dof, actuator = int(joint.dofadr[0]), mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+        joint, actuator = (
+            mujoco.mj_name2id(model, kind, name)
+            for kind in (mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_ACTUATOR)
+        )
+        dof, qpos = int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
         activation = int(model.actuator_actadr[actuator]) if actuator >= 0 else -1
-        body, tree = int(joint.bodyid[0]), int(model.dof_treeid[dof])
-        return cls(name, body, tree, int(joint.qposadr[0]), dof, actuator, activation)
+        body, tree = int(model.jnt_bodyid[joint]), int(model.dof_treeid[dof])
+        return cls(name, body, tree, qpos, dof, actuator, activation)
 
 
 @dataclass(frozen=True)

@@ -128,8 +128,8 @@ def world_spec(
 ) -> mujoco.MjSpec:
     """Return the spec of a world at its start, before anything of it is drawn from a seed.
 
-    The arguments are those of :class:`craftsim.PhysicsWorld`; ``visual`` adds what is only seen, which changes no number
-    of the physics. Raises InputError for a floor that is too fine.
+    The arguments are those of :class:`craftsim.PhysicsWorld`; ``visual`` adds what is only seen, which changes no
+    number of the physics. Raises InputError for a floor that is too fine.
     """
     middle, half = ground_pose_and_size(grid.size)
     spec = _floor_spec("site", machines, config, (half, middle), visual)

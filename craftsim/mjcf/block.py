@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from craftsim.discrete.kinds import CARRIED, Kind
-from craftsim.mjcf.building import BEVEL, CORNERS, Builder, Pose, digits, surface, touching, volume
+from craftsim.mjcf.building import BEVEL, CORNERS, MachineBuilder, Pose, digits, surface, touching, volume
 from craftsim.mjcf.parameters import BlockParameters, Machines
 from craftsim.mjcf.solids import ClosedSolid, Interval, box, loft, square, turned
 
@@ -66,7 +66,9 @@ def add_block(
     """
     block, contact, table = machines.block, machines.contact, TABLES[TABLE_NAMES[name]]
     of_solid = {**touching("things"), **surface(contact, block.friction), "rgba": [*table.rgb, 0.4]}
-    builder = Builder(spec, prefix, name, visual, looks, block, type=mujoco.mjtGeom.mjGEOM_BOX, **of_solid)
+    builder = MachineBuilder(
+        spec, prefix, name, visual, looks, block, type=mujoco.mjtGeom.mjGEOM_BOX, **of_solid
+    )
     body = builder.body(pose, free=TABLE_NAMES[name] in CARRIED)
     builder.show(body, "table_visual", "block", (*table.rgb, 1.0))
     if table.top is not None:

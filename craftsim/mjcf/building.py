@@ -112,7 +112,7 @@ def volume(*spans: Interval) -> float:
     return math.prod(b - a for a, b in spans)
 
 
-class Builder:
+class MachineBuilder:
     """Adds one machine to the spec of a world."""
 
     def __init__(

@@ -19,7 +19,7 @@ from craftsim.discrete.drawing import car_colour
 from craftsim.mjcf.building import (
     CORNERS,
     SEEN_GROUP,
-    Builder,
+    MachineBuilder,
     Point,
     Pose,
     both,
@@ -138,7 +138,9 @@ def add_car(
     """
     car, contact = machines.car(number), machines.contact
     of_solid = {**touching("hulls"), **surface(contact, car.chassis_friction)}
-    builder = Builder(spec, prefix, "smartcar", visual, looks, car, rgba=[0.75, 0.25, 0.25, 0.4], **of_solid)
+    builder = MachineBuilder(
+        spec, prefix, "smartcar", visual, looks, car, rgba=[0.75, 0.25, 0.25, 0.4], **of_solid
+    )
     body = builder.body(pose)
     body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
     # Its hull has no mass of its own.
@@ -168,7 +170,7 @@ def _places(car: SmartcarParameters) -> Iterator[tuple[str, int, list[float]]]:
 
 
 def _add_guard(
-    builder: Builder, body: mujoco.MjsBody, car: SmartcarParameters, corner: str, **where: Any
+    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, corner: str, **where: Any
 ) -> None:
     """Add a wheel's envelope, by which cars touch each other's wheels."""
     size = [*digits((car.wheel_radius_m, car.wheel_width_m / 2)), 0]
@@ -178,7 +180,7 @@ def _add_guard(
 
 
 def _add_rollers(
-    builder: Builder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
+    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
 ) -> None:
     """Add the chassis' mass, and four wheels of free rollers with their motors."""
     # Inertia of the solid hull about its own centre, at the centre of mass.
@@ -235,7 +237,7 @@ def _set_wheel_motor(motor: mujoco.MjsActuator, car: SmartcarParameters) -> None
 
 
 def _add_spheres(
-    builder: Builder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
+    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
 ) -> None:
     """Add the mass of chassis and wheels, four spheres, and the motors and gears of wheels."""
     spec, prefix = builder.spec, builder.prefix
@@ -276,7 +278,7 @@ def _add_spheres(
 
 
 def _add_board(
-    builder: Builder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
+    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
 ) -> None:
     """Add the board, whose frame is the upper face of its plate, and its motor."""
     name = f"{builder.prefix}board"

@@ -17,7 +17,7 @@ from craftsim.mjcf.building import (
     BEVEL,
     SEAT,
     SEEN_GROUP,
-    Builder,
+    MachineBuilder,
     Point,
     Pose,
     digits,
@@ -44,7 +44,9 @@ def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, 
     """Add a slope to a spec; the arguments are as of :func:`craftsim.mjcf.car.add_car`."""
     slope = machines.slope
     of_solid = {**touching("things"), **surface(machines.contact, slope.friction)}
-    builder = Builder(spec, prefix, "slope", visual, looks, slope, rgba=[0.35, 0.55, 0.75, 0.4], **of_solid)
+    builder = MachineBuilder(
+        spec, prefix, "slope", visual, looks, slope, rgba=[0.35, 0.55, 0.75, 0.4], **of_solid
+    )
     body = builder.body(pose)
     body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
     flap = body.add_body(name=f"{prefix}flap", pos=digits((slope.hinge_x_m, 0.0, slope.hinge_z_m)))
@@ -66,7 +68,7 @@ def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, 
     _add_hinge(builder, flap, machines)
 
 
-def _add_hinge(builder: Builder, flap: mujoco.MjsBody, machines: Machines) -> None:
+def _add_hinge(builder: MachineBuilder, flap: mujoco.MjsBody, machines: Machines) -> None:
     """Add the joint of a flap and its motor, and what the folded flap lies on."""
     slope, contact, prefix = machines.slope, machines.contact, builder.prefix
     folded = digits(round(slope.hinge_range_rad, 8))
@@ -151,7 +153,9 @@ def _pads(p: SlopeParameters) -> dict[str, tuple[Interval, ...]]:
     }
 
 
-def _show(builder: Builder, slope: SlopeParameters, base: mujoco.MjsBody, flap: mujoco.MjsBody) -> None:
+def _show(
+    builder: MachineBuilder, slope: SlopeParameters, base: mujoco.MjsBody, flap: mujoco.MjsBody
+) -> None:
     """Add what is only seen: base, flap, gears' teeth, a knuckle at the hinge, and a worm and motor under each gear."""
     hinge_x, hinge_z = slope.hinge_x_m, slope.hinge_z_m
     builder.show(base, "base_visual", "slope_base", [0.36, 0.56, 0.76, 1.0])

@@ -53,13 +53,39 @@ class Placement:
 
 def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
     """Return the start pose of every part: cars by id, then loads by car, then objects in scan order x, y, z."""
-    cars = [_car(grid, row, machines.car(i)) for i, row in enumerate(grid.cars)]
-    loads = [
-        _load(grid, row, cars[i], machines.car(i), machines)
-        for i, row in enumerate(grid.cars)
-        if row[CarField.LOAD] != Kind.AIR
-    ]
-    return cars + loads + _objects(grid, machines)
+    cars, loads, objects = [], [], []
+    for number, row in enumerate(grid.cars):
+        machine, load = machines.car(number), Kind(row[CarField.LOAD])
+        heading, pitch = yaw_angle(int(row[CarField.YAW])), incline_under(grid, row)
+        position = cell_position(*(int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z)))
+        position[2] += LEVEL_HEIGHT_M * (0.0, 0.25, -0.25)[row[CarField.SLOPE]]
+        turn, raised = _quaternion(heading, pitch), load != Kind.AIR
+        cars.append(Placement("smartcar", position, turn, machine.board_travel_m if raised else 0.0))
+        if not raised:
+            continue
+        up = np.array(
+            [-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)]
+        )
+        carried = position + lift_m(load, machine, machines) * up
+        if load == Kind.FSLOPE:
+            # A carried slope faces away from the car's heading, so the same incline lowers its nose.
+            turn = _quaternion(yaw_angle(int(row[CarField.LOAD_YAW])), -pitch)
+            loads.append(Placement("slope", carried, turn, machines.slope.hinge_range_rad))
+        else:
+            loads.append(Placement(load.name.lower(), carried, turn))
+    for x, y, z in np.argwhere(grid.kind[:, :, 1:]):
+        kind = Kind(grid.kind[x, y, z + 1])
+        position, turn = cell_position(x, y, z + 1), _quaternion(yaw_angle(int(grid.yaw[x, y, z + 1])))
+        if kind in TABLES:
+            objects.append(Placement(kind.name.lower(), position, turn))
+        elif kind in (Kind.FSLOPE, Kind.BODY):
+            hinge = machines.slope.hinge_range_rad if kind == Kind.FSLOPE else 0.0
+            objects.append(Placement("slope", position, turn, hinge))
+        elif kind in STANDING:
+            raise InputError(
+                f"{kind.name} in ({x}, {y}, {z + 1}) has no machine; add it to TABLES in craftsim/mjcf/block.py"
+            )
+    return cars + loads + objects
 
 
 def _quaternion(heading: float, pitch_up: float = 0.0) -> NDArray[np.float64]:
@@ -69,53 +95,10 @@ def _quaternion(heading: float, pitch_up: float = 0.0) -> NDArray[np.float64]:
     return np.array([ch * cp, sh * sp, -ch * sp, sh * cp])
 
 
-def _car(grid: Grid, row: NDArray[np.int64], machine: SmartcarParameters) -> Placement:
-    position = cell_position(*(int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z)))
-    position[2] += LEVEL_HEIGHT_M * (0.0, 0.25, -0.25)[row[CarField.SLOPE]]
-    board = machine.board_travel_m if row[CarField.LOAD] != Kind.AIR else 0.0
-    return Placement(
-        "smartcar", position, _quaternion(yaw_angle(int(row[CarField.YAW])), incline_under(grid, row)), board
-    )
-
-
 def lift_m(load: Kind, car: SmartcarParameters, machines: Machines) -> float:
     """Return how high above its car's origin a load of a kind is carried."""
     underside_m = (machines.slope if load == Kind.FSLOPE else machines.block).underside_m
     return car.board_rest_m + car.board_travel_m - underside_m
-
-
-def _load(
-    grid: Grid, row: NDArray[np.int64], car: Placement, machine: SmartcarParameters, machines: Machines
-) -> Placement:
-    lift = lift_m(Kind(row[CarField.LOAD]), machine, machines)
-    pitch, heading = incline_under(grid, row), yaw_angle(int(row[CarField.YAW]))
-    up = np.array(
-        [-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)]
-    )
-    position = car.position + lift * up
-    if row[CarField.LOAD] == Kind.FSLOPE:
-        # A carried slope faces away from the car's heading, so the same incline lowers its nose.
-        quaternion = _quaternion(yaw_angle(int(row[CarField.LOAD_YAW])), -pitch)
-        return Placement("slope", position, quaternion, machines.slope.hinge_range_rad)
-    return Placement(Kind(row[CarField.LOAD]).name.lower(), position, car.quaternion)
-
-
-def _objects(grid: Grid, machines: Machines) -> list[Placement]:
-    found = []
-    for x, y, z in np.argwhere(grid.kind[:, :, 1:]):
-        kind = Kind(grid.kind[x, y, z + 1])
-        position = cell_position(x, y, z + 1)
-        turn = _quaternion(yaw_angle(int(grid.yaw[x, y, z + 1])))
-        if kind in TABLES:
-            found.append(Placement(kind.name.lower(), position, turn))
-        elif kind in (Kind.FSLOPE, Kind.BODY):
-            hinge = machines.slope.hinge_range_rad if kind == Kind.FSLOPE else 0.0
-            found.append(Placement("slope", position, turn, hinge))
-        elif kind in STANDING:
-            raise InputError(
-                f"{kind.name} in ({x}, {y}, {z + 1}) has no machine; add it to TABLES in craftsim/mjcf/block.py"
-            )
-    return found
 
 
 def world_spec(

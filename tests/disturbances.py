@@ -7,7 +7,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from craftsim.models.parts import FreeBody
+from craftsim.models.parts import Joint
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor, Observer
 
@@ -44,7 +44,7 @@ _HAND_HZ: Final = 15.0
 """How fast what a hand holds would swing."""
 
 
-def twist(executor: Executor, body: FreeBody, way: Callable[[float], Sequence[float] | None]) -> None:
+def twist(executor: Executor, body: Joint, way: Callable[[float], Sequence[float] | None]) -> None:
     """Let a hand turn a free body from now on, by a torque alone that changes with each physics step.
 
     ``way`` says by what rotation vector in radians it should be turned by so many seconds of simulated time, from how

@@ -15,7 +15,7 @@ from craftsim.cli import main
 from craftsim.discrete.grid import Grid
 from craftsim.errors import InputError
 from craftsim.experiments.durations import Duration, write_durations
-from craftsim.models.composition import WorldSpec
+from craftsim.models.composition import world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
 from craftsim.models.world import PhysicsWorld
@@ -79,7 +79,7 @@ def test_contacts_scenes_and_durations_are_whole_or_as_they_were(tmp_path):
     physics = PhysicsWorld(Grid.empty((2, 2, 1), n_cars=1))
     log, row = ContactLog(physics), Duration("LIFT", "none", 1, False, 2, 1.0, 1.0, 1.0, 1.0, 1.0)
     folder = tmp_path / "scene"
-    scene = WorldSpec(Grid.empty((2, 2, 1), n_cars=1), SimulationConfig()).spec()
+    scene = world_spec(Grid.empty((2, 2, 1), n_cars=1), SimulationConfig())
     writers = {
         tmp_path / "contacts.csv": lambda: log.write(tmp_path / "contacts.csv"),
         tmp_path / "durations.csv": lambda: write_durations(tmp_path, [row] * 20),

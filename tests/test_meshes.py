@@ -7,7 +7,7 @@ import trimesh
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.mjcf import block, car, slope
 from craftsim.mjcf.parameters import NOMINAL, SmartcarParameters
-from craftsim.mjcf.solids import ClosedSolid, Mesh
+from craftsim.mjcf.solids import ClosedSolid, mesh_of
 
 SOLIDS = car.looks(NOMINAL.cars[0]) | block.looks(NOMINAL.block) | slope.looks(NOMINAL.slope)
 
@@ -34,7 +34,7 @@ def _solid(solid: ClosedSolid) -> trimesh.Trimesh:
 
 
 def test_meshes_are_small():
-    sizes = [len(Mesh.of(solids).points) for solids in SOLIDS.values()]
+    sizes = [len(mesh_of(solids)[0]) for solids in SOLIDS.values()]
     assert max(sizes) < 1500
     assert sum(sizes) < 6000
 
@@ -97,7 +97,7 @@ def test_wheels_have_room_in_the_chassis():
 
 def _normals(name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the normals (n, 3) of the larger faces of a mesh, and those (n, 3, 3) that it gives their corners."""
-    points, given, corners = Mesh.of(SOLIDS[name])
+    points, given, corners = mesh_of(SOLIDS[name])
     a, b, c = points[corners].transpose(1, 0, 2)
     across = np.cross(b - a, c - a)
     area = np.linalg.norm(across, axis=1) / 2

@@ -35,7 +35,7 @@ from craftsim.discrete.readback import (
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
 from craftsim.models.composition import lift_m
-from craftsim.models.measuring import Floats, PoseReader
+from craftsim.models.measuring import Floats
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
@@ -92,8 +92,7 @@ class Judge:
             executor.step_observer = self.log.look
             # Not a method of this object: a cycle would keep the whole simulation until garbage is collected.
             executor.guard = self.log.is_unsafe
-        self._poses = PoseReader(self.physics)
-        self._drift = Drift(self.physics, self._poses.places)
+        self._drift = Drift(self.physics, self.physics.pose_places)
         executor.observers.append(self._drift.look)
         if self.physics.uneven:
             drift = self._drift
@@ -346,7 +345,7 @@ class Judge:
     def _look(self) -> None:
         self._looked_s = self.physics.time_s
         last = getattr(self, "reading", None)
-        self.poses: Poses = self._poses.read()
+        self.poses: Poses = self.physics.poses()
         self._rows = self._drift.poses()
         self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls, last)
 

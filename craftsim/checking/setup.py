@@ -192,7 +192,7 @@ def setup_of(
         widened(thresholds, randomization),
         randomization,
         _noise(assume, ASSUMED),
-        SimulationConfig.of(machines.drive),
+        SimulationConfig(),
         gains=gains,
         machines=machines,
         skills=own_skills(skills),

@@ -116,11 +116,11 @@ def show(
         file = output_directory(out) / f"{path.stem}.png"
         print_safe(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(wanted))}")
     if export:
-        from craftsim.models.composition import WorldSpec, check_extent
+        from craftsim.models.composition import check_extent, world_spec
         from craftsim.models.config import SimulationConfig
 
         check_extent(grid)
-        _export(lambda machines: WorldSpec(grid, SimulationConfig.of(drive), machines).spec(), export, drive)
+        _export(lambda machines: world_spec(grid, SimulationConfig(), machines), export, drive)
     return 0 if read is None else _show_plan(read, grid, wanted, out)
 
 

@@ -201,7 +201,7 @@ def make_backend(task: Task, options: Options) -> Backend:
         if options.noise is None
         else replace(randomization, sensors=options.noise),
         assumed=options.assumed or ASSUMED,
-        simulation=options.config or SimulationConfig.of(machines.drive),
+        simulation=options.config or SimulationConfig(),
         gains=options.gains or nominal_gains(),
         machines=machines,
         skills=options.skills or (),

@@ -21,7 +21,7 @@ from craftsim.checking.judge import Judge
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Failure, Result, Trial, TrialRecord
 from craftsim.experiments.session import Session
-from craftsim.models.composition import WorldSpec
+from craftsim.models.composition import world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
 from craftsim.models.world import PhysicsWorld
@@ -150,9 +150,9 @@ def _write(folder: Path, bundle: Bundle, judge: Judge, before: Arrays) -> None:
     assert judge.log is not None
     judge.log.write(folder / CONTACTS)
     recipe = bundle.recipe
-    config = recipe.setup.simulation or SimulationConfig.of(recipe.setup.machines.drive)
-    world = WorldSpec(recipe.grid, config, recipe.setup.machines, recipe.goals)
-    write_mjcf(directory_within(folder, SCENE) / "site.xml", world.spec())
+    config = recipe.setup.simulation or SimulationConfig()
+    spec = world_spec(recipe.grid, config, recipe.setup.machines, recipe.goals)
+    write_mjcf(directory_within(folder, SCENE) / "site.xml", spec)
     # Written last, so that a folder with this file is a whole bundle.
     write_whole(folder / TEXT, to_json(bundle))
 

@@ -13,22 +13,9 @@ import mujoco
 import numpy as np
 
 from craftsim.discrete.kinds import CARRIED, Kind
-from craftsim.mjcf.building import (
-    BEVEL,
-    CORNERS,
-    SEEN,
-    SOLID_GROUP,
-    Box,
-    Frame,
-    add_body,
-    digits,
-    geom_class,
-    surface,
-    touching,
-    weighed,
-)
+from craftsim.mjcf.building import BEVEL, CORNERS, MachineBuilder, Pose, digits, surface, touching, volume
 from craftsim.mjcf.parameters import BlockParameters, Machines
-from craftsim.mjcf.solids import ClosedSolid, add_mesh, box, cached_meshes, loft, square, turned
+from craftsim.mjcf.solids import ClosedSolid, Interval, box, loft, square, turned
 
 
 @dataclass(frozen=True)
@@ -62,7 +49,7 @@ TABLE_NAMES: Final = {kind.name.lower(): kind for kind in TABLES}
 def add_block(
     spec: mujoco.MjSpec,
     prefix: str,
-    pose: Frame,
+    pose: Pose,
     machines: Machines,
     name: str = "block",
     visual: bool = True,
@@ -75,39 +62,23 @@ def add_block(
     stands on a board by its front and back bars; the other two, a little higher, add nothing to that support but
     contacts to compute, and only stop the boss, by its bevel.
 
-    Args:
-        spec: of the world.
-        prefix: begins the names of all its parts.
-        pose: where it stands.
-        machines: the parameters.
-        name: which of :data:`TABLE_NAMES`.
-        visual: whether it has what is only seen.
+    ``name`` is which of :data:`TABLE_NAMES`; the other arguments are as of :func:`craftsim.mjcf.car.add_car`.
     """
     block, contact, table = machines.block, machines.contact, TABLES[TABLE_NAMES[name]]
-    solid = geom_class(
-        spec,
-        name,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        group=SOLID_GROUP,
-        rgba=[*table.rgb, 0.4],
-        **touching("things"),
-        **surface(contact, block.friction),
+    of_solid = {**touching("things"), **surface(contact, block.friction), "rgba": [*table.rgb, 0.4]}
+    builder = MachineBuilder(
+        spec, prefix, name, visual, looks, block, type=mujoco.mjtGeom.mjGEOM_BOX, **of_solid
     )
-    body = add_body(spec, pose, prefix + name, free=TABLE_NAMES[name] in CARRIED)
-    if visual:
-        seen = geom_class(spec, f"{name}_seen", solid, type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
-        shown = [("table_visual", "block", (*table.rgb, 1.0))]
-        if table.top is not None:
-            shown.append(table.top)
-        for geom, mesh, rgba in shown:
-            mesh = add_mesh(spec, mesh, meshes(block)[mesh])
-            body.add_geom(seen, name=prefix + geom, meshname=mesh, rgba=rgba)
-    for bar, part in _bars(block).items():
-        body.add_geom(solid, name=prefix + bar, **part.geom)
-    rubber = geom_class(
-        spec,
-        f"{name}_foot",
-        solid,
+    body = builder.body(pose, free=TABLE_NAMES[name] in CARRIED)
+    builder.show(body, "table_visual", "block", (*table.rgb, 1.0))
+    if table.top is not None:
+        builder.show(body, *table.top)
+    bars = _bars(block)
+    density = block.deck_mass_kg / sum(volume(*spans) for spans in bars.values())
+    for bar, spans in bars.items():
+        builder.add_box(body, builder.solid, bar, spans, density)
+    rubber = builder.geoms(
+        "foot",
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[block.foot_radius_m, 0, 0],
         mass=0,
@@ -119,32 +90,28 @@ def add_block(
     half = digits((block.leg_side_m / 2, block.leg_side_m / 2, length / 2))
     for corner, (x, y) in CORNERS.items():
         place = [x * leg, y * leg, digits(proud / 2)]
-        body.add_geom(solid, name=f"{prefix}leg_{corner}", pos=place, size=half, mass=block.leg_mass_kg)
-        body.add_geom(rubber, name=f"{prefix}foot_{corner}", pos=[x * foot, y * foot, block.foot_radius_m])
+        builder.add(body, builder.solid, f"leg_{corner}", pos=place, size=half, mass=block.leg_mass_kg)
+        builder.add(body, rubber, f"foot_{corner}", pos=[x * foot, y * foot, block.foot_radius_m])
 
 
-def _bars(block: BlockParameters) -> dict[str, Box]:
-    """Return deck and frame of a block by name."""
+def _bars(block: BlockParameters) -> dict[str, tuple[Interval, ...]]:
+    """Return deck and frame of a block by name, as intervals of x, y and z."""
     half, pocket = block.side_m / 2, block.pocket_side_m / 2
     low, high = block.underside_m, block.underside_m + block.pocket_depth_m
     relief = block.frame_relief_m
     side = pocket - relief * BEVEL
-    boxes = {
-        "deck": Box.over((-half, half), (-half, half), (high, block.height_m)),
-        "frame_front": Box.over((pocket, half), (-half, half), (low, high)),
-        "frame_back": Box.over((-half, -pocket), (-half, half), (low, high)),
-        "frame_left": Box.over((-pocket, pocket), (side, half), (low + relief, high)),
-        "frame_right": Box.over((-pocket, pocket), (-half, -side), (low + relief, high)),
+    return {
+        "deck": ((-half, half), (-half, half), (high, block.height_m)),
+        "frame_front": ((pocket, half), (-half, half), (low, high)),
+        "frame_back": ((-half, -pocket), (-half, half), (low, high)),
+        "frame_left": ((-pocket, pocket), (side, half), (low + relief, high)),
+        "frame_right": ((-pocket, pocket), (-half, -side), (low + relief, high)),
     }
-    return weighed(boxes, block.deck_mass_kg / sum(part.volume for part in boxes.values()))
 
 
 def looks(block: BlockParameters) -> dict[str, list[ClosedSolid]]:
     """Return the solids of the meshes that are only seen, by name; their origin is on the floor, in the middle."""
     return {"block": _block(block), "block_trim": _block_trim(block), "flag": _flag(block)}
-
-
-meshes = cached_meshes(looks)
 
 
 def _block(p: BlockParameters) -> list[ClosedSolid]:

@@ -1,11 +1,10 @@
-"""What the builders of all machines share: the floor and its light, poses, contacts, and numbers as MJCF has them."""
+"""What the builders of all machines share: the floor and its light, contacts, classes of geoms, and numbers in MJCF."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.mjcf.parameters import ContactParameters, SmartcarParameters
+from craftsim.mjcf.solids import ClosedSolid, Interval, add_mesh, meshes
 
 Point = tuple[float, float, float]
 
@@ -39,13 +39,9 @@ BEVEL: Final = (SEAT.boss_side_m - SEAT.boss_top_side_m) / 2 / SEAT.boss_height_
 """By how much a boss narrows on each side per metre of its height."""
 
 
-class Frame(NamedTuple):
-    """Where a machine's frame stands."""
-
-    position: ArrayLike = (0.0, 0.0, 0.0)
-    """(3,) metres, world."""
-    quaternion: ArrayLike = (1.0, 0.0, 0.0, 0.0)
-    """(4,) unit quaternion w, x, y, z."""
+Pose = tuple[ArrayLike, ArrayLike]
+"""Position, (3,) in metres, and unit quaternion, (4,) w, x, y, z, in the world."""
+ORIGIN: Final[Pose] = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
 
 
 def digits(values: float | Iterable[float]) -> Any:
@@ -100,27 +96,6 @@ def dry_friction(contact: ContactParameters) -> dict[str, Any]:
     }
 
 
-def geom_class(
-    spec: mujoco.MjSpec, name: str, parent: mujoco.MjsDefault | None = None, **geom: Any
-) -> mujoco.MjsDefault:
-    """Return a class of geoms of a spec, which is made unless it is there; a world has one for equal machines."""
-    found = spec.find_default(name)
-    if found is None:
-        found = spec.add_default(name, parent or spec.default)
-        for attribute, value in geom.items():
-            setattr(found.geom, attribute, value)
-    return found
-
-
-def add_body(spec: mujoco.MjSpec, pose: Frame, name: str, free: bool = True) -> mujoco.MjsBody:
-    """Return a new body of the world at a pose, fixed or free to move; its free joint bears its name."""
-    position, quaternion = (np.asarray(part, float) + 0.0 for part in pose)
-    body = spec.worldbody.add_body(name=name, pos=position, quat=quaternion)
-    if free:
-        body.add_freejoint(name=name)
-    return body
-
-
 def set_inertia(body: mujoco.MjsBody, height_m: float, mass_kg: float, inertia_kgm2: Point) -> None:
     """Give a body its mass and its inertia about a centre of mass at a height on its z axis."""
     body.explicitinertial = True
@@ -132,35 +107,108 @@ def both(limit: float) -> list[float]:
     return [-limit, limit]
 
 
-@dataclass(frozen=True)
-class Box:
-    """A box: its centre, its half sizes and its mass."""
-
-    centre: Point
-    half: Point
-    mass: float = 0.0
-
-    @classmethod
-    def over(cls, x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Box:
-        """Return the box over three intervals."""
-        spans = (x, y, z)
-        centre, half = ([(a + b) / 2 for a, b in spans], [(b - a) / 2 for a, b in spans])
-        return cls((centre[0], centre[1], centre[2]), (half[0], half[1], half[2]))
-
-    @property
-    def volume(self) -> float:
-        """Volume in cubic metres."""
-        return 8 * math.prod(self.half)
-
-    @property
-    def geom(self) -> dict[str, Any]:
-        """The attributes of a box geom."""
-        return {"pos": digits(self.centre), "size": digits(self.half), "mass": micro(self.mass)}
+def volume(*spans: Interval) -> float:
+    """Return the volume of a box over three intervals."""
+    return math.prod(b - a for a, b in spans)
 
 
-def weighed(boxes: dict[str, Box], density: float) -> dict[str, Box]:
-    """Return boxes by name with the masses that a density in kg/m^3 gives them."""
-    return {name: Box(box.centre, box.half, density * box.volume) for name, box in boxes.items()}
+class MachineBuilder:
+    """Adds one machine to the spec of a world."""
+
+    def __init__(
+        self,
+        spec: mujoco.MjSpec,
+        prefix: str,
+        kind: str,
+        visual: bool,
+        looks: Callable[[Any], dict[str, list[ClosedSolid]]],
+        parameters: Any,
+        **solid: Any,
+    ) -> None:
+        """Begin a machine.
+
+        Args:
+            spec: of the world.
+            prefix: begins the names of all its parts.
+            kind: what it is called, such as ``block``.
+            visual: whether it has what is only seen.
+            looks: the solids of meshes that are only seen, by their names and from the machine's parameters.
+            parameters: of the machine.
+            solid: attributes of the geoms that touch.
+        """
+        self.spec, self.prefix, self.visual = spec, prefix, visual
+        self._kind, self._looks, self._parameters = kind, looks, parameters
+        # Cars differ; other machines have equal meshes and classes of geoms, which a world has once.
+        self._own = prefix if kind == "smartcar" else ""
+        self.solid = self.geoms("", **{"group": SOLID_GROUP} | solid)
+
+    def geoms(self, name: str, **geom: Any) -> mujoco.MjsDefault:
+        """Return a class of geoms, by default those that touch, with some attributes; it is made unless it is there."""
+        full = f"{self._own}{self._kind}{name and '_'}{name}"
+        found = self.spec.find_default(full)
+        if found is None:
+            found = self.spec.add_default(full, self.solid if name else self.spec.default)
+            for attribute, value in geom.items():
+                setattr(found.geom, attribute, value)
+        return found
+
+    def body(self, pose: Pose, free: bool = True) -> mujoco.MjsBody:
+        """Add the machine's body at a pose, fixed or free to move; its free joint bears its name."""
+        name = self.prefix + self._kind
+        position, quaternion = (np.asarray(part, float) + 0.0 for part in pose)
+        body = self.spec.worldbody.add_body(name=name, pos=position, quat=quaternion)
+        if free:
+            body.add_freejoint(name=name)
+        return body
+
+    def add(self, body: mujoco.MjsBody, of: mujoco.MjsDefault, name: str, **geom: Any) -> None:
+        """Add a geom of a class."""
+        body.add_geom(of, name=self.prefix + name, **geom)
+
+    def add_box(
+        self,
+        body: mujoco.MjsBody,
+        of: mujoco.MjsDefault,
+        name: str,
+        spans: Sequence[Interval],
+        density: float,
+    ) -> None:
+        """Add a box over three intervals, with the mass that a density in kg/m^3 gives it."""
+        self.add(
+            body,
+            of,
+            name,
+            pos=digits((a + b) / 2 for a, b in spans),
+            size=digits((b - a) / 2 for a, b in spans),
+            mass=micro(density * volume(*spans)),
+        )
+
+    def add_hull(
+        self, body: mujoco.MjsBody, of: mujoco.MjsDefault, name: str, corners: ArrayLike, **geom: Any
+    ) -> None:
+        """Add the convex solid of some corners, (n, 3)."""
+        mesh = self._own + name
+        if self.spec.mesh(mesh) is None:
+            points = np.round(np.asarray(corners, float), 6).ravel() + 0.0
+            self.spec.add_mesh(name=mesh, uservert=points)
+        self.add(body, of, name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, **geom)
+
+    def show(self, body: mujoco.MjsBody, name: str, mesh: str, rgba: Sequence[float], **where: Any) -> None:
+        """Add what is only seen, if that is wanted: one of the machine's meshes, or a geom of another type."""
+        if not self.visual:
+            return
+        seen = self.geoms("seen", type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
+        if mesh:
+            made = meshes(self._looks, self._parameters)[mesh]
+            where["meshname"] = add_mesh(self.spec, self._own + mesh, made)
+        self.add(body, seen, name, rgba=rgba, **where)
+
+    def add_drive(self, name: str, kp: float, kv: float, speed: float, force: float, travel: float) -> None:
+        """Add a motor to a joint: its command is a speed, and it holds the position that it has reached."""
+        full = self.prefix + name
+        motor = self.spec.add_actuator(name=full, target=full, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_intvelocity(kp=kp, kv=kv)
+        motor.ctrlrange, motor.forcerange, motor.actrange = both(speed), both(force), [0, travel]
 
 
 def new_world(

@@ -18,17 +18,14 @@ import numpy as np
 from craftsim.discrete.drawing import car_colour
 from craftsim.mjcf.building import (
     CORNERS,
-    SEEN,
     SEEN_GROUP,
-    SOLID_GROUP,
-    Frame,
+    MachineBuilder,
     Point,
-    add_body,
+    Pose,
     both,
     digits,
     dry_friction,
     friction,
-    geom_class,
     set_inertia,
     surface,
     touching,
@@ -37,11 +34,8 @@ from craftsim.mjcf.parameters import ContactParameters, Machines, SmartcarParame
 from craftsim.mjcf.solids import (
     ClosedSolid,
     Ring,
-    add_hull,
-    add_mesh,
     between,
     box,
-    cached_meshes,
     loft,
     rectangle,
     second_moments,
@@ -130,7 +124,7 @@ def _boss(car: SmartcarParameters) -> list[Point]:
 
 
 def add_car(
-    spec: mujoco.MjSpec, prefix: str, pose: Frame, machines: Machines, number: int = 0, visual: bool = True
+    spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, number: int = 0, visual: bool = True
 ) -> None:
     """Add a smartcar to a spec.
 
@@ -142,224 +136,175 @@ def add_car(
         number: of the car: decides its own parameters and its colour.
         visual: whether it has what is only seen, and its camera.
     """
-    building = _Building(spec, prefix, machines.car(number), machines.contact, visual)
-    body = add_body(spec, pose, f"{prefix}smartcar")
+    car, contact = machines.car(number), machines.contact
+    of_solid = {**touching("hulls"), **surface(contact, car.chassis_friction)}
+    builder = MachineBuilder(
+        spec, prefix, "smartcar", visual, looks, car, rgba=[0.75, 0.25, 0.25, 0.4], **of_solid
+    )
+    body = builder.body(pose)
     body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
-    building.add_chassis(body, [*car_colour(number), 1.0])
+    # Its hull has no mass of its own.
+    builder.add_hull(body, builder.solid, "hull", _hull(car), mass=0)
+    axles = [0, 0, car.wheel_radius_m]
+    builder.show(body, "chassis_visual", "chassis", [*car_colour(number), 1.0], pos=axles)
+    builder.show(body, "chassis_trim", "chassis_trim", [0.95, 0.95, 0.98, 1.0], pos=axles)
+    if visual:
+        nose, pitch = car.chassis_length_m / 2 + car.camera_proud_m, car.camera_pitch_rad
+        body.add_camera(
+            name=f"{prefix}front",
+            pos=digits((nose, 0.0, car.wheel_radius_m + car.camera_z_m)),
+            xyaxes=digits((0.0, -1.0, 0.0, -math.sin(pitch), 0.0, math.cos(pitch))),
+            fovy=digits(math.degrees(car.camera_fovy_rad)),
+        )
     if machines.drive == "rollers":
-        building.add_rollers(body)
+        _add_rollers(builder, body, car, contact)
     else:
-        building.add_spheres(body)
-    building.add_board(body)
+        _add_spheres(builder, body, car, contact)
+    _add_board(builder, body, car, contact)
 
 
-class _Building:
-    """A car that is being added to a spec."""
+def _places(car: SmartcarParameters) -> Iterator[tuple[str, int, list[float]]]:
+    """Yield of each wheel its corner, the side to which its rollers turn, and its place."""
+    for corner, (x, y) in CORNERS.items():
+        yield corner, x * y, [x * car.wheel_x_m, y * car.wheel_y_m, car.wheel_radius_m]
 
-    def __init__(
-        self,
-        spec: mujoco.MjSpec,
-        prefix: str,
-        car: SmartcarParameters,
-        contact: ContactParameters,
-        visual: bool,
-    ) -> None:
-        self._spec, self._prefix, self._car, self._contact, self._visual = spec, prefix, car, contact, visual
-        self._solid = geom_class(
-            spec,
-            f"{prefix}smartcar",
-            group=SOLID_GROUP,
-            rgba=[0.75, 0.25, 0.25, 0.4],
-            **touching("hulls"),
-            **surface(contact, car.chassis_friction),
+
+def _add_guard(
+    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, corner: str, **where: Any
+) -> None:
+    """Add a wheel's envelope, by which cars touch each other's wheels."""
+    size = [*digits((car.wheel_radius_m, car.wheel_width_m / 2)), 0]
+    kind = mujoco.mjtGeom.mjGEOM_CYLINDER
+    guard = builder.geoms("guard", type=kind, size=size, mass=0, **touching("guards"))
+    builder.add(body, guard, f"guard_{corner}", zaxis=[0, 1, 0], **where)
+
+
+def _add_rollers(
+    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
+) -> None:
+    """Add the chassis' mass, and four wheels of free rollers with their motors."""
+    # Inertia of the solid hull about its own centre, at the centre of mass.
+    set_inertia(body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, _chassis_inertia(car))
+    roller = builder.geoms(
+        "roller",
+        type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+        size=[car.roller_radius_m, car.roller_radius_m, car.roller_half_length_m],
+        mass=car.roller_mass_kg,
+        group=SEEN_GROUP,
+        gap=_ROLLER_GAP_M,
+        friction=friction(contact, car.roller_friction),
+        rgba=_BLACK,
+        **touching("wheels"),
+    )
+    dry, out = dry_friction(contact), digits(car.roller_radius_m - car.wheel_radius_m)
+    for corner, side, place in _places(car):
+        name = f"{builder.prefix}wheel_{corner}"
+        wheel = body.add_body(name=name, pos=place)
+        mass = digits(car.wheel_mass_kg - car.rollers_per_wheel * car.roller_mass_kg)
+        set_inertia(wheel, 0.0, mass, _hub_inertia(car))
+        # Self-locking gear: its dry friction holds a loaded car on the slope without power.
+        wheel.add_joint(
+            name=name,
+            axis=[0, 1, 0],
+            frictionloss=car.gear_friction_nm,
+            damping=[car.wheel_damping_nms_rad, 0, 0],
+            armature=car.wheel_armature_kgm2,
+            **dry,
         )
-
-    def _class(self, name: str, **geom: Any) -> mujoco.MjsDefault:
-        return geom_class(self._spec, f"{self._prefix}{name}", self._solid, **geom)
-
-    def _show(self, body: mujoco.MjsBody, name: str, mesh: str, rgba: list[float], **where: Any) -> None:
-        """Add a mesh that is only seen, where such are wanted."""
-        if self._visual:
-            seen = self._class("seen", type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
-            mesh = add_mesh(self._spec, f"{self._prefix}{mesh}", meshes(self._car)[mesh])
-            body.add_geom(seen, name=f"{self._prefix}{name}", meshname=mesh, rgba=rgba, **where)
-
-    def _add_guard(self, body: mujoco.MjsBody, corner: str, **where: Any) -> None:
-        car = self._car
-        guard = self._class(
-            "guard",
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[*digits((car.wheel_radius_m, car.wheel_width_m / 2)), 0],
-            mass=0,
-            **touching("guards"),
-        )
-        body.add_geom(guard, name=f"{self._prefix}guard_{corner}", zaxis=[0, 1, 0], **where)
-
-    def _places(self) -> Iterator[tuple[str, int, list[float]]]:
-        """Yield of each wheel its corner, the side to which its rollers turn, and its place."""
-        car = self._car
-        for corner, (x, y) in CORNERS.items():
-            yield corner, x * y, [x * car.wheel_x_m, y * car.wheel_y_m, car.wheel_radius_m]
-
-    def add_chassis(self, body: mujoco.MjsBody, rgba: list[float]) -> None:
-        """Add the hull, without mass of its own, what a chassis of a colour looks like, and the camera in its nose."""
-        car, prefix = self._car, self._prefix
-        hull = add_hull(self._spec, f"{prefix}hull", _hull(car))
-        body.add_geom(
-            self._solid, name=f"{prefix}hull", type=mujoco.mjtGeom.mjGEOM_MESH, meshname=hull, mass=0
-        )
-        axles = [0, 0, car.wheel_radius_m]
-        self._show(body, "chassis_visual", "chassis", rgba, pos=axles)
-        self._show(body, "chassis_trim", "chassis_trim", [0.95, 0.95, 0.98, 1.0], pos=axles)
-        if self._visual:
-            nose, pitch = car.chassis_length_m / 2 + car.camera_proud_m, car.camera_pitch_rad
-            body.add_camera(
-                name=f"{prefix}front",
-                pos=digits((nose, 0.0, car.wheel_radius_m + car.camera_z_m)),
-                xyaxes=digits((0.0, -1.0, 0.0, -math.sin(pitch), 0.0, math.cos(pitch))),
-                fovy=digits(math.degrees(car.camera_fovy_rad)),
-            )
-
-    def add_rollers(self, body: mujoco.MjsBody) -> None:
-        """Add the chassis' mass, and four wheels of free rollers with their motors."""
-        spec, prefix, car = self._spec, self._prefix, self._car
-        # Inertia of the solid hull about its own centre, at the centre of mass.
-        set_inertia(body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, _chassis_inertia(car))
-        roller = self._class(
-            "roller",
-            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-            size=[car.roller_radius_m, car.roller_radius_m, car.roller_half_length_m],
-            mass=car.roller_mass_kg,
-            group=SEEN_GROUP,
-            gap=_ROLLER_GAP_M,
-            friction=friction(self._contact, car.roller_friction),
-            rgba=_BLACK,
-            **touching("wheels"),
-        )
-        dry, out = dry_friction(self._contact), digits(car.roller_radius_m - car.wheel_radius_m)
-        for corner, side, place in self._places():
-            name = f"{prefix}wheel_{corner}"
-            wheel = body.add_body(name=name, pos=place)
-            mass = digits(car.wheel_mass_kg - car.rollers_per_wheel * car.roller_mass_kg)
-            set_inertia(wheel, 0.0, mass, _hub_inertia(car))
-            # Self-locking gear: its dry friction holds a loaded car on the slope without power.
-            wheel.add_joint(
-                name=name,
-                axis=[0, 1, 0],
-                frictionloss=car.gear_friction_nm,
-                damping=[car.wheel_damping_nms_rad, 0, 0],
-                armature=car.wheel_armature_kgm2,
+        builder.show(wheel, f"hub_{corner}", "wheel_hub", _HUB_RGBA)
+        _add_guard(builder, wheel, car, corner)
+        for number in range(car.rollers_per_wheel):
+            name = f"roller_{corner}{number:02}"
+            spoke = wheel.add_frame(euler=[0, number * digits(math.tau / car.rollers_per_wheel), 0])
+            bearing = spoke.add_body(name=builder.prefix + name, pos=[0, 0, out], zaxis=[1, -side, 0])
+            # A plain bearing: without its dry friction a car perched on two rollers would roll away.
+            bearing.add_joint(
+                name=builder.prefix + name,
+                axis=[0, 0, 1],
+                damping=[car.roller_damping_nms_rad, 0, 0],
+                frictionloss=car.roller_bearing_friction_nm,
                 **dry,
             )
-            self._show(wheel, f"hub_{corner}", "wheel_hub", _HUB_RGBA)
-            self._add_guard(wheel, corner)
-            for number in range(car.rollers_per_wheel):
-                name = f"{prefix}roller_{corner}{number:02}"
-                spoke = wheel.add_frame(euler=[0, number * digits(math.tau / car.rollers_per_wheel), 0])
-                bearing = spoke.add_body(name=name, pos=[0, 0, out], zaxis=[1, -side, 0])
-                # A plain bearing: without its dry friction a car perched on two rollers would roll away.
-                bearing.add_joint(
-                    name=name,
-                    axis=[0, 0, 1],
-                    damping=[car.roller_damping_nms_rad, 0, 0],
-                    frictionloss=car.roller_bearing_friction_nm,
-                    **dry,
-                )
-                bearing.add_geom(roller, name=name)
-        for wheel in WHEELS:
-            target = {"target": prefix + wheel, "trntype": mujoco.mjtTrn.mjTRN_JOINT}
-            self._add_wheel_motor(spec.add_actuator(name=prefix + wheel, **target))
+            builder.add(bearing, roller, name)
+    for wheel in WHEELS:
+        target = {"target": builder.prefix + wheel, "trntype": mujoco.mjtTrn.mjTRN_JOINT}
+        _set_wheel_motor(builder.spec.add_actuator(name=builder.prefix + wheel, **target), car)
 
-    def _add_wheel_motor(self, motor: mujoco.MjsActuator) -> None:
-        car = self._car
-        motor.set_to_velocity(kv=car.wheel_gain_nms_rad)
-        motor.ctrlrange, motor.forcerange = both(car.wheel_speed_rad_s), both(car.wheel_torque_nm)
 
-    def add_spheres(self, body: mujoco.MjsBody) -> None:
-        """Add the mass of chassis and wheels, four spheres, and the motors and gears of wheels."""
-        spec, prefix, car = self._spec, self._prefix, self._car
-        _set_whole_inertia(body, car)
-        body.add_site(name=f"{prefix}smartcar")
-        # By its priority no contact of a wheel has friction; the coefficient is that of its grip.
-        sphere = self._class(
-            "wheel",
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[car.wheel_radius_m, 0, 0],
-            mass=0,
-            condim=1,
-            priority=1,
-            friction=friction(self._contact, car.roller_friction),
-            **touching("wheels"),
-        )
-        for corner, _, place in self._places():
-            self._show(body, f"hub_{corner}", "wheel_hub", _HUB_RGBA, pos=place)
-            if self._visual:
-                body.add_geom(
-                    self._solid,
-                    name=f"{prefix}tyre_{corner}",
-                    type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-                    size=[*digits((0.97 * car.wheel_radius_m, car.wheel_width_m / 2)), 0],
-                    pos=place,
-                    zaxis=[0, 1, 0],
-                    rgba=_BLACK,
-                    **SEEN,
-                )
-            self._add_guard(body, corner, pos=place)
-            body.add_geom(sphere, name=f"{prefix}wheel_{corner}", pos=place)
-        # A twist of the car times its gear is the speed of a wheel that rolls without slip.
-        on_car = {"target": f"{prefix}smartcar", "trntype": mujoco.mjtTrn.mjTRN_SITE}
-        gears = [digits(gear) for gear in wheel_gears(car)]
-        for wheel, gear in zip(WHEELS, gears, strict=True):
-            self._add_wheel_motor(spec.add_actuator(name=prefix + wheel, gear=gear, **on_car))
-        # Self-locking gears: their dry friction, by bristles that give way a little (LuGre), holds a loaded car on the
-        # slope without power. The motor behind it has no power of its own.
-        lugre = (*_BRISTLES, car.gear_friction_nm, car.gear_friction_nm, _STRIBECK_RAD_S)
-        for wheel, gear in zip(WHEELS, gears, strict=True):
-            lock = spec.add_actuator(name=prefix + wheel.replace("wheel", "gear"), gear=gear, **on_car)
-            lock.set_to_dcmotor(motorconst=[1e-3, 1e-3], resistance=1e3, lugre=lugre)
+def _set_wheel_motor(motor: mujoco.MjsActuator, car: SmartcarParameters) -> None:
+    motor.set_to_velocity(kv=car.wheel_gain_nms_rad)
+    motor.ctrlrange, motor.forcerange = both(car.wheel_speed_rad_s), both(car.wheel_torque_nm)
 
-    def add_board(self, body: mujoco.MjsBody) -> None:
-        """Add the board, whose frame is the upper face of its plate, and its motor."""
-        prefix, car = self._prefix, self._car
-        name = f"{prefix}board"
-        board = body.add_body(name=name, pos=digits((0.0, 0.0, car.board_rest_m)))
-        board.add_joint(
-            name=name,
-            type=mujoco.mjtJoint.mjJNT_SLIDE,
-            axis=[0, 0, 1],
-            range=[0, car.board_travel_m],
-            armature=car.board_armature_kg,
-            damping=[car.board_damping_ns_m, 0, 0],
-            frictionloss=car.screw_friction_n,
-        )
-        facing = self._class(
-            "board", friction=friction(self._contact, car.board_friction), rgba=[0.85, 0.85, 0.83, 0.4]
-        )
-        half = car.board_length_m / 2, car.board_width_m / 2, car.board_thickness_m / 2
-        board.add_geom(
-            facing,
-            name=f"{prefix}plate",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[0, 0, -digits(half[2])],
-            size=digits(half),
-            mass=car.board_mass_kg,
-        )
-        board.add_geom(
-            facing,
-            name=f"{prefix}boss",
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=add_hull(self._spec, f"{prefix}boss", _boss(car)),
-            mass=0,
-            friction=friction(self._contact, car.boss_friction),
-        )
-        self._show(board, "board_visual", "board", [0.85, 0.85, 0.83, 1.0])
-        self._show(board, "board_pads", "board_pads", [0.15, 0.15, 0.15, 1.0])
-        self._show(board, "lift_post", "lift_post", [0.50, 0.52, 0.55, 1.0])
-        # A lead screw: the command is a speed, the drive holds the height it has reached.
-        screw = self._spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        screw.set_to_intvelocity(kp=car.board_stiffness_n_m, kv=car.board_gain_ns_m)
-        screw.ctrlrange, screw.forcerange = both(car.board_speed_m_s), both(car.board_force_n)
-        screw.actrange = [0, car.board_travel_m]
+
+def _add_spheres(
+    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
+) -> None:
+    """Add the mass of chassis and wheels, four spheres, and the motors and gears of wheels."""
+    spec, prefix = builder.spec, builder.prefix
+    _set_whole_inertia(body, car)
+    body.add_site(name=f"{prefix}smartcar")
+    # By its priority no contact of a wheel has friction; the coefficient is that of its grip.
+    sphere = builder.geoms(
+        "wheel",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[car.wheel_radius_m, 0, 0],
+        mass=0,
+        condim=1,
+        priority=1,
+        friction=friction(contact, car.roller_friction),
+        **touching("wheels"),
+    )
+    tyre = {
+        "type": mujoco.mjtGeom.mjGEOM_CYLINDER,
+        "size": [*digits((0.97 * car.wheel_radius_m, car.wheel_width_m / 2)), 0],
+        "zaxis": [0, 1, 0],
+    }
+    for corner, _, place in _places(car):
+        builder.show(body, f"hub_{corner}", "wheel_hub", _HUB_RGBA, pos=place)
+        builder.show(body, f"tyre_{corner}", "", _BLACK, pos=place, **tyre)
+        _add_guard(builder, body, car, corner, pos=place)
+        builder.add(body, sphere, f"wheel_{corner}", pos=place)
+    # A twist of the car times its gear is the speed of a wheel that rolls without slip.
+    on_car = {"target": f"{prefix}smartcar", "trntype": mujoco.mjtTrn.mjTRN_SITE}
+    gears = [digits(gear) for gear in wheel_gears(car)]
+    for wheel, gear in zip(WHEELS, gears, strict=True):
+        _set_wheel_motor(spec.add_actuator(name=prefix + wheel, gear=gear, **on_car), car)
+    # Self-locking gears: their dry friction, by bristles that give way a little (LuGre), holds a loaded car on the
+    # slope without power. The motor behind it has no power of its own.
+    lugre = (*_BRISTLES, car.gear_friction_nm, car.gear_friction_nm, _STRIBECK_RAD_S)
+    for wheel, gear in zip(WHEELS, gears, strict=True):
+        lock = spec.add_actuator(name=prefix + wheel.replace("wheel", "gear"), gear=gear, **on_car)
+        lock.set_to_dcmotor(motorconst=[1e-3, 1e-3], resistance=1e3, lugre=lugre)
+
+
+def _add_board(
+    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
+) -> None:
+    """Add the board, whose frame is the upper face of its plate, and its motor."""
+    name = f"{builder.prefix}board"
+    board = body.add_body(name=name, pos=digits((0.0, 0.0, car.board_rest_m)))
+    board.add_joint(
+        name=name,
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=[0, 0, 1],
+        range=[0, car.board_travel_m],
+        armature=car.board_armature_kg,
+        damping=[car.board_damping_ns_m, 0, 0],
+        frictionloss=car.screw_friction_n,
+    )
+    of_board = {"friction": friction(contact, car.board_friction), "rgba": [0.85, 0.85, 0.83, 0.4]}
+    facing = builder.geoms("board", **of_board)
+    half = car.board_length_m / 2, car.board_width_m / 2, car.board_thickness_m / 2
+    plate = {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": [0, 0, -digits(half[2])], "size": digits(half)}
+    builder.add(board, facing, "plate", mass=car.board_mass_kg, **plate)
+    slips = friction(contact, car.boss_friction)
+    builder.add_hull(board, facing, "boss", _boss(car), mass=0, friction=slips)
+    builder.show(board, "board_visual", "board", [0.85, 0.85, 0.83, 1.0])
+    builder.show(board, "board_pads", "board_pads", [0.15, 0.15, 0.15, 1.0])
+    builder.show(board, "lift_post", "lift_post", [0.50, 0.52, 0.55, 1.0])
+    # A lead screw.
+    limits = car.board_speed_m_s, car.board_force_n, car.board_travel_m
+    builder.add_drive("board", car.board_stiffness_n_m, car.board_gain_ns_m, *limits)
 
 
 def looks(car: SmartcarParameters) -> dict[str, list[ClosedSolid]]:
@@ -376,9 +321,6 @@ def looks(car: SmartcarParameters) -> dict[str, list[ClosedSolid]]:
         "board_pads": _board_pads(car),
         "lift_post": _lift_post(car),
     }
-
-
-meshes = cached_meshes(looks)
 
 
 def _well_radius(car: SmartcarParameters) -> float:

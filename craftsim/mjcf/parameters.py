@@ -48,7 +48,7 @@ published, derived, assumed = (partial(_parameter, origin) for origin in get_arg
 
 
 class NearNominal:
-    """A record of numbers, none of which may be of another order than its nominal value."""
+    """A record of numbers, none of which may be of another order than its nominal value; fixed ones are equal to it."""
 
     @classmethod
     def nominal(cls) -> Mapping[str, float]:
@@ -60,6 +60,9 @@ class NearNominal:
     @classmethod
     def _near(cls, value: float, info: ValidationInfo) -> float:
         nominal = cls.nominal()[str(info.field_name)]
+        declared = next(one for one in fields(cls) if one.name == info.field_name)  # type: ignore[arg-type]
+        if (why := declared.metadata.get("fixed")) and value != nominal:
+            raise ValueError(f"cannot be changed from {nominal:.6g}: {why}")
         least, most = abs(nominal) / REACH, abs(nominal) * REACH
         if value and not least <= abs(value) <= most:
             raise ValueError(f"must be from {least:g} to {most:g}, not {value!r}")
@@ -68,25 +71,8 @@ class NearNominal:
 
 def digest_of(values: dict[str, Any]) -> str:
     """Return the SHA-256, in hexadecimal, of nested values by name; an integer counts as the number that it equals."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: plain(item) for key, item in value.items()}
-        if isinstance(value, list | tuple):
-            return [plain(item) for item in value]
-        return value if isinstance(value, str) else float(value)
-
-    return hashlib.sha256(json.dumps(plain(values), sort_keys=True).encode()).hexdigest()
-
-
-class _Parameters(NearNominal):
-    @field_validator("*")
-    @classmethod
-    def _as_fixed(cls, value: float, info: ValidationInfo) -> float:
-        declared = next(one for one in fields(cls) if one.name == info.field_name)  # type: ignore[arg-type]
-        if (why := declared.metadata["fixed"]) and value != declared.default:
-            raise ValueError(f"cannot be changed from {declared.default:.6g}: {why}")
-        return value
+    plain = json.loads(json.dumps(values), parse_int=float)
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 
 _SEAT: Final = "the pockets of blocks and the pads of slopes fit this board and its boss"
@@ -95,7 +81,7 @@ _SHAPE: Final = "the boards and bosses of all cars fit this shape"
 
 
 @record()
-class SmartcarParameters(_Parameters):
+class SmartcarParameters(NearNominal):
     """The mecanum smartcar. Heights are above the axle line unless the name says floor.
 
     Example:
@@ -238,7 +224,7 @@ class SmartcarParameters(_Parameters):
 
 
 @record()
-class BlockParameters(_Parameters):
+class BlockParameters(NearNominal):
     """The block: a table with a deck and four legs. Flag and wall have the same shape.
 
     Example:
@@ -292,7 +278,7 @@ class BlockParameters(_Parameters):
 
 
 @record()
-class SlopeParameters(_Parameters):
+class SlopeParameters(NearNominal):
     """The foldable slope: a hollow base wedge, and a flap on a motorised hinge.
 
     Example:
@@ -371,7 +357,7 @@ class SlopeParameters(_Parameters):
 
 
 @record()
-class ContactParameters(_Parameters):
+class ContactParameters(NearNominal):
     """How surfaces give way to each other, the same for all machines and the floor; in MuJoCo's terms.
 
     A contact is a spring and damper with a time constant and a damping ratio (solref) and an impedance between a

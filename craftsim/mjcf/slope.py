@@ -7,7 +7,7 @@ in the next cell and continues the incline (16 degrees); at pi it lies upside do
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -16,34 +16,18 @@ from numpy.typing import ArrayLike
 from craftsim.mjcf.building import (
     BEVEL,
     SEAT,
-    SEEN,
     SEEN_GROUP,
-    SOLID_GROUP,
-    Box,
-    Frame,
+    MachineBuilder,
     Point,
-    add_body,
-    both,
+    Pose,
     digits,
-    geom_class,
     micro,
     surface,
     touching,
-    weighed,
+    volume,
 )
 from craftsim.mjcf.parameters import Machines, SlopeParameters
-from craftsim.mjcf.solids import (
-    ClosedSolid,
-    Outline,
-    Ring,
-    add_hull,
-    add_mesh,
-    between,
-    cached_meshes,
-    loft,
-    plate_xz,
-    turned,
-)
+from craftsim.mjcf.solids import ClosedSolid, Interval, Outline, Ring, between, loft, plate_xz, turned
 
 _LIP_M: Final = 0.001
 """Thickness of the flap's edge."""
@@ -56,66 +40,40 @@ _SIDES: Final = {"left": 1, "right": -1}
 _DARK: Final = [0.25, 0.27, 0.30, 1.0]
 
 
-def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Frame, machines: Machines, visual: bool = True) -> None:
-    """Add a slope to a spec.
-
-    Args:
-        spec: of the world.
-        prefix: begins the names of all its parts.
-        pose: where it stands.
-        machines: the parameters.
-        visual: whether it has what is only seen.
-    """
-    slope, contact = machines.slope, machines.contact
-    solid = geom_class(
-        spec,
-        "slope",
-        group=SOLID_GROUP,
-        rgba=[0.35, 0.55, 0.75, 0.4],
-        **touching("things"),
-        **surface(contact, slope.friction),
+def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, visual: bool = True) -> None:
+    """Add a slope to a spec; the arguments are as of :func:`craftsim.mjcf.car.add_car`."""
+    slope = machines.slope
+    of_solid = {**touching("things"), **surface(machines.contact, slope.friction)}
+    builder = MachineBuilder(
+        spec, prefix, "slope", visual, looks, slope, rgba=[0.35, 0.55, 0.75, 0.4], **of_solid
     )
-    body = add_body(spec, pose, f"{prefix}slope")
+    body = builder.body(pose)
     body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
     flap = body.add_body(name=f"{prefix}flap", pos=digits((slope.hinge_x_m, 0.0, slope.hinge_z_m)))
-    if visual:
-        _show(spec, prefix, slope, {"base": body, "flap": flap}, solid)
-    solids, pads, gear_kg = _shapes(slope)
+    _show(builder, slope, body, flap)
+    solids, density, gear_kg = _shapes(slope)
     for name, (corners, mass) in solids.items():
-        hull: dict[str, Any] = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": add_hull(spec, name, corners)}
-        (flap if name == "flap" else body).add_geom(solid, name=prefix + name, mass=mass, **hull)
+        builder.add_hull(flap if name == "flap" else body, builder.solid, name, corners, mass=mass)
     # Pads: two level rails that a smartcar's board lifts by, low enough that its plate clears the incline, and two
     # bars, higher than the rails, that stop its boss: it slides in below pad_back, and seats between the four.
-    pad = geom_class(
-        spec,
-        "slope_pad",
-        solid,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        group=SEEN_GROUP,
-        rgba=[0.20, 0.22, 0.25, 1.0],
-    )
-    for name, box in pads.items():
-        body.add_geom(pad, name=prefix + name, **box.geom)
-    gear = geom_class(
-        spec,
-        "slope_gear",
-        solid,
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        size=[slope.gear_radius_m, digits(slope.gear_width_m / 2), 0],
-        mass=gear_kg,
-    )
+    look = {"group": SEEN_GROUP, "rgba": [0.20, 0.22, 0.25, 1.0]}
+    pad = builder.geoms("pad", type=mujoco.mjtGeom.mjGEOM_BOX, **look)
+    for name, spans in _pads(slope).items():
+        builder.add_box(body, pad, name, spans, density)
+    size = [slope.gear_radius_m, digits(slope.gear_width_m / 2), 0]
+    gear = builder.geoms("gear", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size, mass=gear_kg)
     for side, sign in _SIDES.items():
         place = digits((slope.hinge_x_m, sign * _gear_y(slope), slope.hinge_z_m))
-        body.add_geom(gear, name=f"{prefix}gear_{side}", pos=place, zaxis=[0, 1, 0])
-    _add_hinge(spec, prefix, flap, machines)
+        builder.add(body, gear, f"gear_{side}", pos=place, zaxis=[0, 1, 0])
+    _add_hinge(builder, flap, machines)
 
 
-def _add_hinge(spec: mujoco.MjSpec, prefix: str, flap: mujoco.MjsBody, machines: Machines) -> None:
+def _add_hinge(builder: MachineBuilder, flap: mujoco.MjsBody, machines: Machines) -> None:
     """Add the joint of a flap and its motor, and what the folded flap lies on."""
-    slope, contact, name = machines.slope, machines.contact, f"{prefix}hinge"
+    slope, contact, prefix = machines.slope, machines.contact, builder.prefix
     folded = digits(round(slope.hinge_range_rad, 8))
     flap.add_joint(
-        name=name,
+        name=f"{prefix}hinge",
         axis=[0, -1, 0],
         range=[-slope.hinge_margin_rad, folded],
         damping=[slope.hinge_damping_nms_rad, 0, 0],
@@ -127,16 +85,13 @@ def _add_hinge(spec: mujoco.MjSpec, prefix: str, flap: mujoco.MjsBody, machines:
     of_surface = surface(contact, slope.friction)
     of_surface["friction"] = [slope.friction, slope.friction, twist, roll, roll]
     for below in ("incline", "wall_left", "wall_right"):
-        spec.add_pair(geomname1=f"{prefix}flap", geomname2=prefix + below, **of_surface)
-    # The command is a speed; the drive holds the angle it has reached.
-    motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    motor.set_to_intvelocity(kp=slope.hinge_stiffness_nm_rad, kv=slope.hinge_gain_nms_rad)
-    motor.ctrlrange, motor.forcerange = both(slope.hinge_speed_rad_s), both(slope.hinge_torque_nm)
-    motor.actrange = [0, folded]
+        builder.spec.add_pair(geomname1=f"{prefix}flap", geomname2=prefix + below, **of_surface)
+    limits = slope.hinge_speed_rad_s, slope.hinge_torque_nm, folded
+    builder.add_drive("hinge", slope.hinge_stiffness_nm_rad, slope.hinge_gain_nms_rad, *limits)
 
 
-def _shapes(p: SlopeParameters) -> tuple[dict[str, tuple[list[Point], float]], dict[str, Box], float]:
-    """Return by name a slope's convex solids, with corners and mass, and its pads; and the mass of a gear."""
+def _shapes(p: SlopeParameters) -> tuple[dict[str, tuple[list[Point], float]], float, float]:
+    """Return a slope's convex solids by name, with corners and mass; the base's density; and the mass of a gear."""
     half, rise = p.side_m / 2, _rise(p)
     inner, skin = half - p.wall_thickness_m, p.skin_m / math.cos(p.incline_rad)
     back, front = (_incline(p, x) for x in (-half, half))
@@ -150,15 +105,14 @@ def _shapes(p: SlopeParameters) -> tuple[dict[str, tuple[list[Point], float]], d
         (start, -rise * start),
         (end, -rise * end),
     ]
-    pads = _pads(p)
     volumes = [
         2 * inner * p.side_m * skin,
         p.wall_thickness_m * p.side_m * (back + front) / 2,
         math.pi * p.gear_radius_m**2 * p.gear_width_m,
     ]
-    pad_volume = sum(pad.volume for pad in pads.values())
+    pad_volume = sum(volume(*spans) for spans in _pads(p).values())
     density = p.base_mass_kg / (volumes[0] + 2 * volumes[1] + 2 * volumes[2] + pad_volume)
-    incline_kg, wall_kg, gear_kg = micro([density * volume for volume in volumes])
+    incline_kg, wall_kg, gear_kg = micro([density * part for part in volumes])
     ends = ((-half, back), (half, front), (-half, back - skin), (half, front - skin))
     wall = ((-half, 0.0), (half, 0.0), (-half, back), (half, front))
     solids = {
@@ -167,7 +121,7 @@ def _shapes(p: SlopeParameters) -> tuple[dict[str, tuple[list[Point], float]], d
         "wall_right": (_prism(wall, (-inner, -half)), wall_kg),
         "flap": (_prism(flap_outline, (-half, half)), p.flap_mass_kg),
     }
-    return solids, weighed(pads, density), gear_kg
+    return solids, density, gear_kg
 
 
 def _prism(outline: Outline, ends: tuple[float, float]) -> list[Point]:
@@ -184,7 +138,7 @@ def _rise(p: SlopeParameters) -> float:
     return p.hinge_z_m / (2 * p.hinge_x_m)
 
 
-def _pads(p: SlopeParameters) -> dict[str, Box]:
+def _pads(p: SlopeParameters) -> dict[str, tuple[Interval, ...]]:
     """Return the rails that a board lifts by, and the bars that stop its boss at their lower edges."""
     inner, outer = SEAT.boss_side_m / 2 + p.boss_play_m, SEAT.board_width_m / 2
     rear, low = -SEAT.board_length_m / 2, p.underside_m
@@ -192,55 +146,36 @@ def _pads(p: SlopeParameters) -> dict[str, Box]:
     back, front = low + p.stop_back_rise_m, low + p.stop_front_rise_m
     stop_back, stop_front = (inner - BEVEL * z for z in (p.stop_back_rise_m, p.stop_front_rise_m))
     return {
-        "pad_left": Box.over((rear, p.pad_front_m), (inner, outer), rail),
-        "pad_right": Box.over((rear, p.pad_front_m), (-outer, -inner), rail),
-        "pad_back": Box.over((rear, -stop_back), (-inner, inner), (back, back + p.pad_thickness_m)),
-        "pad_front": Box.over(
-            (stop_front, p.pad_front_m), (-inner, inner), (front, front + p.stop_thickness_m)
-        ),
+        "pad_left": ((rear, p.pad_front_m), (inner, outer), rail),
+        "pad_right": ((rear, p.pad_front_m), (-outer, -inner), rail),
+        "pad_back": ((rear, -stop_back), (-inner, inner), (back, back + p.pad_thickness_m)),
+        "pad_front": ((stop_front, p.pad_front_m), (-inner, inner), (front, front + p.stop_thickness_m)),
     }
 
 
 def _show(
-    spec: mujoco.MjSpec,
-    prefix: str,
-    slope: SlopeParameters,
-    bodies: dict[str, mujoco.MjsBody],
-    solid: mujoco.MjsDefault,
+    builder: MachineBuilder, slope: SlopeParameters, base: mujoco.MjsBody, flap: mujoco.MjsBody
 ) -> None:
     """Add what is only seen: base, flap, gears' teeth, a knuckle at the hinge, and a worm and motor under each gear."""
-    seen = geom_class(spec, "slope_seen", solid, type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
-    base, flap = bodies["base"], bodies["flap"]
-
-    def show(
-        body: mujoco.MjsBody, name: str, mesh: str, rgba: list[float], place: Point = (0.0, 0.0, 0.0)
-    ) -> None:
-        mesh = add_mesh(spec, mesh, meshes(slope)[mesh])
-        body.add_geom(seen, name=f"{prefix}{name}_visual", meshname=mesh, rgba=rgba, pos=digits(place))
-
     hinge_x, hinge_z = slope.hinge_x_m, slope.hinge_z_m
-    show(base, "base", "slope_base", [0.36, 0.56, 0.76, 1.0])
-    show(flap, "flap", "slope_flap", [0.52, 0.70, 0.86, 1.0])
-    base.add_geom(
-        seen,
-        name=f"{prefix}knuckle_visual",
+    builder.show(base, "base_visual", "slope_base", [0.36, 0.56, 0.76, 1.0])
+    builder.show(flap, "flap_visual", "slope_flap", [0.52, 0.70, 0.86, 1.0])
+    builder.show(
+        base,
+        "knuckle_visual",
+        "",
+        _DARK,
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
         pos=digits((hinge_x, 0.0, hinge_z - 0.0041)),
         size=[0.0038, digits(_gear_y(slope) - slope.gear_width_m / 2), 0],
         zaxis=[0, 1, 0],
-        rgba=_DARK,
     )
     x, y, z = worm_offset(slope)
     for side, sign in _SIDES.items():
         gear_y = sign * _gear_y(slope)
-        show(
-            base,
-            f"worm_{side}",
-            "worm",
-            [0.40, 0.42, 0.45, 1.0],
-            (hinge_x + x, gear_y + sign * y, hinge_z + z),
-        )
-        show(flap, f"gear_{side}", "gear", _DARK, (0.0, gear_y, 0.0))
+        place = digits((hinge_x + x, gear_y + sign * y, hinge_z + z))
+        builder.show(base, f"worm_{side}_visual", "worm", [0.40, 0.42, 0.45, 1.0], pos=place)
+        builder.show(flap, f"gear_{side}_visual", "gear", _DARK, pos=digits((0.0, gear_y, 0.0)))
 
 
 def worm_offset(p: SlopeParameters) -> Point:
@@ -263,9 +198,6 @@ def looks(slope: SlopeParameters) -> dict[str, list[ClosedSolid]]:
         "gear": _gear(slope),
         "worm": _worm(slope),
     }
-
-
-meshes = cached_meshes(looks)
 
 
 def _incline(p: SlopeParameters, x: float) -> float:

@@ -9,17 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-P = TypeVar("P")
 Ring = NDArray[np.float64]
 """Points of a closed outline in space, shape (n, 3), in order."""
 Interval = tuple[float, float]
 """Smallest and largest coordinate along an axis, in metres."""
+Mesh = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
+"""Points, (n, 3) metres, their normals, (n, 3), and faces, (m, 3), of a mesh of solids; what looks sharp there has a
+point for each side of its edge."""
 Outline = Sequence[tuple[float, float]]
 """Corners (x, z) of a convex polygon, in order."""
 
@@ -154,58 +156,35 @@ def second_moments(outline: Outline) -> tuple[float, float]:
     return sxx / area - (sx / area) ** 2, szz / area - (sz / area) ** 2
 
 
-class Mesh(NamedTuple):
-    """A mesh of solids; what looks sharp there has a point for each side of its edge."""
+def mesh_of(solids: Sequence[ClosedSolid]) -> Mesh:
+    """Return the mesh of some solids.
 
-    points: NDArray[np.float64]
-    """(n, 3) metres."""
-    normals: NDArray[np.float64]
-    """(n, 3)."""
-    faces: NDArray[np.int64]
-    """(m, 3)."""
-
-    @classmethod
-    def of(cls, solids: Sequence[ClosedSolid]) -> Mesh:
-        """Return the mesh of some solids.
-
-        The last digits of sines differ between maths libraries: rounded, meshes do not.
-        """
-        corners, faces, first = [], [], 0
-        for solid in solids:
-            rounded = ClosedSolid(np.round(solid.points, 6) + 0.0, solid.faces)
-            normals = np.round(_corner_normals(rounded), 3) + 0.0
-            both = np.concatenate([rounded.points[rounded.faces], normals], axis=2).reshape(-1, 6)
-            distinct, number = np.unique(both, axis=0, return_inverse=True)
-            corners.append(distinct)
-            faces.append(first + number.reshape(-1, 3))
-            first += len(distinct)
-        points, normals = np.split(np.concatenate(corners), 2, axis=1)
-        return cls(points, normals, np.concatenate(faces))
+    The last digits of sines differ between maths libraries: rounded, meshes do not.
+    """
+    corners, faces, first = [], [], 0
+    for solid in solids:
+        rounded = ClosedSolid(np.round(solid.points, 6) + 0.0, solid.faces)
+        normals = np.round(_corner_normals(rounded), 3) + 0.0
+        both = np.concatenate([rounded.points[rounded.faces], normals], axis=2).reshape(-1, 6)
+        distinct, number = np.unique(both, axis=0, return_inverse=True)
+        corners.append(distinct)
+        faces.append(first + number.reshape(-1, 3))
+        first += len(distinct)
+    points, normals = np.split(np.concatenate(corners), 2, axis=1)
+    return points, normals, np.concatenate(faces)
 
 
-def cached_meshes(
-    looks: Callable[[P], dict[str, list[ClosedSolid]]],
-) -> Callable[[P], dict[str, Mesh]]:
-    """Return what makes the meshes of solids that are only seen, by name, once for equal parameters."""
-    return lru_cache(maxsize=16)(lambda parameters: {n: Mesh.of(s) for n, s in looks(parameters).items()})
+@lru_cache(maxsize=48)
+def meshes(looks: Callable[[Any], dict[str, list[ClosedSolid]]], parameters: Any) -> dict[str, Mesh]:
+    """Return the meshes that are only seen of a machine with some parameters, by name."""
+    return {name: mesh_of(solids) for name, solids in looks(parameters).items()}
 
 
 def add_mesh(spec: mujoco.MjSpec, name: str, mesh: Mesh) -> str:
     """Add a mesh to a spec, unless there is one of this name; return the name."""
     if spec.mesh(name) is None:
-        spec.add_mesh(
-            name=name,
-            uservert=mesh.points.ravel(),
-            usernormal=mesh.normals.ravel(),
-            userface=mesh.faces.ravel(),
-        )
-    return name
-
-
-def add_hull(spec: mujoco.MjSpec, name: str, corners: ArrayLike) -> str:
-    """Add the convex solid of some corners (n, 3) as a mesh, unless there is one of this name; return the name."""
-    if spec.mesh(name) is None:
-        spec.add_mesh(name=name, uservert=np.round(np.asarray(corners, float), 6).ravel() + 0.0)
+        points, normals, faces = (part.ravel() for part in mesh)
+        spec.add_mesh(name=name, uservert=points, usernormal=normals, userface=faces)
     return name
 
 

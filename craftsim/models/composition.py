@@ -6,12 +6,11 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position, yaw_angle
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind
@@ -19,19 +18,19 @@ from craftsim.discrete.kinds import STANDING
 from craftsim.discrete.schedule import incline_under
 from craftsim.errors import InputError, StartError
 from craftsim.mjcf.block import TABLE_NAMES, TABLES, add_block
-from craftsim.mjcf.building import Frame, new_world
+from craftsim.mjcf.building import ORIGIN, Pose, new_world
 from craftsim.mjcf.car import add_car
-from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, SmartcarParameters
+from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.mjcf.slope import add_slope
 from craftsim.models.config import SimulationConfig
-from craftsim.models.floor import FLAT, Floor, add_tiles, level, tiles_of
-from craftsim.models.framing import Aim, overview, top
+from craftsim.models.floor import FLAT, LEVEL, Floor, add_tiles
+from craftsim.models.framing import overview, top
 from craftsim.storage.limits import PHYSICS_CARS, PHYSICS_CELLS, PHYSICS_GOALS, PHYSICS_PARTS
 
 MACHINES: Final = ("ground", "smartcar", *TABLE_NAMES, "slope")
 _MARGIN_CELLS: Final = 2
 """Width of bare floor around the area; whole cells, so that the floor's lines are the cells' borders."""
-PICTURE_ASPECT: Final = 4 / 3
+_PICTURE_ASPECT: Final = 4 / 3
 """Width over height for which a world's own cameras are fitted; a wider picture shows more on both sides."""
 _MOST_DAMPING: Final = 0.25
 """Of a joint's speed in one physics step: forces that are integrated explicitly are unstable from 2 on, and physics
@@ -54,13 +53,39 @@ class Placement:
 
 def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
     """Return the start pose of every part: cars by id, then loads by car, then objects in scan order x, y, z."""
-    cars = [_car(grid, row, machines.car(i)) for i, row in enumerate(grid.cars)]
-    loads = [
-        _load(grid, row, cars[i], machines.car(i), machines)
-        for i, row in enumerate(grid.cars)
-        if row[CarField.LOAD] != Kind.AIR
-    ]
-    return cars + loads + _objects(grid, machines)
+    cars, loads, objects = [], [], []
+    for number, row in enumerate(grid.cars):
+        machine, load = machines.car(number), Kind(row[CarField.LOAD])
+        heading, pitch = yaw_angle(int(row[CarField.YAW])), incline_under(grid, row)
+        position = cell_position(*(int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z)))
+        position[2] += LEVEL_HEIGHT_M * (0.0, 0.25, -0.25)[row[CarField.SLOPE]]
+        turn, raised = _quaternion(heading, pitch), load != Kind.AIR
+        cars.append(Placement("smartcar", position, turn, machine.board_travel_m if raised else 0.0))
+        if not raised:
+            continue
+        up = np.array(
+            [-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)]
+        )
+        carried = position + lift_m(load, machine, machines) * up
+        if load == Kind.FSLOPE:
+            # A carried slope faces away from the car's heading, so the same incline lowers its nose.
+            turn = _quaternion(yaw_angle(int(row[CarField.LOAD_YAW])), -pitch)
+            loads.append(Placement("slope", carried, turn, machines.slope.hinge_range_rad))
+        else:
+            loads.append(Placement(load.name.lower(), carried, turn))
+    for x, y, z in np.argwhere(grid.kind[:, :, 1:]):
+        kind = Kind(grid.kind[x, y, z + 1])
+        position, turn = cell_position(x, y, z + 1), _quaternion(yaw_angle(int(grid.yaw[x, y, z + 1])))
+        if kind in TABLES:
+            objects.append(Placement(kind.name.lower(), position, turn))
+        elif kind in (Kind.FSLOPE, Kind.BODY):
+            hinge = machines.slope.hinge_range_rad if kind == Kind.FSLOPE else 0.0
+            objects.append(Placement("slope", position, turn, hinge))
+        elif kind in STANDING:
+            raise InputError(
+                f"{kind.name} in ({x}, {y}, {z + 1}) has no machine; add it to TABLES in craftsim/mjcf/block.py"
+            )
+    return cars + loads + objects
 
 
 def _quaternion(heading: float, pitch_up: float = 0.0) -> NDArray[np.float64]:
@@ -70,155 +95,66 @@ def _quaternion(heading: float, pitch_up: float = 0.0) -> NDArray[np.float64]:
     return np.array([ch * cp, sh * sp, -ch * sp, sh * cp])
 
 
-def _car(grid: Grid, row: NDArray[np.int64], machine: SmartcarParameters) -> Placement:
-    position = cell_position(*(int(row[f]) for f in (CarField.X, CarField.Y, CarField.Z)))
-    position[2] += LEVEL_HEIGHT_M * (0.0, 0.25, -0.25)[row[CarField.SLOPE]]
-    board = machine.board_travel_m if row[CarField.LOAD] != Kind.AIR else 0.0
-    return Placement(
-        "smartcar", position, _quaternion(yaw_angle(int(row[CarField.YAW])), incline_under(grid, row)), board
-    )
-
-
 def lift_m(load: Kind, car: SmartcarParameters, machines: Machines) -> float:
     """Return how high above its car's origin a load of a kind is carried."""
     underside_m = (machines.slope if load == Kind.FSLOPE else machines.block).underside_m
     return car.board_rest_m + car.board_travel_m - underside_m
 
 
-def _load(
-    grid: Grid, row: NDArray[np.int64], car: Placement, machine: SmartcarParameters, machines: Machines
-) -> Placement:
-    lift = lift_m(Kind(row[CarField.LOAD]), machine, machines)
-    pitch, heading = incline_under(grid, row), yaw_angle(int(row[CarField.YAW]))
-    up = np.array(
-        [-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)]
-    )
-    position = car.position + lift * up
-    if row[CarField.LOAD] == Kind.FSLOPE:
-        # A carried slope faces away from the car's heading, so the same incline lowers its nose.
-        quaternion = _quaternion(yaw_angle(int(row[CarField.LOAD_YAW])), -pitch)
-        return Placement("slope", position, quaternion, machines.slope.hinge_range_rad)
-    return Placement(Kind(row[CarField.LOAD]).name.lower(), position, car.quaternion)
+def world_spec(
+    grid: Grid,
+    config: SimulationConfig,
+    machines: Machines = NOMINAL,
+    goals: Sequence[Cell] = (),
+    floor: Floor = FLAT,
+    visual: bool = True,
+) -> mujoco.MjSpec:
+    """Return the spec of a world at its start, before anything of it is drawn from a seed.
 
-
-def _objects(grid: Grid, machines: Machines) -> list[Placement]:
-    found = []
-    for x, y, z in np.argwhere(grid.kind[:, :, 1:]):
-        kind = Kind(grid.kind[x, y, z + 1])
-        position = cell_position(x, y, z + 1)
-        turn = _quaternion(yaw_angle(int(grid.yaw[x, y, z + 1])))
-        if kind in TABLES:
-            found.append(Placement(kind.name.lower(), position, turn))
-        elif kind in (Kind.FSLOPE, Kind.BODY):
-            hinge = machines.slope.hinge_range_rad if kind == Kind.FSLOPE else 0.0
-            found.append(Placement("slope", position, turn, hinge))
-        elif kind in STANDING:
-            raise InputError(
-                f"{kind.name} in ({x}, {y}, {z + 1}) has no machine; add it to TABLES in craftsim/mjcf/block.py"
+    The arguments are those of :class:`craftsim.PhysicsWorld`; ``visual`` adds what is only seen, which changes no
+    number of the physics. Raises InputError for a floor that is too fine.
+    """
+    middle, half = ground_pose_and_size(grid.size)
+    spec = _floor_spec("site", machines, config, (half, middle), visual)
+    placed = placements(grid, machines)
+    numbers: Counter[str] = Counter()
+    for item in placed:
+        number = numbers[item.kind]
+        prefix = f"car{number}/" if item.kind == "smartcar" else f"{item.kind}{number}/"
+        _add(spec, item.kind, prefix, (item.position, item.quaternion), machines, number, visual)
+        numbers[item.kind] += 1
+    if visual:
+        for number, goal in enumerate(goals):
+            spec.worldbody.add_site(
+                name=f"goal{number}",
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=cell_position(*goal) + np.array([0, 0, 0.002]),
+                size=[0.45 * CELL_PITCH_M, 0.45 * CELL_PITCH_M, 0.001],
+                rgba=[0.25, 0.75, 0.40, 0.45],
             )
-    return found
-
-
-@dataclass(frozen=True)
-class WorldSpec:
-    """All that decides a world in physics at its start, before anything of it is drawn from a seed."""
-
-    grid: Grid
-    config: SimulationConfig
-    machines: Machines = NOMINAL
-    goals: Sequence[Cell] = ()
-    """Cells that get a marker without contact."""
-    floor: Floor = FLAT
-
-    def spec(self, visual: bool = True) -> mujoco.MjSpec:
-        """Return the spec of the world; ``visual`` adds what is only seen: it changes no number of the physics."""
-        size = self.grid.size
-        middle, half = ground_pose_and_size(size)
-        spec = new_world(self.machines.contact, half, middle, visual)
-        spec.modelname = "site"
-        configure(spec, self.config, self.machines.drive)
-        placed = placements(self.grid, self.machines)
-        numbers: Counter[str] = Counter()
-        for item in placed:
-            number = numbers[item.kind]
-            prefix = f"car{number}/" if item.kind == "smartcar" else f"{item.kind}{number}/"
-            _add(
-                spec, item.kind, prefix, Frame(item.position, item.quaternion), self.machines, number, visual
+        tops = [round(float(part.position[2]) / LEVEL_HEIGHT_M) + 1 for part in placed]
+        height_m = max([2, *tops, *(goal[2] for goal in goals)]) * LEVEL_HEIGHT_M
+        for fitted in (overview, top):
+            aim = fitted(grid.size, height_m, _PICTURE_ASPECT)
+            spec.worldbody.add_camera(
+                name=fitted.__name__, pos=aim.position, quat=aim.quaternion, fovy=aim.fovy_deg
             )
-            numbers[item.kind] += 1
-        if visual:
-            _add_markers(spec, self.goals)
-            for name, aim in cameras(size, built_levels(placed, self.goals)).items():
-                spec.worldbody.add_camera(name=name, pos=aim.position, quat=aim.quaternion, fovy=aim.fovy_deg)
-        if not self.floor.flat:
-            add_tiles(spec, tiles_of(self.floor, size))
-        return spec
-
-    def model(self, visual: bool = True) -> mujoco.MjModel:
-        """Return the compiled world, its floor level.
-
-        Raises InputError for parameters of which MuJoCo makes no world.
-        """
-        try:
-            model: mujoco.MjModel = self.spec(visual).compile()
-        except ValueError as error:
-            raise InputError(f"MuJoCo makes no world of these figures: {error}") from error
-        if not self.floor.flat:
-            level(model)
-        _check_damping(model)
-        return model
-
-
-def _add(
-    spec: mujoco.MjSpec, kind: str, prefix: str, pose: Frame, machines: Machines, number: int, visual: bool
-) -> None:
-    """Add one of MACHINES; ``number`` is of the car. The ground is there already."""
-    match kind:
-        case "smartcar":
-            add_car(spec, prefix, pose, machines, number, visual)
-        case "slope":
-            add_slope(spec, prefix, pose, machines, visual)
-        case name if name in TABLE_NAMES:
-            add_block(spec, prefix, pose, machines, kind, visual)
-
-
-def machine_spec(kind: str, machines: Machines, number: int = 0, visual: bool = True) -> mujoco.MjSpec:
-    """Return the spec of one of MACHINES on the floor, or of the floor alone; ``number`` is of the car."""
-    spec = new_world(machines.contact, (0.0, 0.0, 0.05), (0.0, 0.0, 0.0), visual)
-    spec.modelname = kind
-    configure(spec, replace(SimulationConfig.of(machines.drive), sleep=False), machines.drive)
-    _add(spec, kind, "", Frame(), machines, number, visual)
+    if not floor.flat:
+        add_tiles(spec, floor, grid.size)
     return spec
 
 
-def configure(spec: mujoco.MjSpec, config: SimulationConfig, drive: Drive) -> None:
-    """Put the settings of a simulation into a spec of cars with a drive."""
-    # Dense, which MuJoCo chooses below 60 degrees of freedom, suits bodies without joints. A car of rollers has 49
-    # alone, most of them apart from each other: it would take three times as long.
-    dense = mujoco.mjtJacobian.mjJAC_AUTO if drive == "reduced" else mujoco.mjtJacobian.mjJAC_SPARSE
-    spec.option.jacobian = dense
-    spec.option.timestep = config.timestep_s
-    spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{config.solver.upper()}")
-    spec.option.iterations = config.solver_iterations
-    spec.option.impratio = config.friction_impedance_ratio
-    spec.option.sleep_tolerance = config.sleep_tolerance_m_s
-    if config.sleep:
-        spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+def compile_world(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Return the model of a world, its floor level.
 
-
-def _add_markers(spec: mujoco.MjSpec, goals: Sequence[Cell]) -> None:
-    for number, goal in enumerate(goals):
-        spec.worldbody.add_site(
-            name=f"goal{number}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=cell_position(*goal) + np.array([0, 0, 0.002]),
-            size=[0.45 * CELL_PITCH_M, 0.45 * CELL_PITCH_M, 0.001],
-            rgba=[0.25, 0.75, 0.40, 0.45],
-        )
-
-
-def _check_damping(model: mujoco.MjModel) -> None:
-    """Raise InputError, naming the joint, where a step takes so much of a joint's speed that it could swing up."""
+    Raises InputError for parameters of which MuJoCo makes no world, and, naming the joint, where a step takes so much
+    of a joint's speed that it could swing up.
+    """
+    try:
+        model: mujoco.MjModel = spec.compile()
+    except ValueError as error:
+        raise InputError(f"MuJoCo makes no world of these figures: {error}") from error
+    model.hfield_data[:] = LEVEL
     share = model.opt.timestep * model.dof_damping / model.dof_M0
     if not (share <= _MOST_DAMPING).all():
         dof = int(share.argmax())
@@ -227,6 +163,51 @@ def _check_damping(model: mujoco.MjModel) -> None:
             f"{model.dof_damping[dof] * _MOST_DAMPING / share[dof]:.3g} goes with its inertia in physics steps of "
             f"{model.opt.timestep:g} s; enlarge what turns there, or take shorter steps"
         )
+    return model
+
+
+def machine_spec(kind: str, machines: Machines, number: int = 0, visual: bool = True) -> mujoco.MjSpec:
+    """Return the spec of one of MACHINES on the floor, or of the floor alone; ``number`` is of the car."""
+    config = replace(SimulationConfig(), sleep=False)
+    spec = _floor_spec(kind, machines, config, ((0.0, 0.0, 0.05), (0.0, 0.0, 0.0)), visual)
+    _add(spec, kind, "", ORIGIN, machines, number, visual)
+    return spec
+
+
+def _add(
+    spec: mujoco.MjSpec, kind: str, prefix: str, pose: Pose, machines: Machines, number: int, visual: bool
+) -> None:
+    """Add one of MACHINES; ``number`` is of the car. The ground is there already."""
+    if kind == "smartcar":
+        add_car(spec, prefix, pose, machines, number, visual)
+    elif kind == "slope":
+        add_slope(spec, prefix, pose, machines, visual)
+    elif kind in TABLE_NAMES:
+        add_block(spec, prefix, pose, machines, kind, visual)
+
+
+def _floor_spec(
+    name: str,
+    machines: Machines,
+    config: SimulationConfig,
+    floor: tuple[ArrayLike, ArrayLike],
+    visual: bool,
+) -> mujoco.MjSpec:
+    """Return the spec of a floor, drawn with half-lengths and a middle, under the settings of a simulation."""
+    spec = new_world(machines.contact, *floor, visual)
+    spec.modelname = name
+    # Dense, which MuJoCo chooses below 60 degrees of freedom, suits bodies without joints. A car of rollers has 49
+    # alone, most of them apart from each other: it would take three times as long.
+    jacobians = mujoco.mjtJacobian
+    spec.option.jacobian = jacobians.mjJAC_AUTO if machines.drive == "reduced" else jacobians.mjJAC_SPARSE
+    spec.option.timestep = config.timestep_s
+    spec.option.solver = getattr(mujoco.mjtSolver, f"mjSOL_{config.solver.upper()}")
+    spec.option.iterations = config.solver_iterations
+    spec.option.impratio = config.friction_impedance_ratio
+    spec.option.sleep_tolerance = config.sleep_tolerance_m_s
+    if config.sleep:
+        spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+    return spec
 
 
 def ground_pose_and_size(size: Cell) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -235,23 +216,6 @@ def ground_pose_and_size(size: Cell) -> tuple[NDArray[np.float64], NDArray[np.fl
     half = [(0.5 * n + _MARGIN_CELLS) * CELL_PITCH_M for n in (length, width)]
     middle = [0.5 * length * CELL_PITCH_M, 0.5 * width * CELL_PITCH_M, 0.0]
     return np.array(middle), np.array([*half, 0.05])
-
-
-def built_levels(parts: Sequence[Placement], goals: Sequence[Cell]) -> int:
-    """Return how many levels, at least two, the parts and goals of a world take up."""
-    tops = [round(float(part.position[2]) / LEVEL_HEIGHT_M) + 1 for part in parts]
-    return max([2, *tops, *(goal[2] for goal in goals)])
-
-
-@lru_cache(maxsize=64)
-def cameras(size: Cell, levels: int) -> dict[str, Aim]:
-    """Return the cameras of a world by their names: ``overview`` and ``top``, both with the whole area in view.
-
-    Args:
-        size: of the area, in cells.
-        levels: how high it is built, cars on top included.
-    """
-    return {aim.__name__: aim(size, levels * LEVEL_HEIGHT_M, PICTURE_ASPECT) for aim in (overview, top)}
 
 
 def check_extent(grid: Grid, goals: Sequence[Cell] = ()) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Literal
 
-from craftsim.mjcf.parameters import Drive
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record
 
@@ -13,11 +12,6 @@ Amount = Annotated[float, Range(0.0, 1.0, below=True)]
 Length = Annotated[float, Range(0.0, 1.0, above=True, below=True)]
 """In metres."""
 Solver = Literal["newton", "pgs"]
-
-STEPS_S: Final[dict[Drive, float]] = {"rollers": 0.004, "reduced": 0.004}
-"""Physics step of each drive, unless another is asked for: verdicts are those of steps of 1 ms, and final poses within
-0.3 mm of theirs (``craftsim bench steps``). In longer steps rollers lose the ground, servos ring, and a load that an
-impact lifts off its board for one step comes down into it (docs/explanation/drives.md)."""
 
 
 @record()
@@ -37,8 +31,9 @@ class SimulationConfig:
     """
 
     timestep_s: Annotated[float, Range(2.5e-4, 0.005)] = 0.004
-    """Physics step; in longer ones rollers lose the ground. Final poses differ by less than 2 mm from those at 1 ms
-    (tests/skills/test_demo_plan.py)."""
+    """Physics step: verdicts are those of steps of 1 ms, and final poses within 2 mm of theirs (``craftsim bench
+    steps``, tests/skills/test_demo_plan.py). In longer steps rollers lose the ground, servos ring, and a load that an
+    impact lifts off its board for one step comes down into it (docs/explanation/drives.md)."""
 
     control_period_s: Annotated[float, Range(1e-3, 1.0)] = 0.02
     """How often skills are asked for a command: 50 Hz, as a small robot's controller. A multiple of the step."""
@@ -72,11 +67,6 @@ class SimulationConfig:
                 f"control_period_s ({self.control_period_s}) must be an integer multiple of "
                 f"timestep_s ({self.timestep_s})"
             )
-
-    @classmethod
-    def of(cls, drive: Drive) -> SimulationConfig:
-        """Return the settings for cars with a drive."""
-        return cls(timestep_s=STEPS_S[drive])
 
     @property
     def steps_per_period(self) -> int:

@@ -7,7 +7,7 @@ worked out from the world's baseline and its state, and never a position, a spee
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import mujoco
 import numpy as np
@@ -55,13 +55,7 @@ that an acceleration of the car, in its own frame, takes to turn wheel and motor
 
 @record()
 class Drivetrain:
-    """What wheel motors and gears lack; hashable. Raises InputError for a figure outside [0, 1).
-
-    Example:
-        >>> from craftsim.models.effects import Drivetrain
-        >>> Drivetrain(gear_loss=0.1).ideal
-        False
-    """
+    """What wheel motors and gears lack; hashable. Raises InputError for a figure outside [0, 1)."""
 
     torque_slope: Amount = 0.0
     """Share of a driving motor's largest torque that is lost at its top speed, in proportion to the speed."""
@@ -73,13 +67,9 @@ class Drivetrain:
     """Share of the largest torque, of that at standstill, that is lost at any speed when all motors of a car drive with
     all they have: the battery's voltage drops."""
 
-    @property
-    def ideal(self) -> bool:
-        """Whether motors and gears lack nothing."""
-        return self == IDEAL
-
 
 IDEAL: Final = Drivetrain()
+"""Motors and gears that lack nothing."""
 
 
 class StepEffect:
@@ -107,34 +97,33 @@ def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> tuple[list[StepEf
     """Return the effects of a world with its present baseline, in the order in which they act; and its motors that are
     turned."""
     wheels = _wheels(world)
-    found: list[StepEffect] = [] if drivetrain.ideal else [DrivetrainLosses(world, wheels, drivetrain)]
+    found: list[StepEffect] = [] if drivetrain == IDEAL else [DrivetrainLosses(world, wheels, drivetrain)]
     found.append(Bearings(world) if world.machines.drive == "rollers" else Grip(world, wheels))
-    return found, TurnedMotors.of(world, wheels)
+    return found, turned_motors(world, wheels)
 
 
 def _wheels(world: PhysicsWorld) -> Records:
     """Return the wheels of all cars, (4 n,) of WHEEL, in the order of WHEELS."""
-    model, baseline = world.model, world.baseline
-    wheels = records(4 * len(world.cars), WHEEL)
-    for number, wheel in enumerate(wheels):
-        car = world.cars[number // 4]
-        motor = int(car.wheel_actuators[number % 4])
-        wheel["motor"], wheel["tree"] = motor, car.base.tree
-        wheel["dof"], wheel["body"] = car.base.dof, car.base.body
-        wheel["slowest"], wheel["fastest"] = model.actuator_ctrlrange[motor]
-        wheel["own_low"], wheel["own_high"] = baseline.actuator_forcerange[motor]
-        wheel["own_gain"] = baseline.actuator_gainprm[motor, 0]
-        if world.machines.drive == "rollers":
-            gear = int(car.wheel_dofs[number % 4])
-            wheel["dry_nm"] = baseline.dof_frictionloss[gear]
-        else:
-            # The gears of the reduced drive are motors without power; what they pass on is in proportion to their gear.
-            wheel["own_gear"], gear = (
-                baseline.actuator_gear[motor],
-                model.actuator(model.actuator(motor).name.replace("wheel", "gear")).id,
-            )
-            wheel["dry_nm"] = baseline.actuator_biasprm[gear, 3]
-        wheel["gear"] = gear
+    model, baseline, cars = world.model, world.baseline, world.cars
+    wheels = records(4 * len(cars), WHEEL)
+    motors = np.array([car.wheel_actuators for car in cars], np.intp).ravel()
+    for name in ("tree", "dof", "body"):
+        wheels[name] = np.repeat([getattr(car.base, name) for car in cars], len(WHEELS))
+    wheels["slowest"], wheels["fastest"] = model.actuator_ctrlrange[motors].T
+    wheels["own_low"], wheels["own_high"] = baseline.actuator_forcerange[motors].T
+    wheels["own_gain"] = baseline.actuator_gainprm[motors, 0]
+    if world.machines.drive == "rollers":
+        gears = np.array([car.wheel_dofs for car in cars], np.intp).ravel()
+        wheels["dry_nm"] = baseline.dof_frictionloss[gears]
+    else:
+        # The gears of the reduced drive are motors without power; what they pass on is in proportion to their gear.
+        names = [model.actuator(motor).name.replace("wheel", "gear") for motor in motors]
+        gears = np.array([model.actuator(name).id for name in names], np.intp)
+        wheels["own_gear"], wheels["dry_nm"] = (
+            baseline.actuator_gear[motors],
+            baseline.actuator_biasprm[gears, 3],
+        )
+    wheels["motor"], wheels["gear"] = motors, gears
     wheels["low"], wheels["high"], wheels["engaged"] = wheels["own_low"], wheels["own_high"], 1
     return wheels
 
@@ -223,7 +212,7 @@ class Grip(StepEffect):
         self.each_step = world.uneven
         data, uneven = world.data, np.array([world.uneven])
         state = data.actuator_force, data.tree_asleep, data.qacc, data.xmat
-        self._limit = bound(_limit, _Gripping(wheel_of, uneven, wheels, *state, model.actuator_forcerange))
+        self._limit = bound(_limit, wheel_of, uneven, wheels, state, model.actuator_forcerange)
 
     def before_period(self, world: PhysicsWorld) -> None:
         """Limit all motors for what their wheels carry now."""
@@ -237,52 +226,47 @@ class Grip(StepEffect):
         self.before_period(world)
 
 
-class _Gripping(NamedTuple):
-    """What grip works on: MuJoCo's own arrays, but for the first three."""
-
-    wheel_of: Ints
-    """By geom: its wheel, counted over all cars, or -1."""
-    uneven: NDArray[np.bool_]
-    """(1,)"""
-    wheels: Records
-    motor_forces: Floats
-    asleep: Ints
-    qacc: Floats
-    xmat: Floats
-    forcerange: Floats
-
-
 @compiled
-def _weigh(gripping: _Gripping, geoms: Ints, addresses: Ints, forces: Floats) -> None:
-    """Find what each wheel carries."""
-    wheels = gripping.wheels
+def _weigh(
+    wheel_of: Ints, uneven: bool, wheels: Records, geoms: Ints, addresses: Ints, forces: Floats
+) -> None:
+    """Find what each wheel carries; ``wheel_of`` says which wheel a geom is, or -1."""
     for wheel in range(len(wheels)):
         wheels[wheel].load = 0.0
     for contact in range(len(geoms)):
         if addresses[contact] < 0:
             continue
         for side in range(2):
-            wheel = gripping.wheel_of[geoms[contact, side]]
+            wheel = wheel_of[geoms[contact, side]]
             if wheel >= 0:
                 wheels[wheel].load += forces[addresses[contact]]
-    for first in range(0, len(wheels) if gripping.uneven[0] else 0, 4):
+    for first in range(0, len(wheels) if uneven else 0, 4):
         twist = wheels[first].load - wheels[first + 1].load - wheels[first + 2].load + wheels[first + 3].load
         for wheel, sign in ((first, -1), (first + 1, 1), (first + 2, 1), (first + 3, -1)):
             wheels[wheel].load = max(0.0, wheels[wheel].load + sign * (twist / 4))
 
 
 @compiled
-def _limit(gripping: _Gripping, geoms: Ints, addresses: Ints, forces: Floats) -> None:
+def _limit(
+    wheel_of: Ints,
+    uneven: NDArray[np.bool_],
+    wheels: Records,
+    state: tuple[Floats, Ints, Floats, Floats],
+    forcerange: Floats,
+    geoms: Ints,
+    addresses: Ints,
+    forces: Floats,
+) -> None:
     """Limit the motors of all wheels for what these carry, by contacts and their forces."""
-    _weigh(gripping, geoms, addresses, forces)
-    qacc, xmat, forcerange = gripping.qacc, gripping.xmat, gripping.forcerange
-    for number in range(len(gripping.wheels)):
-        wheel = gripping.wheels[number]
+    _weigh(wheel_of, uneven[0], wheels, geoms, addresses, forces)
+    motor_forces, asleep, qacc, xmat = state
+    for number in range(len(wheels)):
+        wheel = wheels[number]
         motor, most, low, high = wheel.motor, wheel.load * wheel.nm_per_n, wheel.low, wheel.high
-        if gripping.asleep[wheel.tree] >= 0:
+        if asleep[wheel.tree] >= 0:
             forcerange[motor] = low, high
             continue
-        friction, spin = gripping.motor_forces[wheel.gear], 0.0
+        friction, spin = motor_forces[wheel.gear], 0.0
         for axis in range(2):
             for world in range(3):
                 spin += wheel.inertia[axis] * xmat[wheel.body, 3 * world + axis] * qacc[wheel.dof + world]
@@ -291,42 +275,33 @@ def _limit(gripping: _Gripping, geoms: Ints, addresses: Ints, forces: Floats) ->
         forcerange[motor, 1] = min(max(most - friction + max(spin, 0.0), low), high)
 
 
-class TurnedMotors(NamedTuple):
-    """The motors of the reduced drive, which push their car in its own frame, as motors of its free joint.
+TurnedMotors = tuple[Floats, Ints, Records, Floats]
+"""MjData.qpos; where in it the pose of each wheel's car lies; the wheels; and MjModel.actuator_gear."""
+
+
+def turned_motors(world: PhysicsWorld, wheels: Records) -> TurnedMotors:
+    """Let motors and gears of the reduced drive, which push their car in its own frame, act on its free joint.
 
     In MJCF they act on a site of the car, for which MuJoCo works out Jacobians in each step. A motor of the free joint
     pushes along the axes of the world; turned with the car before each step, it does the same without them
-    (tests/models/test_reduced.py).
+    (tests/models/test_reduced.py). On rollers there are none.
     """
-
-    qpos: Floats
-    """MjData.qpos."""
-    places: Ints
-    """Of each wheel's car in it."""
-    wheels: Records
-    """(n,) WHEEL; none on rollers."""
-    gears: Floats
-    """MjModel.actuator_gear."""
-
-    @classmethod
-    def of(cls, world: PhysicsWorld, wheels: Records) -> TurnedMotors:
-        """Let motors and gears of all cars of a reduced drive act on the free joints."""
-        model = world.model
-        if world.machines.drive == "rollers":
-            wheels = wheels[:0]
-        joints = model.body_jntadr[wheels["body"]]
-        for motors in (wheels["motor"], wheels["gear"]):
-            model.actuator_trntype[motors] = mujoco.mjtTrn.mjTRN_JOINT
-            model.actuator_trnid[motors] = np.column_stack([joints, np.full(len(joints), -1)])
-        return cls(world.data.qpos, model.jnt_qposadr[joints], wheels, model.actuator_gear)
+    model = world.model
+    if world.machines.drive == "rollers":
+        wheels = wheels[:0]
+    joints = model.body_jntadr[wheels["body"]]
+    for motors in (wheels["motor"], wheels["gear"]):
+        model.actuator_trntype[motors] = mujoco.mjtTrn.mjTRN_JOINT
+        model.actuator_trnid[motors] = np.column_stack([joints, np.full(len(joints), -1)])
+    return world.data.qpos, model.jnt_qposadr[joints], wheels, model.actuator_gear
 
 
 @compiled
 def turn_motors(motors: TurnedMotors) -> None:
     """Turn the motors as the cars stand. A gear in its backlash passes nothing on."""
-    qpos, gears = motors.qpos, motors.gears
-    for number in range(len(motors.wheels)):
-        wheel, at = motors.wheels[number], motors.places[number]
+    qpos, places, wheels, gears = motors
+    for number in range(len(wheels)):
+        wheel, at = wheels[number], places[number]
         w, x, y, z = qpos[at + 3], qpos[at + 4], qpos[at + 5], qpos[at + 6]
         along, across = wheel.own_gear[0], wheel.own_gear[1]
         motor, gear = wheel.motor, wheel.gear

@@ -7,7 +7,6 @@ reduced drive also what pushes it is left out.
 
 from __future__ import annotations
 
-import math
 import sys
 from dataclasses import replace
 from importlib.resources import files
@@ -80,12 +79,6 @@ def new_file(path: Path) -> Path:
     return output_directory(path.parent) / path.name
 
 
-def write_machines(folder: Path) -> None:
-    """Write the files of the nominal machines into a folder."""
-    for name, text in machine_texts().items():
-        write_whole(folder / f"{name}.xml", text)
-
-
 def write_urdf(path: Path, spec: mujoco.MjSpec) -> Path:
     """Write a spec as URDF, and its meshes into a folder beside it; return the path.
 
@@ -115,13 +108,8 @@ class _Writer:
         robot.append(Xml.Comment(f" {LACKS} "))
         # Other readers pass over this: MuJoCo's drops what has no mass of its own otherwise, and the paths of meshes.
         own = Xml.SubElement(robot, "mujoco")
-        options = {
-            "strippath": "false",
-            "fusestatic": "false",
-            "balanceinertia": "false",
-            "discardvisual": "true",
-        }
-        Xml.SubElement(own, "compiler", options)
+        off = dict.fromkeys(("strippath", "fusestatic", "balanceinertia"), "false")
+        Xml.SubElement(own, "compiler", off | {"discardvisual": "true"})
         Xml.SubElement(robot, "link", name=_ROOT)
         for body in range(1, self._model.nbody):
             self._add_link(robot, body)
@@ -191,11 +179,11 @@ class _Writer:
         return f"{self.folder}/{name}.obj"
 
     def _add_joint(self, robot: Xml.Element, body: int) -> None:
+        """Add the joint of a body to its parent, with its range and the force and speed of its motor."""
         model, number = self._model, int(self._model.body_jntadr[body])
-        kind, name = "fixed", f"{self._link(body)}_fixed"
+        name, kind = f"{self._link(body)}_fixed", "fixed"
         if number >= 0:
-            name = _plain(model.joint(number).name)
-            limited = bool(model.jnt_limited[number])
+            name, limited = _plain(model.joint(number).name), bool(model.jnt_limited[number])
             kind = {
                 mujoco.mjtJoint.mjJNT_FREE: "floating",
                 mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
@@ -211,11 +199,6 @@ class _Writer:
         dof = model.jnt_dofadr[number]
         grease, dry = _number(model.dof_damping[dof]), _number(model.dof_frictionloss[dof])
         Xml.SubElement(joint, "dynamics", damping=grease, friction=dry)
-        self._add_limit(joint, number, limited)
-
-    def _add_limit(self, joint: Xml.Element, number: int, limited: bool) -> None:
-        """Add the range of a joint, and the force and speed of its motor."""
-        model = self._model
         on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
         motors = np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == number))
         effort, velocity = (
@@ -224,9 +207,8 @@ class _Writer:
         )
         limit = Xml.SubElement(joint, "limit", effort=effort, velocity=velocity)
         if limited:
-            low, high = model.jnt_range[number]
-            limit.set("lower", _number(low))
-            limit.set("upper", _number(high))
+            low, high = map(_number, model.jnt_range[number])
+            limit.attrib.update(lower=low, upper=high)
 
 
 def _plain(name: str) -> str:
@@ -244,17 +226,13 @@ def _numbers(values: ArrayLike) -> str:
 
 def _add_origin(parent: Xml.Element, position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> None:
     """Add a place: URDF turns about the fixed x, then y, then z axis."""
-    flat = np.empty(9)
-    mujoco.mju_quat2Mat(flat, quaternion)
-    turn = flat.reshape(3, 3)
-    level = math.hypot(turn[0, 0], turn[1, 0])
-    pitch = math.atan2(-turn[2, 0], level)
-    if level > 1e-9:
-        roll, yaw = math.atan2(turn[2, 1], turn[2, 2]), math.atan2(turn[1, 0], turn[0, 0])
-    else:  # Turns about x and z are about one axis.
-        roll, yaw = math.atan2(-turn[1, 2], turn[1, 1]), 0.0
-    Xml.SubElement(parent, "origin", xyz=_numbers(position), rpy=_numbers((roll, pitch, yaw)))
+    from trimesh.transformations import euler_from_quaternion
+
+    turn = euler_from_quaternion(quaternion, "sxyz")
+    Xml.SubElement(parent, "origin", xyz=_numbers(position), rpy=_numbers(turn))
 
 
 if __name__ == "__main__":
-    write_machines(Path(sys.argv[1] if len(sys.argv) > 1 else str(files("craftsim.mjcf"))))
+    written_to = Path(sys.argv[1] if len(sys.argv) > 1 else str(files("craftsim.mjcf")))
+    for machine, mjcf in machine_texts().items():
+        write_whole(written_to / f"{machine}.xml", mjcf)

@@ -7,7 +7,6 @@ flat or part of an undulation (docs/explanation/imperfections.md). The plane bel
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -22,6 +21,10 @@ from craftsim.mjcf.building import FLOOR_RGBA, GROUND
 from craftsim.models.config import Amount, Length
 from craftsim.storage.records import record
 
+Floats = NDArray[np.float64]
+
+LEVEL: Final = 0.5
+"""What a height of 0 is in the heights of a model's tiles."""
 NAME: Final = "floor"
 """The body of the tiles."""
 MOST_TILES: Final = 4096
@@ -43,13 +46,7 @@ _LEAST_SPAN_M: Final = 1e-4
 
 @record()
 class Floor:
-    """How uneven a floor is; hashable. Raises InputError for a figure outside [0, 1).
-
-    Example:
-        >>> from craftsim.models.floor import Floor
-        >>> Floor(lippage_m=0.001).flat
-        False
-    """
+    """How uneven a floor is; hashable. Raises InputError for a figure outside [0, 1)."""
 
     lippage_m: Amount = 0.0
     """Largest difference in height between two tiles; each tile's height is drawn uniformly."""
@@ -74,6 +71,16 @@ class Floor:
         return not (self.lippage_m or self.unevenness_m or (self.joint_m and self.joint_depth_m))
 
     @property
+    def half_tile_m(self) -> float:
+        """Half a tile's side, without its joint."""
+        return (self.tile_m - self.joint_m) / 2
+
+    @property
+    def span_m(self) -> float:
+        """Height from the lowest to the highest point that a tile can have."""
+        return max(self.relief_m, _LEAST_SPAN_M)
+
+    @property
     def relief_m(self) -> float:
         """Height from the lowest to the highest place on which something can stand."""
         return self.lippage_m + self.unevenness_m
@@ -82,64 +89,13 @@ class Floor:
 FLAT: Final = Floor()
 
 
-@dataclass(frozen=True)
-class Tiles:
-    """Where the tiles of a floor lie, in the frame of the floor, and at which points their heights are given."""
-
-    floor: Floor
-    radius_m: float
-    """Of the circle about the middle of the area that tiles cover however they lie."""
-    centres: NDArray[np.float64]
-    """(n, 2) metres."""
-    points: int
-    """Along each side of a tile."""
-
-    @property
-    def half_m(self) -> float:
-        """Half a tile's side."""
-        return (self.floor.tile_m - self.floor.joint_m) / 2
-
-    @property
-    def span_m(self) -> float:
-        """Height from the lowest to the highest point that a tile can have."""
-        return max(self.floor.relief_m, _LEAST_SPAN_M)
-
-    @property
-    def bottom_m(self) -> float:
-        """Height of the plane below the tiles."""
-        depth = self.floor.joint_depth_m if self.floor.joint_m else 0.0
-        return -self.floor.relief_m / 2 - (depth or _BELOW_M)
-
-    def heights(self, steps: NDArray[np.float64], waves: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (tile, row along y, column along x): heights in metres, 0 in the mean of what can be drawn.
-
-        Args:
-            steps: (n,): each tile's height, from -0.5 to 0.5.
-            waves: (m, 3): direction in radians, wave number as a share of the largest, phase in radians.
-        """
-        along = np.linspace(-self.half_m, self.half_m, self.points)
-        x = self.centres[:, None, None, 0] + along[None, None, :]
-        y = self.centres[:, None, None, 1] + along[None, :, None]
-        heights = np.broadcast_to(
-            self.floor.lippage_m * steps[:, None, None], (len(self.centres), *2 * (self.points,))
-        )
-        if not self.floor.unevenness_m:
-            return heights
-        wave = np.zeros(heights.shape)
-        for towards, number, phase in waves:
-            k = math.tau * number / self.floor.wavelength_m
-            wave += np.sin(k * (math.cos(towards) * x + math.sin(towards) * y) + phase)
-        # Of the lowest and the highest point those count where machines are.
-        within = wave[np.hypot(x, y) <= self.radius_m]
-        low, high = float(within.min()), float(within.max())
-        share = np.clip((wave - low) / (high - low), 0.0, 1.0) - 0.5
-        uneven: NDArray[np.float64] = heights + self.floor.unevenness_m * share
-        return uneven
-
-
 @lru_cache(maxsize=8)
-def tiles_of(floor: Floor, size: Cell) -> Tiles:
-    """Return the tiles of a floor under an area of ``size`` cells. Raises InputError for too many of them."""
+def _layout(floor: Floor, size: Cell) -> tuple[float, Floats, int]:
+    """Return how the tiles of a floor lie under an area of ``size`` cells. Raises InputError for too many of them.
+
+    Returns the radius in metres of the circle about the middle of the area that they cover however they lie; their
+    centres, (n, 2) metres; and at how many points along each side of a tile its heights are given.
+    """
     radius = CELL_PITCH_M * math.hypot(*(n / 2 + _MARGIN_CELLS for n in size[:2]))
     # A tile may be shifted by half of its diagonal, and reaches as far from its centre.
     reach = radius + math.sqrt(2) * floor.tile_m
@@ -153,16 +109,21 @@ def tiles_of(floor: Floor, size: Cell) -> Tiles:
             f"{floor.wavelength_m:g} m: too fine to compute; larger tiles, longer waves or a smaller world will do"
         )
     centres = floor.tile_m * np.stack(np.meshgrid(*2 * [np.arange(-n, n + 1)]), -1).reshape(-1, 2)
-    return Tiles(floor, radius, centres[np.hypot(*centres.T) <= reach], points)
+    return radius, centres[np.hypot(*centres.T) <= reach], points
 
 
-def add_tiles(spec: mujoco.MjSpec, tiles: Tiles) -> None:
-    """Put tiles in the middle of the ground of a spec, which touch as it does, and its plane below them."""
+def add_tiles(spec: mujoco.MjSpec, floor: Floor, size: Cell) -> None:
+    """Put the tiles of a floor under an area of ``size`` cells: they touch as the ground does, its plane lies below.
+
+    Raises InputError for too many of them.
+    """
+    _, centres, count = _layout(floor, size)
     ground = spec.geom(GROUND)
-    ground.pos[2] = tiles.bottom_m
+    depth_m = (floor.joint_depth_m if floor.joint_m else 0.0) or _BELOW_M
+    ground.pos[2] = -floor.relief_m / 2 - depth_m
     body = spec.worldbody.add_body(name=NAME, pos=[*ground.pos[:2], 0.0])
-    half, span, count = tiles.half_m, tiles.span_m, tiles.points
-    for number, (x, y) in enumerate(tiles.centres):
+    half, span = floor.half_tile_m, floor.span_m
+    for number, (x, y) in enumerate(centres):
         field = spec.add_hfield(
             name=f"tile{number}",
             size=[half, half, span, _THICK_M],
@@ -190,23 +151,47 @@ def tiles_body(model: mujoco.MjModel) -> int:
     return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, NAME)
 
 
-def level(model: mujoco.MjModel) -> None:
-    """Put all tiles of a compiled model at height 0."""
-    model.hfield_data[:] = 0.5
-
-
-def lay(model: mujoco.MjModel, tiles: Tiles, rng: np.random.Generator) -> float:
+def lay(model: mujoco.MjModel, floor: Floor, size: Cell, rng: np.random.Generator) -> float:
     """Draw the floor of a compiled model; return the height of its highest point in metres.
 
-    The same is drawn for all figures of one layout.
+    The same is drawn for all parameters of one layout.
     """
+    layout = _layout(floor, size)
     turn_rad = rng.uniform(0, math.tau)
-    x, y = tiles.floor.tile_m * rng.uniform(-0.5, 0.5, 2)
+    x, y = floor.tile_m * rng.uniform(-0.5, 0.5, 2)
     waves = rng.uniform([0, 0.5, 0], [math.tau, 1, math.tau], (_WAVES, 3))
-    heights = tiles.heights(rng.uniform(-0.5, 0.5, len(tiles.centres)), waves)
+    heights = _heights(floor, layout, rng.uniform(-0.5, 0.5, len(layout[1])), waves)
     body, c, s = tiles_body(model), math.cos(turn_rad), math.sin(turn_rad)
     middle_x, middle_y, _ = model.geom_pos[model.geom(GROUND).id]
     model.body_pos[body, :2] = middle_x + c * x - s * y, middle_y + s * x + c * y
     model.body_quat[body] = math.cos(turn_rad / 2), 0.0, 0.0, math.sin(turn_rad / 2)
-    model.hfield_data[:] = (heights / tiles.span_m + 0.5).ravel()
+    model.hfield_data[:] = (heights / floor.span_m + LEVEL).ravel()
     return float(heights.max())
+
+
+def _heights(floor: Floor, layout: tuple[float, Floats, int], steps: Floats, waves: Floats) -> Floats:
+    """Return (tile, row along y, column along x): heights in metres, 0 in the mean of what can be drawn.
+
+    Args:
+        floor: how uneven it is.
+        layout: of its tiles, as :func:`_layout` returns it.
+        steps: (n,): each tile's height, from -0.5 to 0.5.
+        waves: (m, 3): direction in radians, wave number as a share of the largest, phase in radians.
+    """
+    radius, centres, points = layout
+    along = np.linspace(-floor.half_tile_m, floor.half_tile_m, points)
+    x = centres[:, None, None, 0] + along[None, None, :]
+    y = centres[:, None, None, 1] + along[None, :, None]
+    heights = np.broadcast_to(floor.lippage_m * steps[:, None, None], (len(centres), points, points))
+    if not floor.unevenness_m:
+        return heights
+    wave = np.zeros(heights.shape)
+    for towards, number, phase in waves:
+        k = math.tau * number / floor.wavelength_m
+        wave += np.sin(k * (math.cos(towards) * x + math.sin(towards) * y) + phase)
+    # Of the lowest and the highest point those count where machines are.
+    within = wave[np.hypot(x, y) <= radius]
+    low, high = float(within.min()), float(within.max())
+    share = np.clip((wave - low) / (high - low), 0.0, 1.0) - 0.5
+    uneven: Floats = heights + floor.unevenness_m * share
+    return uneven

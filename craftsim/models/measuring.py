@@ -8,18 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from craftsim.discrete.grid import Kind
 from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.kernel.rotation import body_axes
-from craftsim.discrete.readback import Poses
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.limits import PHYSICS_PARTS, Range
 
@@ -35,9 +32,9 @@ WIRING: Final = np.dtype(
     ],
     align=True,
 )
-"""Where a car's joints and motors lie in MuJoCo's arrays, and its wheels' speeds in what :func:`read_cars` hands on;
-how far from its middle it feels a slope's plug, and how high something is above it; how far its line sensors lie
-before and behind its middle, and beside it, and how far to a side each sees."""
+"""Where a car's joints and motors lie in MuJoCo's arrays, and its wheels' speeds in qvel or, on the reduced drive, in
+actuator_velocity; how far from its middle it feels a slope's plug, and how high something is above it; how far its line
+sensors lie before and behind its middle, and beside it, and how far to a side each sees."""
 
 UNDERSIDE: Final = np.dtype([(name, "i8") for name in ("pose", "slope", "hinge", "motor")], align=True)
 """What bears a cross below: where its pose lies in MjData.qpos; a slope's number, where its hinge lies there, and its
@@ -45,9 +42,6 @@ motor in MjData.ctrl; these are -1 for other things."""
 
 CROSS_M: Final = 0.15
 """How far the two lines of a cross reach from its middle: assumed, to the legs of a block."""
-
-PerWheel = tuple[float, float, float, float]
-"""A number for each wheel, in the order of WHEELS."""
 
 
 Metres = Annotated[float, Range(-1e4, 1e4)]
@@ -57,6 +51,7 @@ Radians = Annotated[float, Range(-1e3, 1e3)]
 WheelSpeed = Annotated[float, Range(-1e3, 1e3)]
 """rad/s: 50 times what the wheels do."""
 Wheels = tuple[WheelSpeed, WheelSpeed, WheelSpeed, WheelSpeed]
+"""A number for each wheel, in the order of WHEELS."""
 Hinge = Annotated[float, Range(-1.0, math.pi + 1.0)]
 """rad; 0 unfolded, pi folded."""
 
@@ -143,71 +138,59 @@ def write_reading(now: CarMeasurement, reading: Records) -> None:
     reading[0] = tuple(now if docked else now._replace(slope=-1, hinge_rad=0.0))
 
 
-class Wiring:
-    """Where the cars and slopes of a PhysicsWorld lie in MuJoCo's arrays, as records."""
-
-    def __init__(self, physics: PhysicsWorld) -> None:
-        """Look them up."""
-        self.on_axles = all(len(car.wheel_dofs) for car in physics.cars)
-        """Whether wheels turn on axles; the speeds of the reduced drive's are those as the last physics step began."""
-        self.cars = records(len(physics.cars), WIRING)
-        """(n,) WIRING."""
-        for row, car in zip(self.cars, physics.cars, strict=True):
-            board, figures = car.board, car.parameters
-            row["pose"], row["board"], row["board_dof"] = car.base.qpos, board.qpos, board.dof
-            row["board_activation"], row["board_motor"] = board.activation, board.actuator
-            row["wheel_speeds"] = car.wheel_dofs if self.on_axles else car.wheel_actuators
-            row["wheel_motors"] = car.wheel_actuators
-            row["plug_m"] = physics.machines.slope.docking_range_m
-            row["above_m"] = physics.machines.block.underside_m / 2
-            row["along_m"], row["across_m"] = figures.board_length_m / 2, figures.board_width_m / 2
-            row["line_m"] = figures.line_reach_m
-        still = physics.tables
-        self.undersides = records(len(still) + len(physics.slopes), UNDERSIDE)
-        """(n,) UNDERSIDE: of tables, and then of slopes."""
-        self.plugs = self.undersides[len(still) :]
-        """(n,) UNDERSIDE, by slope."""
-        for row, body in zip(self.undersides, still, strict=False):
-            row["pose"], row["slope"], row["hinge"], row["motor"] = body.qpos, -1, -1, -1
-        for number, (row, slope) in enumerate(zip(self.plugs, physics.slopes, strict=True)):
-            row["pose"], row["slope"] = slope.base.qpos, number
-            row["hinge"], row["motor"] = slope.hinge.qpos, slope.hinge.actuator
-        self._physics = physics
-
-    def read(self, out: Records) -> None:
-        """Measure all cars exactly, as they are now; ``out``, shape (n,) of READING, takes it."""
-        self._read(self._physics.data.time, out)
-
-    @cached_property
-    def _read(self) -> Callable[..., Any]:
-        model, data = self._physics.model, self._physics.data
-        speeds = data.qvel if self.on_axles else data.actuator_velocity
-        measured = _Measured(
-            *(data.qpos, data.qvel, data.act, speeds),
-            *(model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange),
-            *(self.cars, self.undersides),
-        )
-        return bound(_read_cars, measured)
+def wire_cars(physics: PhysicsWorld) -> Records:
+    """Return where the cars of a world lie in MuJoCo's arrays, (n,) WIRING."""
+    wires, on_axles = records(len(physics.cars), WIRING), physics.machines.drive == "rollers"
+    for row, car in zip(wires, physics.cars, strict=True):
+        board, parameters = car.board, car.parameters
+        row["pose"], row["board"], row["board_dof"] = car.base.qpos, board.qpos, board.dof
+        row["board_activation"], row["board_motor"] = board.activation, board.actuator
+        # On the reduced drive wheels have no joints; their motors' speeds are those as the last physics step began.
+        row["wheel_speeds"] = car.wheel_dofs if on_axles else car.wheel_actuators
+        row["wheel_motors"] = car.wheel_actuators
+        row["plug_m"] = physics.machines.slope.docking_range_m
+        row["above_m"] = physics.machines.block.underside_m / 2
+        row["along_m"], row["across_m"] = parameters.board_length_m / 2, parameters.board_width_m / 2
+        row["line_m"] = parameters.line_reach_m
+    return wires
 
 
-class _Measured(NamedTuple):
-    """What is read, in place: MuJoCo's own arrays, which stay where they are, and those of a :class:`Wiring`."""
+def wire_undersides(physics: PhysicsWorld) -> Records:
+    """Return what bears a cross below, (n,) UNDERSIDE: tables, and then slopes."""
+    tables = [(body.qpos, -1, -1, -1) for body in physics.tables]
+    slopes = [
+        (slope.base.qpos, number, slope.hinge.qpos, slope.hinge.actuator)
+        for number, slope in enumerate(physics.slopes)
+    ]
+    undersides = records(len(tables) + len(slopes), UNDERSIDE)
+    undersides[:] = tables + slopes
+    return undersides
 
-    qpos: Floats
-    qvel: Floats
-    act: Floats
-    speeds: Floats
-    gains: Floats
-    biases: Floats
-    ranges: Floats
-    cars: Records
-    undersides: Records
+
+def exact_reader(physics: PhysicsWorld, cars: Records, undersides: Records) -> Callable[..., Any]:
+    """Return a function that measures all cars exactly, as they are now.
+
+    It takes the time in seconds, and records, (n,) of READING, for what is measured.
+    """
+    model, data = physics.model, physics.data
+    speeds = data.qvel if physics.machines.drive == "rollers" else data.actuator_velocity
+    state = data.qpos, data.qvel, data.act, speeds
+    motors = model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange
+    return bound(_read_cars, state, motors, cars, undersides)
 
 
 @compiled
-def _read_cars(measured: _Measured, time_s: float, out: Records) -> None:
-    qpos, cars, undersides = measured.qpos, measured.cars, measured.undersides
-    gains, biases, ranges = measured.gains, measured.biases, measured.ranges
+def _read_cars(
+    state: tuple[Floats, Floats, Floats, Floats],
+    motors: tuple[Floats, Floats, Floats],
+    cars: Records,
+    undersides: Records,
+    time_s: float,
+    out: Records,
+) -> None:
+    """Measure all cars, by positions, speeds, activations and the speeds of wheels, and by what boards' motors give."""
+    qpos, qvel, act, speeds = state
+    gains, biases, ranges = motors
     for i in range(len(cars)):
         car, now = cars[i], out[i]
         now.time_s = time_s
@@ -218,12 +201,12 @@ def _read_cars(measured: _Measured, time_s: float, out: Records) -> None:
         now.pitch = math.asin(max(-1.0, min(1.0, forward[2])))
         now.roll = math.asin(max(-1.0, min(1.0, left[2])))
         for wheel in range(4):
-            now.wheel_speeds[wheel] = measured.speeds[car.wheel_speeds[wheel]]
+            now.wheel_speeds[wheel] = speeds[car.wheel_speeds[wheel]]
         now.board_m = qpos[car.board]
         # That of a position-holding drive; MuJoCo's own figure is 0 while the drive's tree sleeps.
         motor = car.board_motor
-        force = gains[motor, 0] * measured.act[car.board_activation] + biases[motor, 0]
-        force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * measured.qvel[car.board_dof]
+        force = gains[motor, 0] * act[car.board_activation] + biases[motor, 0]
+        force += biases[motor, 1] * qpos[car.board] + biases[motor, 2] * qvel[car.board_dof]
         now.board_force_n = min(max(force, ranges[motor, 0]), ranges[motor, 1])
         now.slope, now.hinge_rad = -1, 0.0
         now.position_std_m = now.heading_std_rad = 0.0
@@ -274,17 +257,16 @@ class Motors:
 
     def __init__(self, physics: PhysicsWorld, lag_s: float = 0.0) -> None:
         """Take commands once a control period; ``lag_s`` is the time constant with which they reach the servos."""
-        self._physics = physics
-        self._wiring = Wiring(physics)
+        self._ctrl, self._cars = physics.data.ctrl, wire_cars(physics)
         self.share = 1 - math.exp(-physics.config.control_period_s / lag_s) if lag_s else 1.0
         """By what share a servo's command approaches a new one in a control period."""
         self.speeds = np.zeros((len(physics.cars), 4))
         """(n, 4) rad/s: the servos' commands."""
 
-    def drive(self, car: int, wheels: PerWheel) -> None:
+    def drive(self, car: int, wheels: Wheels) -> None:
         """Command the wheels of a car, in rad/s."""
         commanded = np.array(wheels, dtype=float)
-        drive_wheels(commanded, self.speeds[car], self.share, self._wiring.cars[car], self._physics.data.ctrl)
+        drive_wheels(commanded, self.speeds[car], self.share, self._cars[car], self._ctrl)
 
 
 @compiled
@@ -297,35 +279,3 @@ def drive_wheels(wheels: Floats, speeds: Floats, share: float, car: Record, ctrl
         else:
             speeds[wheel] += share * (wheels[wheel] - speeds[wheel])
         ctrl[car.wheel_motors[wheel]] = speeds[wheel]
-
-
-class PoseReader:
-    """Reads the true poses of everything that moves on a PhysicsWorld: cars by id; then tables and slopes."""
-
-    def __init__(self, physics: PhysicsWorld) -> None:
-        """Look up where they are."""
-        loose = [*physics.tables, *(slope.base for slope in physics.slopes)]
-        self._kinds = physics.table_kinds + (Kind.FSLOPE,) * len(physics.slopes)
-        self._n_cars, self._qpos = len(physics.cars), physics.data.qpos
-        starts = [*(car.base.qpos for car in physics.cars), *(body.qpos for body in loose)]
-        self.places = np.array(starts, np.intp)[:, None] + np.arange(7)
-        """(n, 7): of each one's pose in qpos."""
-        self._hinges = np.array([slope.hinge.qpos for slope in physics.slopes], np.intp)
-        self._without_hinge = np.full(len(physics.tables), math.nan)
-
-    def read(self) -> Poses:
-        """Return the poses of this moment."""
-        poses, n = self._qpos[self.places], self._n_cars
-        return Poses(
-            car_positions=poses[:n, :3],
-            car_quaternions=poses[:n, 3:],
-            kinds=self._kinds,
-            positions=poses[n:, :3],
-            quaternions=poses[n:, 3:],
-            hinges=np.concatenate((self._without_hinge, self._qpos[self._hinges])),
-        )
-
-
-def read_poses(physics: PhysicsWorld) -> Poses:
-    """Return the true poses of everything that moves on a PhysicsWorld now."""
-    return PoseReader(physics).read()

@@ -30,11 +30,6 @@ class Making:
     """Tolerances of making: half-widths of uniform distributions, drawn for each machine; hashable.
 
     Raises InputError for a figure outside [0, 1).
-
-    Example:
-        >>> from craftsim.models.randomization import Making
-        >>> Making(wheel_radius_m=0.0001).exact
-        False
     """
 
     wheel_radius_m: Amount = 0.0
@@ -52,13 +47,9 @@ class Making:
     pocket_m: Amount = 0.0
     """Of the place of a block's pocket and of a slope's pads, forward and sideways."""
 
-    @property
-    def exact(self) -> bool:
-        """Whether every machine is as it is drawn."""
-        return self == AS_DRAWN
-
 
 AS_DRAWN: Final = Making()
+"""Every machine is as it is drawn."""
 
 
 @record()
@@ -94,7 +85,7 @@ class DomainRandomization:
     def nominal(self) -> bool:
         """Whether the physics is the nominal one, so that nothing of it is drawn; sensors and motors aside."""
         drawn = self.friction or self.mass or self.motor or self.joint_friction or self.tilt_rad
-        return not drawn and self.floor.flat and self.making.exact
+        return not drawn and self.floor.flat and self.making == AS_DRAWN
 
 
 _FEET: Final = ("foot_fl", "foot_fr", "foot_rl", "foot_rr")
@@ -131,8 +122,8 @@ def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np
 
     Raises InputError for a floor that the PhysicsWorld was not composed with.
     """
-    model, tiles = physics.model, physics.tiles
-    if (tiles.floor if tiles else None) != (None if randomization.floor.flat else randomization.floor):
+    model, floor = physics.model, randomization.floor
+    if floor != physics.floor and not (floor.flat and physics.floor.flat):
         raise InputError(
             "the floor that is drawn must be that of the PhysicsWorld: PhysicsWorld(..., floor=...)"
         )
@@ -144,10 +135,10 @@ def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np
     angle, towards = randomization.tilt_rad * math.sqrt(tilt.uniform()), tilt.uniform(0, math.tau)
     down = (math.sin(angle) * math.cos(towards), math.sin(angle) * math.sin(towards), -math.cos(angle))
     model.opt.gravity[:] = float(np.linalg.norm(model.opt.gravity)) * np.array(down)
-    lift_m = lay(model, tiles, draw(GROUND, "floor")) if tiles else 0.0
-    if not randomization.making.exact:
+    lift_m = 0.0 if floor.flat else lay(model, floor, physics.size, draw(GROUND, "floor"))
+    if randomization.making != AS_DRAWN:
         _make(physics, randomization.making, draw)
-    uneven = tiles is not None or randomization.making.wheel_radius_m > 0
+    uneven = not floor.flat or randomization.making.wheel_radius_m > 0
     physics.drivetrain = IDEAL
     physics.set_baseline(Baseline.of(model), uneven, lift_m)
     physics.reset()

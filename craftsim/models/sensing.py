@@ -16,8 +16,10 @@ from craftsim.models.measuring import (
     CarMeasurement,
     Floats,
     Records,
-    Wiring,
+    exact_reader,
     measurement_of,
+    wire_cars,
+    wire_undersides,
 )
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.records import record
@@ -229,7 +231,12 @@ class Sensors:
         Whatever there is of that, the white noise is then the same.
         """
         self.physics, self.noise, self._exact = physics, noise, noise.silent
-        self.wiring = Wiring(physics)
+        self.cars = wire_cars(physics)
+        """(n,) WIRING: where cars lie in MuJoCo's arrays."""
+        undersides = wire_undersides(physics)
+        self.plugs = undersides[len(physics.tables) :]
+        """(n,) UNDERSIDE, by slope."""
+        self._read_exactly = exact_reader(physics, self.cars, undersides)
         n_cars, period_s = len(physics.cars), physics.config.control_period_s
         self._true = self._readings = records(n_cars, READING)
         if self._exact:
@@ -260,7 +267,7 @@ class Sensors:
         self._line_normals = np.zeros((n_cars, 4))
         self._encoders: Records | None = None
         if noise.encoder_step_rad:
-            self._encoders = _encoders(physics, self.wiring, noise.encoder_step_rad, *rng.spawn(1))
+            self._encoders = _encoders(physics, noise.encoder_step_rad, *rng.spawn(1))
         self.observe()
 
     def observe(self) -> None:
@@ -268,11 +275,11 @@ class Sensors:
         if self._exact:
             return
         physics, true, out, levels = self.physics, self._true, self._readings, self._levels
-        self.wiring.read(true)
+        self._read_exactly(physics.data.time, true)
         if self._encoders is not None:
             gear, period_s = physics.baseline.actuator_gear, physics.config.control_period_s
             step_rad = float(levels["encoder_step_rad"][0])
-            _count(physics.data.qpos, gear, self.wiring.cars, self._encoders, step_rad, period_s, true)
+            _count(physics.data.qpos, gear, self.cars, self._encoders, step_rad, period_s, true)
         for car, normals in enumerate(self._white):
             self._rng.standard_normal(out=normals)
             self._contacts[car] = self._rng.random()
@@ -290,7 +297,7 @@ class Sensors:
     def read(self) -> Records:
         """Return the newest readings of all cars, shape (n,) of READING; the array is used again by the next ones."""
         if self._exact:
-            self.wiring.read(self._true)
+            self._read_exactly(self.physics.data.time, self._true)
         return self._readings
 
     def measure(self, car: int) -> CarMeasurement:
@@ -388,7 +395,7 @@ def _disturb(
         now.position_std_m = now.heading_std_rad = 0.0
 
 
-def _encoders(physics: PhysicsWorld, wiring: Wiring, step_rad: float, rng: np.random.Generator) -> Records:
+def _encoders(physics: PhysicsWorld, step_rad: float, rng: np.random.Generator) -> Records:
     """Return the encoders, (n,) of _ENCODERS, where the cars stand; ``rng`` draws how far the next counts are."""
     model, data = physics.model, physics.data
     encoders = records(len(physics.cars), _ENCODERS)
@@ -397,7 +404,7 @@ def _encoders(physics: PhysicsWorld, wiring: Wiring, step_rad: float, rng: np.ra
     for row, car in zip(encoders, physics.cars, strict=True):
         row["pose"] = np.concatenate(physics.free_body_state(car.base))
         row["angles"] = row["before"]
-        if wiring.on_axles:
+        if len(car.wheel_dofs):
             row["joints"] = model.jnt_qposadr[model.dof_jntid[car.wheel_dofs]]
             row["angles"] += data.qpos[row["joints"]]
     encoders["counts"] = np.floor(encoders["angles"] / step_rad)

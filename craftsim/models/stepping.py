@@ -33,19 +33,13 @@ llvm.load_library_permanently(_FILE)
 ctypes.c_void_p.in_dll(_LIBRARY, "mjcb_time").value = None
 _STEP: Final = "craftsim_step"
 _EMPTY_BYTES: Final = 1024
-
-
-class _Config(ctypes.Structure):
-    """``mjBatchConfig``."""
-
-    _fields_ = (("nthread", ctypes.c_int), ("persistent", ctypes.c_bool))
-
-
+_ONE_THREAD: Final = (1, 0)
+"""``mjBatchConfig``: an integer and a truth value, of how many threads, and whether these stay."""
 _POINTER: Final = ctypes.c_void_p
 _HAS_BATCHES: Final = hasattr(_LIBRARY, "mjb_apply")
 if _HAS_BATCHES:
     _LIBRARY.mjb_makeBatch.restype = _POINTER
-    _LIBRARY.mjb_makeBatch.argtypes = _POINTER, ctypes.c_int, ctypes.POINTER(_Config), _POINTER, ctypes.c_int
+    _LIBRARY.mjb_makeBatch.argtypes = _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
     _LIBRARY.mjb_deleteBatch.argtypes = (_POINTER,)
     _LIBRARY.mjb_error.restype, _LIBRARY.mjb_error.argtypes = ctypes.c_char_p, (_POINTER, ctypes.c_int)
     _LIBRARY.mjb_apply.argtypes = _POINTER, _POINTER, ctypes.c_int, _POINTER, _POINTER, ctypes.c_int
@@ -92,7 +86,7 @@ class Stepping:
         spec = mujoco.MjSpec()
         spec.memory = _EMPTY_BYTES
         empty = spec.compile()
-        self._batch = _LIBRARY.mjb_makeBatch(empty._address, 1, _Config(nthread=1), None, 0)
+        self._batch = _LIBRARY.mjb_makeBatch(empty._address, 1, (ctypes.c_int * 2)(*_ONE_THREAD), None, 0)
         weakref.finalize(self, _LIBRARY.mjb_deleteBatch, self._batch)
         self._addresses = np.array([model._address, data._address], np.int64)
         step = _step_function().get_function_address(_STEP)

@@ -6,9 +6,11 @@ It is composed from a Grid. After a reset the only change is ``mj_step`` under m
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
+from itertools import chain
 from typing import Any, Final
 
 import mujoco
@@ -16,13 +18,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.readback import Poses
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines
-from craftsim.models.composition import WorldSpec, check_extent, placements
+from craftsim.models.composition import check_extent, compile_world, placements, world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import IDEAL, Drivetrain, StepEffect, effects_of
-from craftsim.models.floor import FLAT, Floor, tiles_of
-from craftsim.models.parts import FreeBody, MachineNames, Overlap, overlaps, parts_of, trees_of_motors
+from craftsim.models.floor import FLAT, Floor
+from craftsim.models.parts import Joint, MachineNames, overlaps, parts_of
 from craftsim.models.stepping import Stepping
 
 _SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
@@ -81,7 +84,6 @@ class PhysicsState:
     """A saved state. MuJoCo's state vector leaves out which trees sleep, so the whole of MjData is kept."""
 
     data: mujoco.MjData
-    policies: NDArray[np.int32]
     capped_steps: int
     effects: tuple[NDArray[np.float64], ...]
     """What each effect remembers."""
@@ -92,7 +94,7 @@ KEPT: Final = 4
 
 
 @lru_cache(maxsize=KEPT)
-def _kept(start: Hashable) -> list[tuple[PhysicsState, tuple[Overlap, ...]]]:
+def _kept(start: Hashable) -> list[tuple[PhysicsState, tuple[str, ...]]]:
     """Return where a start at rest, with its overlaps, is kept: an empty list, the first time."""
     return []
 
@@ -137,44 +139,51 @@ class PhysicsWorld:
         """
         check_extent(grid, goals)
         machines.check_number(grid.n_cars)
-        self.config = config or SimulationConfig.of(machines.drive)
+        self.config = config or SimulationConfig()
         self.machines = machines
         self.size = grid.size
         self.uneven = False
         """Whether wheels may come off the ground, as :meth:`set_baseline` says."""
         self.lift_m = 0.0
         """How high above its place everything that moves is put by a reset, to come down onto an uneven floor."""
-        self.overlaps: tuple[Overlap, ...] = ()
+        self.overlaps: tuple[str, ...] = ()
         """What stood in something else at the last reset, before it came to rest: such a start cannot be."""
         self.capped_steps = 0
         """Physics steps since the reset in which the solver gave up, at ``config.solver_iterations``. MuJoCo keeps this
         figure of the first 20 islands that move at a time."""
-        self._placements = placements(grid, machines)
         standing = (array.tobytes() for array in (grid.kind, grid.yaw, grid.cars))
         self._start = (grid.size, *standing, tuple(goals), self.config, machines, floor)
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
-        self.world_spec = WorldSpec(grid.copy(), self.config, machines, tuple(goals), floor)
-        self.tiles = None if floor.flat else tiles_of(floor, grid.size)
-        self.model = self.world_spec.model(visual=False)
+        self.floor = floor
+        self._spec = partial(world_spec, grid.copy(), self.config, machines, tuple(goals), floor)
+        self.model = compile_world(self._spec(visual=False))
         self.data = mujoco.MjData(self.model)
         self.cars, self.slopes, tables = parts_of(self.model, machines)
-        self._heights = self.model.jnt_qposadr[self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE] + 2
         if machines.drive == "reduced":
-            for car in self.cars:
-                car.add_spin(self.model)
+            # As heavy to speed up as wheels and motors make a car: MJCF has one armature for all six directions of a
+            # free joint, and the wheels' spin has none along z.
+            for base, spec in ((car.base, car.parameters) for car in self.cars):
+                added = spec.spin_mass_kg
+                armature = (added, added, 0.0, 0.0, 0.0, added * spec.turn_radius_m**2)
+                self.model.dof_armature[base.dof : base.dof + 6] = armature
             mujoco.mj_setConst(self.model, self.data)
+        placed = placements(grid, machines)
+        starts = [part.joint for kind in ("smartcar", "slope") for part in placed if part.kind == kind]
+        boards, hinges = [car.board for car in self.cars], [slope.hinge for slope in self.slopes]
+        self._start_joints = list(zip(boards + hinges, starts, strict=True))
         self._warnings = self.data.warning.number
         self._ctrl, self._stepping = self.data.ctrl, Stepping(self.model, self.data)
-        self._policies = self.model.tree_sleep_policy.copy()
         self._commanded = b""
-        """Which motors had a command in the last period, a byte each; empty where the policies may not fit it."""
-        self._tree_of_motor = trees_of_motors(self.model)
+        """Which motors had a command in the last period, a byte each; empty where that is not known."""
         self.blocks = tables[Kind.BLOCK]
         self.tables = tuple(table for found in tables.values() for table in found)
         """Blocks, flags, and what else has a block's shape and is carried, by kind."""
         self.table_kinds = tuple(kind for kind, found in tables.items() for _ in found)
         """The kind of each of them."""
+        bases = [car.base for car in self.cars], self.tables, [slope.base for slope in self.slopes]
+        self.pose_places = np.array([body.qpos for body in chain(*bases)], np.intp)[:, None] + np.arange(7)
+        """(n, 7): where in qpos the pose lies of everything that moves: cars by id; then tables and slopes."""
         self.machine_names = MachineNames.of(self.model)
         """The machines by their geoms."""
         self.compiled = Baseline.of(self.model)
@@ -189,6 +198,8 @@ class PhysicsWorld:
         self.effects: Sequence[StepEffect] = ()
         """What changes the model's parameters as the world runs, in this order."""
         self._begin_effects()
+        joints = self.model.actuator_trnid[:, 0]
+        self._tree_of_motor = self.model.dof_treeid[self.model.jnt_dofadr[joints]].astype(np.intp)
         if reset:
             self.reset()
 
@@ -196,18 +207,13 @@ class PhysicsWorld:
         """Put everything back to its start, and let it come to rest for ``config.settle_s`` with all motors at zero."""
         self.baseline.write(self.model)
         mujoco.mj_resetData(self.model, self.data)
-        self._set_policies(self._policies)
-        self.data.qpos[self._heights] += self.lift_m
-        joints: dict[str, list[float]] = {"smartcar": [], "slope": []}
-        for placed in self._placements:
-            if placed.kind in joints:
-                joints[placed.kind].append(placed.joint)
-        drives = [car.board for car in self.cars] + [slope.hinge for slope in self.slopes]
-        for drive, position in zip(drives, joints["smartcar"] + joints["slope"], strict=True):
-            self.data.qpos[drive.qpos] = position
-            self.data.act[drive.activation] = position
+        self._commanded = b""
+        self._rouse()
+        self.data.qpos[self.pose_places[:, 2]] += self.lift_m
+        for joint, position in self._start_joints:
+            self.data.qpos[joint.qpos] = self.data.act[joint.activation] = position
         mujoco.mj_forward(self.model, self.data)
-        self.overlaps = tuple(overlaps(self.machine_names, self.data))
+        self.overlaps = overlaps(self.machine_names, self.data)
         self.capped_steps = 0
         for effect in self.effects:
             effect.start(self)
@@ -228,7 +234,7 @@ class PhysicsWorld:
             self._rested.append((self.save(), self.overlaps))
 
     @cached_property
-    def _rested(self) -> list[tuple[PhysicsState, tuple[Overlap, ...]]]:
+    def _rested(self) -> list[tuple[PhysicsState, tuple[str, ...]]]:
         return _kept(self._start)
 
     @cached_property
@@ -268,6 +274,10 @@ class PhysicsWorld:
         for effect in self.effects:
             effect.start(self)
         self._stepping.run(0)
+
+    def seen_model(self) -> mujoco.MjModel:
+        """Return the model of this world as it was compiled, with what is only seen; it has the same positions."""
+        return compile_world(self._spec(visual=True))
 
     @property
     def diverged(self) -> bool:
@@ -322,9 +332,7 @@ class PhysicsWorld:
     def save(self) -> PhysicsState:
         """Return a copy of the full state: restoring it and going on gives the same numbers, bit for bit."""
         effects = tuple(effect.state.copy() for effect in self.effects)
-        return PhysicsState(
-            copy.copy(self.data), self.model.tree_sleep_policy.copy(), self.capped_steps, effects
-        )
+        return PhysicsState(copy.copy(self.data), self.capped_steps, effects)
 
     def restore(self, state: PhysicsState) -> None:
         """Go back to a state that this PhysicsWorld, or another one composed from an equal grid and config, has saved.
@@ -334,7 +342,7 @@ class PhysicsWorld:
         """
         if (
             state.data.qpos.shape != self.data.qpos.shape
-            or state.policies.shape != self.model.tree_sleep_policy.shape
+            or state.data.ctrl.shape != self.data.ctrl.shape
             or [len(saved) for saved in state.effects] != [len(effect.state) for effect in self.effects]
         ):
             raise InputError(
@@ -347,7 +355,8 @@ class PhysicsWorld:
                 effect.after_step(self)
         self._stepping.run(0)
         self.capped_steps = state.capped_steps
-        self._set_policies(state.policies)
+        self._commanded = b""
+        self._rouse()
 
     def awake_copy(self) -> mujoco.MjData:
         """Return a copy of the state in which contacts between sleeping machines, which MuJoCo leaves out, show.
@@ -362,14 +371,23 @@ class PhysicsWorld:
         self.model.opt.enableflags = flags
         return self._spare
 
-    def free_body_state(self, body: FreeBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def poses(self) -> Poses:
+        """Return the true poses of everything that moves."""
+        poses, n = self.data.qpos[self.pose_places], len(self.cars)
+        hinges = [self.data.qpos[slope.hinge.qpos] for slope in self.slopes]
+        return Poses(
+            car_positions=poses[:n, :3],
+            car_quaternions=poses[:n, 3:],
+            kinds=self.table_kinds + (Kind.FSLOPE,) * len(self.slopes),
+            positions=poses[n:, :3],
+            quaternions=poses[n:, 3:],
+            hinges=np.array([math.nan] * len(self.tables) + hinges),
+        )
+
+    def free_body_state(self, body: Joint) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return copies of a body's position (3,) in metres and unit quaternion (4,), w first, in the world frame."""
         pose = self.data.qpos[body.qpos : body.qpos + 7].copy()
         return pose[:3], pose[3:]
-
-    def _set_policies(self, policies: NDArray[np.int32]) -> None:
-        self.model.tree_sleep_policy[:] = policies
-        self._commanded = b""
 
     def _rouse(self) -> bool:
         """Keep commanded trees awake, let the others sleep; return whether a commanded one is asleep."""

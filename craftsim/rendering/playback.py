@@ -30,7 +30,7 @@ class SeenWorld(Posed):
 
     def __init__(self, physics: PhysicsWorld) -> None:
         """Build the world of a PhysicsWorld again."""
-        super().__init__(physics.world_spec.model(visual=True))
+        super().__init__(physics.seen_model())
         self._physics = physics
         names = [physics.model.geom(geom).name for geom in range(physics.model.ngeom)]
         self._geoms = np.array([self.model.geom(name).id for name in names], np.intp)

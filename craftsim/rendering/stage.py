@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.drawing import CAR_COLOURS, Rgb
 from craftsim.discrete.geometry import CELL_PITCH_M, cell_position, yaw_angle
-from craftsim.mjcf.block import meshes as block_meshes
+from craftsim.mjcf.block import looks as block_looks
 from craftsim.mjcf.parameters import Machines
-from craftsim.mjcf.slope import meshes as slope_meshes
-from craftsim.mjcf.solids import add_mesh
-from craftsim.models.composition import WorldSpec
+from craftsim.mjcf.slope import looks as slope_looks
+from craftsim.mjcf.solids import add_mesh, meshes
+from craftsim.models.composition import world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.rendering.cameras import label_strip_m, reached_m
 from craftsim.rendering.offscreen import upload_texture
@@ -118,10 +118,11 @@ class Stage:
         """Build the stage of a trajectory, in ``draft`` or ``paper`` quality."""
         story, physics = trajectory.story, trajectory.physics
         recipe, machines = story.recipe, story.recipe.setup.machines
-        config = recipe.setup.simulation or SimulationConfig.of(machines.drive)
-        spec = WorldSpec(recipe.grid, config, machines, recipe.goals).spec()
+        config = recipe.setup.simulation or SimulationConfig()
+        spec = world_spec(recipe.grid, config, machines, recipe.goals)
         _number_cars(spec, machines, recipe.grid.n_cars)
-        for name, mesh in (block_meshes(machines.block) | slope_meshes(machines.slope)).items():
+        made = meshes(block_looks, machines.block) | meshes(slope_looks, machines.slope)
+        for name, mesh in made.items():
             if name in _GHOST_MESHES:
                 add_mesh(spec, name, mesh)
         if story.design:

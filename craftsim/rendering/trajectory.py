@@ -208,7 +208,7 @@ class Trajectory:
     @cached_property
     def model(self) -> mujoco.MjModel:
         """Of MuJoCo, in which ``qpos`` are positions: the world with what is only seen."""
-        return self.physics.world_spec.model(visual=True)
+        return self.physics.seen_model()
 
     def _check(self) -> None:
         recipe, n = self.story.recipe, len(self.time) if self.time.ndim else 0

@@ -18,7 +18,7 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.config import SimulationConfig
-from craftsim.models.parts import FreeBody
+from craftsim.models.parts import Joint
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.link import EPSILON_S, TIMEOUT_S, Link, Messenger, inside
 from craftsim.robots.messages import Follow, Measurements, MessageError, TruePoses, pack, unpack
@@ -46,7 +46,7 @@ class Mirror:
         referee.send(pack(Follow(ticket)))
         self._seen: deque[TruePoses] = deque(maxlen=_KEPT)
         handles = [*(car.base for car in physics.cars), *physics.tables]
-        self._bodies: tuple[FreeBody, ...] = (*handles, *(slope.base for slope in physics.slopes))
+        self._bodies: tuple[Joint, ...] = (*handles, *(slope.base for slope in physics.slopes))
 
     def follow(self, measured: Measurements, timeout_s: float) -> str:
         """Show how things stood when that was measured; return why it was not seen in time, or nothing."""

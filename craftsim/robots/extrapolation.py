@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
-from craftsim.models.measuring import PerWheel
+from craftsim.models.measuring import Wheels
 from craftsim.models.sensing import CarMeasurement
 from craftsim.skills.mecanum import Mecanum
 from craftsim.skills.skill import Command
@@ -87,7 +87,7 @@ class Extrapolation:
         a, b, c, d = (line - passed for line, passed in zip(now.lines, ahead, strict=True))
         return now._replace(lines=(a, b, c, d))
 
-    def _free(self, told: PerWheel) -> NDArray[np.float64]:
+    def _free(self, told: Wheels) -> NDArray[np.float64]:
         """Return at what speeds wheels turn freely whose servos are commanded some, (4,) in rad/s."""
         speeds = np.array(told)
         return np.copysign(np.maximum(0.0, np.abs(speeds) - self._droop_rad_s), speeds)

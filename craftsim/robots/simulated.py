@@ -11,7 +11,7 @@ import numpy as np
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, SetUp, Setup, set_up
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.models.measuring import CarMeasurement, PoseReader
+from craftsim.models.measuring import CarMeasurement
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.connecting import Connection, world_digest
 from craftsim.robots.fleet import Robot
@@ -68,10 +68,10 @@ def simulated_robots(world: PhysicsFleet) -> tuple[Robot, ...]:
 
 def simulated_referee(physics: PhysicsWorld) -> Callable[[Measurements], TruePoses]:
     """Return what says where everything in a PhysicsWorld truly is, at the time of some measurements."""
-    reader, n_slopes = PoseReader(physics), len(physics.slopes)
+    n_slopes = len(physics.slopes)
 
     def see(measured: Measurements) -> TruePoses:
-        poses = reader.read()
+        poses = physics.poses()
         cars = np.hstack([poses.car_positions, poses.car_quaternions])
         things = np.hstack([poses.positions, poses.quaternions])
         return TruePoses(

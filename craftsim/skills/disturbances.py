@@ -16,8 +16,8 @@ from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Cell, Kind, beside
 from craftsim.discrete.readback import read_grid
 from craftsim.errors import InputError
-from craftsim.models.measuring import Motors, PoseReader
-from craftsim.models.parts import FreeBody
+from craftsim.models.measuring import Motors
+from craftsim.models.parts import Joint
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.fleet import PhysicsFleet
@@ -67,7 +67,6 @@ class DisturbedFleet(PhysicsFleet):
         self.disturbance, self._rng = disturbance, rng
         self.happened = ""
         """What has happened, in words; empty before."""
-        self._poses = PoseReader(physics)
         self._dead: int | None = None
         self._shove: _Shove | None = None
 
@@ -109,7 +108,7 @@ class DisturbedFleet(PhysicsFleet):
 
     def _ways(self) -> list[tuple[int, Cell, Cell]]:
         """Return the blocks that can be shoved now, by number, with their cells and where to."""
-        poses = self._poses.read()
+        poses = self.physics.poses()
         reading = read_grid(poses, self.physics.size, self.physics.walls)
         grid, found = reading.grid, []
         blocks = [index for index, kind in enumerate(poses.kinds) if kind == Kind.BLOCK]
@@ -136,7 +135,7 @@ def _clear(cars: np.ndarray[tuple[int, ...], np.dtype[np.float64]], *cells: Cell
 class _Shove:
     """A hand that pushes a block over the floor to the middle of a cell: a force, never a pose."""
 
-    def __init__(self, physics: PhysicsWorld, block: FreeBody, aim: Cell) -> None:
+    def __init__(self, physics: PhysicsWorld, block: Joint, aim: Cell) -> None:
         self._block, self._begun_s = block, physics.time_s
         position, _ = physics.free_body_state(block)
         self._from, self._to = position[:2], (np.array(aim[:2]) + 0.5) * CELL_PITCH_M

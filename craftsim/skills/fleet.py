@@ -71,9 +71,10 @@ class PhysicsFleet:
         """Measure and command with these sensors and motors: exact and prompt ones unless given."""
         self.physics = physics
         self.sensors, self.motors = sensors or Sensors(physics), motors or Motors(physics)
-        wiring = self.sensors.wiring
         share = np.array([self.motors.share])
-        self.wires = Wires(wiring.cars, wiring.plugs, self.motors.speeds, share, physics.data.ctrl)
+        self.wires = Wires(
+            self.sensors.cars, self.sensors.plugs, self.motors.speeds, share, physics.data.ctrl
+        )
 
     def read(self) -> Records:
         """Return the newest readings of all cars."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.mjcf.parameters import SmartcarParameters
-from craftsim.models.measuring import CarMeasurement, PerWheel
+from craftsim.models.measuring import CarMeasurement, Wheels
 from craftsim.skills.state import GRAVITY
 
 Triple = tuple[float, float, float]
@@ -23,7 +23,7 @@ Triple = tuple[float, float, float]
 class FeltForces(NamedTuple):
     """What a car feels of its contacts by its motors; all zero within the noise for one that stands free."""
 
-    wheels_n: PerWheel
+    wheels_n: Wheels
     """With what force each wheel pushes the ground back, forward positive, so that the car is pushed ahead."""
     wrench: Triple
     """(N, N, Nm) in the car's frame: of the wheels together, beyond what the car's own weight takes on an incline."""
@@ -47,12 +47,12 @@ class Mecanum:
         self.lever_m = car.turn_radius_m
         self.radius_m = car.wheel_radius_m
 
-    def wheel_speeds(self, twist: Iterable[float]) -> PerWheel:
+    def wheel_speeds(self, twist: Iterable[float]) -> Wheels:
         """Return the four wheel speeds in rad/s of a body twist (vx, vy, omega) in m/s, m/s and rad/s."""
         x, y, turn = map(float, twist)
         return on_wheels(x / self.radius_m, y / self.radius_m, self.lever_m * turn / self.radius_m)
 
-    def wheel_torques(self, wrench: Iterable[float]) -> PerWheel:
+    def wheel_torques(self, wrench: Iterable[float]) -> Wheels:
         """Return the four wheel torques in Nm that push the body with a wrench (fx, fy, mz) in N, N and Nm.
 
         By equal power, torque . speed = wrench . twist; of all torques that do it these are the smallest.
@@ -65,7 +65,7 @@ class Mecanum:
         """Return the wrench (fx, fy, mz) in N, N and Nm with which four wheel torques in Nm push the body."""
         return wrench_of(self.lever_m, self.radius_m, *map(float, torques))
 
-    def felt_forces(self, now: CarMeasurement, commanded: PerWheel) -> FeltForces:
+    def felt_forces(self, now: CarMeasurement, commanded: Wheels) -> FeltForces:
         """Return what a car feels of its contacts, of its measurement and of the wheel speeds that it commanded last.
 
         By how much a velocity servo lags behind its command says its torque; gears take their friction of it.
@@ -88,7 +88,7 @@ class Mecanum:
 
 
 @compiled
-def on_wheels(along: float, across: float, spin: float) -> PerWheel:
+def on_wheels(along: float, across: float, spin: float) -> Wheels:
     """Return what each wheel has, speed or torque, of shares along and across the car and of a spin.
 
     Which shares those are of a twist and of a wrench says :class:`Mecanum`.

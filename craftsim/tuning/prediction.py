@@ -16,7 +16,7 @@ import numpy as np
 from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log
 from craftsim.mjcf.parameters import Machines
-from craftsim.models.config import STEPS_S, SimulationConfig
+from craftsim.models.config import SimulationConfig
 from craftsim.models.measuring import Motors
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld
@@ -66,7 +66,7 @@ class Predictor:
         self.log = log.resampled(self.period_s)
         if not (np.isfinite(self.log.pose).any() or np.isfinite(self.log.wheel_speeds).any()):
             raise InputError("the log has neither poses nor wheel speeds; at least one of them is needed")
-        steps = math.ceil(self.period_s / STEPS_S[machines.drive] - 1e-9)
+        steps = math.ceil(self.period_s / SimulationConfig().timestep_s - 1e-9)
         self._config = SimulationConfig(self.period_s / steps, self.period_s, sleep=False)
         self._grid = free_area(Area(), loaded)
         self._kept: dict[tuple[Machines, float], Motion] = {}

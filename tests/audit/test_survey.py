@@ -13,7 +13,6 @@ from craftsim.discrete.kinds import MOVE_DIRECTION
 from craftsim.discrete.readback import read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.errors import CraftsimError
-from craftsim.models.measuring import read_poses
 from craftsim.models.world import PhysicsWorld
 
 RULES = Rules("physical")
@@ -95,7 +94,7 @@ def test_each_world_stands_in_physics_as_drawn():
     for situation in _allowed()[::47]:
         grid = _placed(situation, 2).grid
         physics = PhysicsWorld(grid)
-        reading = read_grid(read_poses(physics), physics.size, physics.walls)
+        reading = read_grid(physics.poses(), physics.size, physics.walls)
         assert reading.problems == (), situation.id
         assert reading.grid.same_visible(grid), situation.id
 

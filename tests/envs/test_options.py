@@ -36,7 +36,7 @@ def _central(**options):
 
 @pytest.mark.parametrize("make", [lambda **options: parallel_env("strip", **options), _central])
 def test_options_of_the_physics_are_those_of_the_world(make):
-    drawn, config = DomainRandomization(), SimulationConfig.of("reduced")
+    drawn, config = DomainRandomization(), SimulationConfig()
     given = {"rule_set": "published", "gains": SLOW, "machines": HEAVY, "noise": NOISY, "assumed": MILD}
     world = make(backend="physics", randomization=drawn, config=config, check_contacts=True, **given)
     world.reset(seed=0)

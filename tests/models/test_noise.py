@@ -116,7 +116,7 @@ def drive(docked, monkeypatch):
             write_reading(still._replace(time_s=t, x=1.0 * t, heading=heading, wheel_speeds=wheels), out)
 
         with monkeypatch.context() as patch:
-            patch.setattr("craftsim.models.measuring.Wiring.read", moving)
+            patch.setattr("craftsim.models.sensing.exact_reader", lambda *_: moving)
             sensors, found = Sensors(docked, noise, np.random.default_rng(seed)), []
             for _ in range(n):
                 sensors.observe()

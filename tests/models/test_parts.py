@@ -81,6 +81,6 @@ def test_goal_markers_have_no_contact():
         PhysicsWorld(Grid.empty((4, 4, 2), 1), goals=goals, reset=False)
         for goals in ([], [(1, 1, 1), (2, 1, 2)])
     )
-    bare, marked = (physics.world_spec.model(visual=True) for physics in worlds)
+    bare, marked = (physics.seen_model() for physics in worlds)
     assert marked.nsite == bare.nsite + 2
     assert (marked.ngeom, marked.nbody) == (bare.ngeom, bare.nbody)

@@ -13,6 +13,7 @@ from directions import DIRECTIONS
 
 from craftsim.discrete.grid import Grid
 from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.composition import compile_world, world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
 
@@ -90,7 +91,7 @@ def test_motors_turned_with_the_car_push_as_those_of_its_own_frame():
     grid = Grid.empty((3, 3, 1), n_cars=2)
     grid.cars[1, :2] = 2, 2
     physics = PhysicsWorld(grid, AWAKE, machines=REDUCED)
-    model, rng = physics.world_spec.model(visual=False), np.random.default_rng(0)
+    model, rng = compile_world(world_spec(grid, AWAKE, REDUCED)), np.random.default_rng(0)
     assert mujoco.mjtTrn.mjTRN_SITE in model.actuator_trntype
     assert mujoco.mjtTrn.mjTRN_SITE not in physics.model.actuator_trntype
     model.actuator_forcerange[:] = physics.model.actuator_forcerange

@@ -10,7 +10,6 @@ from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import SECOND_PART, CarField, Grid, Kind, beside
 from craftsim.discrete.readback import read_grid
 from craftsim.mjcf.parameters import DRIVES, NOMINAL, Drive
-from craftsim.models.measuring import read_poses
 from craftsim.models.world import PhysicsWorld
 
 AIR, BLOCK, FLAG, WALL, FSLOPE, BODY = (Kind[n] for n in ("AIR", "BLOCK", "FLAG", "WALL", "FSLOPE", "BODY"))
@@ -146,7 +145,7 @@ def assert_round_trip(grid: Grid, drive: Drive = "rollers") -> None:
     """Compose, settle and read: the same Grid, within 1 mm; half a second later nothing has moved by over 0.2 mm."""
     physics, before = PhysicsWorld(grid, machines=replace(NOMINAL, drive=drive)), None
     for _ in range(2):
-        poses = read_poses(physics)
+        poses = physics.poses()
         reading = read_grid(poses, physics.size, physics.walls)
         assert reading.problems == ()
         assert reading.grid.same_visible(grid)

@@ -19,7 +19,7 @@ def _world() -> PhysicsWorld:
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_many_are_those_of_the_bindings_one_after_the_other(drive):
-    grid, config = Grid.empty((3, 1, 1), n_cars=1), replace(SimulationConfig.of(drive), sleep=False)
+    grid, config = Grid.empty((3, 1, 1), n_cars=1), replace(SimulationConfig(), sleep=False)
     many, single = (PhysicsWorld(grid, config, machines=Machines(drive=drive)) for _ in range(2))
     for world in (many, single):
         world.drive(0, [5.0, 4.0, 5.0, 4.0])

@@ -11,7 +11,7 @@ from drawn import draw
 from craftsim.cli import main
 from craftsim.discrete.grid import Kind
 from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.composition import WorldSpec, machine_spec
+from craftsim.models.composition import machine_spec, world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import LACKS, write_urdf
 
@@ -55,9 +55,9 @@ def test_a_world_is_written_with_everything_where_it_stands(tmp_path):
     grid = draw(
         (4, 3, 2), [(Kind.WALL, (0, 0, 1), 0), (Kind.BODY, (1, 1, 1), 0)], [(3, 0, 1, 2), (3, 2, 1, 1)]
     )
-    world = WorldSpec(grid, SimulationConfig())
-    path = write_urdf(tmp_path / "own.urdf", world.spec())
-    _assert_same(mujoco.MjModel.from_xml_path(str(path)), world.model(visual=True))
+    world = world_spec(grid, SimulationConfig())
+    path = write_urdf(tmp_path / "own.urdf", world)
+    _assert_same(mujoco.MjModel.from_xml_path(str(path)), world.compile())
 
 
 def test_limits_are_those_of_the_motors_and_the_file_says_what_it_lacks(tmp_path):

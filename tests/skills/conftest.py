@@ -15,7 +15,7 @@ from craftsim.models.world import PhysicsWorld
 
 def _judge(size, cars, objects=(), drive="rollers") -> Judge:
     machines, grid = replace(NOMINAL, drive=drive), draw(size, objects, cars)
-    judge = set_up(grid, Setup(machines=machines, simulation=SimulationConfig.of(drive)))
+    judge = set_up(grid, Setup(machines=machines, simulation=SimulationConfig()))
     assert judge.reading.problems == ()
     assert judge.reading.grid.same_visible(grid), "the world is not what was drawn"
     return judge

@@ -10,7 +10,6 @@ from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import read_plan
 from craftsim.models.config import SimulationConfig
-from craftsim.models.measuring import read_poses
 
 SHORT = 5
 """Ticks until the first block is set down."""
@@ -23,11 +22,11 @@ def _build(config=None, ticks=None):
         drawing = read_blueprint(data / "blueprints" / "simple_two_story.yaml")
         plan = read_plan(data / "plans" / "simple_two_story.plan", drawing.n_cars)
     judge = set_up(drawing.grid(np.random.default_rng(0)), Setup(simulation=config or SimulationConfig()))
-    attempts, history = [], [read_poses(judge.physics)]
+    attempts, history = [], [judge.physics.poses()]
     for tick, joint in enumerate(plan.ticks[:ticks]):
         for car, action in joint:
             attempts.append(judge.perform(car, action, tick=tick))
-            history.append(read_poses(judge.physics))
+            history.append(judge.physics.poses())
     return judge, attempts, history
 
 

@@ -11,7 +11,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters, load_machines
-from craftsim.models.composition import WorldSpec
+from craftsim.models.composition import world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
 from craftsim.models.world import PhysicsWorld
@@ -91,7 +91,7 @@ def test_a_car_with_weak_motors_drives_slower_and_arrives():
 def test_a_scene_of_other_machines_is_written_with_its_meshes_in_one_file(tmp_path):
     grid = draw((3, 1, 2), [(Kind.BLOCK, (2, 0, 1))], [(0, 0, 1, 0), (1, 0, 1, 0)])
     machines = Machines(cars=(SmartcarParameters(), HEAVY))
-    path = write_mjcf(tmp_path / "site.xml", WorldSpec(grid, SimulationConfig(), machines).spec())
+    path = write_mjcf(tmp_path / "site.xml", world_spec(grid, SimulationConfig(), machines))
     assert list(tmp_path.iterdir()) == [path]
     model = mujoco.MjModel.from_xml_path(str(path))
     assert model.nbody == PhysicsWorld(grid).model.nbody

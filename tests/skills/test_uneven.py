@@ -65,7 +65,7 @@ def _durations(randomization, gains):
         randomization=randomization,
         gains=load_gains(gains),
         machines=REDUCED,
-        simulation=SimulationConfig.of("reduced"),
+        simulation=SimulationConfig(),
     )
     executor = set_up(grid, setup, Seed((1,))).executor
     begun = executor.physics.time_s

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import (
     AGREES,
-    BOUNDED_ERRORS,
+    BYSTANDER_ERRORS,
     Attempt,
     Cause,
     Thresholds,
@@ -51,10 +51,6 @@ Joint = Sequence[tuple[int, Action]]
 """(car, action) in acting order."""
 OnChange = Callable[[dict[int, ScheduledAction]], None]
 """Called with the running actions by car whenever one begins or ends."""
-
-
-_BYSTANDERS: Final = [one.field for one in BOUNDED_ERRORS if one.of_bystanders]
-"""Errors of what an action does not concern; the last two are those of the reading."""
 
 
 class Judge:
@@ -308,8 +304,7 @@ class Judge:
         running = self._running
         if running and self._looked_s != self.physics.time_s:
             self._look()
-        one = self._now(step, index)
-        one.legal = legal
+        one = self._now(step, index, legal)
         for other in running.values():
             other.cars |= one.cars
             other.meant.update(one.about)
@@ -321,19 +316,26 @@ class Judge:
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
         running[step.car] = one
 
-    def _now(self, step: ScheduledAction, index: int = -1) -> Watched:
-        about, physics = handled(self.reading, step.after, step.car), self.physics
-        names = self._names
+    def _now(self, step: ScheduledAction, index: int = -1, legal: bool = True) -> Watched:
+        about, physics, names = handled(self.reading, step.after, step.car), self.physics, self._names
         return Watched(
-            *(index, step, physics.time_s, physics.capped_steps, self._rows.copy(), self.reading, about),
-            (names[step.car], *(names[len(physics.cars) + index] for index in about)),
-            *(set(under(self.reading, step.after, step.car)), {step.car}, set(about)),
+            step,
+            index,
+            legal,
+            start_s=physics.time_s,
+            capped_steps=physics.capped_steps,
+            poses=self._rows.copy(),
+            reading=self.reading,
+            about=about,
+            own=(names[step.car], *(names[self._n_cars + index] for index in about)),
+            below=set(under(self.reading, step.after, step.car)),
+            cars={step.car},
+            meant=set(about),
         )
 
     def _unbegun(self, step: ScheduledAction, legal: bool) -> Watched:
         """Return an action that was never begun, as it would be judged now."""
-        one = self._now(step)
-        one.legal = legal
+        one = self._now(step, legal=legal)
         self._measure(one, None, set(), set())
         return one
 
@@ -347,7 +349,7 @@ class Judge:
         self._looked_s = self.physics.time_s
         last = getattr(self, "reading", None)
         self.poses: Poses = self._poses.read()
-        self._rows = self._drift.poses()
+        self._rows: Floats = self.physics.data.qpos[self._poses.places]
         self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls, last)
 
     def _settle(self) -> bool:
@@ -399,7 +401,7 @@ class Judge:
             "reach_m": max((thing.reach_m for thing in things), default=None),
             **others,
         }
-        one.strayed_m = self._drift.strayed_m(car) if self.physics.uneven else None
+        one.strayed_m = float(self._drift.strayed_m[car]) if self.physics.uneven else None
         one.capped_steps = self.physics.capped_steps - one.capped_steps
         if log is not None:
             names = self._names[self._n_cars :]
@@ -421,20 +423,22 @@ class Judge:
 
         What sways under a car that still drives is held against that car's action at its end.
         """
-        n_cars = self._n_cars
-        excused = np.zeros(len(self._rows), np.bool_)
-        excused[list(acting)] = True
-        excused[[n_cars + index for index in one.meant | swaying]] = True
+        n_cars, rows = self._n_cars, self._rows
+        errors = np.full((len(rows), len(BYSTANDER_ERRORS)), -math.inf)
+        errors[:, :2] = list(map(plain(_apart), one.poses.tolist(), rows.tolist()))
+        errors[:, 2:4] = self._drift.furthest
+        errors[n_cars:, 4:] = np.where(self._known, -math.inf, self.reading.bounded)
+        errors[list(acting)] = -math.inf
+        errors[[n_cars + index for index in one.meant | swaying]] = -math.inf
         for reading in (one.reading, self.reading):
-            excused[[n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting]] = True
-        largest = np.zeros((len(_BYSTANDERS), 2))
-        _largest_errors(
-            *(self._rows, one.poses, self._drift.furthest, self.reading.bounded),
-            *(excused, self._known, largest),
-        )
-        values, at = largest[:, 0].tolist(), largest[:, 1].astype(np.intp).tolist()
-        names = (self._names[row] if row >= 0 else "" for row in at)
-        return dict(zip(_BYSTANDERS, values, strict=True)), dict(zip(_BYSTANDERS, names, strict=True))
+            carried = [n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting]
+            errors[carried] = -math.inf
+        largest, names = dict.fromkeys(BYSTANDER_ERRORS, 0.0), dict.fromkeys(BYSTANDER_ERRORS, "")
+        for error, values in zip(BYSTANDER_ERRORS, errors.T, strict=True):
+            row = int(values.argmax())  # nan is the largest
+            if values[row] != -math.inf:
+                largest[error], names[error] = float(values[row]), self._names[row]
+        return largest, names
 
     def _world_cause(self, before: Grid, predicted: Grid, gave_up: int) -> Cause:
         """Compare the reading with the prediction; what is worse than a difference comes first.
@@ -489,13 +493,9 @@ class Drift:
         """By how many metres, and by what angle in radians, each has been away from its place at most: that of the
         one rotation that leads there."""
         n_cars = len(physics.cars)
-        self._strayed, self._path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
+        self.strayed_m, self._path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
+        """(n,): how far each car was beside its path at most since its action began."""
         self.leave(range(len(places)))
-
-    def poses(self) -> Floats:
-        """Return (n, 7): where everything is now."""
-        found: Floats = self._qpos[self._places]
-        return found
 
     def speed_m_s(self) -> float:
         """Return how fast the fastest machine moves now."""
@@ -519,11 +519,7 @@ class Drift:
 
     def begin(self, car: int) -> None:
         """Forget how far a car was beside its path: its next action begins."""
-        self._strayed[car], self._path[car] = 0.0, np.nan
-
-    def strayed_m(self, car: int) -> float:
-        """Return the furthest that a car was beside its path since its action began, in metres."""
-        return float(self._strayed[car])
+        self.strayed_m[car], self._path[car] = 0.0, np.nan
 
     def stray(self, paths: Floats) -> None:
         """Note how far each driving car is from its path, (n, 3) as of an executor; call it after each control period.
@@ -536,7 +532,7 @@ class Drift:
         length = np.maximum((way * way).sum(axis=1), 1e-12)
         share = np.clip(((at - start) * way).sum(axis=1) / length, 0.0, 1.0)
         beside = np.hypot(*(at - start - share[:, None] * way).T)
-        self._strayed = np.fmax(self._strayed, beside)
+        self.strayed_m = np.fmax(self.strayed_m, beside)
         self._path = path
 
 
@@ -544,66 +540,22 @@ class Drift:
 def _note_away(qpos: Floats, places: Integers, left: Floats, furthest: Floats) -> None:
     """Note how far each machine, its free joint in qpos at ``places``, is from the pose where it was left."""
     for i in range(len(places)):
-        pose = qpos[places[i] : places[i] + 7]
-        furthest[i, 0] = max(furthest[i, 0], _apart(pose, left[i]))
-        furthest[i, 1] = max(furthest[i, 1], _turned(pose, left[i]))
+        metres, radians = _apart(qpos[places[i] : places[i] + 7], left[i])
+        furthest[i, 0], furthest[i, 1] = max(furthest[i, 0], metres), max(furthest[i, 1], radians)
 
 
 @compiled
-def _apart(one: Floats, other: Floats) -> float:
-    """Return how many metres are between two poses (7,)."""
+def _apart(one: Floats, other: Floats) -> tuple[float, float]:
+    """Return the distance in metres between two poses (7,), and the angle in radians, exact for small ones."""
     x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
-    return math.sqrt(x * x + y * y + z * z)
-
-
-@compiled
-def _turned(one: Floats, other: Floats) -> float:
-    """Return the angle in radians between the unit quaternions of two poses (7,); exact for small ones."""
+    metres = math.sqrt(x * x + y * y + z * z)
     a, b, c, d = one[3], one[4], one[5], one[6]
     e, f, g, h = other[3], other[4], other[5], other[6]
     w = a * e + b * f + c * g + d * h
     x = a * f - b * e - c * h + d * g
     y = a * g - c * e - d * f + b * h
     z = a * h - d * e - b * g + c * f
-    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
-
-
-@plain
-def _largest_errors(
-    now: Floats,
-    then: Floats,
-    furthest: Floats,
-    bounded: Floats,
-    excused: NDArray[np.bool_],
-    known: NDArray[np.bool_],
-    largest: Floats,
-) -> None:
-    """Find the largest of each error of bystanders, once an action.
-
-    ``now`` and ``then`` (n, 7) are poses of cars and objects at the end and the start of the action, ``furthest``
-    (n, 2) that of :class:`Drift`, ``bounded`` (n_objects, 2) that of the reading; ``known`` (n_objects, 2) of these
-    were reported before. ``largest`` (6, 2) takes each error and the machine that has it, -1 for none; nan is largest.
-    """
-    n_cars = len(now) - len(bounded)
-    for k in range(6):
-        largest[k, 0], largest[k, 1] = 0.0, -1.0
-    for i in range(len(now)):
-        if excused[i]:
-            continue
-        for k in range(6):
-            if k >= 4 and (i < n_cars or known[i - n_cars, k - 4]):
-                continue
-            if k == 0:
-                error = _apart(now[i], then[i])
-            elif k == 1:
-                error = _turned(then[i], now[i])
-            elif k < 4:
-                error = furthest[i, k - 2]
-            else:
-                error = bounded[i - n_cars, k - 4]
-            best = largest[k, 0]
-            if largest[k, 1] < 0 or error > best or (math.isnan(error) and not math.isnan(best)):
-                largest[k, 0], largest[k, 1] = error, i
+    return metres, 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
 
 def _is_wrong(found: Watched) -> bool:

@@ -246,8 +246,6 @@ class Watched:
     """An action being judged: the world at its start and the measurements at its end."""
 
     step: ScheduledAction
-    index: int
-    """Index in the schedule."""
     legal: bool
     start_s: float
     capped_steps: int
@@ -256,15 +254,15 @@ class Watched:
     """(n, 7) poses of cars and objects; for an object moved by an action that ended meanwhile, its pose after that."""
     reading: Reading
     about: list[int]
-    """Indices of the objects that the action handles."""
+    """Rows of the objects that the action handles, in ``poses``."""
     own: tuple[str, ...]
     """Names of the car and these objects."""
-    below: set[int]
-    """Objects below the car: a stack sways under it until it is at rest."""
+    below: list[int]
+    """Rows of the objects below the car: a stack sways under it until it is at rest."""
     cars: set[int]
     """Cars that act meanwhile, its own included."""
     meant: set[int]
-    """Objects that may move: those handled by this action and by concurrent ones."""
+    """Rows of the objects that may move: those handled by this action and by concurrent ones."""
     outcome: Outcome | None = None
     """Outcome of the skill; None if it was never started."""
     differences: tuple[str, ...] = ()

@@ -114,13 +114,13 @@ class ContactLog:
         self._motion["down_m_s"], self._motion["upright"] = 0.0, 1.0
         self._worst["hardest_n"] = self._worst["recent_n"] = self._worst["down_m_s"] = 0.0
         self._worst["upright"] = 1.0
-        self._all_begun_s, self._begun_s, self._looked_s = self.physics.data.time, math.nan, math.nan
+        self._begun_s = self._looked_s = math.nan
         self._forget(np.ones(len(self._pairs), np.bool_))
 
     def begin_with(self, machines: Collection[str]) -> None:
         """Forget what these touched, and note what they touch now: an action with them begins while others run."""
-        if self._all_begun_s != self.physics.data.time:
-            self._forget(self._of(machines))
+        one_of = np.isin(self.names, list(machines))
+        self._forget((one_of[:, None] | one_of).ravel())
 
     def _forget(self, pairs: NDArray[np.bool_]) -> None:
         self._pairs["since_s"][pairs], self._pairs["peak_n"][pairs] = math.inf, 0.0
@@ -128,11 +128,6 @@ class ContactLog:
             self._begun_s, self._awake = self.physics.data.time, self.physics.awake_copy()
         self._note(self._awake)
         self._at_start[pairs] = np.isfinite(self._pairs["since_s"][pairs])
-
-    def _of(self, machines: Collection[str]) -> NDArray[np.bool_]:
-        """Return the pairs with any of these machines."""
-        one_of = np.isin(self.names, list(machines))
-        return (one_of[:, None] | one_of).ravel()
 
     def look(self) -> None:
         """Note what touches and how hard; call it after each physics step, such as by being an executor's observer."""
@@ -144,27 +139,25 @@ class ContactLog:
         data = self.physics.data
         if self._looked_s != data.time:
             self.look()
-        self._all_begun_s = self._begun_s = math.nan
+        self._begun_s = math.nan
         self.period_n, self._worst["recent_n"] = float(self._worst["recent_n"][0]), 0.0
         note_motion(data.qpos, data.qvel, self._motion, self._worst)
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
         """All that touched, those first that touched first."""
-        return self._contacts(np.isfinite(self._pairs["since_s"]))
-
-    def news(self, machines: Collection[str]) -> tuple[Contact, ...]:
-        """Return the contacts of these machines that were not there when the log began, the first one first."""
-        new = np.isfinite(self._pairs["since_s"]) & ~self._at_start
-        return self._contacts(new & self._of(machines)) if new.any() else ()
-
-    def _contacts(self, chosen: NDArray[np.bool_]) -> tuple[Contact, ...]:
         names, found = self.names, []
-        for pair in np.flatnonzero(chosen).tolist():
+        for pair in np.flatnonzero(np.isfinite(self._pairs["since_s"])).tolist():
             first, second = divmod(pair, len(names))
             since_s, peak_n = (float(self._pairs[field][pair]) for field in ("since_s", "peak_n"))
             found.append(Contact(names[first], names[second], since_s, peak_n, bool(self._at_start[pair])))
         return tuple(sorted(found, key=lambda contact: contact.since_s))
+
+    def news(self, machines: Collection[str]) -> tuple[Contact, ...]:
+        """Return the contacts of these machines that were not there when the log began, the first one first."""
+        return tuple(
+            c for c in self.contacts if not c.at_start and (c.first in machines or c.second in machines)
+        )
 
     @property
     def peak_n(self) -> float:
@@ -199,25 +192,19 @@ class ContactLog:
         """Return all that was unsafe since the log began, each with what was allowed."""
         if not self.is_unsafe():
             return ()
-        tilts = np.arccos(np.clip(self._motion["upright"], -1.0, 1.0)).tolist()
-        falls = (-self._motion["down_m_s"]).tolist()
-        return (
-            *(
-                ((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})")
-                for name, tilt in zip(self.names[2:], tilts, strict=True)
-                if tilt > TIPPED_RAD
-            ),
-            *(
-                ((name,), f"{name} fell ({speed:.1f} m/s, allowed {FALL_M_S:.1f})")
-                for name, speed in zip(self.names[2:], falls, strict=True)
-                if speed > FALL_M_S
-            ),
-            *(
-                ((a, b), f"{a} and {b} hit each other ({force:.0f} N, allowed {self.limit_n:.0f})")
-                for a, b, _, force, _ in self.contacts
-                if force > self.limit_n
-            ),
-        )
+        found: list[Hazard] = []
+        for name, upright in zip(self.names[2:], self._motion["upright"].tolist(), strict=True):
+            tilt = math.acos(max(-1.0, upright))
+            if tilt > TIPPED_RAD:
+                found.append(((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})"))
+        for name, up_m_s in zip(self.names[2:], self._motion["down_m_s"].tolist(), strict=True):
+            if -up_m_s > FALL_M_S:
+                found.append(((name,), f"{name} fell ({-up_m_s:.1f} m/s, allowed {FALL_M_S:.1f})"))
+        for a, b, _, force, _ in self.contacts:
+            if force > self.limit_n:
+                text = f"{a} and {b} hit each other ({force:.0f} N, allowed {self.limit_n:.0f})"
+                found.append(((a, b), text))
+        return tuple(found)
 
     def write(self, path: Path) -> None:
         """Write the contacts as CSV with a line of headings; raise InputError where the disk does not take it."""

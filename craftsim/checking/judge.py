@@ -227,17 +227,18 @@ class Judge:
 
     def _perform(self, schedule: Schedule, legal: bool = True, halts: bool = False) -> tuple[Attempt, ...]:
         before, steps, capped = self.grid, schedule.steps, self.physics.capped_steps
-        waiting = dict(enumerate(steps))
-        found: list[Watched] = []
+        number = {(step.tick, step.car): index for index, step in enumerate(steps)}
+        waiting, found = dict(enumerate(steps)), list[Watched]()
         self._settled = True
         if steps:
             self._watch()
         while True:
-            done = {one.index for one in found if one.outcome and one.outcome.succeeded}
+            ended = (one.step for one in found if one.outcome and one.outcome.succeeded)
+            done = {number[step.tick, step.car] for step in ended}
             halted = halts and any(map(_is_wrong, found))
             for index, step in [] if halted else list(waiting.items()):
                 if step.waits_for <= done and step.car not in self._running:
-                    self._begin(waiting.pop(index), index, legal)
+                    self._begin(waiting.pop(index), legal)
             self.on_change(self.running)
             if not self._running:
                 break
@@ -267,15 +268,14 @@ class Judge:
         over = [running.pop(car) for car in ended]
         lost_cars = self.executor.fleet.lost_cars
         self._stranded |= {one.step.car: one.own for one in over if one.step.car in lost_cars}
-        swaying = {index for one in running.values() for index in one.below}
+        swaying = {row for one in running.values() for row in one.below}
         # What swayed under a car is back once that has ended, or else that car's action is held responsible;
         # actions that began meanwhile saw it elsewhere.
-        self._drift.settle([self._n_cars + index for one in over for index in one.below])
+        self._drift.settle([row for one in over for row in one.below])
         for one in over:
-            rows = [self._n_cars + index for index in one.below]
             for other in (*over, *running.values()):
                 if other is not one:
-                    other.poses[rows] = self._rows[rows]
+                    other.poses[one.below] = self._rows[one.below]
         for one in over:
             self._measure(one, ended[one.step.car], acting, swaying)
             for other in running.values():
@@ -300,11 +300,11 @@ class Judge:
                 ended, left = ended | newly, fleet.late_periods
         return ended
 
-    def _begin(self, step: ScheduledAction, index: int = -1, legal: bool = True) -> None:
+    def _begin(self, step: ScheduledAction, legal: bool = True) -> None:
         running = self._running
         if running and self._looked_s != self.physics.time_s:
             self._look()
-        one = self._now(step, index, legal)
+        one = self._now(step, legal)
         for other in running.values():
             other.cars |= one.cars
             other.meant.update(one.about)
@@ -316,32 +316,32 @@ class Judge:
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
         running[step.car] = one
 
-    def _now(self, step: ScheduledAction, index: int = -1, legal: bool = True) -> Watched:
-        about, physics, names = handled(self.reading, step.after, step.car), self.physics, self._names
+    def _now(self, step: ScheduledAction, legal: bool) -> Watched:
+        reading, n_cars = self.reading, self._n_cars
+        about = [n_cars + index for index in handled(reading, step.after, step.car)]
         return Watched(
             step,
-            index,
             legal,
-            start_s=physics.time_s,
-            capped_steps=physics.capped_steps,
+            start_s=self.physics.time_s,
+            capped_steps=self.physics.capped_steps,
             poses=self._rows.copy(),
-            reading=self.reading,
+            reading=reading,
             about=about,
-            own=(names[step.car], *(names[self._n_cars + index] for index in about)),
-            below=set(under(self.reading, step.after, step.car)),
+            own=tuple(self._names[row] for row in (step.car, *about)),
+            below=[n_cars + index for index in under(reading, step.after, step.car)],
             cars={step.car},
             meant=set(about),
         )
 
     def _unbegun(self, step: ScheduledAction, legal: bool) -> Watched:
         """Return an action that was never begun, as it would be judged now."""
-        one = self._now(step, legal=legal)
+        one = self._now(step, legal)
         self._measure(one, None, set(), set())
         return one
 
     def _expect_rest(self, one: Watched, ended: Watched) -> None:
         """From here on hold it against an action if what one that has ended was about moves."""
-        rows = [ended.step.car, *(self._n_cars + index for index in ended.about)]
+        rows = [ended.step.car, *ended.about]
         one.poses[rows] = self._rows[rows]
         one.meant.difference_update(ended.about)
 
@@ -365,12 +365,10 @@ class Judge:
 
         The latter has been reported, and is held against no later action again.
         """
-        n_cars, limits = self._n_cars, self.thresholds
+        limits = self.thresholds
         drifted = (self._drift.furthest > (limits.bystander_m, limits.bystander_rad)).any(axis=1)
-        left = set(np.flatnonzero(drifted).tolist()) - {n_cars + index for index in swaying}
-        left.update(one.step.car for one in over)
-        left.update(n_cars + index for one in over for index in one.about)
-        self._drift.leave(sorted(left))
+        left = set(np.flatnonzero(drifted).tolist()) - swaying
+        self._drift.leave(left.union(*((one.step.car, *one.about) for one in over)))
         self._known = self._beyond()
 
     def _beyond(self) -> NDArray[np.bool_]:
@@ -380,10 +378,12 @@ class Judge:
     def _measure(self, one: Watched, outcome: Outcome | None, acting: set[int], swaying: set[int]) -> None:
         """Measure what an action has done, at its end."""
         step, car, log = one.step, one.step.car, self.log
-        placed, about, objects = self.reading.cars[car], one.about, self.reading.objects
+        placed, things = (
+            self.reading.cars[car],
+            [self.reading.objects[row - self._n_cars] for row in one.about],
+        )
         # What the car should not carry afterwards is set down, folded, unfolded or shoved.
-        set_down = about[0] if about and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
-        things = [objects[index] for index in about]
+        set_down = things[0] if things and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
         loads = [thing.offset_m for thing in things if thing.carrier is not None]
         others, one.bystanders = self._bystanders(one, acting, swaying)
         one.outcome, one.read = outcome, describe_car(self.grid, car)
@@ -393,11 +393,11 @@ class Judge:
             "heading_error_rad": abs(placed.heading_rad),
             "height_error_m": abs(placed.height_m),
             "tilt_error_rad": placed.tilt_rad,
-            "placed_error_m": None if set_down is None else objects[set_down].offset_m,
+            "placed_error_m": None if set_down is None else set_down.offset_m,
             "seat_error_m": max(loads, default=None),
             "thing_heading_rad": max((abs(thing.heading_rad) for thing in things), default=None),
             "thing_tilt_rad": max((max(thing.tilt_rad, thing.hinge_rad) for thing in things), default=None),
-            "thing_height_m": max((abs(self._too_high_m(index)) for index in about), default=None),
+            "thing_height_m": max((abs(self._too_high_m(row)) for row in one.about), default=None),
             "reach_m": max((thing.reach_m for thing in things), default=None),
             **others,
         }
@@ -408,12 +408,12 @@ class Judge:
             one.contacts = unexpected_contacts(log.news(one.own), names, one.reading, step.after, one.cars)
             one.hazards, one.peak_force_n = log.hazards(), log.peak_n
 
-    def _too_high_m(self, index: int) -> float:
+    def _too_high_m(self, row: int) -> float:
         """Return how much higher a thing stands than the floor of its cell, or is carried than on its seat."""
+        index, machines = row - self._n_cars, self.physics.machines
         thing = self.reading.objects[index]
         if thing.carrier is None:
             return thing.height_m
-        machines = self.physics.machines
         return thing.height_m - lift_m(self.poses.kinds[index], machines.car(thing.carrier), machines)
 
     def _bystanders(
@@ -428,11 +428,10 @@ class Judge:
         errors[:, :2] = list(map(plain(_apart), one.poses.tolist(), rows.tolist()))
         errors[:, 2:4] = self._drift.furthest
         errors[n_cars:, 4:] = np.where(self._known, -math.inf, self.reading.bounded)
-        errors[list(acting)] = -math.inf
-        errors[[n_cars + index for index in one.meant | swaying]] = -math.inf
+        excused = acting | one.meant | swaying
         for reading in (one.reading, self.reading):
-            carried = [n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting]
-            errors[carried] = -math.inf
+            excused.update(n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting)
+        errors[list(excused)] = -math.inf
         largest, names = dict.fromkeys(BYSTANDER_ERRORS, 0.0), dict.fromkeys(BYSTANDER_ERRORS, "")
         for error, values in zip(BYSTANDER_ERRORS, errors.T, strict=True):
             row = int(values.argmax())  # nan is the largest

@@ -146,11 +146,11 @@ class ContactLog:
     @property
     def contacts(self) -> tuple[Contact, ...]:
         """All that touched, those first that touched first."""
-        names, found = self.names, []
-        for pair in np.flatnonzero(np.isfinite(self._pairs["since_s"])).tolist():
-            first, second = divmod(pair, len(names))
-            since_s, peak_n = (float(self._pairs[field][pair]) for field in ("since_s", "peak_n"))
-            found.append(Contact(names[first], names[second], since_s, peak_n, bool(self._at_start[pair])))
+        names, n = self.names, len(self.names)
+        pairs = np.flatnonzero(np.isfinite(self._pairs["since_s"]))
+        known = (self._pairs["since_s"], self._pairs["peak_n"], self._at_start)
+        columns = zip(pairs.tolist(), *(values[pairs].tolist() for values in known), strict=True)
+        found = (Contact(names[pair // n], names[pair % n], *rest) for pair, *rest in columns)
         return tuple(sorted(found, key=lambda contact: contact.since_s))
 
     def news(self, machines: Collection[str]) -> tuple[Contact, ...]:

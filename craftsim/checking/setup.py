@@ -25,9 +25,8 @@ from craftsim.models.parts import ALLOWED_M
 from craftsim.models.randomization import NONE, DomainRandomization, load_noise, randomize
 from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise, Sensors
 from craftsim.models.world import PhysicsWorld
-from craftsim.skills.disturbances import Disturbance, DisturbedFleet
 from craftsim.skills.executor import Executor
-from craftsim.skills.fleet import Fleet
+from craftsim.skills.fleet import Disturbance, DisturbedFleet, Fleet
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.library import OwnSkill, SkillChoice, own_skills
 from craftsim.storage.records import record

@@ -19,7 +19,7 @@ from craftsim.discrete.tasks import make_task
 from craftsim.envs import parallel_env
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import InputError
-from craftsim.skills.disturbances import Disturbance
+from craftsim.skills.fleet import Disturbance
 from craftsim.validation import validation
 from craftsim.validation.replanning import Replanning, without
 from craftsim.validation.rollout import Run, Terms, do_run

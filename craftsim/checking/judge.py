@@ -235,7 +235,9 @@ class Judge:
         while True:
             ended = (one.step for one in found if one.outcome and one.outcome.succeeded)
             done = {number[step.tick, step.car] for step in ended}
-            halted = halts and any(map(_is_wrong, found))
+            halted = halts and any(
+                not one.applied or one.errors["bystander_displacement_m"] > PLACE_TOLERANCE_M for one in found
+            )
             for index, step in [] if halted else list(waiting.items()):
                 if step.waits_for <= done and step.car not in self._running:
                     self._begin(waiting.pop(index), legal)
@@ -243,8 +245,11 @@ class Judge:
             if not self._running:
                 break
             found += self._run()
-        found += [self._unbegun(step, True) for step in waiting.values()]
-        found += [self._unbegun(step, False) for step in schedule.forbidden]
+        unbegun = [self._now(step, True) for step in waiting.values()]
+        unbegun += [self._now(step, False) for step in schedule.forbidden]
+        for one in unbegun:
+            self._measure(one, None, set(), set())
+        found += unbegun
         world = self._world_cause(before, schedule.final, self.physics.capped_steps - capped)
         attempts = [attempt_of(one, self._cause(one, world, found), self.thresholds) for one in found]
         place = {act: number for number, act in enumerate(schedule.acts)}
@@ -278,8 +283,11 @@ class Judge:
                     other.poses[one.below] = self._rows[one.below]
         for one in over:
             self._measure(one, ended[one.step.car], acting, swaying)
+            # From here on it is held against what still runs if this car, or what it handled, moves.
+            rows = [one.step.car, *one.about]
             for other in running.values():
-                self._expect_rest(other, one)
+                other.poses[rows] = self._rows[rows]
+                other.meant.difference_update(one.about)
         self._leave(over, swaying)
         return over
 
@@ -312,7 +320,7 @@ class Judge:
         one.cars.update(running)
         if self.log is not None and running:
             self.log.begin_with(one.own)
-        self._drift.begin(step.car)
+        self._drift.strayed_m[step.car], self._drift.path[step.car] = 0.0, np.nan
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
         running[step.car] = one
 
@@ -332,18 +340,6 @@ class Judge:
             cars={step.car},
             meant=set(about),
         )
-
-    def _unbegun(self, step: ScheduledAction, legal: bool) -> Watched:
-        """Return an action that was never begun, as it would be judged now."""
-        one = self._now(step, legal)
-        self._measure(one, None, set(), set())
-        return one
-
-    def _expect_rest(self, one: Watched, ended: Watched) -> None:
-        """From here on hold it against an action if what one that has ended was about moves."""
-        rows = [ended.step.car, *ended.about]
-        one.poses[rows] = self._rows[rows]
-        one.meant.difference_update(ended.about)
 
     def _look(self) -> None:
         self._looked_s = self.physics.time_s
@@ -492,8 +488,8 @@ class Drift:
         """By how many metres, and by what angle in radians, each has been away from its place at most: that of the
         one rotation that leads there."""
         n_cars = len(physics.cars)
-        self.strayed_m, self._path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
-        """(n,): how far each car was beside its path at most since its action began."""
+        self.strayed_m, self.path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
+        """(n,): how far each car was beside its path at most since its action began; (n, 2): where it should be."""
         self.leave(range(len(places)))
 
     def speed_m_s(self) -> float:
@@ -516,23 +512,19 @@ class Drift:
         """Note how far everything is from its place; call it after each control period."""
         _note_away(self._qpos, self._starts, self._left, self.furthest)
 
-    def begin(self, car: int) -> None:
-        """Forget how far a car was beside its path: its next action begins."""
-        self.strayed_m[car], self._path[car] = 0.0, np.nan
-
     def stray(self, paths: Floats) -> None:
         """Note how far each driving car is from its path, (n, 3) as of an executor; call it after each control period.
 
         A car is a little behind where it should be by now, so it is held against the last piece of its way.
         """
-        path, start = paths[:, :2], self._path
+        path, start = paths[:, :2], self.path
         at = self._qpos[self._places[: len(path), :2]]
         way = path - start
         length = np.maximum((way * way).sum(axis=1), 1e-12)
         share = np.clip(((at - start) * way).sum(axis=1) / length, 0.0, 1.0)
         beside = np.hypot(*(at - start - share[:, None] * way).T)
         self.strayed_m = np.fmax(self.strayed_m, beside)
-        self._path = path
+        self.path = path
 
 
 @compiled
@@ -555,8 +547,3 @@ def _apart(one: Floats, other: Floats) -> tuple[float, float]:
     y = a * g - c * e - d * f + b * h
     z = a * h - d * e - b * g + c * f
     return metres, 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
-
-
-def _is_wrong(found: Watched) -> bool:
-    """Return whether the world is not as an action should leave it, for any car that goes on in it."""
-    return not found.applied or bool(found.errors["bystander_displacement_m"] > PLACE_TOLERANCE_M)

@@ -36,6 +36,7 @@ from craftsim.skills.state import (
     RUNNING,
     STOP,
     constants_of,
+    ending,
     outcome_of,
 )
 from craftsim.storage.limits import Range
@@ -370,9 +371,4 @@ def step_own(skill: Skill, now: CarMeasurement) -> Command:
 
 def _check_own(skill: Skill, now: CarMeasurement) -> None:
     """End the skill of a car in no state to act."""
-    task = records(1, NO_TASK.dtype)[0]
-    status = _health(skill.setup, now)
-    task["status"], task["ended_s"], task["detail"], task["second_detail"] = (
-        *(status, skill.elapsed_s, now.pitch, now.roll),
-    )
-    skill.outcome = outcome_of(task)
+    skill.outcome = ending(_health(skill.setup, now), skill.elapsed_s, now.pitch, now.roll)

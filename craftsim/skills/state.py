@@ -194,8 +194,12 @@ def constants_of(car: SmartcarParameters, machines: Machines, gains: Gains, peri
 
 def outcome_of(task: np.void) -> Outcome | None:
     """Return how a task has ended; None while it runs."""
-    status = int(task["status"])
+    return ending(int(task["status"]), float(task["ended_s"]), task["detail"], task["second_detail"])
+
+
+def ending(status: int, ended_s: float, detail: float, second_detail: float) -> Outcome | None:
+    """Return the outcome of a task with a status and the numbers that its text holds; None for RUNNING."""
     if status == RUNNING:
         return None
     reason, text = _ENDINGS[status]
-    return Outcome(reason, float(task["ended_s"]), text.format(task["detail"], task["second_detail"]))
+    return Outcome(reason, ended_s, text.format(detail, second_detail))

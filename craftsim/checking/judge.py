@@ -42,9 +42,9 @@ from craftsim.skills.outcome import Outcome
 from craftsim.skills.skill import Terrain
 
 SETTLED_M_S: Final = 0.01
-"""Below this speed a thing counts as at rest: eight times what was seen at the end of any good action."""
+"""Below this speed a thing is at rest: eight times the largest at the end of any good action."""
 SETTLE_S: Final = 1.0
-"""How long what still moves when nothing is commanded may take to come to rest before the world is read."""
+"""Time for things to come to rest after the last action, before the world is read."""
 
 Integers = NDArray[np.integer]
 Joint = Sequence[tuple[int, Action]]
@@ -56,8 +56,7 @@ OnChange = Callable[[dict[int, ScheduledAction]], None]
 class Judge:
     """The one judge: performs actions on a PhysicsWorld and returns an :class:`Attempt` for each.
 
-    Everything ends as soon as something unsafe happens: all motors stop, and the world is read as it is then. Each
-    prediction starts from what was read last.
+    If something unsafe happens, all motors stop and all actions end. Each prediction starts from the last reading.
 
     Whole plans are performed as schedules. Actions may also begin one by one while others run: :meth:`begin` starts
     one, and :meth:`next` runs to the next ending.
@@ -74,15 +73,15 @@ class Judge:
 
         Args:
             executor: moves the cars; nothing else may command its PhysicsWorld.
-            rules: predict.
+            rules: for the predictions.
             thresholds: limits of the errors; the default ones unless given.
-            watch_contacts: False saves the contact log, 3 % of the time; then nothing is found to be unsafe.
+            watch_contacts: False saves the contact log, 3 % of the time; nothing is unsafe then.
         """
         self.executor, self.physics, self.rules = executor, executor.physics, rules
         self.thresholds = thresholds or Thresholds()
         self.on_change: OnChange = lambda running: None
         self.log = ContactLog(self.physics, self.thresholds.force) if watch_contacts else None
-        """Since an action last began while no other ran; of a car and its things since its own last action began."""
+        """Contacts since an action last began while no other ran; of a car and its things since its last beginning."""
         if self.log is not None:
             executor.observers.append(self.log.sample)
             executor.step_observer = self.log.look
@@ -99,7 +98,7 @@ class Judge:
         self._names = [f"car {car}" for car in range(self._n_cars)]
         self._names += map(self.poses.name, range(len(self.poses.kinds)))
         self._known = self._beyond()
-        """(n, 2): which objects are not as they should stand or be carried, and have been reported so."""
+        """(n, 2): objects that do not stand, or are not carried, as they should, and have been reported."""
         self._running: dict[int, Watched] = {}
         """By car, in the order in which they began."""
         self._stranded: dict[int, tuple[str, ...]] = {}
@@ -256,13 +255,13 @@ class Judge:
         return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
 
     def _watch(self) -> None:
-        """From here on look at what moves, touches, tips and falls."""
+        """Begin to note motion and contacts."""
         self._drift.settle(slice(None))
         if self.log is not None:
             self.log.begin()
 
     def _run(self, until_s: float | None = None) -> list[Watched]:
-        """Run to the next ending, or to a time, read the world, and return what has ended with what it did."""
+        """Run to the next ending, or to a time, read the world, and return the measured actions that have ended."""
         running, ended = self._running, self._ended(until_s)
         if ended and len(ended) == len(running):
             self._settled = self._settle()
@@ -274,8 +273,8 @@ class Judge:
         lost_cars = self.executor.fleet.lost_cars
         self._stranded |= {one.step.car: one.own for one in over if one.step.car in lost_cars}
         swaying = {row for one in running.values() for row in one.below}
-        # What swayed under a car is back once that has ended, or else that car's action is held responsible;
-        # actions that began meanwhile saw it elsewhere.
+        # A stack that swayed under a car has to be back at the end of that car's action, and of no other: actions that
+        # began meanwhile saw it elsewhere.
         self._drift.settle([row for one in over for row in one.below])
         for one in over:
             for other in (*over, *running.values()):
@@ -292,10 +291,7 @@ class Judge:
         return over
 
     def _ended(self, until_s: float | None = None) -> dict[int, Outcome]:
-        """Return the outcomes of the actions that end next, by car, once what their cars did can be seen.
-
-        None where a time comes first.
-        """
+        """Return the outcomes of the actions that end next, by car, once their effects show; none before a time."""
         ended: dict[int, Outcome] = {}
         executor, fleet = self.executor, self.executor.fleet
         left, most_s = fleet.late_periods, math.inf
@@ -357,9 +353,9 @@ class Judge:
         return self._drift.speed_m_s() <= SETTLED_M_S
 
     def _leave(self, over: Sequence[Watched], swaying: set[int]) -> None:
-        """Hold what ended actions handled against where it is now, and what is too far from its place as well.
+        """Take the present poses as the places of what ended actions handled, and of what has drifted too far.
 
-        The latter has been reported, and is held against no later action again.
+        The latter has been reported, and does not count against later actions.
         """
         limits = self.thresholds
         drifted = (self._drift.furthest > (limits.bystander_m, limits.bystander_rad)).any(axis=1)
@@ -368,7 +364,7 @@ class Judge:
         self._known = self._beyond()
 
     def _beyond(self) -> NDArray[np.bool_]:
-        """Return (n, 2): which objects are not as they should stand or be carried."""
+        """Return (n, 2): which objects do not stand, or are not carried, as they should."""
         return ~(self.reading.bounded <= (self.thresholds.placed_m, self.thresholds.tilt_rad))
 
     def _measure(self, one: Watched, outcome: Outcome | None, acting: set[int], swaying: set[int]) -> None:
@@ -405,7 +401,7 @@ class Judge:
             one.hazards, one.peak_force_n = log.hazards(), log.peak_n
 
     def _too_high_m(self, row: int) -> float:
-        """Return how much higher a thing stands than the floor of its cell, or is carried than on its seat."""
+        """Return the height of a thing above the floor of its cell, or above its seat."""
         index, machines = row - self._n_cars, self.physics.machines
         thing = self.reading.objects[index]
         if thing.carrier is None:
@@ -415,9 +411,9 @@ class Judge:
     def _bystanders(
         self, one: Watched, acting: set[int], swaying: set[int]
     ) -> tuple[dict[str, float], dict[str, str]]:
-        """Return the largest of each error of what an action does not concern, and the name of what has it, by field.
+        """Return the largest of each error of bystanders, and the name of the bystander, by field.
 
-        What sways under a car that still drives is held against that car's action at its end.
+        What sways under a car that still drives counts for that car's action.
         """
         n_cars, rows = self._n_cars, self._rows
         errors = np.full((len(rows), len(BYSTANDER_ERRORS)), -math.inf)
@@ -436,10 +432,7 @@ class Judge:
         return largest, names
 
     def _world_cause(self, before: Grid, predicted: Grid, gave_up: int) -> Cause:
-        """Compare the reading with the prediction; what is worse than a difference comes first.
-
-        ``gave_up`` counts the physics steps in between in which the solver gave up.
-        """
+        """Compare the reading with the prediction; ``gave_up`` counts physics steps without convergence."""
         if self.physics.diverged:
             return "diverged", ("the simulation broke down and started over",)
         cause = compare(before, predicted, self.reading)
@@ -455,7 +448,7 @@ class Judge:
         return ("numerics", (*impossible, *cause[1])) if impossible else cause
 
     def _cause(self, one: Watched, world: Cause | None, all_watched: Sequence[Watched]) -> Cause:
-        """Return what the verdict on one of many actions rests on; ``world`` is None while others still run."""
+        """Return the cause of the verdict on one of many actions; ``world`` is None while others still run."""
         car, action = one.step.car, one.step.action
         if one.outcome is None:
             why = f"car {car} waits for an action that failed"
@@ -471,25 +464,22 @@ class Judge:
 
 
 class Drift:
-    """How far cars and things are from the places where they should stand still, and driving cars from their paths.
+    """The distances of cars and things from the places where they should stand, and of driving cars from their paths.
 
-    Machines are numbered as poses are: cars by id, then objects. A place is that of the start, or the one at which
-    :meth:`leave` was called last; many small movements add up against it. What moves away and comes back counts as
-    well: it is looked at after each control period.
+    Machines are numbered as poses are: cars by id, then objects. A place is the pose at the start, or at the last call
+    of :meth:`leave`: many small movements add up. It is checked after each control period.
     """
 
     def __init__(self, physics: PhysicsWorld, places: NDArray[np.intp]) -> None:
         """Take the places where everything is now; ``places`` says where their poses, (n, 7), lie in qpos."""
-        self._qpos, self._qvel = physics.data.qpos, physics.data.qvel
-        self._places, self._starts = places, places[:, 0].copy()
-        joints = [int(np.flatnonzero(physics.model.jnt_qposadr == start)[0]) for start in self._starts]
+        self._qpos, self._qvel, self._places = physics.data.qpos, physics.data.qvel, places
+        joints = np.searchsorted(physics.model.jnt_qposadr, places[:, 0])
         self._speeds = physics.model.jnt_dofadr[joints].astype(np.intp)[:, None] + np.arange(3)
         self._left, self.furthest = np.zeros((len(places), 7)), np.zeros((len(places), 2))
-        """By how many metres, and by what angle in radians, each has been away from its place at most: that of the
-        one rotation that leads there."""
+        """(n, 2): the largest distance in metres, and angle in radians, of each machine from its place."""
         n_cars = len(physics.cars)
         self.strayed_m, self.path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
-        """(n,): how far each car was beside its path at most since its action began; (n, 2): where it should be."""
+        """(n,): each car's largest distance from its path since its action began; (n, 2): its last set point."""
         self.leave(range(len(places)))
 
     def speed_m_s(self) -> float:
@@ -498,24 +488,24 @@ class Drift:
         return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
 
     def leave(self, machines: Iterable[int]) -> None:
-        """From here on hold these against where they are now."""
+        """Take the present poses of these as their places."""
         rows = list(machines)
         self._left[rows] = self._qpos[self._places[rows]]
         self.furthest[rows] = 0.0
 
     def settle(self, machines: slice | list[int]) -> None:
-        """Forget how far these have been from their places: of what was meanwhile only where it ends counts."""
+        """Forget earlier distances of these: only the present ones count."""
         self.furthest[machines] = 0.0
         self.look()
 
     def look(self, _: PhysicsWorld | None = None) -> None:
-        """Note how far everything is from its place; call it after each control period."""
-        _note_away(self._qpos, self._starts, self._left, self.furthest)
+        """Note the distance of everything from its place; call it after each control period."""
+        _note_away(self._qpos, self._places, self._left, self.furthest)
 
     def stray(self, paths: Floats) -> None:
-        """Note how far each driving car is from its path, (n, 3) as of an executor; call it after each control period.
+        """Note the distance of each driving car from the last segment of its path; call it after each control period.
 
-        A car is a little behind where it should be by now, so it is held against the last piece of its way.
+        ``paths`` (n, 3) are the set points of an executor.
         """
         path, start = paths[:, :2], self.path
         at = self._qpos[self._places[: len(path), :2]]
@@ -529,9 +519,10 @@ class Drift:
 
 @compiled
 def _note_away(qpos: Floats, places: Integers, left: Floats, furthest: Floats) -> None:
-    """Note how far each machine, its free joint in qpos at ``places``, is from the pose where it was left."""
+    """Note the distance of each machine, its pose in qpos at ``places`` (n, 7), from its place in ``left``."""
     for i in range(len(places)):
-        metres, radians = _apart(qpos[places[i] : places[i] + 7], left[i])
+        start = places[i, 0]
+        metres, radians = _apart(qpos[start : start + 7], left[i])
         furthest[i, 0], furthest[i, 1] = max(furthest[i, 0], metres), max(furthest[i, 1], radians)
 
 

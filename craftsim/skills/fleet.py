@@ -34,16 +34,16 @@ _LIFTED: Final = 0.5
 
 
 class Wires(NamedTuple):
-    """Where compiled laws leave the motors' commands, as :func:`craftsim.skills.laws.step_cars` takes them."""
+    """Where compiled laws write the motors' commands (:func:`craftsim.skills.laws.step_cars`)."""
 
     cars: Records
-    """(n,) WIRING: where a car's motors lie in ``ctrl``."""
+    """(n,) WIRING: indices of a car's motors in ``ctrl``."""
     plugs: Records
-    """UNDERSIDE of each slope: where its hinge's motor lies."""
+    """(n_slopes,) UNDERSIDE: the index of each slope's hinge motor."""
     speeds: Floats
-    """(n, 4) rad/s: what the wheels' servos were told last."""
+    """(n, 4) rad/s: the present commands of the wheels' servos."""
     share: Floats
-    """(1,): by what share these approach a new command in a control period."""
+    """(1,): the share by which these approach a new command in a control period."""
     ctrl: Floats
     """The commands."""
 
@@ -67,12 +67,12 @@ class Fleet(Protocol):
         """Return the newest readings of all cars, shape (n,) of READING; the array is used again by the next ones."""
 
     def attend(self) -> None:
-        """Get ready: cars that were left alone are about to act."""
+        """Measure anew: cars that were idle are about to act."""
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
-        """Let one control period pass under the commands on the wires, and take the readings of its end.
+        """Execute the commands on the wires for one control period, and measure; do nothing once :attr:`lost`.
 
-        ``observe`` is called after every physics step, where there are some. Once :attr:`lost`, nothing passes.
+        ``observe`` is called after every physics step, if there are any.
         """
 
     def stop(self, car: int, slope: int) -> None:
@@ -101,7 +101,7 @@ class PhysicsFleet:
         return self.sensors.read()
 
     def attend(self) -> None:
-        """Do nothing: while nobody acts, no time passes."""
+        """Do nothing: no time passes while cars are idle."""
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Let one control period pass."""

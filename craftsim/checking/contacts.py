@@ -33,7 +33,7 @@ from craftsim.storage.writing import whole
 
 TIPPED_RAD: Final = INCLINE_RAD + TILT_TOLERANCE_RAD
 """Limit of the tilt of anything: the incline and the tolerance of standing on it. What should stand still has narrower
-limits (:class:`craftsim.checking.judge.Drift`)."""
+limits (:class:`craftsim.checking.drift.Drift`)."""
 FALL_M_S: Final = 0.5
 """Limit of the downward speed of anything: a drop of 13 mm. Descents and boards stay below 0.14 m/s."""
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -69,12 +70,11 @@ class SkillSetup:
     """Control period."""
     terrain: Terrain = Terrain()
     """The ground of a move."""
-    constants: Records = field(init=False, repr=False, compare=False)
-    """(1,) KNOWN of :mod:`craftsim.skills.state`, read-only: the same for compiled laws."""
 
-    def __post_init__(self) -> None:
-        constants = constants_of(self.machine, self.machines, self.gains, self.period_s)
-        object.__setattr__(self, "constants", constants)
+    @cached_property
+    def constants(self) -> Records:
+        """(1,) KNOWN of :mod:`craftsim.skills.state`, read-only: the same for compiled laws."""
+        return constants_of(self.machine, self.machines, self.gains, self.period_s)
 
     def on(self, terrain: Terrain) -> SkillSetup:
         """Return the same for a move on other ground."""
@@ -139,9 +139,8 @@ def begin_move(
     drive = task["drive"]
     drive["waits"], drive["pace"] = loaded and terrain.tight and not terrain.sloping, 1.0
     drive["step_x"], drive["step_y"] = DIRECTIONS[direction]
-    drive["sloping"], drive["start_rad"], drive["end_rad"] = (
-        *(terrain.sloping, terrain.start_rad, terrain.end_rad),
-    )
+    drive["sloping"], drive["start_rad"] = terrain.sloping, terrain.start_rad
+    drive["end_rad"] = terrain.end_rad
 
 
 def begin_turn(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from craftsim.checking.contacts import Contact, Hazard
 from craftsim.discrete.actions import ACTIONS
@@ -217,46 +217,36 @@ class Thresholds:
     machines can exert (:func:`craftsim.checking.contacts.impact_limit_n`)."""
 
 
-class BoundedError(NamedTuple):
-    """An error of an action with its limit."""
-
-    field: str
-    """Field of :class:`Attempt`, with its unit as suffix."""
-    limit: str
-    """Field of :class:`Thresholds`."""
-    words: str
-    of_bystanders: bool = False
-    """Whether it is an error of bystanders."""
-
-
-BOUNDED_ERRORS: Final = (
-    BoundedError("car_error_m", "car_m", "the car is {} off"),
-    BoundedError("heading_error_rad", "heading_rad", "the car is turned by {}"),
-    BoundedError("height_error_m", "height_m", "the car's height is {} off"),
-    BoundedError("tilt_error_rad", "tilt_rad", "the car leans by {}"),
-    BoundedError("placed_error_m", "placed_m", "the thing is set down {} off"),
-    BoundedError("seat_error_m", "placed_m", "the load is {} off its seat"),
-    BoundedError("thing_heading_rad", "placed_heading_rad", "the thing is turned by {}"),
-    BoundedError("thing_tilt_rad", "tilt_rad", "the thing leans, or its hinge stands, {} off"),
-    BoundedError("thing_height_m", "height_m", "the thing's height is {} off"),
-    BoundedError("reach_m", "placed_m", "the thing is {} too near to a neighbouring cell"),
-    BoundedError("bystander_displacement_m", "bystander_m", "{name} was moved by {}", True),
-    BoundedError("bystander_turn_rad", "bystander_rad", "{name} was turned by {}", True),
-    BoundedError("drift_m", "bystander_m", "{name} was {} away from where it was left", True),
-    BoundedError("drift_rad", "bystander_rad", "{name} was turned {} away from how it was left", True),
-    BoundedError("bystander_reach_m", "placed_m", "{name} is {} too near to a neighbouring cell", True),
-    BoundedError("bystander_tilt_rad", "tilt_rad", "{name} leans, or its hinge stands, {} off", True),
-)
-"""All errors with their limits, in the order of reasons: those of the car first."""
+BOUNDED_ERRORS: Final = {
+    "car_error_m": ("car_m", "the car is {} off"),
+    "heading_error_rad": ("heading_rad", "the car is turned by {}"),
+    "height_error_m": ("height_m", "the car's height is {} off"),
+    "tilt_error_rad": ("tilt_rad", "the car leans by {}"),
+    "placed_error_m": ("placed_m", "the thing is set down {} off"),
+    "seat_error_m": ("placed_m", "the load is {} off its seat"),
+    "thing_heading_rad": ("placed_heading_rad", "the thing is turned by {}"),
+    "thing_tilt_rad": ("tilt_rad", "the thing leans, or its hinge stands, {} off"),
+    "thing_height_m": ("height_m", "the thing's height is {} off"),
+    "reach_m": ("placed_m", "the thing is {} too near to a neighbouring cell"),
+    "bystander_displacement_m": ("bystander_m", "{name} was moved by {}"),
+    "bystander_turn_rad": ("bystander_rad", "{name} was turned by {}"),
+    "drift_m": ("bystander_m", "{name} was {} away from where it was left"),
+    "drift_rad": ("bystander_rad", "{name} was turned {} away from how it was left"),
+    "bystander_reach_m": ("placed_m", "{name} is {} too near to a neighbouring cell"),
+    "bystander_tilt_rad": ("tilt_rad", "{name} leans, or its hinge stands, {} off"),
+}
+"""For each error, a field of :class:`Attempt`: its limit, a field of :class:`Thresholds`, and its text for a reason. In
+the order of reasons: those of the car first."""
+BYSTANDER_ERRORS: Final = tuple(error for error, (_, words) in BOUNDED_ERRORS.items() if "{name}" in words)
+"""Errors of what an action does not concern."""
 
 
 @dataclass
 class Watched:
     """An action being judged: the world at its start and the measurements at its end."""
 
-    index: int
-    """Index in the schedule."""
     step: ScheduledAction
+    legal: bool
     start_s: float
     capped_steps: int
     """Unconverged steps: of the PhysicsWorld before the action, at its end those of the action."""
@@ -264,16 +254,15 @@ class Watched:
     """(n, 7) poses of cars and objects; for an object moved by an action that ended meanwhile, its pose after that."""
     reading: Reading
     about: list[int]
-    """Indices of the objects that the action handles."""
+    """Rows of the objects that the action handles, in ``poses``."""
     own: tuple[str, ...]
     """Names of the car and these objects."""
-    below: set[int]
-    """Objects below the car: a stack sways under it until it is at rest."""
+    below: list[int]
+    """Rows of the objects below the car: a stack sways under it until it is at rest."""
     cars: set[int]
     """Cars that act meanwhile, its own included."""
     meant: set[int]
-    """Objects that may move: those handled by this action and by concurrent ones."""
-    legal: bool = True
+    """Rows of the objects that may move: those handled by this action and by concurrent ones."""
     outcome: Outcome | None = None
     """Outcome of the skill; None if it was never started."""
     differences: tuple[str, ...] = ()
@@ -295,21 +284,22 @@ class Watched:
         """Whether the skill succeeded and the part of the world that it changes reads as predicted."""
         return not self.differences and self.outcome is not None and self.outcome.succeeded
 
-    def exceeded(self, limits: Thresholds) -> list[BoundedError]:
+    def exceeded(self, limits: Thresholds) -> list[str]:
         """Return the errors above their limits, or not finite."""
-        values = ((one, self.errors[one.field]) for one in BOUNDED_ERRORS)
-        return [one for one, value in values if value is not None and not value <= getattr(limits, one.limit)]
+        found = [(error, getattr(limits, limit)) for error, (limit, _) in BOUNDED_ERRORS.items()]
+        return [e for e, limit in found if self.errors[e] is not None and not self.errors[e] <= limit]
 
-    def excesses(self, exceeded: Iterable[BoundedError], limits: Thresholds, of_others: bool) -> list[str]:
-        """Describe the errors above their limits, of this action or of bystanders (one distance and one angle each)."""
+    def excesses(self, limits: Thresholds, of_bystanders: bool) -> list[str]:
+        """Describe the errors above their limits: one distance and one angle of each bystander."""
         found: dict[Any, str] = {}
-        for one in exceeded:
-            if one.of_bystanders is of_others:
-                unit = "mm" if one.field.endswith("_m") else "mrad"
-                name, value = self.bystanders.get(one.field, ""), self.errors[one.field]
-                what = one.words.format(f"{1e3 * value:.2f} {unit}", name=name)
-                text = f"{what} (allowed {1e3 * getattr(limits, one.limit):.2f})"
-                found.setdefault((name, unit) if name else one, text)
+        for error in self.exceeded(limits):
+            if (error in BYSTANDER_ERRORS) is of_bystanders:
+                limit, words = BOUNDED_ERRORS[error]
+                unit = "mm" if error.endswith("_m") else "mrad"
+                name = self.bystanders.get(error, "")
+                what = words.format(f"{1e3 * self.errors[error]:.2f} {unit}", name=name)
+                text = f"{what} (allowed {1e3 * getattr(limits, limit):.2f})"
+                found.setdefault((name, unit) if name else error, text)
         return list(found.values())[:_SHOWN]
 
 
@@ -333,8 +323,7 @@ def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
     step, outcome = watched.step, watched.outcome
     row, after = step.before.cars[step.car], step.after.cars[step.car]
     load = int(row[CarField.LOAD])
-    exceeded = watched.exceeded(limits)
-    verdict = verdict_of(watched, cause, exceeded)
+    verdict = verdict_of(watched, cause, limits)
     return Attempt(
         tick=step.tick,
         car=step.car,
@@ -348,7 +337,7 @@ def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
         result=verdict.value,
         finding=cause[0],
         skill="not performed" if outcome is None else str(outcome),
-        reason="" if verdict is Verdict.AS_PREDICTED else reason_of(watched, cause, exceeded, limits),
+        reason="" if verdict is Verdict.AS_PREDICTED else _reason_of(watched, cause, limits),
         differences=cause[1],
         predicted=describe_car(step.after, step.car),
         read=watched.read,
@@ -361,24 +350,24 @@ def attempt_of(watched: Watched, cause: Cause, limits: Thresholds) -> Attempt:
     )
 
 
-def verdict_of(watched: Watched, cause: Cause, exceeded: Iterable[BoundedError]) -> Verdict:
+def verdict_of(watched: Watched, cause: Cause, limits: Thresholds) -> Verdict:
     """Return the verdict on an action. Hazards make it unsafe even if the reading is as predicted.
 
     A disagreement after an unconverged step is attributed to the solver.
     """
-    finding, lines = cause
+    (finding, lines), exceeded = cause, watched.exceeded(limits)
     verdict = VERDICTS[finding]
     if verdict not in (Verdict.UNSAFE, Verdict.SOLVER):
         problems = lines if finding == "unreadable" else ()
         concerned = any(line.startswith(f"{name} ") for line in problems for name in watched.own)
-        if not watched.applied or concerned or any(not one.of_bystanders for one in exceeded):
+        if not watched.applied or concerned or not set(exceeded) <= set(BYSTANDER_ERRORS):
             verdict = Verdict.FAILED
-        elif verdict is Verdict.AS_PREDICTED and any(exceeded):
+        elif verdict is Verdict.AS_PREDICTED and exceeded:
             verdict = Verdict.SIDE_EFFECT
     return Verdict.SOLVER if watched.capped_steps and verdict is not Verdict.AS_PREDICTED else verdict
 
 
-def reason_of(watched: Watched, cause: Cause, exceeded: Iterable[BoundedError], limits: Thresholds) -> str:
+def _reason_of(watched: Watched, cause: Cause, limits: Thresholds) -> str:
     """Return the reason of a failure: hazards, exceeded limits, the skill's report or differences, then contacts."""
     (finding, differences), outcome = cause, watched.outcome
     if outcome is None:
@@ -387,9 +376,9 @@ def reason_of(watched: Watched, cause: Cause, exceeded: Iterable[BoundedError], 
     if watched.capped_steps and not parts:
         parts = [capped_text(watched.capped_steps)]
     parts += [text for _, text in watched.hazards[:_SHOWN]]
-    own = watched.excesses(exceeded, limits, of_others=False) if watched.applied else []
+    own = watched.excesses(limits, of_bystanders=False) if watched.applied else []
     parts += own if outcome.succeeded else [str(outcome)]
-    parts += watched.excesses(exceeded, limits, of_others=True)
+    parts += watched.excesses(limits, of_bystanders=True)
     if not parts:
         parts += differences[:1]
     if watched.strayed_m and (own or not watched.applied):

@@ -1,7 +1,7 @@
-"""What touches what while an action runs, how hard, how far things lean and how fast they fall; and what is unsafe.
+"""Contacts, tilt and vertical speed of machines while an action runs; and what of it is unsafe.
 
-The log looks at contacts after every physics step, and at motion between control periods, at 50 Hz: a thing that falls
-by 25 mm or more is faster than 0.5 m/s when it is looked at.
+Contacts are read after every physics step, motion after every control period, at 50 Hz: a thing that falls by 25 mm or
+more is then faster than 0.5 m/s.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from craftsim.skills.state import GRAVITY
 from craftsim.storage.writing import whole
 
 TIPPED_RAD: Final = INCLINE_RAD + TILT_TOLERANCE_RAD
-"""How far anything may lean, 0.33 rad: the incline, and as much more as still counts as standing on it. What should
-stand still is held against narrower limits (:class:`craftsim.checking.judge.Drift`)."""
+"""Limit of the tilt of anything: the incline and the tolerance of standing on it. What should stand still has narrower
+limits (:class:`craftsim.checking.drift.Drift`)."""
 FALL_M_S: Final = 0.5
-"""How fast anything may move down: a drop of 13 mm. Descents and boards stay below 0.14 m/s."""
+"""Limit of the downward speed of anything: a drop of 13 mm. Descents and boards stay below 0.14 m/s."""
 
 Hazard = tuple[tuple[str, ...], str]
-"""Something unsafe that happened: the names of the machines concerned, and a text with what was allowed."""
+"""An unsafe event: the names of the machines concerned, and a text with the limit."""
 Numbers = NDArray[np.integer]
 
 PAIR: Final = np.dtype(
@@ -48,12 +48,10 @@ PAIR: Final = np.dtype(
     ],
     align=True,
 )
-"""Two machines, a < b, as record a * n_machines + b: when they were first seen to touch (inf for never) and the hardest
-force so far; the net force while it is summed up, and whether they touch. ``touched`` and ``blow`` are lists of pairs
-that start at the first record, whichever pair that is."""
+"""Two machines a < b, record a * n_machines + b: time of the first contact (inf without one) and peak force; the net
+force while it is summed, and whether they touch. The columns ``touched`` and ``blow`` are lists of pairs."""
 MOTION: Final = np.dtype([("qpos", "i8"), ("qvel", "i8"), ("down_m_s", "f8"), ("upright", "f8")], align=True)
-"""A machine: where its free joint lies in qpos and in qvel, its least vertical speed and the least cosine of its tilt
-so far."""
+"""A machine: indices of its free joint in qpos and in qvel, its least vertical speed and cosine of tilt so far."""
 WORST: Final = np.dtype(
     [
         *(("n_machines", "i8"), ("limit_n", "f8"), ("hardest_n", "f8"), ("recent_n", "f8")),
@@ -61,11 +59,11 @@ WORST: Final = np.dtype(
     ],
     align=True,
 )
-"""Of all machines: how many there are, what counts as a blow, the hardest force since the log began and since the last
-control period, and the least of both fields of MOTION."""
+"""Of all machines: their number, the limit of forces, the largest force since the log began and since the last control
+period, and the least of both fields of MOTION."""
 
 _REACH_M: Final = 1.5 * CELL_PITCH_M
-"""How far any part of a machine is from the middle of the machine at most: that of a flap's tip."""
+"""Largest distance of any part of a machine from its middle: that of a flap's tip."""
 
 
 class Contact(NamedTuple):
@@ -89,11 +87,11 @@ class ContactLog:
     """
 
     def __init__(self, physics: PhysicsWorld, force: float = 1.0) -> None:
-        """Prepare for a world, and begin; ``force`` is the share of :func:`impact_limit_n` that is no blow yet."""
+        """Prepare for a world, and begin; ``force`` is the limit as a share of :func:`impact_limit_n`."""
         self.physics = physics
         machines, model = physics.machine_names, physics.model
         self.names, self._machine = machines.names, machines.of_geom
-        """Of all machines: what is fixed first, then those that move in the order of their bodies."""
+        """All machines: two that are fixed, then those that move in the order of their bodies."""
         self._roots = list(machines.roots)
         self._weigh()
         joints = model.body_jntadr[self._roots]
@@ -102,7 +100,7 @@ class ContactLog:
         self._worst = records(1, WORST)
         self._worst["n_machines"] = len(self.names)
         self._worst["limit_n"] = self.limit_n = force * impact_limit_n(physics.machines)
-        """What counts as a blow."""
+        """Limit of the force between two machines."""
         self.period_n = 0.0
         """The largest force between any two machines in the last control period."""
         self._at_start = np.zeros(len(self._pairs), np.bool_)
@@ -114,13 +112,13 @@ class ContactLog:
         self._motion["down_m_s"], self._motion["upright"] = 0.0, 1.0
         self._worst["hardest_n"] = self._worst["recent_n"] = self._worst["down_m_s"] = 0.0
         self._worst["upright"] = 1.0
-        self._all_begun_s, self._begun_s, self._looked_s = self.physics.data.time, math.nan, math.nan
+        self._begun_s = self._looked_s = math.nan
         self._forget(np.ones(len(self._pairs), np.bool_))
 
     def begin_with(self, machines: Collection[str]) -> None:
-        """Forget what these touched, and note what they touch now: an action with them begins while others run."""
-        if self._all_begun_s != self.physics.data.time:
-            self._forget(self._of(machines))
+        """Begin anew for these machines: their action begins while others run."""
+        one_of = np.isin(self.names, list(machines))
+        self._forget((one_of[:, None] | one_of).ravel())
 
     def _forget(self, pairs: NDArray[np.bool_]) -> None:
         self._pairs["since_s"][pairs], self._pairs["peak_n"][pairs] = math.inf, 0.0
@@ -129,51 +127,44 @@ class ContactLog:
         self._note(self._awake)
         self._at_start[pairs] = np.isfinite(self._pairs["since_s"][pairs])
 
-    def _of(self, machines: Collection[str]) -> NDArray[np.bool_]:
-        """Return the pairs with any of these machines."""
-        one_of = np.isin(self.names, list(machines))
-        return (one_of[:, None] | one_of).ravel()
-
     def look(self) -> None:
-        """Note what touches and how hard; call it after each physics step, such as by being an executor's observer."""
+        """Note contacts; call it after each physics step, as an executor's ``step_observer``."""
         self._looked_s = self.physics.data.time
         self._note(self.physics.data)
 
     def sample(self, _: PhysicsWorld | None = None) -> None:
-        """Note contacts and motion; call it after each control period, such as by being an executor's observer."""
+        """Note contacts and motion; call it after each control period, as an executor's observer."""
         data = self.physics.data
         if self._looked_s != data.time:
             self.look()
-        self._all_begun_s = self._begun_s = math.nan
+        self._begun_s = math.nan
         self.period_n, self._worst["recent_n"] = float(self._worst["recent_n"][0]), 0.0
         note_motion(data.qpos, data.qvel, self._motion, self._worst)
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """All that touched, those first that touched first."""
-        return self._contacts(np.isfinite(self._pairs["since_s"]))
+        """All contacts, in the order of their beginnings."""
+        names, n = self.names, len(self.names)
+        pairs = np.flatnonzero(np.isfinite(self._pairs["since_s"]))
+        known = (self._pairs["since_s"], self._pairs["peak_n"], self._at_start)
+        columns = zip(pairs.tolist(), *(values[pairs].tolist() for values in known), strict=True)
+        found = (Contact(names[pair // n], names[pair % n], *rest) for pair, *rest in columns)
+        return tuple(sorted(found, key=lambda contact: contact.since_s))
 
     def news(self, machines: Collection[str]) -> tuple[Contact, ...]:
-        """Return the contacts of these machines that were not there when the log began, the first one first."""
-        new = np.isfinite(self._pairs["since_s"]) & ~self._at_start
-        return self._contacts(new & self._of(machines)) if new.any() else ()
-
-    def _contacts(self, chosen: NDArray[np.bool_]) -> tuple[Contact, ...]:
-        names, found = self.names, []
-        for pair in np.flatnonzero(chosen).tolist():
-            first, second = divmod(pair, len(names))
-            since_s, peak_n = (float(self._pairs[field][pair]) for field in ("since_s", "peak_n"))
-            found.append(Contact(names[first], names[second], since_s, peak_n, bool(self._at_start[pair])))
-        return tuple(sorted(found, key=lambda contact: contact.since_s))
+        """Return the contacts of these machines that did not exist when the log began."""
+        return tuple(
+            c for c in self.contacts if not c.at_start and (c.first in machines or c.second in machines)
+        )
 
     @property
     def peak_n(self) -> float:
-        """The largest force between any two machines, the ground included; 0 where nothing touched."""
+        """The largest force between any two machines, the ground included; 0 without contacts."""
         return float(self._worst["hardest_n"][0])
 
     @property
     def impossible(self) -> tuple[str, ...]:
-        """A line for each force that nothing here could have produced."""
+        """A line for each force that is physically impossible."""
         n = len(self.names)
         return tuple(
             f"{self.names[pair // n]} and {self.names[pair % n]} press on each other with {force:.0f} N, more than "
@@ -183,12 +174,12 @@ class ContactLog:
 
     @property
     def fall_m_s(self) -> float:
-        """The fastest that any machine moved down."""
+        """The largest downward speed of any machine."""
         return -float(self._worst["down_m_s"][0])
 
     @property
     def tilt_rad(self) -> float:
-        """The furthest that any machine leaned."""
+        """The largest tilt of any machine."""
         return math.acos(max(-1.0, float(self._worst["upright"][0])))
 
     def is_unsafe(self) -> bool:
@@ -196,28 +187,22 @@ class ContactLog:
         return self.tilt_rad > TIPPED_RAD or self.fall_m_s > FALL_M_S or self.peak_n > self.limit_n
 
     def hazards(self) -> tuple[Hazard, ...]:
-        """Return all that was unsafe since the log began, each with what was allowed."""
+        """Return all that was unsafe since the log began."""
         if not self.is_unsafe():
             return ()
-        tilts = np.arccos(np.clip(self._motion["upright"], -1.0, 1.0)).tolist()
-        falls = (-self._motion["down_m_s"]).tolist()
-        return (
-            *(
-                ((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})")
-                for name, tilt in zip(self.names[2:], tilts, strict=True)
-                if tilt > TIPPED_RAD
-            ),
-            *(
-                ((name,), f"{name} fell ({speed:.1f} m/s, allowed {FALL_M_S:.1f})")
-                for name, speed in zip(self.names[2:], falls, strict=True)
-                if speed > FALL_M_S
-            ),
-            *(
-                ((a, b), f"{a} and {b} hit each other ({force:.0f} N, allowed {self.limit_n:.0f})")
-                for a, b, _, force, _ in self.contacts
-                if force > self.limit_n
-            ),
-        )
+        found: list[Hazard] = []
+        for name, upright in zip(self.names[2:], self._motion["upright"].tolist(), strict=True):
+            tilt = math.acos(max(-1.0, upright))
+            if tilt > TIPPED_RAD:
+                found.append(((name,), f"{name} tipped ({tilt:.2f} rad, allowed {TIPPED_RAD:.2f})"))
+        for name, up_m_s in zip(self.names[2:], self._motion["down_m_s"].tolist(), strict=True):
+            if -up_m_s > FALL_M_S:
+                found.append(((name,), f"{name} fell ({-up_m_s:.1f} m/s, allowed {FALL_M_S:.1f})"))
+        for a, b, _, force, _ in self.contacts:
+            if force > self.limit_n:
+                text = f"{a} and {b} hit each other ({force:.0f} N, allowed {self.limit_n:.0f})"
+                found.append(((a, b), text))
+        return tuple(found)
 
     def write(self, path: Path) -> None:
         """Write the contacts as CSV with a line of headings; raise InputError where the disk does not take it."""
@@ -227,7 +212,7 @@ class ContactLog:
             writer.writerows(self.contacts)
 
     def _note(self, data: mujoco.MjData) -> None:
-        """Note what touches, and how hard; look closer at forces as hard as a hazard that are new peaks."""
+        """Note contacts; check whether new peaks above the limit are physically possible."""
         if not data.ncon:
             return
         contact = data.contact
@@ -242,7 +227,7 @@ class ContactLog:
                 self._impossible[pair] = force, possible
 
     def _weigh(self) -> None:
-        """Take masses and motors of the PhysicsWorld as they are drawn."""
+        """Read masses and motor limits of the PhysicsWorld."""
         physics, model = self.physics, self.physics.model
         self._mass = model.body_subtreemass[self._roots]
         self._dof = model.body_dofadr[self._roots].astype(np.intp)
@@ -259,12 +244,12 @@ class ContactLog:
             )
 
     def _possible_n(self, machines: Sequence[int]) -> float:
-        """Return the largest force in the last step between machines that weights, motors and motion account for.
+        """Return the largest possible force between machines in the last step, given weights, motors and motion.
 
-        A force is passed on along machines that touch, so all of one island count. Weights, wheels, boards and hinges,
-        the last by the lever of the gear, load a contact up to twice as much when they are put on at once. What moves
-        has its momentum to lose, and loses it over one physics step at least: m v / h, times :func:`stopping_ratio`. A
-        solver that has not converged knows none of these limits, and forces above are its doing.
+        Touching machines pass forces on, so all of one island count. Weights, wheels, boards and hinges, the last by
+        the lever of the gear, load a contact up to twice as much when applied at once. What moves loses its momentum
+        over one physics step at least: m v / h, times :func:`stopping_ratio`. Larger forces come from a solver that has
+        not converged.
         """
         data, step = self.physics.data, self.physics.config.timestep_s
         islands = data.tree_island[self._tree]
@@ -278,12 +263,10 @@ class ContactLog:
 
 @lru_cache(maxsize=16)
 def impact_limit_n(machines: Machines = NOMINAL) -> float:
-    """Return how hard two machines may press on each other, in newtons; 461 N for the nominal ones.
+    """Return the largest force between two machines without an impact, in newtons; 461 N for the nominal ones.
 
-    The heaviest loaded car weighs W = 112 N, and its wheel motors push with F = 202 N at most. The weight acts down and
-    the wheels push along the ground, so both together are sqrt(W^2 + F^2) = 231 N. What is put on at once loads a stiff
-    contact up to twice as much as it does at rest: 461 N. More can only come from the motion of something that is
-    stopped: a blow.
+    The heaviest loaded car weighs W = 112 N, and its wheel motors push with F = 202 N at most, at right angles to the
+    weight: sqrt(W^2 + F^2) = 231 N. Applied at once, it loads a stiff contact up to twice as much as at rest: 461 N.
     """
     load = max(machines.block.mass_kg, machines.slope.mass_kg)
     return max(
@@ -293,7 +276,7 @@ def impact_limit_n(machines: Machines = NOMINAL) -> float:
 
 
 def stopping_ratio(contact: ContactParameters, timestep_s: float) -> float:
-    """Return the speed that a contact takes from a thing in one step, by the speed at which it came.
+    """Return the speed that a contact takes from a thing in one step, as a share of its approach speed.
 
     MuJoCo's contact is a spring and damper per unit of mass, b = 2 / (d T) and k = 1 / (d T z)^2, of time constant T,
     damping ratio z and largest impedance d (its documentation, "Solver parameters"). At a depth of one step's way it
@@ -315,11 +298,11 @@ def note_contacts(
     pairs: Record,
     worst: Record,
 ) -> int:
-    """Note the pairs of machines that touch, with the hardest net force of each; return how many blows are new peaks.
+    """Note the net force of each pair of touching machines; return the number of new peaks above the limit.
 
-    Normal forces are summed as vectors: of a boss that is wedged between pads they cancel out, and move neither.
-    ``frame`` (n, 9) starts with the normal, which points at ``geom2``; at ``efc_address`` is, with elliptic cones, the
-    normal force (MuJoCo, mj_contactForce). ``machine`` (n_geom,) is that of each geom. Pairs of blows are in ``pairs``.
+    Normal forces are summed as vectors: those of a boss that is wedged between pads cancel out. ``frame`` (n, 9) starts
+    with the normal, which points at ``geom2``; at ``efc_address`` is, with elliptic cones, the normal force (MuJoCo,
+    mj_contactForce). ``machine`` (n_geom,) is that of each geom. ``pairs.blow`` lists the pairs of new peaks.
     """
     n_touched, n_machines = 0, worst[0].n_machines
     for i in range(len(geom1)):
@@ -355,7 +338,7 @@ def note_contacts(
 
 @compiled
 def note_motion(qpos: Floats, qvel: Floats, motion: Record, worst: Record) -> None:
-    """Note how fast each machine moves down, and how upright it is."""
+    """Note the vertical speed and the tilt of each machine."""
     for i in range(len(motion)):
         at = motion[i].qpos
         tilt_x, tilt_y = qpos[at + 4], qpos[at + 5]
@@ -372,10 +355,10 @@ def unexpected_contacts(
     predicted: Grid,
     cars: Collection[int],
 ) -> tuple[Contact, ...]:
-    """Return those of some contacts that the prediction does not explain, hardest first.
+    """Return the contacts that the prediction does not explain, largest force first.
 
-    A car and what it handles may touch each other, and what bears them where they are and where they should be.
-    ``names`` are those of the objects, ``cars`` those that act.
+    A car and what it handles may touch each other, and what bears them before and after the action. ``names`` are those
+    of the objects, ``cars`` those that act.
     """
     if not contacts:
         return ()
@@ -404,7 +387,7 @@ def unexpected_contacts(
 
 
 def handled(before: Reading, predicted: Grid, car: int) -> list[int]:
-    """Return the objects, by their index, that an action is about: the car's load, what it takes, turns or shoves."""
+    """Return the indices of the objects that an action handles: the car's load, what it takes, folds or shoves."""
     here, there = cell_of(before.grid, car), cell_of(predicted, car)
     loads = [index for index, thing in enumerate(before.objects) if thing.carrier == car]
     shoved = [] if there == here else _changing(before, predicted, there)
@@ -412,10 +395,7 @@ def handled(before: Reading, predicted: Grid, car: int) -> list[int]:
 
 
 def under(before: Reading, predicted: Grid, car: int) -> list[int]:
-    """Return the objects, by their index, that a car stands and drives on, down to the ground.
-
-    A car on the foot of a slope is in the same cell as the foot, and on the slope all the same.
-    """
+    """Return the indices of the objects below a car on its way, down to the ground; a foot in its own cell, too."""
     stands = sorted((cell_of(before.grid, car), cell_of(predicted, car)))
     tops = {cell[:2]: cell[2] for cell in stands}
     return [
@@ -426,7 +406,7 @@ def under(before: Reading, predicted: Grid, car: int) -> list[int]:
 
 
 def _changing(before: Reading, predicted: Grid, cell: Cell) -> list[int]:
-    """Return the objects that stand in a cell which should hold something else afterwards."""
+    """Return the indices of the objects in a cell that should hold something else afterwards."""
     x, y, z = cell
     if z >= predicted.cells.shape[2] or before.grid.cells[x, y, z, KIND] == predicted.cells[x, y, z, KIND]:
         return []

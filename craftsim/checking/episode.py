@@ -1,9 +1,8 @@
-"""Episodes in physics: recipes, the steps of which they are made, what became of them, and a bound on their time.
+"""Episodes in physics: recipes, the steps of which they are made, their results, and a limit of their time.
 
-A recipe is all that it takes to do something in physics again, in a form that JSON knows. It always starts from a
-reset: MuJoCo's state vector leaves out which trees sleep and what it keeps of them, and skills, localisers and noise
-have states of their own; a start and the actions since say it all. That the world before the last step is the same
-again is checked, not assumed (:mod:`craftsim.experiments.bundle`).
+A recipe is all that is needed to repeat an episode, as JSON values. It always starts from a reset, because MuJoCo's
+state vector is not the whole state: trees sleep, and skills, estimators and noise have states of their own. Replays
+check that the world before the last step is the same (:mod:`craftsim.experiments.bundle`).
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from craftsim.storage.writing import LEFT_OUT_IF_EMPTY
 
 @dataclass(frozen=True)
 class Act:
-    """What one car is to do. Raises InputError for an action that there is not."""
+    """The action of one car. Raises InputError for an unknown action."""
 
     car: int
     action: str
@@ -51,25 +50,25 @@ class Act:
 
 @dataclass(frozen=True)
 class Step:
-    """What is done at one time: one action, or with an ``order`` one tick of many cars, or a whole plan.
+    """One action; or, with an ``order``, one tick of many cars, or a whole plan.
 
     Raises InputError for several actions without an order, for an intended world with one, for a car that acts twice
     in a tick, for more actions than allowed, and for times that are not one a tick.
     """
 
     ticks: Listed[Listed[Act]]
-    """In each tick every car acts once at most, in the order given."""
+    """In each tick every car acts once at most, in acting order."""
     order: Concurrency | None = None
-    """Which actions may run at the same time; None performs a single action by itself."""
+    """None for a single action."""
     intended: str | None = None
-    """The world, as a blueprint, that a single action should lead to although the rules forbid it."""
+    """The world, as a blueprint, that a single forbidden action should lead to."""
     number: int = 0
     """Of the first tick."""
     after: Listed[tuple[tuple[int, int], tuple[int, int]]] = ()
     """Order constraints of a plan: an action's (tick, car), and that of one that must have ended before it; ticks count
     from the first of the step."""
     starts_s: Listed[float] = field(default=(), metadata={LEFT_OUT_IF_EMPTY: True})
-    """Simulated time at which each tick begins, whatever still runs; empty where actions begin as the order says."""
+    """Simulated time at which each tick begins, whatever still runs; empty if actions begin by the order."""
 
     def __post_init__(self) -> None:
         if self.order is None and len(self.acts) != 1:
@@ -94,12 +93,12 @@ class Step:
 
     @property
     def intended_grid(self) -> Grid | None:
-        """The intended world, where there is one. Raises BlueprintError for one that is none."""
+        """The intended world, if any. Raises BlueprintError for an invalid one."""
         return None if self.intended is None else _grid(self.intended)
 
     @classmethod
     def single(cls, tick: int, car: int, action: Action, intended: Grid | None = None) -> Step:
-        """Return the step of one action; ``intended`` is what a forbidden one should lead to."""
+        """Return the step of one action, with the intended world of a forbidden one."""
         world = None if intended is None else blueprint_text(intended)
         return cls(((Act(car, action.name),),), None, world, tick)
 
@@ -122,20 +121,20 @@ class Step:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to make a world in physics, and what to do in it; the last step is the one of interest."""
+    """The configuration and the actions of an episode; the last step is the one of interest."""
 
     world: str
-    """The start as a blueprint that leaves nothing to chance."""
+    """The start as a blueprint without random parts."""
     steps: Listed[Step] = ()
     setup: Setup = field(default_factory=Setup)
     seed: Seed = SEED_0
-    """Of the draw of the physics and of the sensors' noise."""
+    """Of the randomization and of the sensors' noise."""
     goals: Listed[Cell] = ()
     """Cells that get a marker without contact."""
 
     @property
     def grid(self) -> Grid:
-        """The start. Raises BlueprintError for a world that is none."""
+        """The start. Raises BlueprintError for an invalid world."""
         return _grid(self.world)
 
     def then(self, *steps: Step) -> Recipe:
@@ -145,7 +144,7 @@ class Recipe:
 
 @lru_cache(maxsize=2)
 def _blueprint(text: str) -> Blueprint:
-    """Return the blueprint of a world, or of an intended one; many trials start from the same."""
+    """Parse a world; many trials start from the same one."""
     return parse_blueprint(text, "world of a recipe")
 
 
@@ -171,7 +170,7 @@ def start(recipe: Recipe, reuse: PhysicsWorld | None = None) -> Judge:
 
 
 def check_recipe(recipe: Recipe) -> Grid:
-    """Return the start of a recipe; raise InputError for a world that physics does not take, and for wrong steps."""
+    """Return the start of a recipe. Raises InputError for an invalid world or invalid steps."""
     grid = recipe.grid
     check_extent(grid, recipe.goals)
     acts = [act for step in recipe.steps for act in step.acts]
@@ -188,10 +187,7 @@ def check_recipe(recipe: Recipe) -> Grid:
 
 
 def do(judge: Judge, step: Step) -> tuple[Attempt, ...]:
-    """Do one step and return an attempt for each of its actions.
-
-    Raises InputError where an action cannot begin at its time.
-    """
+    """Do one step and return an attempt for each action. Raises InputError if one cannot begin at its time."""
     if step.order is None:
         act = step.acts[0]
         return (judge.perform(act.car, Action[act.action], step.intended_grid, step.number),)
@@ -250,10 +246,9 @@ def perform(
     thresholds: Thresholds | None = None,
     skills: SkillChoice | None = None,
 ) -> Attempt:
-    """Let one car perform one action on a PhysicsWorld, and judge it on the poses that it ends with.
+    """Perform one action of one car on a PhysicsWorld, and judge it by the resulting poses.
 
-    The world goes on from where it stands, so that calls can follow each other. What the rules forbid is not performed;
-    the attempt then says why.
+    The world goes on from its present state. A forbidden action is not performed; the attempt says why.
 
     Args:
         physics: the world.
@@ -266,7 +261,7 @@ def perform(
         skills: of your own in place of built-in ones, as :class:`craftsim.Executor` takes them.
 
     Raises:
-        InputError: there is no such car or action, or something stood in something else at the PhysicsWorld's start.
+        InputError: there is no such car or action, or solids overlapped at the PhysicsWorld's start.
 
     Example:
         >>> import craftsim
@@ -290,23 +285,23 @@ class Episode:
     """An episode in physics."""
 
     recipe: Recipe
-    """Its start and all its steps: it is re-run bit for bit from this."""
+    """Its start and all its steps, from which it can be repeated bit for bit."""
     steps: tuple[tuple[Attempt, ...], ...]
     """The attempts of each step, forbidden ones included."""
     reached: bool | None
-    """Whether the goal is reached in physics; None where there is none."""
+    """Whether the goal is reached in physics; None without a goal."""
     reached_by_rules: bool | None
     """Whether the same plan or policy reaches it by the rules alone."""
     end_s: float
     """Simulated time."""
     problems: tuple[str, ...]
-    """Why the world at the end cannot be read as a grid; empty when it can."""
+    """Why the world at the end cannot be read as a grid; empty if it can."""
     ending: Mapping[str, str | float] | None = None
-    """How a building that was planned, and planned again, ended; None where no plans were made on the way.
+    """The result of building with replanning; None without it.
 
     ``ended`` is ``built``, ``gave up`` or ``not readable``, and ``why`` says why it is not built; ``replans`` counts
-    further plans, ``planned_s`` is the makespan of the first one by the table of durations, and ``disturbed`` says in
-    words what was done to the world on purpose. Texts are empty where there is nothing to say.
+    further plans, ``planned_s`` is the makespan of the first one by the table of durations, and ``disturbed`` describes
+    a declared disturbance. Texts may be empty.
     """
 
     @property
@@ -359,14 +354,14 @@ def unwatched(judge: Judge) -> OnAttempts:
 
 
 class OverrunError(InputError):
-    """What was begun takes more simulated time than it was given."""
+    """Something takes more simulated time than allowed."""
 
 
 def limit_time(judge: Judge, most_s: float, what: str) -> Callable[[], float]:
-    """Give whatever is done next in a world so much simulated time, all together; return what says how much has passed.
+    """Limit the simulated time of what is done next in a world; return a function that returns the time passed.
 
-    What takes longer ends with OverrunError, which calls it ``what``. Control periods are counted, for the simulation's
-    clock starts over when the simulation breaks down.
+    OverrunError names ``what`` takes longer. Control periods are counted, because the simulation's clock starts over
+    when the simulation diverges.
     """
     n_periods, period_s = 0, judge.physics.config.control_period_s
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import (
     AGREES,
-    BOUNDED_ERRORS,
+    BYSTANDER_ERRORS,
     Attempt,
     Cause,
     Thresholds,
@@ -21,8 +21,9 @@ from craftsim.checking.attempt import (
     compare,
 )
 from craftsim.checking.contacts import ContactLog, handled, under, unexpected_contacts
+from craftsim.checking.drift import Drift, apart
 from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.discrete.kernel.jit import compiled, plain
+from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import (
     PLACE_TOLERANCE_M,
@@ -36,32 +37,25 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
 from craftsim.models.composition import lift_m
 from craftsim.models.measuring import Floats
-from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
 from craftsim.skills.skill import Terrain
 
 SETTLED_M_S: Final = 0.01
-"""Below this speed a thing counts as at rest: eight times what was seen at the end of any good action."""
+"""Below this speed a thing is at rest: eight times the largest at the end of any good action."""
 SETTLE_S: Final = 1.0
-"""How long what still moves when nothing is commanded may take to come to rest before the world is read."""
+"""Time for things to come to rest after the last action, before the world is read."""
 
-Integers = NDArray[np.integer]
 Joint = Sequence[tuple[int, Action]]
 """(car, action) in acting order."""
 OnChange = Callable[[dict[int, ScheduledAction]], None]
 """Called with the running actions by car whenever one begins or ends."""
 
 
-_BYSTANDERS: Final = [one.field for one in BOUNDED_ERRORS if one.of_bystanders]
-"""Errors of what an action does not concern; the last two are those of the reading."""
-
-
 class Judge:
     """The one judge: performs actions on a PhysicsWorld and returns an :class:`Attempt` for each.
 
-    Everything ends as soon as something unsafe happens: all motors stop, and the world is read as it is then. Each
-    prediction starts from what was read last.
+    If something unsafe happens, all motors stop and all actions end. Each prediction starts from the last reading.
 
     Whole plans are performed as schedules. Actions may also begin one by one while others run: :meth:`begin` starts
     one, and :meth:`next` runs to the next ending.
@@ -78,15 +72,15 @@ class Judge:
 
         Args:
             executor: moves the cars; nothing else may command its PhysicsWorld.
-            rules: predict.
+            rules: for the predictions.
             thresholds: limits of the errors; the default ones unless given.
-            watch_contacts: False saves the contact log, 3 % of the time; then nothing is found to be unsafe.
+            watch_contacts: False saves the contact log, 3 % of the time; nothing is unsafe then.
         """
         self.executor, self.physics, self.rules = executor, executor.physics, rules
         self.thresholds = thresholds or Thresholds()
         self.on_change: OnChange = lambda running: None
         self.log = ContactLog(self.physics, self.thresholds.force) if watch_contacts else None
-        """Since an action last began while no other ran; of a car and its things since its own last action began."""
+        """Contacts since an action last began while no other ran; of a car and its things since its last beginning."""
         if self.log is not None:
             executor.observers.append(self.log.sample)
             executor.step_observer = self.log.look
@@ -102,7 +96,7 @@ class Judge:
         self._names = [f"car {car}" for car in range(self._n_cars)]
         self._names += map(self.poses.name, range(len(self.poses.kinds)))
         self._known = self._beyond()
-        """(n, 2): which objects are not as they should stand or be carried, and have been reported so."""
+        """(n, 2): objects that do not stand, or are not carried, as they should, and have been reported."""
         self._running: dict[int, Watched] = {}
         """By car, in the order in which they began."""
         self._stranded: dict[int, tuple[str, ...]] = {}
@@ -230,36 +224,42 @@ class Judge:
 
     def _perform(self, schedule: Schedule, legal: bool = True, halts: bool = False) -> tuple[Attempt, ...]:
         before, steps, capped = self.grid, schedule.steps, self.physics.capped_steps
-        waiting = dict(enumerate(steps))
-        found: list[Watched] = []
+        number = {(step.tick, step.car): index for index, step in enumerate(steps)}
+        waiting, found = dict(enumerate(steps)), list[Watched]()
         self._settled = True
         if steps:
             self._watch()
         while True:
-            done = {one.index for one in found if one.outcome and one.outcome.succeeded}
-            halted = halts and any(map(_is_wrong, found))
+            ended = (one.step for one in found if one.outcome and one.outcome.succeeded)
+            done = {number[step.tick, step.car] for step in ended}
+            halted = halts and any(
+                not one.applied or one.errors["bystander_displacement_m"] > PLACE_TOLERANCE_M for one in found
+            )
             for index, step in [] if halted else list(waiting.items()):
                 if step.waits_for <= done and step.car not in self._running:
-                    self._begin(waiting.pop(index), index, legal)
+                    self._begin(waiting.pop(index), legal)
             self.on_change(self.running)
             if not self._running:
                 break
             found += self._run()
-        found += [self._unbegun(step, True) for step in waiting.values()]
-        found += [self._unbegun(step, False) for step in schedule.forbidden]
+        unbegun = [self._now(step, True) for step in waiting.values()]
+        unbegun += [self._now(step, False) for step in schedule.forbidden]
+        for one in unbegun:
+            self._measure(one, None, set(), set())
+        found += unbegun
         world = self._world_cause(before, schedule.final, self.physics.capped_steps - capped)
         attempts = [attempt_of(one, self._cause(one, world, found), self.thresholds) for one in found]
         place = {act: number for number, act in enumerate(schedule.acts)}
         return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
 
     def _watch(self) -> None:
-        """From here on look at what moves, touches, tips and falls."""
+        """Begin to note motion and contacts."""
         self._drift.settle(slice(None))
         if self.log is not None:
             self.log.begin()
 
     def _run(self, until_s: float | None = None) -> list[Watched]:
-        """Run to the next ending, or to a time, read the world, and return what has ended with what it did."""
+        """Run to the next ending, or to a time, read the world, and return the measured actions that have ended."""
         running, ended = self._running, self._ended(until_s)
         if ended and len(ended) == len(running):
             self._settled = self._settle()
@@ -270,27 +270,26 @@ class Judge:
         over = [running.pop(car) for car in ended]
         lost_cars = self.executor.fleet.lost_cars
         self._stranded |= {one.step.car: one.own for one in over if one.step.car in lost_cars}
-        swaying = {index for one in running.values() for index in one.below}
-        # What swayed under a car is back once that has ended, or else that car's action is held responsible;
-        # actions that began meanwhile saw it elsewhere.
-        self._drift.settle([self._n_cars + index for one in over for index in one.below])
+        swaying = {row for one in running.values() for row in one.below}
+        # A stack that swayed under a car has to be back at the end of that car's action, and of no other: actions that
+        # began meanwhile saw it elsewhere.
+        self._drift.settle([row for one in over for row in one.below])
         for one in over:
-            rows = [self._n_cars + index for index in one.below]
             for other in (*over, *running.values()):
                 if other is not one:
-                    other.poses[rows] = self._rows[rows]
+                    other.poses[one.below] = self._rows[one.below]
         for one in over:
             self._measure(one, ended[one.step.car], acting, swaying)
+            # From here on it is held against what still runs if this car, or what it handled, moves.
+            rows = [one.step.car, *one.about]
             for other in running.values():
-                self._expect_rest(other, one)
+                other.poses[rows] = self._rows[rows]
+                other.meant.difference_update(one.about)
         self._leave(over, swaying)
         return over
 
     def _ended(self, until_s: float | None = None) -> dict[int, Outcome]:
-        """Return the outcomes of the actions that end next, by car, once what their cars did can be seen.
-
-        None where a time comes first.
-        """
+        """Return the outcomes of the actions that end next, by car, once their effects show; none before a time."""
         ended: dict[int, Outcome] = {}
         executor, fleet = self.executor, self.executor.fleet
         left, most_s = fleet.late_periods, math.inf
@@ -303,12 +302,11 @@ class Judge:
                 ended, left = ended | newly, fleet.late_periods
         return ended
 
-    def _begin(self, step: ScheduledAction, index: int = -1, legal: bool = True) -> None:
+    def _begin(self, step: ScheduledAction, legal: bool = True) -> None:
         running = self._running
         if running and self._looked_s != self.physics.time_s:
             self._look()
-        one = self._now(step, index)
-        one.legal = legal
+        one = self._now(step, legal)
         for other in running.values():
             other.cars |= one.cars
             other.meant.update(one.about)
@@ -316,37 +314,32 @@ class Judge:
         one.cars.update(running)
         if self.log is not None and running:
             self.log.begin_with(one.own)
-        self._drift.begin(step.car)
+        self._drift.strayed_m[step.car], self._drift.path[step.car] = 0.0, np.nan
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
         running[step.car] = one
 
-    def _now(self, step: ScheduledAction, index: int = -1) -> Watched:
-        about, physics = handled(self.reading, step.after, step.car), self.physics
-        names = self._names
+    def _now(self, step: ScheduledAction, legal: bool) -> Watched:
+        reading, n_cars = self.reading, self._n_cars
+        about = [n_cars + index for index in handled(reading, step.after, step.car)]
         return Watched(
-            *(index, step, physics.time_s, physics.capped_steps, self._rows.copy(), self.reading, about),
-            (names[step.car], *(names[len(physics.cars) + index] for index in about)),
-            *(set(under(self.reading, step.after, step.car)), {step.car}, set(about)),
+            step,
+            legal,
+            start_s=self.physics.time_s,
+            capped_steps=self.physics.capped_steps,
+            poses=self._rows.copy(),
+            reading=reading,
+            about=about,
+            own=tuple(self._names[row] for row in (step.car, *about)),
+            below=[n_cars + index for index in under(reading, step.after, step.car)],
+            cars={step.car},
+            meant=set(about),
         )
-
-    def _unbegun(self, step: ScheduledAction, legal: bool) -> Watched:
-        """Return an action that was never begun, as it would be judged now."""
-        one = self._now(step)
-        one.legal = legal
-        self._measure(one, None, set(), set())
-        return one
-
-    def _expect_rest(self, one: Watched, ended: Watched) -> None:
-        """From here on hold it against an action if what one that has ended was about moves."""
-        rows = [ended.step.car, *(self._n_cars + index for index in ended.about)]
-        one.poses[rows] = self._rows[rows]
-        one.meant.difference_update(ended.about)
 
     def _look(self) -> None:
         self._looked_s = self.physics.time_s
         last = getattr(self, "reading", None)
         self.poses: Poses = self.physics.poses()
-        self._rows = self._drift.poses()
+        self._rows: Floats = self.physics.data.qpos[self.physics.pose_places]
         self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls, last)
 
     def _settle(self) -> bool:
@@ -358,29 +351,29 @@ class Judge:
         return self._drift.speed_m_s() <= SETTLED_M_S
 
     def _leave(self, over: Sequence[Watched], swaying: set[int]) -> None:
-        """Hold what ended actions handled against where it is now, and what is too far from its place as well.
+        """Take the present poses as the places of what ended actions handled, and of what has drifted too far.
 
-        The latter has been reported, and is held against no later action again.
+        The latter has been reported, and does not count against later actions.
         """
-        n_cars, limits = self._n_cars, self.thresholds
+        limits = self.thresholds
         drifted = (self._drift.furthest > (limits.bystander_m, limits.bystander_rad)).any(axis=1)
-        left = set(np.flatnonzero(drifted).tolist()) - {n_cars + index for index in swaying}
-        left.update(one.step.car for one in over)
-        left.update(n_cars + index for one in over for index in one.about)
-        self._drift.leave(sorted(left))
+        left = set(np.flatnonzero(drifted).tolist()) - swaying
+        self._drift.leave(left.union(*((one.step.car, *one.about) for one in over)))
         self._known = self._beyond()
 
     def _beyond(self) -> NDArray[np.bool_]:
-        """Return (n, 2): which objects are not as they should stand or be carried."""
+        """Return (n, 2): which objects do not stand, or are not carried, as they should."""
         return ~(self.reading.bounded <= (self.thresholds.placed_m, self.thresholds.tilt_rad))
 
     def _measure(self, one: Watched, outcome: Outcome | None, acting: set[int], swaying: set[int]) -> None:
         """Measure what an action has done, at its end."""
         step, car, log = one.step, one.step.car, self.log
-        placed, about, objects = self.reading.cars[car], one.about, self.reading.objects
+        placed, things = (
+            self.reading.cars[car],
+            [self.reading.objects[row - self._n_cars] for row in one.about],
+        )
         # What the car should not carry afterwards is set down, folded, unfolded or shoved.
-        set_down = about[0] if about and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
-        things = [objects[index] for index in about]
+        set_down = things[0] if things and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
         loads = [thing.offset_m for thing in things if thing.carrier is not None]
         others, one.bystanders = self._bystanders(one, acting, swaying)
         one.outcome, one.read = outcome, describe_car(self.grid, car)
@@ -390,56 +383,54 @@ class Judge:
             "heading_error_rad": abs(placed.heading_rad),
             "height_error_m": abs(placed.height_m),
             "tilt_error_rad": placed.tilt_rad,
-            "placed_error_m": None if set_down is None else objects[set_down].offset_m,
+            "placed_error_m": None if set_down is None else set_down.offset_m,
             "seat_error_m": max(loads, default=None),
             "thing_heading_rad": max((abs(thing.heading_rad) for thing in things), default=None),
             "thing_tilt_rad": max((max(thing.tilt_rad, thing.hinge_rad) for thing in things), default=None),
-            "thing_height_m": max((abs(self._too_high_m(index)) for index in about), default=None),
+            "thing_height_m": max((abs(self._too_high_m(row)) for row in one.about), default=None),
             "reach_m": max((thing.reach_m for thing in things), default=None),
             **others,
         }
-        one.strayed_m = self._drift.strayed_m(car) if self.physics.uneven else None
+        one.strayed_m = float(self._drift.strayed_m[car]) if self.physics.uneven else None
         one.capped_steps = self.physics.capped_steps - one.capped_steps
         if log is not None:
             names = self._names[self._n_cars :]
             one.contacts = unexpected_contacts(log.news(one.own), names, one.reading, step.after, one.cars)
             one.hazards, one.peak_force_n = log.hazards(), log.peak_n
 
-    def _too_high_m(self, index: int) -> float:
-        """Return how much higher a thing stands than the floor of its cell, or is carried than on its seat."""
+    def _too_high_m(self, row: int) -> float:
+        """Return the height of a thing above the floor of its cell, or above its seat."""
+        index, machines = row - self._n_cars, self.physics.machines
         thing = self.reading.objects[index]
         if thing.carrier is None:
             return thing.height_m
-        machines = self.physics.machines
         return thing.height_m - lift_m(self.poses.kinds[index], machines.car(thing.carrier), machines)
 
     def _bystanders(
         self, one: Watched, acting: set[int], swaying: set[int]
     ) -> tuple[dict[str, float], dict[str, str]]:
-        """Return the largest of each error of what an action does not concern, and the name of what has it, by field.
+        """Return the largest of each error of bystanders, and the name of the bystander, by field.
 
-        What sways under a car that still drives is held against that car's action at its end.
+        What sways under a car that still drives counts for that car's action.
         """
-        n_cars = self._n_cars
-        excused = np.zeros(len(self._rows), np.bool_)
-        excused[list(acting)] = True
-        excused[[n_cars + index for index in one.meant | swaying]] = True
+        n_cars, rows = self._n_cars, self._rows
+        errors = np.full((len(rows), len(BYSTANDER_ERRORS)), -math.inf)
+        errors[:, :2] = list(map(plain(apart), one.poses.tolist(), rows.tolist()))
+        errors[:, 2:4] = self._drift.furthest
+        errors[n_cars:, 4:] = np.where(self._known, -math.inf, self.reading.bounded)
+        excused = acting | one.meant | swaying
         for reading in (one.reading, self.reading):
-            excused[[n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting]] = True
-        largest = np.zeros((len(_BYSTANDERS), 2))
-        _largest_errors(
-            *(self._rows, one.poses, self._drift.furthest, self.reading.bounded),
-            *(excused, self._known, largest),
-        )
-        values, at = largest[:, 0].tolist(), largest[:, 1].astype(np.intp).tolist()
-        names = (self._names[row] if row >= 0 else "" for row in at)
-        return dict(zip(_BYSTANDERS, values, strict=True)), dict(zip(_BYSTANDERS, names, strict=True))
+            excused.update(n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting)
+        errors[list(excused)] = -math.inf
+        largest, names = dict.fromkeys(BYSTANDER_ERRORS, 0.0), dict.fromkeys(BYSTANDER_ERRORS, "")
+        for error, values in zip(BYSTANDER_ERRORS, errors.T, strict=True):
+            row = int(values.argmax())  # nan is the largest
+            if values[row] != -math.inf:
+                largest[error], names[error] = float(values[row]), self._names[row]
+        return largest, names
 
     def _world_cause(self, before: Grid, predicted: Grid, gave_up: int) -> Cause:
-        """Compare the reading with the prediction; what is worse than a difference comes first.
-
-        ``gave_up`` counts the physics steps in between in which the solver gave up.
-        """
+        """Compare the reading with the prediction; ``gave_up`` counts physics steps without convergence."""
         if self.physics.diverged:
             return "diverged", ("the simulation broke down and started over",)
         cause = compare(before, predicted, self.reading)
@@ -455,7 +446,7 @@ class Judge:
         return ("numerics", (*impossible, *cause[1])) if impossible else cause
 
     def _cause(self, one: Watched, world: Cause | None, all_watched: Sequence[Watched]) -> Cause:
-        """Return what the verdict on one of many actions rests on; ``world`` is None while others still run."""
+        """Return the cause of the verdict on one of many actions; ``world`` is None while others still run."""
         car, action = one.step.car, one.step.action
         if one.outcome is None:
             why = f"car {car} waits for an action that failed"
@@ -468,143 +459,3 @@ class Judge:
             if nobodys or world[0] in ("agrees", "unsafe", "numerics", "diverged"):
                 return world
         return AGREES if one.applied else ("wrong place", one.differences or (str(one.outcome),))
-
-
-class Drift:
-    """How far cars and things are from the places where they should stand still, and driving cars from their paths.
-
-    Machines are numbered as poses are: cars by id, then objects. A place is that of the start, or the one at which
-    :meth:`leave` was called last; many small movements add up against it. What moves away and comes back counts as
-    well: it is looked at after each control period.
-    """
-
-    def __init__(self, physics: PhysicsWorld, places: NDArray[np.intp]) -> None:
-        """Take the places where everything is now; ``places`` says where their poses, (n, 7), lie in qpos."""
-        self._qpos, self._qvel = physics.data.qpos, physics.data.qvel
-        self._places, self._starts = places, places[:, 0].copy()
-        joints = [int(np.flatnonzero(physics.model.jnt_qposadr == start)[0]) for start in self._starts]
-        self._speeds = physics.model.jnt_dofadr[joints].astype(np.intp)[:, None] + np.arange(3)
-        self._left, self.furthest = np.zeros((len(places), 7)), np.zeros((len(places), 2))
-        """By how many metres, and by what angle in radians, each has been away from its place at most: that of the
-        one rotation that leads there."""
-        n_cars = len(physics.cars)
-        self._strayed, self._path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
-        self.leave(range(len(places)))
-
-    def poses(self) -> Floats:
-        """Return (n, 7): where everything is now."""
-        found: Floats = self._qpos[self._places]
-        return found
-
-    def speed_m_s(self) -> float:
-        """Return how fast the fastest machine moves now."""
-        velocity = self._qvel[self._speeds]
-        return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
-
-    def leave(self, machines: Iterable[int]) -> None:
-        """From here on hold these against where they are now."""
-        rows = list(machines)
-        self._left[rows] = self._qpos[self._places[rows]]
-        self.furthest[rows] = 0.0
-
-    def settle(self, machines: slice | list[int]) -> None:
-        """Forget how far these have been from their places: of what was meanwhile only where it ends counts."""
-        self.furthest[machines] = 0.0
-        self.look()
-
-    def look(self, _: PhysicsWorld | None = None) -> None:
-        """Note how far everything is from its place; call it after each control period."""
-        _note_away(self._qpos, self._starts, self._left, self.furthest)
-
-    def begin(self, car: int) -> None:
-        """Forget how far a car was beside its path: its next action begins."""
-        self._strayed[car], self._path[car] = 0.0, np.nan
-
-    def strayed_m(self, car: int) -> float:
-        """Return the furthest that a car was beside its path since its action began, in metres."""
-        return float(self._strayed[car])
-
-    def stray(self, paths: Floats) -> None:
-        """Note how far each driving car is from its path, (n, 3) as of an executor; call it after each control period.
-
-        A car is a little behind where it should be by now, so it is held against the last piece of its way.
-        """
-        path, start = paths[:, :2], self._path
-        at = self._qpos[self._places[: len(path), :2]]
-        way = path - start
-        length = np.maximum((way * way).sum(axis=1), 1e-12)
-        share = np.clip(((at - start) * way).sum(axis=1) / length, 0.0, 1.0)
-        beside = np.hypot(*(at - start - share[:, None] * way).T)
-        self._strayed = np.fmax(self._strayed, beside)
-        self._path = path
-
-
-@compiled
-def _note_away(qpos: Floats, places: Integers, left: Floats, furthest: Floats) -> None:
-    """Note how far each machine, its free joint in qpos at ``places``, is from the pose where it was left."""
-    for i in range(len(places)):
-        pose = qpos[places[i] : places[i] + 7]
-        furthest[i, 0] = max(furthest[i, 0], _apart(pose, left[i]))
-        furthest[i, 1] = max(furthest[i, 1], _turned(pose, left[i]))
-
-
-@compiled
-def _apart(one: Floats, other: Floats) -> float:
-    """Return how many metres are between two poses (7,)."""
-    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
-    return math.sqrt(x * x + y * y + z * z)
-
-
-@compiled
-def _turned(one: Floats, other: Floats) -> float:
-    """Return the angle in radians between the unit quaternions of two poses (7,); exact for small ones."""
-    a, b, c, d = one[3], one[4], one[5], one[6]
-    e, f, g, h = other[3], other[4], other[5], other[6]
-    w = a * e + b * f + c * g + d * h
-    x = a * f - b * e - c * h + d * g
-    y = a * g - c * e - d * f + b * h
-    z = a * h - d * e - b * g + c * f
-    return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
-
-
-@plain
-def _largest_errors(
-    now: Floats,
-    then: Floats,
-    furthest: Floats,
-    bounded: Floats,
-    excused: NDArray[np.bool_],
-    known: NDArray[np.bool_],
-    largest: Floats,
-) -> None:
-    """Find the largest of each error of bystanders, once an action.
-
-    ``now`` and ``then`` (n, 7) are poses of cars and objects at the end and the start of the action, ``furthest``
-    (n, 2) that of :class:`Drift`, ``bounded`` (n_objects, 2) that of the reading; ``known`` (n_objects, 2) of these
-    were reported before. ``largest`` (6, 2) takes each error and the machine that has it, -1 for none; nan is largest.
-    """
-    n_cars = len(now) - len(bounded)
-    for k in range(6):
-        largest[k, 0], largest[k, 1] = 0.0, -1.0
-    for i in range(len(now)):
-        if excused[i]:
-            continue
-        for k in range(6):
-            if k >= 4 and (i < n_cars or known[i - n_cars, k - 4]):
-                continue
-            if k == 0:
-                error = _apart(now[i], then[i])
-            elif k == 1:
-                error = _turned(then[i], now[i])
-            elif k < 4:
-                error = furthest[i, k - 2]
-            else:
-                error = bounded[i - n_cars, k - 4]
-            best = largest[k, 0]
-            if largest[k, 1] < 0 or error > best or (math.isnan(error) and not math.isnan(best)):
-                largest[k, 0], largest[k, 1] = error, i
-
-
-def _is_wrong(found: Watched) -> bool:
-    """Return whether the world is not as an action should leave it, for any car that goes on in it."""
-    return not found.applied or bool(found.errors["bystander_displacement_m"] > PLACE_TOLERANCE_M)

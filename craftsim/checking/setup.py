@@ -25,9 +25,8 @@ from craftsim.models.parts import ALLOWED_M
 from craftsim.models.randomization import NONE, DomainRandomization, load_noise, randomize
 from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise, Sensors
 from craftsim.models.world import PhysicsWorld
-from craftsim.skills.disturbances import Disturbance, DisturbedFleet
 from craftsim.skills.executor import Executor
-from craftsim.skills.fleet import Fleet
+from craftsim.skills.fleet import Disturbance, DisturbedFleet, Fleet
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.library import OwnSkill, SkillChoice, own_skills
 from craftsim.storage.records import record
@@ -74,8 +73,8 @@ _MILD: Final = DomainRandomization(
     sensors=MILD,
 )
 """Half of the noise and randomization of strong; limits are halved where that leaves them above those without noise."""
-# A car that knows its place to 1 mm and 3 mrad is allowed three times that, and with mild noise half of it. Two things
-# at these limits can meet in the gap between their cells; they then displace each other, which bystander_m bounds.
+# Three times the noise of strong; half of that for mild. Two things at these limits can touch in the gap between their
+# cells; they then displace each other, which bystander_m bounds.
 _MILD_LIMITS: Final = Thresholds(0.0015, 0.0045, 0.002, 0.001, 0.002, placed_heading_rad=0.0075)
 _STRONG_LIMITS: Final = Thresholds(
     *(0.003, 0.009, 0.004, 0.002, 0.003), tilt_rad=0.015, placed_heading_rad=0.015, bystander_rad=0.008
@@ -121,10 +120,7 @@ RANDOMIZE: Final[Mapping[Randomize, _Terms]] = {
 
 
 def widened(limits: Thresholds, randomization: DomainRandomization) -> Thresholds:
-    """Return limits widened by what no car can know: localisation bias, floor relief, drawn masses and motors.
-
-    A thing whose one axle or foot is lower by the relief of the floor leans, or rocks, by that much.
-    """
+    """Return limits widened by what cars cannot know: localisation bias, floor relief, drawn masses and motors."""
     sensors, relief_m = randomization.sensors, randomization.floor.relief_m
     lean = relief_m / _BASE_M
     return replace(
@@ -285,13 +281,13 @@ def set_up(
     Args:
         grid: the start.
         setup: everything that is configured.
-        seed: decides the physics and the noise that are drawn.
+        seed: of randomization and noise.
         goals: cells to mark.
-        reuse: a PhysicsWorld of an equal grid, simulation, floor and goals to be used again, which saves compiling; its
-            numbers are the same as those of a fresh one.
+        reuse: a PhysicsWorld of an equal grid, simulation, floor and goals, which saves compiling; results are the same
+            as with a new one.
         watch_contacts: as of :class:`Judge`.
 
-    Raises StartError where something would stand in something else.
+    Raises StartError if solids would overlap.
     """
     drawn, sensors, hits = (np.random.default_rng(s) for s in seed.sequence().spawn(3))
     physics = reuse or compile_world(grid, setup, goals)
@@ -323,9 +319,9 @@ def judge_on(
     watch_contacts: bool = True,
     fleet: Fleet | None = None,
 ) -> Judge:
-    """Return the judge on a world in its present state, with its own machines and simulation; None: exact sensors.
+    """Return the judge on a world in its present state, with its own machines and simulation.
 
-    A ``fleet`` are robots elsewhere, of which the PhysicsWorld shows where they are.
+    ``sensors`` are exact unless given; a ``fleet`` are robots elsewhere, whose poses the PhysicsWorld shows.
 
     Raises StartError if solids overlapped when the PhysicsWorld was reset.
     """

@@ -1,16 +1,16 @@
-"""What cars estimate: where they are, how late localisations and motors are, and whether their floor is uneven.
+"""What cars estimate: their poses, the delay of localisations and motors, and whether their floor is uneven.
 
-Odometry is prompt and smooth, so a car is controlled by it; one Kalman filter a car estimates by how much it is off in
-x, y and heading, and by how much localisations are beside the car's place. Uncertainty grows with the way travelled; on
-an uneven floor the velocity of slip to the side is estimated, too.
+Odometry is prompt and smooth, so a car is controlled by it. One Kalman filter a car estimates the errors of odometry in
+x, y and heading, and the biases of its localisations. Uncertainty grows with the way travelled; on an uneven floor the
+velocity of sideways slip is a state, too.
 
-- A localisation is compared with where the car believed to be when it was taken. As far as its age is unknown, it says
-  little while the car moves: a delay that is not known yet cannot make a car swing.
-- Below a block or a slope, in the middle of its cell, line sensors see a marker: where the car is, at once and without
-  bias, unless a car has set it down there. A bias is changed only while such a marker is seen.
+- A localisation is compared with where the car believed to be when it was taken. While its delay is uncertain, it has a
+  large variance in motion: a delay that is not known yet cannot make a car oscillate.
+- Below a block or a slope, line sensors see a marker in the middle of its cell: the car's position, at once and without
+  bias, unless a car has set it down there. A bias is corrected only while such a marker is seen.
 - A delay, of localisations behind odometry or of wheels behind commands, is found from the ways over a short window:
-  for each candidate, in control periods, their squared mismatch; near its least a parabola, whose vertex and width give
-  the delay and its variance. What is assumed before anything has moved is one more parabola.
+  each candidate has a squared mismatch; the vertex of a parabola at its minimum is the delay, its width the variance.
+  The prior is one more parabola.
 """
 
 from __future__ import annotations
@@ -38,43 +38,42 @@ Flags = NDArray[np.bool_]
 WINDOW: Final = 5
 """Control periods over which ways are compared; a period's mismatch counts in so many windows."""
 _SUREST: Final = 0.1
-"""Periods: a delay is known no better than this, for it is not quite constant."""
+"""Least standard deviation of a delay, in periods: it is not quite constant."""
 _OLDEST_S: Final = 0.3
 """The greatest delay that is looked for, unless more is assumed."""
 _COUNTS: Final = 8.0
-"""The assumed noise counts as much as so many localisations at rest..."""
+"""The assumed noise counts as so many localisations at rest..."""
 _MEMORY: Final = 500.0
-"""...and these as much as so many at most."""
+"""...and what was measured as so many at most."""
 _ALIKE_M: Final = 0.05
-"""So far wheels slip alike: as long as two of them stand loose, or something is pushed..."""
+"""Correlation length of wheel slip: as long as two wheels stand loose, or something is pushed..."""
 _LOOSE: Final = 100.0
-"""...but over a period by no more than ten times their share."""
+"""...up to this factor of the variance in one period."""
 _STILL_M_S: Final = 0.002
 """A car that rolls slower than this rests."""
 _LEAST: Final = 1e-12
-"""m^2 or rad^2: what is exact is not taken to be quite so."""
+"""Least variance of a measurement, in m^2 or rad^2."""
 _ALIKE: Final = 100.0
-"""A delay that is believed wrongly is so for all localisations of a move: about so many count as one."""
+"""An error of the delay is common to all localisations of a move: so many count as one."""
 _DOUBT: Final = 0.1
-"""By this share of its way an outlier makes a car doubt where it is, so that it believes one after the other."""
+"""Share of an outlier's distance by which it widens the estimate, so that a car believes several in a row."""
 _OUTLIER: Final = 4.0
-"""A measurement that is further off than so many standard deviations pulls no more than one that is so far off."""
+"""Standard deviations beyond which a measurement is an outlier; it is clipped there."""
 _LOWERED_M: Final = 0.003
 """Below this height the board touches nothing: what is above stands where the map says."""
 _LEVEL_RAD: Final = 0.05
 """A car that leans further stands on a slope, where nothing is above it."""
 _FEWEST: Final = 5
-"""Readings of the floor without which there is doubt: fewer do not show how much they scatter."""
+"""Least number of readings of the floor: fewer do not show how much they scatter."""
 _SURE: Final = 3.0
-"""There is no doubt beyond so many standard errors of the mean."""
+"""Standard errors of the mean beyond which the floor is uneven."""
 _SIDEWAYS_S: Final = 0.15
-"""A car on two wheels of a diagonal goes sideways at a speed that changes within this time..."""
+"""Correlation time of the sideways speed of a car on two wheels of a diagonal..."""
 _SIDEWAYS_M_S: Final = 0.03
-"""...and is at most that of a car which rolls as fast as this: a faster one rattles, which shares its weight out."""
+"""...and the rolling speed beyond which it does not grow: a faster car rattles, which shares its weight out."""
 _X, _Y, _HEADING, _BIAS, _MARKER, _SLIP, _N = 0, 1, 2, 3, 6, 9, 11
-"""Places in the state: what odometry lacks of x, y and heading, then the biases of their localisations, then by how
-much the marker that the car looks at is beside the middle of its cell, and turned, and then the velocity of slip in x
-and y; and how many these are."""
+"""Indices in the state: the errors of odometry in x, y and heading; the biases of localisations in these; the offset of
+the visible marker from the middle of its cell in these; the velocity of slip in x and y. Last, their number."""
 
 _FILTER: Final = np.dtype(
     [
@@ -85,8 +84,8 @@ _FILTER: Final = np.dtype(
     ],
     align=True,
 )
-"""An estimate and the covariance of its errors. ``slopes`` is by how much the next measurement grows with each part of
-the state; ``shares`` is room to calculate in."""
+"""A state and its covariance. ``slopes`` are the derivatives of the next measurement by the state; ``shares`` is
+scratch."""
 
 _SEEN: Final = np.dtype(
     [
@@ -96,9 +95,8 @@ _SEEN: Final = np.dtype(
     ],
     align=True,
 )
-"""How far a car's line sensors are before its middle, the first two, and to the left of it; the variances of where a
-line is seen, and of where and how a marker stands; whether one is seen, and its cell; whether the board was raised
-last."""
+"""How far a car's line sensors are before its middle, the first two, and to the left of it; the variances of a line's
+position and of a marker's place and heading; whether a marker is seen, and its cell; whether the board was raised."""
 
 _ESTIMATE: Final = np.dtype(
     [
@@ -112,12 +110,12 @@ _ESTIMATE: Final = np.dtype(
     ],
     align=True,
 )
-"""What one car estimates. ``drifts`` are variances that each state gains in a period at rest; ``noise`` has those of
-localisations, and ``scatter`` the sums that they come from."""
+"""What one car estimates. ``drifts`` are the process variances of a period at rest; ``noise`` are the variances of
+localisations, and ``scatter`` the sums from which they are computed."""
 
 
 def assume_delay(mismatches: Floats, delay: float, std: float) -> None:
-    """Begin with what is assumed of a delay, in periods; ``mismatches`` has one for each candidate 0, 1, ..."""
+    """Set the prior of a delay, in periods; ``mismatches`` has one value for each candidate 0, 1, ..."""
     mismatches[:] = WINDOW * ((np.arange(len(mismatches)) - delay) / std) ** 2
 
 
@@ -151,10 +149,7 @@ class PoseEstimator:
         gains: LocalisationGains,
         size: Sequence[int],
     ) -> None:
-        """Expect readings with this noise at this period, of cars with these parameters; they may come otherwise.
-
-        ``size`` is that of the world in cells, of which length and width count.
-        """
+        """Assume this noise at this period, for cars with these parameters in a world of this size in cells."""
         n = len(cars)
         self.readings = records(n, READING)
         """(n,) READING: the newest, with the estimated poses in place of the localised ones."""
@@ -168,10 +163,8 @@ class PoseEstimator:
         for row, car in zip(self._estimates, cars, strict=True):
             row["period_s"], row["lever_m"], row["radius_m"] = period_s, car.turn_radius_m, car.wheel_radius_m
             marker, along_m, across_m = row["marker"], car.board_length_m / 2, car.board_width_m / 2
-            marker["reach_m"], marker["variance"] = (
-                (along_m, -along_m, across_m, -across_m),
-                assumed.line_m**2,
-            )
+            marker["reach_m"] = along_m, -along_m, across_m, -across_m
+            marker["variance"] = assumed.line_m**2
             marker["placed"], marker["turned"] = gains.placement**2, (gains.placement / CELL_PITCH_M) ** 2
             row["slip"], row["jitter"], row["counts"] = gains.slip, assumed.jitter_s / period_s, _COUNTS
             place, turn = gains.position_drift**2, gains.heading_drift**2
@@ -197,7 +190,7 @@ class PoseEstimator:
         self._update = bound(_update, self._estimates, *past, self._moved, self._begun, self.readings)
 
     def expect_loose(self, share: float) -> None:
-        """From now on expect slip to the side of the way, for a while in one direction, at this share of the speed."""
+        """From now on expect sideways slip, for a while in one direction, at this share of the speed."""
         self._estimates["loose"] = share
 
     def update(self, readings: Records) -> Records:
@@ -267,7 +260,7 @@ def _shift(past: Floats) -> None:
 
 @compiled
 def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
-    """Go on as the wheels do, no further than the car moved; they may slip on all that they rolled."""
+    """Predict the pose by odometry; slip grows with the way that the wheels rolled."""
     wheels, period_s, lever_m = now.wheel_speeds, estimate.period_s, estimate.lever_m
     twist = body_twist(lever_m, estimate.radius_m, wheels[0], wheels[1], wheels[2], wheels[3])
     forward, left, turn = period_s * twist[0], period_s * twist[1], period_s * twist[2]
@@ -353,7 +346,7 @@ def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats,
 
 @compiled
 def _learn(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
-    """Learn how late localisations are, by the last periods' ways, and how noisy, by how they differ at rest."""
+    """Estimate the delay of localisations by the last periods' ways, and their noise by how they differ at rest."""
     n_still, noise = estimate.n_still, estimate.noise
     if n_still < rolled.shape[1] and math.isfinite(seen[_X, WINDOW]):
         way = math.hypot(seen[_X, 0] - seen[_X, WINDOW], seen[_Y, 0] - seen[_Y, WINDOW])
@@ -391,9 +384,9 @@ def _at(past: Floats, row: int, delay: float) -> float:
 
 @compiled
 def _correct(known: Record, off: float, variance: float, n_held: int) -> bool:
-    """Take a scalar measurement, ``off`` from what was expected, into a FILTER; return False for an outlier.
+    """Update a FILTER with a scalar measurement, ``off`` from what was expected; return False for an outlier.
 
-    ``known`` has its slopes, which are zero afterwards. So many biases as ``n_held`` stay as they are (Schmidt-Kalman).
+    The ``slopes`` are zero afterwards. The first ``n_held`` biases are not changed (Schmidt-Kalman).
     """
     state, covariance, slopes, shares = known.state, known.covariance, known.slopes, known.shares
     expected = variance
@@ -419,11 +412,10 @@ def _correct(known: Record, off: float, variance: float, n_held: int) -> bool:
 def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> None:
     """Correct a pose by the lines that are seen of the marker above.
 
-    By how much it is beside the middle of its cell is estimated, too, as long as it is seen: however often a car looks
-    at one marker, it knows its place no better than that has been put there; over several markers this averages out.
-    ``moved`` says of each column of cells whether a car has set something down there: taken for the middle, that would
-    pass this car's own error, or another's, on to itself without end. A car that passes from below one marker to the
-    next looks at the one until it has lost it.
+    The marker's offset from the middle of its cell is estimated while it is seen: a car knows its position no better
+    than the marker was placed, however often it looks; over several markers this averages out. ``moved`` says of each
+    column of cells whether a car has set something down there: such a marker would feed a car's own error back. A car
+    that passes from below one marker to the next uses the first until it has lost it.
     """
     if now.board_m > _LOWERED_M:
         marker.raised, marker.seen = 1, 0
@@ -488,11 +480,10 @@ def _update_marker(now: Record, known: Record, marker: Record, moved: Flags) -> 
 
 @compiled
 def update_floor(car: Record) -> bool:
-    """Take a car's reading into what it feels of its floor, by how much it leans where it should be level; return True.
+    """Update the floor estimate of a car from its pitch and roll, and return True; False for a car on a slope.
 
-    Return False, and leave it, for one that stands on a slope or drives from or onto one: these the map shows. Pitch
-    and roll are averaged over a while, and the floor is uneven when their mean is too large beyond doubt: how noisy the
-    sensors are shows in how they scatter. No car knows the floor.
+    Pitch and roll are averaged over a while. The floor is uneven when their mean is significantly too large; the
+    sensors' noise is taken from the scatter of the readings.
     """
     now, floor, task, known = car.now, car.floor, car.task, car.known
     leans = max(abs(now.pitch), abs(now.roll)) > known.hold.level

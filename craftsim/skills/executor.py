@@ -43,7 +43,7 @@ from craftsim.skills.skill import (
 from craftsim.skills.state import CAR, COMMAND, HOLD, IDLE, N_LAGS, NO_TASK, OWN, outcome_of
 
 _ASSUMED_LAG: Final = (1.0, 3.0)
-"""Mean and standard deviation of a motor's lag before it has moved, in steps between candidates."""
+"""Prior mean and standard deviation of a motor's lag, in steps between candidates."""
 
 Observer = Callable[[PhysicsWorld], None]
 Guard = Callable[[], bool]
@@ -72,20 +72,20 @@ class Executor:
         fleet: Fleet | None = None,
         skills: SkillChoice | None = None,
     ) -> None:
-        """Run on a PhysicsWorld with these gains, sensors and motors (exact and prompt ones unless given).
+        """Run on a PhysicsWorld.
 
-        ``assumed`` is what the cars take the noise of their localisation to be, whatever that of the sensors is; with
-        none they take each measured pose as it is.
+        Args:
+            physics: the world.
+            gains: of the skills; the nominal ones unless given.
+            observer: called after every control period; :attr:`observers` takes more.
+            sensors: exact ones unless given.
+            motors: without lag unless given.
+            assumed: the localisation noise that the cars assume; with none they use measured poses unfiltered.
+            fleet: robots to drive in place of the world's cars; they update the world.
+            skills: your own, in place of built-in ones: ``{Action.LIFT: MyLift}`` with a subclass of
+                :class:`~craftsim.skills.skill.Skill`, or ``{0: {Action.LIFT: MyLift}}`` for one car.
 
-        ``observer`` is called after every control period; :attr:`observers` takes more of them.
-
-        ``fleet`` are robots that are driven in place of the world's cars: the world then says what they and their world
-        are like, and it is theirs to change.
-
-        ``skills`` are of your own, in place of built-in ones: ``{Action.LIFT: MyLift}`` with a subclass of
-        :class:`~craftsim.skills.skill.Skill`, or ``{0: {Action.LIFT: MyLift}}`` for one car.
-
-        Raises InputError for a skill that is none.
+        Raises InputError for an invalid skill.
         """
         self.physics = physics
         self.gains = gains or load_gains()
@@ -93,7 +93,7 @@ class Executor:
         self.step_observer: Callable[[], None] | None = None
         """Called after every physics step."""
         self.guard: Guard | None = None
-        """Asked after every control period: a yes stops all cars, and ends their actions."""
+        """Called after every control period; True stops all cars and ends their actions."""
         self.fleet: Fleet = fleet or PhysicsFleet(physics, sensors, motors)
         n, period = len(physics.cars), physics.config.control_period_s
         own = own_skills(skills)
@@ -118,9 +118,9 @@ class Executor:
         self._angles = np.zeros((n, n_angles(self.gains, period)))
         self._step_cars = bound(step_cars, self._cars, self._angles, self.fleet.wires)
         self._tries: dict[int, Tries] = {}
-        """By car, where its action has not ended."""
+        """By car, while its action runs."""
         self._own: dict[int, Skill] = {}
-        """By car, where its skill is in Python."""
+        """By car, while a skill in Python runs."""
         self._estimate()
         for car in range(n):
             self._park(car, self.readings())
@@ -128,7 +128,7 @@ class Executor:
     def run(
         self, actions: Mapping[int, Action], terrain: Mapping[int, Terrain] | None = None
     ) -> dict[int, Outcome]:
-        """Perform one action for each given car, and return the outcomes by car; other cars are left at rest.
+        """Perform one action for each given car, and return the outcomes by car.
 
         ``terrain`` gives the ground of the moves that are not on the flat, by car.
         """
@@ -145,31 +145,27 @@ class Executor:
         return frozenset(self._tries)
 
     def readings(self) -> Records:
-        """Return what the cars believe to measure, shape (n,) of READING; the array is used again by the next ones."""
+        """Return the measurements with estimated poses, shape (n,) of READING; the next call overwrites them."""
         return self.fleet.read() if self._estimator is None else self._estimator.readings
 
     @property
     def commands(self) -> Records:
-        """What the cars commanded last, shape (n,) of COMMAND; the array is used again by the next ones."""
+        """The last commands of the cars, shape (n,) of COMMAND; the next period overwrites them."""
         commands: Records = self._cars["command"]
         return commands
 
     @property
     def floor_is_uneven(self) -> bool:
-        """Whether a car has felt that the floor, which is that of all, is uneven; no floor becomes even again."""
+        """Whether any car has ever found the floor to be uneven."""
         return bool(self._cars["floor"]["uneven"].any())
 
     def paths(self) -> NDArray[np.float64]:
-        """Return where on its path each car should be now, (n, 3): x and y in metres, and heading in radians; nan
-        for those not driving."""
+        """Return each car's set point on its path, (n, 3): x and y in metres, heading in radians; nan without one."""
         path: NDArray[np.float64] = self._cars["task"]["drive"]["path"]
         return path.copy()
 
     def begin(self, car: int, action: Action, terrain: Terrain | None = None) -> None:
-        """Let an idle car start an action; it runs as :meth:`advance` is called.
-
-        Raises InputError for an action that no skill performs.
-        """
+        """Start an action of an idle car; :meth:`advance` runs it. Raises InputError for an action without a skill."""
         assert car not in self._tries, f"car {car} is busy"
         if not self._tries:
             self.fleet.attend()
@@ -185,7 +181,7 @@ class Executor:
         self._tries[car] = Tries(action, setup, performers, cell_middle(now, nearest_yaw(now.heading)[0]))
 
     def _feel(self) -> None:
-        """Let the cars rest as long as they lean and are not sure of it."""
+        """Wait while the floor estimate is undecided."""
         uneven, floors = self.gains.uneven, self._cars["floor"]
         for _ in range(round(uneven.tilt_time / self.physics.config.control_period_s)):
             readings = self.readings()
@@ -205,9 +201,9 @@ class Executor:
             begin_task(performer, setup, now, record["task"])
 
     def advance(self) -> dict[int, Outcome]:
-        """Step every running skill, let one control period pass, and return the outcomes of those that have ended.
+        """Run all skills for one control period, and return the outcomes of the actions that have ended.
 
-        Cars that stand on an incline are held.
+        Idle cars on an incline are held.
         """
         readings = self.readings()
         for car, skill in self._own.items():
@@ -228,7 +224,7 @@ class Executor:
         return ended
 
     def _end(self, readings: Records) -> dict[int, Outcome]:
-        """Let go of what has ended, and return the outcomes of actions that are over."""
+        """Go on to the next try where a skill has ended, and return the outcomes of the actions that are over."""
         ended = {}
         for car, tries in list(self._tries.items()):
             own = self._own.get(car)

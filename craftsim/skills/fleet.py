@@ -1,28 +1,49 @@
-"""What an executor drives: the cars of a PhysicsWorld, or robots that are reached in another way."""
+"""What an executor drives: the cars of a PhysicsWorld, or robots that are reached in another way.
+
+A :class:`DisturbedFleet` is a PhysicsWorld in which something unplanned happens: a force pushes a block, as a hand
+would, or a car gets no commands any more. No pose is written.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from craftsim.discrete.geometry import CELL_PITCH_M
+from craftsim.discrete.grid import Cell, Kind, beside
+from craftsim.discrete.readback import read_grid
+from craftsim.errors import InputError
 from craftsim.models.measuring import Floats, Motors, Records
+from craftsim.models.parts import Joint
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld
+from craftsim.skills.state import GRAVITY
+
+SHOVE_S: Final = 1.0
+"""How long a shove over one cell takes."""
+CLEAR_M: Final = 1.8 * CELL_PITCH_M
+"""A block is shoved only while no car's centre is nearer to its way, so that it is pushed over the floor alone."""
+_STIFFNESS_HZ: Final = 4.0
+"""Natural frequency of the spring between the hand and the block."""
+_LIFTED: Final = 0.5
+"""Share of the block's weight that the hand takes."""
 
 
 class Wires(NamedTuple):
-    """Where compiled laws leave the motors' commands, as :func:`craftsim.skills.laws.step_cars` takes them."""
+    """Where compiled laws write the motors' commands (:func:`craftsim.skills.laws.step_cars`)."""
 
     cars: Records
-    """(n,) WIRING: where a car's motors lie in ``ctrl``."""
+    """(n,) WIRING: indices of a car's motors in ``ctrl``."""
     plugs: Records
-    """UNDERSIDE of each slope: where its hinge's motor lies."""
+    """(n_slopes,) UNDERSIDE: the index of each slope's hinge motor."""
     speeds: Floats
-    """(n, 4) rad/s: what the wheels' servos were told last."""
+    """(n, 4) rad/s: the present commands of the wheels' servos."""
     share: Floats
-    """(1,): by what share these approach a new command in a control period."""
+    """(1,): the share by which these approach a new command in a control period."""
     ctrl: Floats
     """The commands."""
 
@@ -46,12 +67,12 @@ class Fleet(Protocol):
         """Return the newest readings of all cars, shape (n,) of READING; the array is used again by the next ones."""
 
     def attend(self) -> None:
-        """Get ready: cars that were left alone are about to act."""
+        """Measure anew: cars that were idle are about to act."""
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
-        """Let one control period pass under the commands on the wires, and take the readings of its end.
+        """Execute the commands on the wires for one control period, and measure; do nothing once :attr:`lost`.
 
-        ``observe`` is called after every physics step, where there are some. Once :attr:`lost`, nothing passes.
+        ``observe`` is called after every physics step, if there are any.
         """
 
     def stop(self, car: int, slope: int) -> None:
@@ -81,7 +102,7 @@ class PhysicsFleet:
         return self.sensors.read()
 
     def attend(self) -> None:
-        """Do nothing: while nobody acts, no time passes."""
+        """Do nothing: no time passes while cars are idle."""
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Let one control period pass."""
@@ -94,3 +115,110 @@ class PhysicsFleet:
         self.physics.move_board(car, 0.0)
         if slope >= 0:
             self.physics.turn_hinge(slope, 0.0)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What is done to a world, and when. Raises InputError for a time that is none."""
+
+    kind: Literal["shove", "dead-car"]
+    """``shove``: a block on the floor that bears nothing goes one cell aside. ``dead-car``: a car's motors get no
+    commands from then on; wheels, board and hinge brake. Which one is drawn from the world's seed."""
+    start_s: float
+    """Simulated time from which on it happens; a shove waits until no car is near."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.start_s < math.inf:
+            raise InputError(
+                f"a disturbance begins after {self.start_s} s; allowed: a finite number from 0 on"
+            )
+
+
+class DisturbedFleet(PhysicsFleet):
+    """The cars of a PhysicsWorld to which something happens."""
+
+    def __init__(
+        self,
+        physics: PhysicsWorld,
+        sensors: Sensors,
+        motors: Motors,
+        disturbance: Disturbance,
+        rng: np.random.Generator,
+    ) -> None:
+        """Measure and command with these sensors and motors; ``rng`` draws which car or block is concerned."""
+        super().__init__(physics, sensors, motors)
+        self.disturbance, self._rng = disturbance, rng
+        self.happened = ""
+        """What has happened, in words; empty before."""
+        self._dead: int | None = None
+        self._shove: tuple[Joint, Floats, Floats, float] | None = None
+        """A block that is shoved, its start and end in x and y, and the time at which that began."""
+
+    def advance(self, observe: Callable[[], None] | None = None) -> None:
+        """Let one control period pass."""
+        if not self.happened and self.physics.time_s >= self.disturbance.start_s:
+            self._begin()
+        if self._dead is not None:
+            self.stop(self._dead, int(self.sensors.read()[self._dead]["slope"]))
+        if self._shove is None:
+            super().advance(observe)
+            return
+        block, start, end, begun_s = self._shove
+
+        def push() -> None:
+            self._push(block, start, end, self.physics.time_s - begun_s)
+            if observe is not None:
+                observe()
+
+        self._push(block, start, end, self.physics.time_s - begun_s)
+        super().advance(push)
+        if self.physics.time_s >= begun_s + 1.25 * SHOVE_S:
+            self._let_go(block)
+            self._shove = None
+
+    def _begin(self) -> None:
+        physics = self.physics
+        if self.disturbance.kind == "dead-car":
+            self._dead = int(self._rng.integers(len(physics.cars)))
+            self.happened = f"car {self._dead} is out of action from {physics.time_s:.2f} s on"
+            return
+        ways = self._ways()
+        if ways:
+            number, start, end = ways[int(self._rng.integers(len(ways)))]
+            block, aim = physics.blocks[number], (np.array(end[:2]) + 0.5) * CELL_PITCH_M
+            self._shove = block, physics.free_body_state(block)[0][:2], aim, physics.time_s
+            self.happened = f"block {number} is shoved from {start} to {end} at {physics.time_s:.2f} s"
+
+    def _ways(self) -> list[tuple[int, Cell, Cell]]:
+        """Return the blocks that can be shoved now, by number, with their cells and where to."""
+        poses = self.physics.poses()
+        reading = read_grid(poses, self.physics.size, self.physics.walls)
+        grid, found = reading.grid, []
+        blocks = [index for index, kind in enumerate(poses.kinds) if kind == Kind.BLOCK]
+        for block, index in enumerate(blocks):
+            placed = reading.objects[index]
+            x, y, z = placed.cell
+            bears = z < grid.size[2] and grid.kind[x, y, z + 1] != Kind.AIR
+            if placed.carrier is not None or z != 1 or bears:
+                continue
+            for aim in (beside(placed.cell, yaw) for yaw in range(4)):
+                free = grid.inside(aim) and grid.kind[aim] == Kind.AIR
+                middles = (np.array([placed.cell[:2], aim[:2]]) + 0.5) * CELL_PITCH_M
+                ways = poses.car_positions[:, None, :2] - middles[None]
+                if free and (np.hypot(ways[..., 0], ways[..., 1]) > CLEAR_M).all():
+                    found.append((block, placed.cell, aim))
+        return found
+
+    def _push(self, block: Joint, start: Floats, end: Floats, passed_s: float) -> None:
+        """Set the force on a block for the next physics step."""
+        physics, share = self.physics, min(passed_s / SHOVE_S, 1.0)
+        target = start + (end - start) * 0.5 * (1 - math.cos(math.pi * share))
+        position, _ = physics.free_body_state(block)
+        speed = physics.data.qvel[block.dof : block.dof + 2].copy()
+        rate, mass = 2 * math.pi * _STIFFNESS_HZ, float(physics.model.body_subtreemass[block.body])
+        force = physics.data.xfrc_applied[block.body]
+        force[:2] = mass * (rate**2 * (target - position[:2]) - 2 * rate * speed)
+        force[2] = _LIFTED * mass * GRAVITY
+
+    def _let_go(self, block: Joint) -> None:
+        self.physics.data.xfrc_applied[block.body] = 0.0

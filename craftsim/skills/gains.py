@@ -46,9 +46,9 @@ class DriveGains(_Section):
     integral_gain: Positive
     """1/s^2: integral action on position and heading, once the path has ended."""
     sideways_slip: Positive
-    """By how much the wheels must outrun ideal kinematics to go sideways: rollers turn against their bearings."""
+    """Factor of the wheel speeds for sideways motion: rollers turn against their bearings."""
     turn_slip: Positive
-    """The same for turning on the spot."""
+    """Factor of the wheel speeds for turning on the spot."""
     friction_speed: Positive
     """rad/s: wheel speed at which the compensation of the gears' dry friction reaches tanh(1) = 76 % of it."""
     max_speed: Positive
@@ -61,64 +61,64 @@ class DriveGains(_Section):
     """m/s: highest speed of a move under something, or of a load past something."""
     max_tight_acceleration: Positive
     max_tight_slope_acceleration: Positive
-    """m/s^2: of such a move with a load from or onto a slope. A car that needs all of its grip to climb has none left
-    to keep to its path: at the friction of 0.68 that is the least of mild randomization, it can push by 4.5 m/s^2 on
-    the incline, and its weight takes 2.7."""
+    """m/s^2: of such a move with a load from or onto a slope. The grip must suffice to climb and to keep to the path:
+    at the least friction of mild randomization, 0.68, a car can push by 4.5 m/s^2 on the incline; weight takes 2.7."""
     rocking: Positive
-    """m^3/s^2: largest product of acceleration and height above the floor squared. A stack of n blocks gives way under
-    a car by its push times its height in each of n joints, and tips in the end."""
+    """m^3/s^2: largest product of acceleration and height above the floor squared. A stack of n blocks yields by
+    the car's push times its height in each of n joints, and tips in the end."""
     max_turn_speed: Positive
     max_turn_acceleration: Positive
     astray: Positive
-    """m: the path of a load past something waits for a car that is this far beside it; on a flat floor none is."""
+    """m: distance of a car from its path at which the path of a load past something waits; never on a flat floor."""
     load_factor: Positive
-    """Loaded cars keep to this fraction of the speed and acceleration limits."""
+    """Factor of the speed and acceleration limits of loaded cars."""
     position_tolerance: Positive
-    """m: a move is done when it is this close at rest."""
+    """m: largest position error at rest at the end of a move."""
     heading_tolerance: Positive
     position_certainty: Positive
-    """m: a move is not done before the car knows its position to within this standard deviation."""
+    """m: largest standard deviation of the estimated position at the end of a move."""
     heading_certainty: Positive
-    """rad: and its heading."""
+    """rad: largest standard deviation of the estimated heading at the end of a move."""
     settle_allowance: Positive
     """s: time beyond the profile's end after which a move that is not done has failed."""
     shake_after: Positive
-    """s: a car that has not arrived so long after the profile's end is shaken..."""
+    """s: time beyond the profile's end after which a car that has not arrived is shaken."""
     shake_speed: Positive
-    """m/s: ...to and fro with this amplitude of its speed..."""
+    """m/s: amplitude of the speed of shaking."""
     shake_rate: Positive
-    """Hz: ...and so often (:func:`craftsim.skills.laws.shake`)."""
+    """Hz: frequency of shaking (:func:`craftsim.skills.laws.shake`)."""
     blocked_error: Positive
-    """m: falling this far behind the path, for longer than ``blocked_time``, means that something is in the way."""
+    """m: distance behind the path that, for longer than ``blocked_time``, means an obstacle."""
     blocked_time: Positive
     """s."""
     slip_ratio: Positive
-    """A car that fell behind slips, and is not blocked, if its wheels rolled by more than this many times its way..."""
+    """A car that fell behind slips, and is not blocked, if its wheels rolled by more than this many times its way plus
+    ``slip_distance``, and their push would not have moved a free car that far."""
     slip_distance: Positive
-    """m: ...and this much, and their push would not have moved a free car that far."""
+    """m."""
     speed_at_rest: Positive
-    """m/s: a car is at rest when its wheels together roll slower than this..."""
+    """m/s: a car is at rest when its wheels together roll slower than this."""
     wheels_at_rest: Positive
-    """rad/s: ...or three of them turn slower than this: the fourth may slip on the spot."""
+    """rad/s: a car is also at rest when three wheels turn slower than this: the fourth may slip on the spot."""
     rest_periods: Count
-    """Control periods: a move is done when the car has been at rest on its target for so long."""
+    """Control periods of rest on the target after which a move is done."""
     brake_periods: Count
-    """Control periods: a car that has been on its target for so long brakes. While it corrects the last tenth of a
-    millimetre, two wheels on a diagonal may slip on the spot for ever."""
+    """Control periods on the target after which a car brakes: while it corrects the last tenth of a millimetre, two
+    wheels on a diagonal may slip on the spot for ever."""
     motor_share: Positive
-    """Paths use at most this fraction of the wheel motors' torque and speed; the rest is for corrections."""
+    """Largest share of the wheel motors' torque and speed that paths use; the rest is for corrections."""
 
 
 @record()
 class UnevenGains(_Section):
-    """Driving where cars feel that their floor is uneven (:mod:`craftsim.skills.estimator`): limits besides those of
+    """Driving where cars find their floor uneven (:mod:`craftsim.skills.estimator`): limits besides those of
     :class:`DriveGains`. A car without springs hops there, and its lowered board clears by a millimetre what it passes
     under."""
 
     tilt: Positive
-    """rad: a floor is uneven if a car leans by more than this on what should be level..."""
+    """rad: a floor is uneven if a car leans by more than this, in the mean over ``tilt_time``, on level ground."""
     tilt_time: Positive
-    """s: ...in the mean over this time: what sensors of pitch and roll read is noisy, and rollers rattle."""
+    """s: time of that mean: sensors of pitch and roll are noisy, and rollers rattle."""
     max_speed: Positive
     max_acceleration: Positive
     max_slope_speed: Positive
@@ -130,14 +130,14 @@ class UnevenGains(_Section):
     max_turn_speed: Positive
     max_turn_acceleration: Positive
     astray: Positive
-    """m: of a load past something, but not on slopes. A car that is half as far beside its path drives to and fro along
-    it, one that is further than this slows down, and at twice this it stands. Half of it is the noise of an estimate in
-    motion, and twice it is less than the 2.5 mm between two loads."""
+    """m: of a load past something, but not on slopes. A car beside its path by half of this drives to and fro along it,
+    beyond this it slows down, and at twice this it stops. Half of it is the noise of an estimate in motion, and twice
+    it is less than the 2.5 mm between two loads."""
     shake_after: Positive
-    """s: on two wheels of a diagonal a car without springs does not get to its goal, unless it is shaken soon."""
+    """s: on two wheels of a diagonal a car without springs only arrives if it is shaken soon."""
     loose: Positive
-    """Standard deviation of the speed of slip to the side as a fraction of that of the wheels: on two wheels of a
-    diagonal a car goes where these lead it, at 45 degrees to where it should, for a second or longer."""
+    """Standard deviation of the speed of sideways slip as a fraction of the wheels' speed: a car on two wheels of a
+    diagonal goes at 45 degrees to its path for a second or longer."""
 
 
 @record()
@@ -147,11 +147,11 @@ class BoardGains(_Section):
     gain: Positive
     """1/s: board speed commanded per metre of remaining travel, up to the motor's limit."""
     acceleration: Positive
-    """m/s^2: how fast the commanded speed may grow."""
+    """m/s^2: limit of the increase of the commanded speed."""
     reached: Positive
-    """m: the board has arrived when it is this close to its end..."""
+    """m: the board has arrived when it is this close to its end, and slower than ``still``."""
     still: Positive
-    """m/s: ...and slower than this."""
+    """m/s."""
     allowance: Positive
     """s: time beyond that of the travel at full speed after which the board has failed."""
 
@@ -163,15 +163,15 @@ class HingeGains(_Section):
     gain: Positive
     """1/s: hinge speed commanded per radian of remaining travel, up to the motor's limit."""
     acceleration: Positive
-    """rad/s^2: how fast the commanded speed may grow."""
+    """rad/s^2: limit of the increase of the commanded speed."""
     reached: Positive
-    """rad: the flap has arrived when it is this close to its end..."""
+    """rad: the flap has arrived when it is this close to its end, and slower than ``still`` over ``still_time``."""
     still: Positive
-    """rad/s: ...and slower than this..."""
+    """rad/s."""
     still_time: Positive
-    """s: ...over this time: the difference of two readings says little, for they are noisy."""
+    """s: longer than a control period, because angles are noisy."""
     undocked: Positive
-    """s: a slope that is not felt for longer is not there; shorter gaps come from a plug that chatters."""
+    """s: time without contact to the slope after which it is not there; shorter gaps come from a plug that chatters."""
     allowance: Positive
     """s: time beyond that of the travel at full speed after which the hinge has failed."""
 
@@ -191,7 +191,7 @@ class HoldGains(_Section):
     """Holding a car that is parked on an incline."""
 
     level: Positive
-    """rad: a car that leans less than this stays where it is by itself."""
+    """rad: a car that leans less than this stays by itself."""
     tipped: Positive
     """rad: a car that leans more than this is not held: the incline is 0.28."""
     gain: Positive
@@ -199,26 +199,25 @@ class HoldGains(_Section):
     dead_band: Positive
     """rad: a wheel that has turned less than this, 5 micrometres of way, is not moved."""
     crept: Positive
-    """m: a car that believes to be further than this from where it was left goes back. Three times the certainty with
-    which a move ends (``position_certainty``), so that what it sees is its way and no noise; and a third of the 2.5 mm
-    between two loads in neighbouring cells."""
+    """m: a car further than this from where it was parked, by its estimate, goes back. Three times
+    ``position_certainty``, so that noise does not trigger it, and a third of the 2.5 mm between two loads."""
     crept_heading: Positive
     """rad: the same for its heading; over half the length of a load, 160 mm, that is 0.6 mm."""
     crept_time: Positive
-    """s: for so long without a pause; creep takes seconds for a millimetre, and what a passing car shakes is back."""
+    """s: least duration of that: creep takes seconds for a millimetre, and a passing car shakes for less."""
 
 
 @record()
 class LocalisationGains(_Section):
-    """What the pose estimate assumes of odometry; what it assumes of localisations is a SensorNoise of its own."""
+    """What the pose estimate assumes of odometry; what it assumes of localisations is a SensorNoise."""
 
     slip: Positive
     """Standard deviation of the odometry's error in one period as a fraction of the way; slip is one-sided and adds up,
     so it is several times what the rollers lose."""
     position_drift: Positive
-    """m: standard deviation of what moves a resting car unseen in one period."""
+    """m: standard deviation of the unmeasured motion of a resting car in one period."""
     heading_drift: Positive
-    """rad: and of what turns it."""
+    """rad: standard deviation of its unmeasured rotation."""
     placement: Positive
     """m: standard deviation of the places of blocks and slopes from the middles of their cells."""
 
@@ -239,15 +238,15 @@ class HealthGains(_Section):
 
 @record()
 class RecoveryGains(_Section):
-    """What becomes of an action that failed for a reason that may pass."""
+    """What follows a failure that may be temporary."""
 
     tries: Count
-    """How often it is tried; before each further try the car goes back to where it began."""
+    """Largest number of tries; before each further try the car goes back to where it began."""
 
 
 @record()
 class Gains:
-    """The gains of all skills; hashable. Raises InputError for a gain that is no positive number near the nominal one.
+    """The gains of all skills; hashable. Raises InputError for a gain that is not positive or far from the nominal one.
 
     Example:
         >>> import craftsim

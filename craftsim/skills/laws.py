@@ -1,9 +1,8 @@
 """All compiled controllers: one control period of all cars, and the law of each kind of task.
 
-A law is a function of a car's record, of which it reads what the car knows and measures and writes the command; it ends
-the task with a status. Driving follows a smooth path of poses and comes to rest at its end: the wheels get the path's
-speed (feed-forward), a correction proportional to the pose error with integral action near the goal, and on top what
-the velocity servos need to overcome the gears' dry friction, gravity on an incline, and inertia.
+A law reads a car's record, writes its command, and ends the task with a status. Driving follows a smooth path of poses
+and comes to rest at its end: the wheels get the path's speed (feed-forward), a correction proportional to the pose
+error with integral action near the goal, and what their velocity servos need against dry friction, gravity and inertia.
 """
 
 from __future__ import annotations
@@ -45,21 +44,20 @@ from craftsim.skills.state import (
 )
 
 LAG_STEP_S: Final = 0.01
-"""Between two candidate time constants of the motors' lag."""
+"""Step between candidate time constants of the motors' lag."""
 _BRAKES: Final = 5.0
 _RECOVERS: Final = 2.0
-"""1/s: how fast the pace of a path that waits for its car falls and rises."""
+"""1/s: rates at which the pace of a path that waits for its car falls and rises."""
 _UNSURE_RAD_S: Final = 0.3
-"""Standard deviation of a wheel's speed from its servo's: dry friction and inertia are fed forward, but not quite."""
+"""Standard deviation of a wheel's speed from its servo's: the feed-forward of friction and inertia is not exact."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Distance, speed and acceleration over time, for a travel from rest to rest without a jump in acceleration.
+    """Distance, speed and acceleration over time, for a travel from rest to rest with continuous acceleration.
 
-    The speed ramps up, cruises and ramps down. Each ramp follows the cubic smoothstep 3u^2 - 2u^3, whose steepest slope
-    is 3/2 of the mean: a ramp to speed v under the acceleration limit a lasts 1.5 v / a and covers half of what
-    cruising would.
+    Both speed ramps follow the cubic smoothstep 3u^2 - 2u^3, whose steepest slope is 3/2 of the mean: a ramp to speed v
+    under the acceleration limit a lasts 1.5 v / a and covers half of what cruising would.
     """
 
     cruise_speed: float
@@ -107,10 +105,7 @@ _motion_at = compiled(Profile.motion)
 
 
 def health_of(now: Record, limits: Record) -> int:
-    """Return RUNNING, or the status of a car whose readings are not finite, or that has tipped.
-
-    ``limits`` are the HealthGains, or a record of them.
-    """
+    """Return RUNNING, or the status of a car whose readings are not finite, or that tipped by HealthGains."""
     # A sum is finite only if all its terms are.
     pose = now.x + now.y + now.z + now.heading + now.pitch + now.roll
     wheels = now.wheel_speeds[0] + now.wheel_speeds[1] + now.wheel_speeds[2] + now.wheel_speeds[3]
@@ -163,7 +158,7 @@ def step_cars(cars: Records, angles: Floats, wires: Wires, readings: Records) ->
 
 @compiled
 def step_task(car: Record, angles: Floats) -> int:
-    """Write the command of a car for the next control period; return 1 if its task has ended, which stops all."""
+    """Write the command of a car for the next control period; return 1, with a zero command, if its task has ended."""
     task = car.task
     _clear(car.command)
     if task.law == HOLD:
@@ -199,7 +194,7 @@ def _clear(command: Record) -> None:
 
 @compiled
 def _end(task: Record, status: int, detail: float, second_detail: float) -> None:
-    """End a task with a status and the numbers that its text holds, 0.0 for none; the last word counts."""
+    """End a task with a status and two numbers for its text, 0.0 for none; a second call overrides the first."""
     task.status, task.ended_s = status, task.elapsed_s
     task.detail, task.second_detail = detail, second_detail
 
@@ -208,11 +203,10 @@ def _end(task: Record, status: int, detail: float, second_detail: float) -> None
 def compensate_lag(car: Record, level: bool) -> None:
     """Change the commands of wheels so that their lagging servos have these speeds after one control period.
 
-    Four zeros brake at once. For candidate time constants the speed that the servos would have by now is kept; whose
-    squared distance from the speed that the encoders measure is least is the lag, as with the delay of localisations
-    (:mod:`craftsim.skills.estimator`). A command then goes beyond what is wanted so far that the servo has it in time.
+    Four zeros brake at once. The lag is that of the candidate time constants whose simulated servos are closest to the
+    measured wheel speeds (least squares, see :mod:`craftsim.skills.estimator`). The command overshoots accordingly.
 
-    ``level``: whether wheels follow their servos with all their torque: on a slope only as far as they have grip.
+    ``level``: whether the car is on level ground; on a slope wheels follow their servos only as far as they have grip.
     """
     lag, wheels, turning, known = car.lag, car.command.wheels, car.now.wheel_speeds, car.known.car
     if level:
@@ -241,7 +235,7 @@ def compensate_lag(car: Record, level: bool) -> None:
 
 @compiled
 def _servo_speed(lag: Record, wheel: int) -> float:
-    """Return the speed that a wheel's servo has by now, between those of two candidates for its lag."""
+    """Return the present speed of a wheel's servo, interpolated between two candidates for its lag."""
     below = min(int(lag.steps), N_LAGS - 2)
     part = lag.steps - below
     speed: float = lag.servos[below, wheel] * (1 - part) + lag.servos[below + 1, wheel] * part
@@ -250,10 +244,10 @@ def _servo_speed(lag: Record, wheel: int) -> float:
 
 @compiled
 def _hold_law(car: Record) -> None:
-    """Command the wheels of a car that is parked on an incline, so that it stays where it was left.
+    """Command the wheels of a car that is parked on an incline, so that it stays there.
 
-    A drive at zero speed gives way slowly to a torque above its gear's friction: the wheels go back as far. On two
-    wheels of a diagonal a car creeps along their rollers, too: it drives back when it is sure of it by its pose.
+    A drive at zero speed yields slowly to a torque above its gear's friction: the wheels turn back as far. A car on two
+    wheels of a diagonal also creeps along their rollers: it drives back when its pose shows that for long enough.
     """
     now, task, known = car.now, car.task, car.known
     hold, drive = known.hold, known.drive
@@ -280,7 +274,7 @@ def _hold_law(car: Record) -> None:
 
 @compiled
 def _stop_law(car: Record) -> None:
-    """Command nothing, and end the task when the wheels rest, or have not come to rest for too long."""
+    """Command nothing, and end the task when the wheels rest, or after an allowance."""
     task, wheels, gains = car.task, car.now.wheel_speeds, car.known.stop
     fastest = 0.0
     for wheel in range(4):
@@ -368,9 +362,9 @@ def _drive_law(car: Record) -> None:
     if task.status == RUNNING and drive.there_periods <= gains.brake_periods:
         _command_wheels(car, error)
     if drive.waits:
-        # On two wheels of a diagonal a car goes where these lead it, aslant, until the others get hold of the floor:
-        # the path goes on more slowly the further it is beside it, until it stands still. It is not braked at once, for
-        # what brakes hard rocks; what does not come back does not wait for ever, and comes to its place at the end.
+        # A car on two wheels of a diagonal drifts aside until the others touch the floor: the further it is beside the
+        # path, the slower the path goes on, until it stops. The pace changes gradually, because hard braking makes the
+        # car rock. The total wait is limited; the car then corrects its position at the end.
         beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
         on_its_way = elapsed_s < drive.profile.duration_s and drive.waited_s <= gains.settle_allowance
         pace = max(0.0, min(1.0, 2.0 - beside_m / gains.astray)) if on_its_way else 1.0
@@ -393,7 +387,7 @@ def _command_wheels(car: Record, error: Triple) -> None:
     gains, machine = known.drive, known.car
     step, integral, profile = drive.direction, drive.integral, drive.profile
     period_s, radius_m, lever_m = known.period_s, machine.radius_m, machine.lever_m
-    # What shaking is to cure no push cures: the integral would only wind up.
+    # No integral action once the car is shaken: it would only wind up.
     if profile.duration_s < elapsed_s <= profile.duration_s + gains.shake_after:
         integral.x += gains.integral_gain * error[0] * period_s
         integral.y += gains.integral_gain * error[1] * period_s
@@ -402,7 +396,7 @@ def _command_wheels(car: Record, error: Triple) -> None:
     speed, pull = _motion_at(profile, elapsed_s + period_s / 2)
     if drive.waits:
         speed, pull = drive.pace * speed, drive.pace * pull
-        # Speeding up and slowing down loads a third wheel, by half of that times the mass, which pushes to the side.
+        # Speeding up and slowing down loads a third wheel, which can push to the side.
         if elapsed_s < profile.duration_s:
             beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
             share = max(0.0, min(1.0, beside_m / gains.astray - 0.5))
@@ -416,9 +410,8 @@ def _command_wheels(car: Record, error: Triple) -> None:
     forward, left, turn = _to_body(velocity, now)
     left, turn = gains.sideways_slip * left, gains.turn_slip * turn
     speeds = on_wheels(forward / radius_m, left / radius_m, lever_m * turn / radius_m)
-    # By what factors the front and the rear wheels must outrun the body's forward speed: where the ground bends, at the
-    # cell border, the axles roll on different inclines, but the stiff body gives both the same speed along itself. An
-    # axle on ground at an angle a to the body rolls by 1 / cos(a) faster.
+    # Where the ground bends, at the cell border, the axles roll on different inclines, with the same speed along the
+    # stiff body. An axle on ground at an angle a to the body rolls faster by 1 / cos(a).
     front = rear = 1.0
     if drive.sloping:
         origin, delta = drive.origin, drive.delta
@@ -447,11 +440,10 @@ def _command_wheels(car: Record, error: Triple) -> None:
 
 @compiled
 def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tuple[float, float]:
-    """Return the velocity by which a car that does not get to its goal is shaken, across the way that is left.
+    """Return the velocity (m/s, world frame) that shakes a car which does not arrive, across the remaining way.
 
-    On an uneven floor a car without springs rocks on two wheels of a diagonal, which cannot push across their rollers;
-    what they can do, speeding up the other way, tips it onto the other two. It shakes for two cycles out of four, and
-    settles in between.
+    On an uneven floor a car without springs rocks on two wheels of a diagonal, which cannot push across their rollers.
+    Accelerating the other way tips it onto the other two. It shakes for two cycles out of four, and settles in between.
     """
     cycles = (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate
     left_over = math.hypot(error[0], error[1])
@@ -472,11 +464,11 @@ def _to_body(vector: Triple, now: Record) -> Triple:
 
 @compiled
 def _check_progress(car: Record, error: Triple) -> None:
-    """End the task of a driving car that does not get on, unless it is too early to say, and note whether it rests.
+    """End the task of a driving car that is blocked or slips, and note whether it rests.
 
-    Wheels that turn although the car does not follow slip without grip, or spin at an obstacle. What tells the two
-    apart is their force: the torques less what friction, the wheels' inertia and the weight on an incline take would
-    have moved a free car some way. An obstacle is there where the car stays far behind that way, too.
+    Wheels that turn although the car does not follow either slip or spin at an obstacle. Their force tells: the torques
+    less friction, the wheels' inertia and the weight on an incline would have moved a free car some way. If the car
+    stays far behind that way, too, there is an obstacle.
     """
     now, drive, known = car.now, car.task.drive, car.known
     gains, machine, period_s = known.drive, known.car, known.period_s

@@ -1,4 +1,4 @@
-"""From a primitive action to the skill that performs it, built in or one's own; and its second tries."""
+"""The skill of each primitive action, built in or user-defined; and what happens after a failed try."""
 
 from __future__ import annotations
 
@@ -45,10 +45,7 @@ check_complete(BUILT_IN, "skill", "craftsim/skills/library.py")
 
 
 def begin_of(action: Action) -> Performer:
-    """Return what performs an action unless a car has a skill of its own for it.
-
-    Raises InputError for an action that nothing performs.
-    """
+    """Return the built-in or registered skill of an action. Raises InputError if there is none."""
     performer = BUILT_IN.get(action) or ACTIONS[action].skill
     if performer is None:
         known = ", ".join(a.name for a, spec in ACTIONS.items() if spec.performed)
@@ -58,31 +55,31 @@ def begin_of(action: Action) -> Performer:
 
 @dataclass(frozen=True)
 class OwnSkill:
-    """A skill of one's own in place of a built-in one, by its name: reports and worker processes know it by that."""
+    """A user-defined skill in place of a built-in one, by its name, as reports and worker processes need it."""
 
     action: str
     skill: str
     """``module:NAME`` of the class."""
     car: int | None = None
-    """The car that it is for; None for all."""
+    """Number of its car; None for all cars."""
 
 
 SkillChoice = Mapping[Any, Any] | Sequence[OwnSkill] | str
-"""Skills of one's own: a class for each action, ``{Action.LIFT: MyLift}``, for a car ``{0: {Action.LIFT: MyLift}}``, or
+"""User-defined skills: a class for each action, ``{Action.LIFT: MyLift}``, for a car ``{0: {Action.LIFT: MyLift}}``, or
 ``module:NAME`` of such a mapping."""
 
 
 def check_cars(own: Sequence[OwnSkill], n_cars: int) -> None:
-    """Raise InputError for a skill of one's own for a car that there is not."""
+    """Raise InputError for a user-defined skill of a car that does not exist."""
     for one in own:
         if one.car is not None and one.car >= n_cars:
             raise InputError(f"skills: there is no car {one.car}; there are {n_cars}, counted from 0")
 
 
 def own_skills(given: SkillChoice | None) -> tuple[OwnSkill, ...]:
-    """Return skills of one's own by name.
+    """Return user-defined skills by name.
 
-    Raises InputError for what is none: an unknown action, a class without ``step``, or one that cannot be imported.
+    Raises InputError for an unknown action, a class without ``step``, or one that cannot be imported.
     """
     if given is None:
         return ()
@@ -113,7 +110,7 @@ def own_skills(given: SkillChoice | None) -> tuple[OwnSkill, ...]:
 
 
 def check_known(own: Sequence[OwnSkill]) -> None:
-    """Raise InputError for skills whose modules this process has not imported: a file's word does not run code."""
+    """Raise InputError for skills whose modules are not imported yet: reading a file must not run code."""
     for one in own:
         if one.skill.partition(":")[0] not in sys.modules:
             raise InputError(
@@ -122,7 +119,7 @@ def check_known(own: Sequence[OwnSkill]) -> None:
 
 
 def performers(own: Sequence[OwnSkill], n_cars: int) -> list[dict[Action, Performer]]:
-    """Return what performs each action, for each car; skills for a car that there is not wait for a larger world.
+    """Return the skill of each action, for each car; skills for further cars are left out.
 
     Raises InputError for a name that is no skill's.
     """
@@ -175,10 +172,9 @@ _MAY_PASS: Final = (Reason.BLOCKED, Reason.SLIPPED, Reason.MISALIGNED, Reason.TI
 class Tries:
     """An action of one car, tried once or more often.
 
-    A car whose action failed for a reason that may pass goes back to where it began, and tries again. What it goes back
-    by: a move or a turn by driving to the pose that it began at, lifting by lowering the board, folding by unfolding,
-    and the other way round. Back and at the next try it drives as carefully as under or beside something on an uneven
-    floor.
+    After a failure that may be temporary the car goes back, and tries again: it drives back to the pose at which a move
+    or a turn began, lowers a raised board, unfolds a folded slope, and the other way round. It then drives as under or
+    beside something on an uneven floor.
     """
 
     action: Action
@@ -189,12 +185,12 @@ class Tries:
     number: int = 1
     """Of the present try, from 1."""
     elapsed_s: float = 0.0
-    """In what has ended."""
+    """Duration of the tries that have ended."""
     failed: Outcome | None = None
     """How the last try ended, while the car goes back."""
 
     def next(self, outcome: Outcome) -> tuple[Performer, SkillSetup] | None:
-        """Take in how something ended, and return what comes next; None where it is over."""
+        """Process an outcome, and return what comes next; None if the action is over."""
         self.elapsed_s += outcome.duration_s
         if self.failed is not None:
             if not outcome.succeeded:
@@ -216,7 +212,7 @@ class Tries:
         return replace(self.failed or last, duration_s=self.elapsed_s, tries=self.number)
 
     def _back(self) -> tuple[Performer, SkillSetup] | None:
-        """Return what undoes what a failed try may have done; None for an action that has none."""
+        """Return what undoes a failed try; None if nothing does."""
         if self.action in _UNDO:
             return self.performers[_UNDO[self.action]], self.setup
         ground = self.setup.terrain

@@ -21,18 +21,18 @@ Triple = tuple[float, float, float]
 
 
 class FeltForces(NamedTuple):
-    """What a car feels of its contacts by its motors; all zero within the noise for one that stands free."""
+    """Contact forces of a car, computed from its motors; zero within the noise for one that stands free."""
 
     wheels_n: Wheels
-    """With what force each wheel pushes the ground back, forward positive, so that the car is pushed ahead."""
+    """Force of each wheel on the car, forward positive."""
     wrench: Triple
-    """(N, N, Nm) in the car's frame: of the wheels together, beyond what the car's own weight takes on an incline."""
+    """(N, N, Nm) in the car's frame: of all wheels, less the weight component on an incline."""
     board_n: float
-    """What presses on the board from above, beyond its own weight; 0 while it stands on its stop."""
+    """Force on the board from above; 0 while the board stands on its stop."""
 
 
 class Mecanum:
-    """The kinematics of one car's four wheels, and what forces it feels by them.
+    """Kinematics and contact forces of one car's four wheels.
 
     Example:
         >>> import craftsim
@@ -53,22 +53,19 @@ class Mecanum:
         return on_wheels(x / self.radius_m, y / self.radius_m, self.lever_m * turn / self.radius_m)
 
     def wheel_torques(self, wrench: Iterable[float]) -> Wheels:
-        """Return the four wheel torques in Nm that push the body with a wrench (fx, fy, mz) in N, N and Nm.
-
-        By equal power, torque . speed = wrench . twist; of all torques that do it these are the smallest.
-        """
+        """Return the four wheel torques in Nm of least norm for a wrench (fx, fy, mz) in N, N and Nm."""
         x, y, turn = map(float, wrench)
         quarter = self.radius_m / 4
         return on_wheels(quarter * x, quarter * y, quarter * turn / self.lever_m)
 
     def wrench(self, torques: Iterable[float]) -> Triple:
-        """Return the wrench (fx, fy, mz) in N, N and Nm with which four wheel torques in Nm push the body."""
+        """Return the wrench (fx, fy, mz) in N, N and Nm of four wheel torques in Nm."""
         return wrench_of(self.lever_m, self.radius_m, *map(float, torques))
 
     def felt_forces(self, now: CarMeasurement, commanded: Wheels) -> FeltForces:
-        """Return what a car feels of its contacts, of its measurement and of the wheel speeds that it commanded last.
+        """Return the contact forces, given a measurement and the last commanded wheel speeds in rad/s.
 
-        By how much a velocity servo lags behind its command says its torque; gears take their friction of it.
+        A velocity servo's torque is its gain times its speed error; gear friction is subtracted.
         """
         car, torques = self._car, []
         for speed, wanted in zip(now.wheel_speeds, commanded, strict=True):
@@ -83,16 +80,13 @@ class Mecanum:
         return FeltForces((fl, fr, rl, rr), (x, y, turn), load_n)
 
     def body_twist(self, speeds: Iterable[float]) -> Triple:
-        """Return the body twist (vx, vy, omega) that fits four wheel speeds in rad/s best, by least squares."""
+        """Return the least-squares body twist (vx, vy, omega) of four wheel speeds in rad/s."""
         return body_twist(self.lever_m, self.radius_m, *map(float, speeds))
 
 
 @compiled
 def on_wheels(along: float, across: float, spin: float) -> Wheels:
-    """Return what each wheel has, speed or torque, of shares along and across the car and of a spin.
-
-    Which shares those are of a twist and of a wrench says :class:`Mecanum`.
-    """
+    """Return the speeds or torques of the wheels for components along and across the car and of a spin."""
     return along - across - spin, along + across + spin, along + across - spin, along - across + spin
 
 

@@ -1,8 +1,8 @@
 """Skills: what controls a car while it performs an action.
 
-Built in are functions that set a task up from what the car measures (``begin_...``); the laws of
-:mod:`craftsim.skills.laws` then control all cars at once. A skill of one's own is a subclass of :class:`Skill`, stepped
-in Python. Which performs which action says :mod:`craftsim.skills.library`.
+A built-in skill is a function that sets up a task from a measurement (``begin_...``); the compiled laws of
+:mod:`craftsim.skills.laws` then control all cars at once. A user-defined skill is a subclass of :class:`Skill`, stepped
+in Python. :mod:`craftsim.skills.library` lists the skill of each action.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -36,6 +37,7 @@ from craftsim.skills.state import (
     RUNNING,
     STOP,
     constants_of,
+    ending,
     outcome_of,
 )
 from craftsim.storage.limits import Range
@@ -43,7 +45,7 @@ from craftsim.storage.limits import Range
 
 @dataclass(frozen=True)
 class Terrain:
-    """What the map says of a move: by how much the ground raises the car's nose in its two cells, and the room."""
+    """What the map says of a move: the pitch of the ground in its two cells, nose up positive, and the room."""
 
     start_rad: float = 0.0
     end_rad: float = 0.0
@@ -58,23 +60,21 @@ class Terrain:
 
 @dataclass(frozen=True)
 class SkillSetup:
-    """What a skill is given of the car that it controls, of its world and of its tuning."""
+    """Parameters and gains for a skill."""
 
     machine: SmartcarParameters
     """The car's own parameters."""
     machines: Machines
-    """Those of what it handles."""
     gains: Gains
     period_s: float
     """Control period."""
     terrain: Terrain = Terrain()
     """The ground of a move."""
-    constants: Records = field(init=False, repr=False, compare=False)
-    """(1,) KNOWN of :mod:`craftsim.skills.state`, not to be written to: all of these for compiled laws."""
 
-    def __post_init__(self) -> None:
-        constants = constants_of(self.machine, self.machines, self.gains, self.period_s)
-        object.__setattr__(self, "constants", constants)
+    @cached_property
+    def constants(self) -> Records:
+        """(1,) KNOWN of :mod:`craftsim.skills.state`, read-only: the same for compiled laws."""
+        return constants_of(self.machine, self.machines, self.gains, self.period_s)
 
     def on(self, terrain: Terrain) -> SkillSetup:
         """Return the same for a move on other ground."""
@@ -108,7 +108,7 @@ Begin = Callable[[SkillSetup, CarMeasurement, np.void], None]
 
 
 def cell_middle(now: CarMeasurement, yaw: int, along_x: int = 0, along_y: int = 0) -> Triple:
-    """Return the middle of the cell so many away from the one that a car is in, and the heading of a yaw."""
+    """Return the middle of a cell, counted from the one that a car is in, and the heading of a yaw."""
     x, y = math.floor(now.x / CELL_PITCH_M) + along_x, math.floor(now.y / CELL_PITCH_M) + along_y
     return (x + 0.5) * CELL_PITCH_M, (y + 0.5) * CELL_PITCH_M, yaw_angle(yaw)
 
@@ -139,9 +139,8 @@ def begin_move(
     drive = task["drive"]
     drive["waits"], drive["pace"] = loaded and terrain.tight and not terrain.sloping, 1.0
     drive["step_x"], drive["step_y"] = DIRECTIONS[direction]
-    drive["sloping"], drive["start_rad"], drive["end_rad"] = (
-        *(terrain.sloping, terrain.start_rad, terrain.end_rad),
-    )
+    drive["sloping"], drive["start_rad"] = terrain.sloping, terrain.start_rad
+    drive["end_rad"] = terrain.end_rad
 
 
 def begin_turn(
@@ -204,7 +203,7 @@ def begin_lift(setup: SkillSetup, now: CarMeasurement, task: np.void) -> None:
 
 
 def begin_hinge(setup: SkillSetup, now: CarMeasurement, task: np.void, folds: bool) -> None:
-    """Bring the hinge of the docked slope to one end of its range: of the slope that a reading first shows."""
+    """Bring the hinge of the docked slope, the first in a reading, to one end of its range."""
     task["law"], hinge = HINGE, task["hinge"]
     hinge["target_rad"], hinge["slope"] = setup.machines.slope.hinge_range_rad if folds else 0.0, -1
 
@@ -215,7 +214,7 @@ def begin_stop(setup: SkillSetup, now: CarMeasurement, task: np.void) -> None:
 
 
 def begin_task(begin: Begin, setup: SkillSetup, now: CarMeasurement, task: np.void) -> None:
-    """Set up a task; that of a car in no state to act has ended already."""
+    """Set up a task; it has ended already for a car that has tipped or whose readings are not finite."""
     status = _health(setup, now)
     if status == RUNNING:
         begin(setup, now, task)
@@ -235,7 +234,7 @@ def _load(setup: SkillSetup, now: CarMeasurement) -> tuple[bool, float]:
 
 
 def _motor_limits(setup: SkillSetup, load_kg: float, incline_rad: float) -> tuple[float, float]:
-    """Return the speed (m/s) and the force (N) that the wheels can give, less a reserve and what gears take."""
+    """Return the speed (m/s) and the force (N) that the wheels can give, less a reserve and gear friction."""
     car, share = setup.machine, setup.gains.drive.motor_share
     torque = share * car.wheel_torque_nm - car.gear_friction_nm
     weight = (float(setup.constants[0]["car"]["mass_kg"]) + load_kg) * GRAVITY
@@ -246,9 +245,8 @@ def _motor_limits(setup: SkillSetup, load_kg: float, incline_rad: float) -> tupl
 class Skill(ABC):
     """A controller of one action of one car, in Python; subclass it for one of your own.
 
-    It is made with what is known of the car (:class:`SkillSetup`), started with a measurement, and stepped with a
-    measurement each control period until its outcome is set. It sees what the car could see, and nothing else. A car
-    whose readings are not finite or that has tipped ends it, as it does every skill.
+    It is constructed with a :class:`SkillSetup`, started with a measurement, and stepped with one each control period
+    until its outcome is set. It also ends if the car tips or its readings are not finite.
 
     Example:
         >>> import craftsim
@@ -268,9 +266,9 @@ class Skill(ABC):
         """Prepare for this car, world and tuning."""
         self.setup = setup
         self.outcome: Outcome | None = None
-        """How it has ended; None before. What it commands from then on does not count."""
+        """How it has ended; None before. Commands from then on are ignored."""
         self.elapsed_s = 0.0
-        """Simulated time in which it was stepped."""
+        """Simulated time since its start."""
 
     def start(self, now: CarMeasurement) -> None:
         """Derive the goal from what the car measures; nothing unless overridden."""
@@ -278,7 +276,7 @@ class Skill(ABC):
 
     @abstractmethod
     def step(self, now: CarMeasurement) -> Command:
-        """Return the command for the next control period; :meth:`succeed` or :meth:`fail` where it is the last."""
+        """Return the command for the next control period; call :meth:`succeed` or :meth:`fail` at the end."""
 
     def succeed(self) -> None:
         """End: the goal is reached."""
@@ -290,7 +288,7 @@ class Skill(ABC):
 
 
 class LawSkill(Skill):
-    """A compiled law that is stepped in Python, a part of a skill of one's own: ``LawSkill(setup, begin_lift)``."""
+    """A compiled law as a part of a user-defined skill: ``LawSkill(setup, begin_lift)``."""
 
     def __init__(self, setup: SkillSetup, begin: Begin) -> None:
         """Prepare for the task that a function sets up."""
@@ -302,12 +300,12 @@ class LawSkill(Skill):
 
     @property
     def task(self) -> np.void:
-        """What it remembers, a record of TASK."""
+        """Its state, a record of TASK."""
         task: np.void = self._cars[0]["task"]
         return task
 
     def start(self, now: CarMeasurement) -> None:
-        """Set the task up from what the car measures now; a car in no state to act ends it at once."""
+        """Set up the task from a measurement."""
         begin_task(self._begin, self.setup, now, self.task)
         self.outcome = outcome_of(self.task)
 
@@ -324,12 +322,12 @@ class LawSkill(Skill):
 
 
 def n_angles(gains: Gains, period_s: float) -> int:
-    """Return over how many control periods hinge angles are remembered: over which a hinge must be still."""
+    """Return the number of remembered hinge angles, one a control period: a hinge must be still over these."""
     return round(gains.hinge.still_time / period_s) + 1
 
 
 def start_own(kind: type[Skill], setup: SkillSetup, now: CarMeasurement) -> Skill:
-    """Return a skill of one's own that is started. Raises InputError for one that is not made as it should be."""
+    """Return a user-defined skill that is started. Raises InputError if its base class was not initialized."""
     skill = kind(setup)
     if not hasattr(skill, "outcome") or not hasattr(skill, "elapsed_s"):
         raise InputError(f"the skill {kind.__name__}: __init__ must call super().__init__(setup)")
@@ -340,9 +338,9 @@ def start_own(kind: type[Skill], setup: SkillSetup, now: CarMeasurement) -> Skil
 
 
 def step_own(skill: Skill, now: CarMeasurement) -> Command:
-    """Return what a skill of one's own commands, zeros where it has ended; it ends at its time limit at the latest.
+    """Return the command of a user-defined skill, zeros once it has ended; enforce its time limit.
 
-    Raises InputError for one that returns no Command, or sets an outcome that is none.
+    Raises InputError if it returns no Command, or sets an invalid outcome.
     """
     name = type(skill).__name__
     if skill.outcome is None:
@@ -369,10 +367,5 @@ def step_own(skill: Skill, now: CarMeasurement) -> Command:
 
 
 def _check_own(skill: Skill, now: CarMeasurement) -> None:
-    """End the skill of a car in no state to act."""
-    task = records(1, NO_TASK.dtype)[0]
-    status = _health(skill.setup, now)
-    task["status"], task["ended_s"], task["detail"], task["second_detail"] = (
-        *(status, skill.elapsed_s, now.pitch, now.roll),
-    )
-    skill.outcome = outcome_of(task)
+    """End the skill of a car that has tipped or whose readings are not finite."""
+    skill.outcome = ending(_health(skill.setup, now), skill.elapsed_s, now.pitch, now.roll)

@@ -1,4 +1,4 @@
-"""What compiled controllers work on: one record a car, with its constants, its reading, its task and its command."""
+"""The data of compiled controllers: one record a car, with its constants, its reading, its task and its command."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from craftsim.skills.outcome import Outcome, Reason
 GRAVITY: Final = 9.81
 
 IDLE, HOLD, OWN, DRIVE, BOARD, HINGE, STOP = range(7)
-"""What controls a car: nothing, the hold of a parked car, a skill in Python, or one of the compiled laws."""
+"""The law of a car: none, the hold of a parked car, a skill in Python, or a compiled law of a task."""
 
 (
     RUNNING,
@@ -52,7 +52,7 @@ _ENDINGS: Final[dict[int, tuple[Reason | None, str]]] = {
     HINGE_SHORT: (Reason.TIMEOUT, "the hinge is {:+.2f} rad from its end"),
     WHEELS_TURN: (Reason.TIMEOUT, "the wheels still turn"),
 }
-"""Of each status that ends a task: why it failed, and how its message gives the task's two details."""
+"""For each status that ends a task, the reason of a failure, and a text with the task's two details."""
 
 
 def _floats(*names: str) -> list[tuple[str, str]]:
@@ -101,8 +101,8 @@ DRIVE_TASK: Final = np.dtype(
     ],
     align=True,
 )
-"""``path`` is where the car should be when it is looked at next: x and y in metres, and heading; nan if nowhere. One
-that ``waits`` for its car goes on at a ``pace`` from 0 to 1 of its own, and is late by ``waited_s``."""
+"""``path`` is the next set point: x and y in metres, and heading; nan without one. A path that ``waits`` for its car
+goes on at a ``pace`` from 0 to 1, and is late by ``waited_s``."""
 BOARD_TASK: Final = np.dtype(
     [*_floats("target_m", "speed", "last_m", "deadline_s"), ("needs_load", "i8")], align=True
 )
@@ -127,12 +127,11 @@ TASK: Final = np.dtype(
     ],
     align=True,
 )
-"""What one car is about: the law that controls it, how that stands, and what it remembers. A parked car that is held
-remembers how far its wheels have turned, the pose in which it was left, for how long it has been away from that, and
-whether it is on its way back."""
+"""The task of a car: its law, its status, and the state of the law. For a parked car that is held, that is how far its
+wheels have turned, its pose when it was parked, for how long it has been away from that, and whether it returns."""
 
 NO_TASK: Final = np.zeros((), TASK)
-"""What a task is before anything is known of it."""
+"""The initial task."""
 NO_TASK["drive"]["path"] = np.nan
 
 COMMAND: Final = np.dtype([("wheels", "f8", (4,)), ("board", "f8"), ("hinge", "f8")], align=True)
@@ -150,16 +149,15 @@ LAG: Final = np.dtype(
     ],
     align=True,
 )
-"""What a car knows of its motors' lag: the likeliest time constant, in steps between candidates; the mismatch of each
-candidate, the speeds that its servos would have, and by what shares these approach a command in a control period; then
-the command sent last."""
+"""The estimate of the motors' lag: the likeliest time constant, in steps between candidates; for each candidate its
+mismatch, its servo speeds, and the share by which these approach a command in a control period; the last command."""
 
 FLOOR: Final = np.dtype(
     [*_floats("pitch", "roll", "variance"), *((name, "i8") for name in ("n_read", "suspected", "uneven"))],
     align=True,
 )
-"""What a car feels of its floor: mean pitch and roll in radians and the variance of both together, of how many
-readings; whether the mean is too large, but may be noise; whether it ever was too large beyond doubt."""
+"""The floor estimate: mean pitch and roll in radians, the variance of both together, and the number of readings;
+whether the mean is too large, but may be noise; whether it was ever significantly too large."""
 
 CAR: Final = np.dtype(
     [
@@ -168,7 +166,7 @@ CAR: Final = np.dtype(
     ],
     align=True,
 )
-"""All of one car. ``now`` is what it believes to measure, ``docked`` the slope that it commands, -1 for none."""
+"""All of one car. ``now`` is its reading with the estimated pose, ``docked`` the slope that it commands or -1."""
 
 
 @lru_cache(maxsize=64)
@@ -194,8 +192,12 @@ def constants_of(car: SmartcarParameters, machines: Machines, gains: Gains, peri
 
 def outcome_of(task: np.void) -> Outcome | None:
     """Return how a task has ended; None while it runs."""
-    status = int(task["status"])
+    return ending(int(task["status"]), float(task["ended_s"]), task["detail"], task["second_detail"])
+
+
+def ending(status: int, ended_s: float, detail: float, second_detail: float) -> Outcome | None:
+    """Return the outcome of a task with a status and the numbers that its text holds; None for RUNNING."""
     if status == RUNNING:
         return None
     reason, text = _ENDINGS[status]
-    return Outcome(reason, float(task["ended_s"]), text.format(task["detail"], task["second_detail"]))
+    return Outcome(reason, ended_s, text.format(detail, second_detail))

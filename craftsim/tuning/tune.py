@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from craftsim.audit.survey import situation_of
-from craftsim.checking.attempt import BOUNDED_ERRORS, Attempt, Thresholds
+from craftsim.checking.attempt import BOUNDED_ERRORS, BYSTANDER_ERRORS, Attempt, Thresholds
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
@@ -153,9 +153,9 @@ def shares(attempt: Attempt, limits: Thresholds) -> tuple[float, float]:
     """Return the largest share of a limit that an action's own errors took, and that they or a bystander took."""
     own, with_bystanders = (
         _worst(
-            (getattr(attempt, measure.field) or 0.0, getattr(limits, measure.limit))
-            for measure in BOUNDED_ERRORS
-            if of_bystanders or not measure.of_bystanders
+            (getattr(attempt, error) or 0.0, getattr(limits, limit))
+            for error, (limit, _) in BOUNDED_ERRORS.items()
+            if of_bystanders or error not in BYSTANDER_ERRORS
         )
         for of_bystanders in (False, True)
     )

@@ -23,7 +23,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import Task
 from craftsim.planning import NoPlanError, Planned, plan_building
-from craftsim.skills.disturbances import Disturbance, DisturbedFleet
+from craftsim.skills.fleet import Disturbance, DisturbedFleet
 from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
 
 Ticks = Sequence[Sequence[tuple[int, Action]]]

@@ -109,7 +109,7 @@ def test_the_result_follows_from_effect_errors_and_cause(good):
 
     def verdict(cause=agreed, errors=None, **changes):
         changed = replace(watched, errors=watched.errors | (errors or {}), **changes)
-        return verdict_of(changed, cause, changed.exceeded(LIMITS))
+        return verdict_of(changed, cause, LIMITS)
 
     for result, errors in OVER.items():
         for name, value in errors.items():
@@ -138,10 +138,10 @@ def test_the_result_follows_from_effect_errors_and_cause(good):
 
 
 def test_every_limit_is_that_of_an_error_and_every_error_is_held_against_one():
-    limits = {measure.limit for measure in BOUNDED_ERRORS} | {"force"}  # which the contact log holds
+    limits = {limit for limit, _ in BOUNDED_ERRORS.values()} | {"force"}  # which the contact log holds
     assert limits == {f.name for f in fields(Thresholds)}
     errors = {f.name for f in fields(Attempt) if f.name.endswith(("_m", "_rad"))}
-    assert errors == {measure.field for measure in BOUNDED_ERRORS} == {*OVER[FAILED], *OVER[SIDE_EFFECT]}
+    assert errors == set(BOUNDED_ERRORS) == {*OVER[FAILED], *OVER[SIDE_EFFECT]}
 
 
 def test_a_reason_names_first_what_was_broken_then_what_was_touched(good):

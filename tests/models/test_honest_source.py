@@ -31,7 +31,7 @@ ALLOWED = {
 }
 """PhysicsWorld.awake_copy writes a copy, and leaves the world as it is (tests/checking/test_contact_log.py); what is
 posed has data of its own, to be drawn; a mirror shows robots elsewhere, and is never stepped."""
-DECLARED = {"craftsim/skills/disturbances.py": {"_Shove.push", "_Shove.over"}}
+DECLARED = {"craftsim/skills/fleet.py": {"DisturbedFleet._push", "DisturbedFleet._let_go"}}
 """Where a force is applied that somebody asked for as a disturbance (``craftsim validate --disturb shove``)."""
 
 

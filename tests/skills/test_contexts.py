@@ -17,10 +17,10 @@ ROLLERS, REDUCED = "rollers", "reduced"
 
 
 def _on_both(*cases):
-    """Yield cases, whose last value is a drive, and each on the other drive as a slow one."""
-    yield from cases
-    for *case, drive in cases:
-        yield pytest.param(*case, REDUCED if drive == ROLLERS else ROLLERS, marks=pytest.mark.slow)
+    """Return cases, whose last value is a drive, and each on the other drive as a slow one."""
+    other = {REDUCED: ROLLERS, ROLLERS: REDUCED}
+    slow = (pytest.param(*case, other[drive], marks=pytest.mark.slow) for *case, drive in cases)
+    return [*cases, *slow]
 
 
 def _perform(judge, actions):

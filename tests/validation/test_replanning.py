@@ -19,7 +19,7 @@ from craftsim.discrete.tasks import make_task
 from craftsim.envs import parallel_env
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import InputError
-from craftsim.skills.disturbances import Disturbance
+from craftsim.skills.fleet import Disturbance
 from craftsim.validation import validation
 from craftsim.validation.replanning import Replanning, without
 from craftsim.validation.rollout import Run, Terms, do_run
@@ -51,7 +51,7 @@ def test_a_shoved_block_is_pushed_over_the_floor_to_the_next_cell_and_left_there
     places = []
     for _ in range(150):
         judge.executor.advance()
-        places.append(judge._poses.read().positions[0].copy())
+        places.append(judge.physics.poses().positions[0].copy())
     way = places[-1][:2] - (np.array([2, 1]) + 0.5) * CELL_PITCH_M
     assert np.linalg.norm(way) == pytest.approx(CELL_PITCH_M, abs=0.02)
     # No jump: the fastest of it is what a hand does.

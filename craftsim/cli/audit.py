@@ -186,7 +186,7 @@ def margins(
         *(rows, chosen, setup, 20 if quick else campaign.trials, physics.seed, out),
         asked=asked | {"randomize": physics.randomize},
         options=campaign.run(counting("searches", without_error)),
-        pair=(over[0], over[1]) if pair else None,
+        pair=over,
     )
     return margins_report(result, command_again()).publish(out)
 

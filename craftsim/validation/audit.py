@@ -88,25 +88,23 @@ def try_it(trial: AuditTrial | None) -> Result:
     """Run one trial and judge it. There are no attempts for None, and in a world that is not stable."""
     if trial is None:
         return Result(agrees=True)
-    shared = trial.situation, trial.seed, trial.setup
-    if problems := _problems(*shared):
-        return Result(agrees=True, extra={"does_not_stand": list(problems)})
     recipe = recipe_of(trial)
-    attempts = do(run_up(recipe, _physics(*shared)), recipe.steps[-1])
+    if problems := _problems(recipe.world, trial.setup):
+        return Result(agrees=True, extra={"does_not_stand": list(problems)})
+    attempts = do(run_up(recipe, compiled_world(recipe.world, trial.setup)), recipe.steps[-1])
     return Result(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
 
 
-@lru_cache(maxsize=1)
-def _physics(situation: Situation, seed: int, setup: Setup) -> PhysicsWorld:
-    """Return the PhysicsWorld of a situation, shared by its trials."""
-    return compile_world(AuditTrial(situation, True, 0, seed, setup).placed.grid, setup)
+@lru_cache(maxsize=2)
+def compiled_world(world: str, setup: Setup) -> PhysicsWorld:
+    """Return the compiled world of a blueprint, shared by the trials that start from it."""
+    return compile_world(Recipe(world).grid, setup)
 
 
 @lru_cache(maxsize=1)
-def _problems(situation: Situation, seed: int, setup: Setup) -> tuple[str, ...]:
-    """Return how a situation's world, at rest in nominal physics, differs from its grid; empty if it does not."""
-    grid = AuditTrial(situation, True, 0, seed, setup).placed.grid
-    world = _physics(situation, seed, setup)
+def _problems(text: str, setup: Setup) -> tuple[str, ...]:
+    """Return how a blueprint's world, at rest in nominal physics, differs from it; empty if it does not."""
+    grid, world = Recipe(text).grid, compiled_world(text, setup)
     try:
         reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
     except StartError as error:

@@ -19,7 +19,7 @@ from craftsim.errors import CraftsimError, InputError, suggestion
 from craftsim.options import Dir, File, OptionalDir, Physics, Randomize, Record, Shown, Trials, number
 from craftsim.reports.report import Column, DataTable, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import RUNS, SHOWN, TRIAL_COUNT
+from craftsim.storage.limits import RUNS, TRIAL_COUNT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,6 +33,8 @@ Actions = Annotated[tuple[str, ...], Parameter(metavar="ACTION")]
 Situations = Annotated[str, Parameter(metavar="PATTERN")]
 QUICK: Final = ("lippage", "unevenness", "position-bias", "heading-bias", "delay", "motor-lag")
 """The imperfections of a quick look."""
+SHOWN: Final = 3
+"""Mismatches with CraftEnv that are drawn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,7 +305,6 @@ def conformance(
     files: Annotated[tuple[Path, ...], Parameter(metavar="FILE")] = (),
     *,
     rules: RuleSet = "published",
-    show: Annotated[int, number(SHOWN)] = 3,
     out: OptionalDir = None,
 ) -> int:
     """Replay recordings of CraftEnv and compare masks, effects, rewards and plans.
@@ -314,7 +315,6 @@ def conformance(
     Args:
         files: recordings: gzip-compressed JSON lines.
         rules: the rule set to compare.
-        show: number of mismatches to draw.
         out: folder for report.json.
     """
     from craftsim.discrete.conformance import Checker, read_records
@@ -324,7 +324,7 @@ def conformance(
     if not files:
         raise InputError("no recordings given; name one or more .jsonl.gz files")
     begun = time.perf_counter()
-    checker = Checker(Rules(rules), keep=show)
+    checker = Checker(Rules(rules), keep=SHOWN)
     for file in files:
         for line, record in read_records(file):
             try:

@@ -60,7 +60,7 @@ from craftsim.validation.sections import (
     recorded_section,
     smallest_section,
 )
-from craftsim.validation.validation import BuildFigures, Validation
+from craftsim.validation.validation import Validation
 
 _GOALS: Final = ("physics_success", "grid_success")
 _RENDER: Final = "To watch it, from the folder of this report: craftsim render FILE, or craftsim view FILE."
@@ -238,23 +238,22 @@ def _coverage(coverage: Coverage | None) -> list[Section]:
     return [Section("coverage", "Coverage", lead, [table], terminal=True)]
 
 
-def _built(builds: BuildFigures, n: int) -> Headline:
-    built = builds.endings.get("built", 0)
+def _built(builds: Mapping[str, Any], n: int) -> Headline:
+    built = builds["endings"].get("built", 0)
     sentence = f"{built} of {n} buildings stand"
-    sentence += f"; {builds.replans} further plans were made." if builds.replans else "."
+    sentence += f"; {builds['replans']} further plans were made." if builds["replans"] else "."
     if built == n:
         return Headline("Built", Tone.GOOD, sentence)
     return Headline("Not all built", Tone.CAUTION if built else Tone.BAD, sentence)
 
 
-def _build_figures(builds: BuildFigures) -> Iterator[KeyFigure]:
-    yield _share("built", builds.built)
-    yield KeyFigure(
-        f"{builds.replans:,}", "further plans", f"{count(builds.disturbed, 'building')} disturbed"
-    )
-    for name, value in (("first plan's makespan", builds.planned_s), ("real makespan", builds.real_s)):
-        if value is not None:
-            yield KeyFigure(f"{value:.1f} s", name, "median")
+def _build_figures(builds: Mapping[str, Any]) -> Iterator[KeyFigure]:
+    yield _share("built", builds["built"])
+    disturbed = f"{count(builds['disturbed'], 'building')} disturbed"
+    yield KeyFigure(f"{builds['replans']:,}", "further plans", disturbed)
+    for name, label in (("planned_s", "first plan's makespan"), ("real_s", "real makespan")):
+        if builds[name] is not None:
+            yield KeyFigure(f"{builds[name]:.1f} s", label, "median")
 
 
 def _builds(records: Iterable[TrialRecord]) -> Section:

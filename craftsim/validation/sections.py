@@ -207,7 +207,7 @@ def recorded_runs(items: Sequence[Trial], records: Sequence[TrialRecord]) -> lis
     ended = [
         RecordedRun(item.key, f"{TRAJECTORIES}/{item.job.file_name}{SUFFIX}", record["agrees"])
         for item, record in zip(items, records, strict=False)
-        if item.job.terms.record and record["error"] is None
+        if item.job.record and record["error"] is None
     ]
     return sorted(ended, key=lambda run: run.agrees)
 

@@ -48,7 +48,7 @@ from craftsim.validation.minimize import Counterexample, MinimizeProgress, minim
 from craftsim.validation.play import Coverage
 from craftsim.validation.policies import RANDOM
 from craftsim.validation.replanning import Replanning
-from craftsim.validation.rollout import PlanOrder, Run, Terms, do_run, roll_out
+from craftsim.validation.rollout import PlanOrder, Run, do_run, roll_out
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -60,37 +60,24 @@ _FORMER: Final = {"against": "baseline", "shrink": "minimize"}
 """Former names of arguments of validate."""
 
 
-@dataclass(frozen=True)
-class BuildFigures:
-    """Metrics of all buildings of a run; times are medians in simulated seconds."""
+def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
+    """Return the metrics of all buildings of a run.
 
-    built: Proportion
-    """Share built of all that finished, with any number of plans."""
-    endings: dict[str, int]
-    """Number built, given up, or unreadable."""
-    replans: int
-    """Total number of further plans."""
-    disturbed: int
-    """Buildings in which the disturbance took place."""
-    planned_s: float | None
-    """Predicted makespan of the first plan."""
-    real_s: float | None
-    """Makespan of what was built."""
-
-    @classmethod
-    def of(cls, records: Iterable[TrialRecord]) -> BuildFigures:
-        """Return the metrics of the buildings in some records."""
-        extras = [record["extra"] for record in records if record["error"] is None]
-        endings = Counter(extra["ended"] for extra in extras)
-        times = [extra["makespan_s"] for extra in extras if extra["ended"] == "built"]
-        return cls(
-            built=Proportion.of(endings["built"], len(extras)),
-            endings=dict(sorted(endings.items())),
-            replans=sum(extra["replans"] for extra in extras),
-            disturbed=sum(bool(extra["disturbed"]) for extra in extras),
-            planned_s=median(extra["planned_s"] for extra in extras) if extras else None,
-            real_s=median(times) if times else None,
-        )
+    They are the share built of all that finished, how many ended in which way, the number of further plans, in how many
+    the disturbance took place, and the medians of the first plan's predicted and of the real makespan in simulated
+    seconds.
+    """
+    extras = [record["extra"] for record in records if record["error"] is None]
+    endings = Counter(extra["ended"] for extra in extras)
+    times = [extra["makespan_s"] for extra in extras if extra["ended"] == "built"]
+    return {
+        "built": Proportion.of(endings["built"], len(extras)),
+        "endings": dict(sorted(endings.items())),
+        "replans": sum(extra["replans"] for extra in extras),
+        "disturbed": sum(bool(extra["disturbed"]) for extra in extras),
+        "planned_s": median(extra["planned_s"] for extra in extras) if extras else None,
+        "real_s": median(times) if times else None,
+    }
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,13 +107,13 @@ class Validation:
     """Coverage of random play, if any."""
     smallest: tuple[Counterexample, ...] = ()
     """The first failure of each kind in its smallest world, with the option ``minimize``."""
-    builds: BuildFigures | None = None
-    """Metrics of buildings with replanning."""
+    builds: dict[str, Any] | None = None
+    """Metrics of buildings with replanning, as of :func:`build_figures`."""
 
     @property
     def all_built(self) -> bool:
         """Whether every building with replanning was built."""
-        return self.builds is not None and self.builds.endings.get("built", 0) == len(self.records)
+        return self.builds is not None and self.builds["endings"].get("built", 0) == len(self.records)
 
     @property
     def agrees(self) -> bool:
@@ -253,8 +240,8 @@ def validate(
         "digests": setup.digests,
     }
     check_starts(subjects, setup, seed)
-    terms = Terms(seed, setup, None if folder is None else folder.resolve(), tuple(observers), record)
-    items = list(items_of(subjects, pilots, trials, terms))
+    terms = {"out": folder and folder.resolve(), "observers": tuple(observers), "record": record}
+    items = list(items_of(subjects, pilots, trials, seed, setup, order=order, **terms))
     experiment = Experiment("validate", seed, config, items, do_run, RUNS, timeout_s)
     how = campaign.run(progress)
 
@@ -302,8 +289,15 @@ def build_all(
         "setup": setup,
         "digests": setup.digests,
     }
-    terms = Terms(seed, setup, out.resolve(), record=record)
-    runs = [Run(f"{task.name}/{episode:04d}", task, asked, episode, terms) for episode in range(trials)]
+    terms: dict[str, Any] = {
+        "by": asked,
+        "seed": seed,
+        "setup": setup,
+        "out": out.resolve(),
+        "record": record,
+    }
+    keys = [f"{task.name}/{episode:04d}" for episode in range(trials)]
+    runs = [Run(key=key, world=task, episode=episode, **terms) for episode, key in enumerate(keys)]
     items = [Trial(run.key, "built", seed, run, task.name, run.episode) for run in runs]
     experiment = Experiment("build", seed, config, items, do_run, BUILDS, timeout_s)
     earlier = read_earlier(experiment, out, options)
@@ -312,7 +306,7 @@ def build_all(
     first = task.for_episode(rng)
     plan_building(first.draw(rng), first, rules, rounds=asked.rounds, time_s=math.inf, report=_enough)
     return _run(
-        experiment, out, options, earlier, lambda session, records: {"builds": BuildFigures.of(records)}
+        experiment, out, options, earlier, lambda session, records: {"builds": build_figures(records)}
     )
 
 
@@ -376,7 +370,7 @@ def record_once(
         pilot = plan_pilot(read_plan(plan, subjects[0].n_cars), order)
     else:
         pilot = policy_pilot(policy or PLANNER, subjects, order, setup.rules)
-    (item,) = items_of(subjects, [pilot], 1, Terms(seed, setup))
-    trajectory = roll_out(item.job, record=True).trajectory
+    (item,) = items_of(subjects, [pilot], 1, seed, setup, order=order, record=True)
+    trajectory = roll_out(item.job).trajectory
     assert trajectory is not None
     return trajectory

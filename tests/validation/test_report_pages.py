@@ -264,7 +264,7 @@ def test_recorded_runs_are_drawn_those_first_that_disagree_and_a_damaged_one_is_
     items, records = [], []
     for name, result in {"one": Verdict.AS_PREDICTED, "two": Verdict.FAILED, "bad": Verdict.FAILED}.items():
         trajectory.write(tmp_path / TRAJECTORIES / f"{name}.npz")
-        job = SimpleNamespace(file_name=name, terms=SimpleNamespace(record=True))
+        job = SimpleNamespace(file_name=name, record=True)
         items.append(Trial(f"<b>{name}", "planner", 0, job))
         records.append(record(name, attempt(result)))
     (tmp_path / TRAJECTORIES / "bad.npz").write_bytes(b"PK")

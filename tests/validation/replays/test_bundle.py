@@ -234,14 +234,6 @@ def test_the_clip_lasts_three_seconds_and_moves(rendering, calm, tmp_path, capsy
     assert change > 60
 
 
-def test_without_a_display_there_is_no_viewer(calm, tmp_path, capsys, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert _run(calm, tmp_path, "--view") == 2
-    assert "--view needs a display" in capsys.readouterr().err
-    assert _run(calm, tmp_path, "--view", "--video") == 2
-
-
 def test_a_bundle_as_a_trajectory_goes_from_its_state_before_to_the_one_after(noisy):
     recorded = read_bundle(noisy)
     _, trajectory = record_bundle(recorded)

@@ -121,7 +121,7 @@ def audit(
     )
     if filming or record == "trajectory":
         record_failures(out, result.records, campaign.workers, filming)
-    return audit_report(result, out, command_again()).publish(out)
+    return audit_report(result, command_again()).publish(out)
 
 
 def _check_actions(actions: Iterable[str]) -> None:

@@ -109,7 +109,7 @@ def validate(
         record_failures(out, result.records, campaign.workers, filming)
     if filming and video == "all":
         film_runs(out, campaign.workers)
-    return validation_report(result, out, command_again()).publish(out)
+    return validation_report(result, command_again()).publish(out)
 
 
 def _only(worlds: tuple[str, ...], option: str) -> str:
@@ -149,7 +149,7 @@ def _build(
     )
     if filming:
         film_runs(out, campaign.workers)
-    return validation_report(result, out, command_again()).publish(out)
+    return validation_report(result, command_again()).publish(out)
 
 
 def _play_policies(

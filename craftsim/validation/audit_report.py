@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from craftsim.experiments.bundle import TRAJECTORY
@@ -59,7 +58,7 @@ from craftsim.validation.audit import (
     judged_by_rules,
     verdict_counts,
 )
-from craftsim.validation.sections import RecordedRun, case_of, recorded_section, smallest_section
+from craftsim.validation.sections import case_of, smallest_section
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,8 +89,8 @@ _OTHERS: Final = {
 _INTERVAL: Final = Column(f"{100 * CONFIDENCE:.0f} % interval", tip="of the share that did as predicted")
 
 
-def audit_report(audit: Audit, out: Path, command: str) -> Report:
-    """Return the report of an audit in the folder ``out``; ``command`` is how it can be run again."""
+def audit_report(audit: Audit, command: str) -> Report:
+    """Return the report of an audit; ``command`` is how it can be run again."""
     rows, figures = audit.rows, audit.figures
     found = verdict_counts(rows)
     unsound, conservative = (
@@ -99,10 +98,6 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
     )
     first = {row.action: row for row in reversed(unsound)}
     one_each = [row for row in unsound if first[row.action] is row]
-    striking = [*one_each, *(row for row in unsound if row not in one_each), *conservative]
-    recorded = [
-        RecordedRun(row.name, f"{row.bundles[0]}/{TRAJECTORY}", False) for row in striking if row.bundles
-    ]
     flags = audit.rows_by_flag | {"no flag": sum(not flags for flags in audit.corrections.values())}
     corrections = DataTable(
         (Column("correction", "path"), Column("unsound rows", "number")),
@@ -127,7 +122,6 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
             "The rules forbid these, and they would have worked.",
             conservative,
         ),
-        *recorded_section(out, recorded),
         Section(
             "others",
             "All other rows",

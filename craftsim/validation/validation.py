@@ -99,8 +99,6 @@ class Validation:
     config: dict[str, Any]
     """The configuration, without the seed."""
     seed: int
-    items: Sequence[Trial]
-    """The trials, parallel to the records."""
     comparison: Comparison | None = None
     """Comparison with the baseline run, if given."""
     coverage: Coverage | None = None
@@ -333,7 +331,7 @@ def _run(
         if folder is not None:
             write_durations(folder, figures.durations)
     config = dict(experiment.config)
-    return Validation(records, figures, config, experiment.seed, experiment.items, comparison, **found)
+    return Validation(records, figures, config, experiment.seed, comparison, **found)
 
 
 def read_goal(start: str, goal: Path | None) -> Task:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from fnmatch import fnmatchcase
 from functools import lru_cache, partial
@@ -203,54 +203,45 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
     A group's name is the action, a slash and the context. A row is legal when all its attempts are; one whose trials
     have neither attempts nor errors has no prediction.
     """
-    groups: dict[str, _Group] = {}
+    results, kinds = dict[str, Counter[str]](), dict[str, Counter[str]]()
+    reasons, bundles = dict[str, dict[str, str]](), dict[str, list[str]]()
+    forbidden = set[str]()
     for record in records:
-        groups.setdefault(record["group"], _Group()).add(record)
-    return [group.row(name) for name, group in sorted(groups.items())]
-
-
-@dataclass
-class _Group:
-    """Counts over the trials of one row."""
-
-    results: Counter[Verdict] = field(default_factory=Counter)
-    errors: int = 0
-    legal: bool = True
-    bundles: list[str] = field(default_factory=list)
-    reasons: dict[str, str] = field(default_factory=dict)
-    """The first reason of each kind of failure."""
-    kinds: Counter[str] = field(default_factory=Counter)
-
-    def add(self, record: TrialRecord) -> None:
-        attempts = record["attempts"]
-        self.legal &= all(attempt["legal"] for attempt in attempts)
-        self.bundles += [record["bundle"]] if record["bundle"] else []
+        name, attempts = record["group"], record["attempts"]
+        counts = results.setdefault(name, Counter())
+        if not all(attempt["legal"] for attempt in attempts):
+            forbidden.add(name)
+        if record["bundle"]:
+            bundles.setdefault(name, []).append(record["bundle"])
         if record["error"] is not None:
-            self.errors += 1
+            counts["errors"] += 1
         elif attempts:
             worst = max(attempts, key=lambda attempt: RESULTS.index(Verdict(attempt["result"])))
-            self.results[Verdict(worst["result"])] += 1
+            counts[Verdict(worst["result"])] += 1
             if worst["result"] != Verdict.AS_PREDICTED:
-                self.reasons.setdefault(kind_of(worst["reason"]), worst["reason"])
-                self.kinds[kind_of(worst["reason"])] += 1
-
-    def row(self, name: str) -> AuditRow:
+                kind = kind_of(worst["reason"])
+                kinds.setdefault(name, Counter())[kind] += 1
+                reasons.setdefault(name, {}).setdefault(kind, worst["reason"])
+    rows = []
+    for name, counts in sorted(results.items()):
+        good, failed, side_effect, unsafe, numerics = (counts[result] for result in RESULTS)
+        trials, legal, predicted = good + failed + side_effect + unsafe, name not in forbidden, bool(counts)
+        (commonest, n), *others = kinds.get(name, Counter()).most_common() or [("", 0)]
+        reason = reasons.get(name, {}).get(commonest, "")
         action, _, context = name.partition("/")
-        good, failed, side_effect, unsafe, numerics = (self.results[result] for result in RESULTS)
-        trials = self.results.total() - numerics
-        has_prediction = bool(self.results) or bool(self.errors)
-        (commonest, n), *others = self.kinds.most_common() or [("", 0)]
-        reason = self.reasons.get(commonest, "")
-        return AuditRow(
-            *(action, context, self.legal and has_prediction, has_prediction),
-            *(trials, good, failed, side_effect, unsafe),
-            *wilson(good, trials),
-            verdict=judge(self.legal, has_prediction, trials, good).value,
-            reason=f"{reason} ({n} of {self.kinds.total()})" if others else reason,
-            bundles=tuple(self.bundles),
-            numerics=numerics,
-            errors=self.errors,
+        rows.append(
+            AuditRow(
+                *(action, context, legal and predicted, predicted),
+                *(trials, good, failed, side_effect, unsafe),
+                *wilson(good, trials),
+                verdict=judge(legal, predicted, trials, good).value,
+                reason=f"{reason} ({n} of {kinds[name].total()})" if others else reason,
+                bundles=tuple(bundles.get(name, ())),
+                numerics=numerics,
+                errors=counts["errors"],
+            )
         )
+    return rows
 
 
 @dataclass(frozen=True)

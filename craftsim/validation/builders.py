@@ -28,10 +28,10 @@ from craftsim.envs.planner import PlannerPolicy
 from craftsim.envs.text import FORBIDDEN, MARK, Answer, TextConstruction, answer_text, converse
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import (
-    CONFIDENCE,
     Estimate,
     Proportion,
     least_detectable,
+    mean_of,
     paired_difference,
 )
 from craftsim.experiments.session import open_session
@@ -207,10 +207,12 @@ def builder_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     total = {
         key: sum(one[key] for one in kept) for key in ("predicted", "allowed", "acted", "unreadable", "turns")
     }
-    shares = [one["in_place"] for one in kept] + [0.0] * (len(records) - len(kept))
+    place = mean_of([one["in_place"] for one in kept] + [0.0] * (len(records) - len(kept)))
+    if place.low is not None and place.high is not None:
+        place = Estimate(place.value, max(0.0, place.low), min(1.0, place.high))
     return {
         "built": Proportion.of(sum(one["built"] for one in kept), len(records)),
-        "in_place": _mean(shares),
+        "in_place": place,
         "as_predicted": Proportion.of(total["predicted"], total["allowed"]),
         "forbidden": total["acted"] - total["allowed"],
         "acted": total["acted"],
@@ -218,16 +220,6 @@ def builder_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "turns": total["turns"],
         "errors": len(records) - len(kept),
     }
-
-
-def _mean(shares: Sequence[float]) -> Estimate:
-    """Return a mean of shares with its t interval over designs; without one where all are alike."""
-    from scipy.stats import ttest_1samp
-
-    if len(set(shares)) < 2:
-        return Estimate(shares[0] if shares else None, None, None)
-    low, high = ttest_1samp(shares, 0.0).confidence_interval(CONFIDENCE)
-    return Estimate(float(np.mean(shares)), max(0.0, float(low)), min(1.0, float(high)))
 
 
 def _difference(first: Sequence[TrialRecord], second: Sequence[TrialRecord]) -> dict[str, Any]:

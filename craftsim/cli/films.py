@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
@@ -89,18 +90,16 @@ def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Desi
 
 def _do_all(what: str, function: Callable[[Job], None], jobs: Sequence[Job], workers: int) -> None:
     """Call a function for each job, in this process for one worker."""
-    with counting(what, bool)(len(jobs)) as tell:
-        for _ in _done(function, jobs, workers):
-            tell(True)
-
-
-def _done(function: Callable[[Job], None], jobs: Sequence[Job], workers: int) -> Iterator[None]:
-    if workers == 1 or len(jobs) < 2:
-        yield from map(function, jobs)
-        return
-    with Pool(workers) as pool:
+    several = workers > 1 and len(jobs) > 1
+    with counting(what, bool)(len(jobs)) as tell, Pool(workers) if several else nullcontext() as pool:
+        if pool is None:
+            for job in jobs:
+                function(job)
+                tell(True)
+            return
         for _, answer in pool.map_unordered(function, jobs):
-            yield answered(answer)
+            answered(answer)
+            tell(True)
 
 
 def _record_folder(job: tuple[Path, bool]) -> None:

@@ -96,6 +96,7 @@ def train(
     need_torch()
     from craftsim.discrete.tasks import as_task
     from craftsim.rendering.trajectory import TRAJECTORIES
+    from craftsim.training.config import Protocol, protocol
 
     given = _settings_of(settings)
     besides: dict[str, Any] = {name: given.pop(name) for name in _BESIDES if name in given}
@@ -107,7 +108,7 @@ def train(
         for name, value in {**physical, "record": None if record == "none" else record}.items():
             if value is not None:
                 raise InputError(f"{name} is for physics; on the grid nothing moves: leave it out")
-    run = _protocol(preset, task, algo)
+    run = protocol(preset, task, algo) if preset else Protocol(steps=3_000_000)
     steps = run.steps if steps is None else steps
     until = run.until if until is None else until
     config = _config(given, besides, run, task=task, algo=algo, seed=chance.seed, backend=backend)
@@ -160,12 +161,6 @@ def _settings_of(words: Iterable[str]) -> dict[str, Any]:
             raise InputError(f"--set is '{word}'; allowed: NAME=VALUE, each name once")
         found[name] = parse_document(f"value: {value}\n", Path("--set")).plain["value"]
     return found
-
-
-def _protocol(preset: PresetName | None, task: str, algo: AlgoName) -> Protocol:
-    from craftsim.training.config import Protocol, protocol
-
-    return protocol(preset, task, algo) if preset else Protocol(steps=3_000_000)
 
 
 def _config(given: dict[str, Any], besides: dict[str, Any], run: Protocol, **flags: Any) -> TrainConfig:

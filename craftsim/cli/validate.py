@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from craftsim.envs.parallel import ParallelConstruction
     from craftsim.training.config import Acting
     from craftsim.training.policy import TrainedPolicy
+    from craftsim.validation.replanning import Replanning
 
 AUTO: Final = "auto"
 """The plan that is made, and made again."""
@@ -82,10 +83,13 @@ def validate(
     if backend == "grid":
         return _play_policies(worlds, what, physics, campaign, area, acting, out)
     if str(what.plan) == AUTO:
+        from craftsim.validation.replanning import Replanning
+        from craftsim.validation.validation import read_goal
+
         world = _only(worlds, "--plan auto")
         filmed = video == "all" or (video == "failures" and record == "trajectory")
-        asked = replans, attempts, disturb
-        return _build(world, design.goal, asked, what.timeout_s, physics, campaign, filmed, out)
+        planning = Replanning(replans, attempts, disturb)
+        return _build(read_goal(world, design.goal), planning, what, physics, campaign, filmed, out)
     for option, given in (("--goal", design.goal), ("--disturb", disturb)):
         if given is not None:
             raise InputError(f"{option} goes with --plan auto")
@@ -121,10 +125,9 @@ def _only(worlds: tuple[str, ...], option: str) -> str:
 
 
 def _build(
-    start: str,
-    goal: Path | None,
-    asked: tuple[int, int, Any],
-    timeout_s: float,
+    task: Task,
+    planning: Replanning,
+    what: Rollouts,
     physics: Physics,
     campaign: Trials,
     video: bool,
@@ -132,19 +135,18 @@ def _build(
 ) -> int:
     """Plan a building, build it in physics, and plan again from what is there where it went wrong: --plan auto."""
     from craftsim.cli.films import film_runs, rendering_works
-    from craftsim.validation.replanning import Replanning
     from craftsim.validation.report import validation_report
-    from craftsim.validation.validation import build_all, read_goal
+    from craftsim.validation.validation import build_all
 
-    task, setup = read_goal(start, goal), physics.setup()
+    setup = physics.setup()
     filming = video and rendering_works()
     result = build_all(
-        *(task, setup, Replanning(*asked)),
+        *(task, setup, planning),
         trials=campaign.trials,
         seed=physics.seed,
         out=out,
         options=campaign.run(counting("buildings", lambda record: record["extra"].get("ended") == "built")),
-        timeout_s=timeout_s,
+        timeout_s=what.timeout_s,
         record=video,
     )
     if filming:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -220,20 +221,21 @@ def clearance(
     _check_actions(actions)
     parameters = NOMINAL if machines is None else load_machines(machines)
     judged = [_judged(one, Rules(rules)) for one in neighbours(parameters, actions)]
-    listed = [one for one in judged if one["clearance_mm"] is not None or _unexplained(one)]
+    reach = [one for one in judged if one["clearance_mm"] is not None]
+    within = sorted((one for one in reach if one["clearance_mm"] < 0.0), key=itemgetter("clearance_mm"))
+    allowed = [one for one in within if one["legal"]]
+    forbidden = (one for one in judged if one["legal_alone"] and not one["legal"])
+    unexplained = [one for one in forbidden if one["clearance_mm"] is None]
+    listed = [one for one in judged if one["clearance_mm"] is not None or one in unexplained]
     written = document(
         {"clearance": {"neighbours": len(judged), "rows": listed}},
         command="clearance",
         seed=0,
         config={"rules": rules, "actions": actions, "machines": parameters.digest},
     )
-    allowed, unexplained = _findings(judged)
-    rows = []
-    for name, group in groupby(judged, lambda one: one["situation"]):
-        row = list(group)
-        reach = [one["clearance_mm"] for one in row if one["clearance_mm"] is not None]
-        counts = (len(row), len(reach), sum(mm < 0 for mm in reach))
-        rows.append((name, *counts, *(len(found) for found in _findings(row))))
+    groups = (judged, reach, within, allowed, unexplained)
+    counts = [Counter(one["situation"] for one in group) for group in groups]
+    rows = [(name, *(found[name] for found in counts)) for name in counts[0]]
     heads = ("neighbours", "within reach", "in the way", "allowed", "unexplained")
     columns = (Column("situation", "path"), *(Column(name, "number") for name in heads))
     table = DataTable(columns, rows, "Situations", tall=True, most=100)
@@ -274,17 +276,6 @@ def _judged(one: Neighbour, rules: Rules) -> dict[str, Any]:
         "legal": legal,
         "legal_alone": alone,
     }
-
-
-def _unexplained(one: Mapping[str, Any]) -> bool:
-    """Return whether the rules forbid the action because of it, though it is out of reach."""
-    return one["legal_alone"] and not one["legal"] and one["clearance_mm"] is None
-
-
-def _findings(judged: Sequence[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[Mapping[str, Any]]]:
-    """Return the collisions that are allowed, the deepest first, and what is forbidden without one."""
-    allowed = [one for one in judged if one["legal"] and (one["clearance_mm"] or 0.0) < 0.0]
-    return sorted(allowed, key=lambda one: one["clearance_mm"]), [one for one in judged if _unexplained(one)]
 
 
 def _findings_table(title: str, found: Sequence[Mapping[str, Any]]) -> DataTable:

@@ -244,22 +244,12 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
     return rows
 
 
-@dataclass(frozen=True)
-class HypothesisFinding:
-    """The finding on one hypothesis."""
+def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[dict[str, Any]]:
+    """Return the finding on each of :data:`HYPOTHESES`; the rows ``at_once`` count as evidence only.
 
-    number: int
-    question: str
-    rows: int
-    """Number of rows tried."""
-    trials: int
-    verdict: str
-    evidence: str
-    """The clearest row of the most serious verdict, with its counts and reason."""
-
-
-def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[HypothesisFinding]:
-    """Return the finding on each of :data:`HYPOTHESES`; the rows ``at_once`` count as evidence only."""
+    A finding holds its ``number``, the ``question``, the numbers of ``rows`` and ``trials``, the ``verdict``, and as
+    ``evidence`` the clearest row of the most serious verdict, with its counts and reason.
+    """
     found = []
     for number, suspect in enumerate(HYPOTHESES, start=1):
         mine, together = (
@@ -272,9 +262,15 @@ def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[Hypothes
         evidence = [f"{row.name}: {row.evidence}" for row in clearest]
         evidence += [f"begun all at once, {row.name}: {row.evidence}" for row in together]
         verdict = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n) or "not tried"
-        trials = sum(row.trials for row in mine)
         found.append(
-            HypothesisFinding(number, suspect["question"], len(mine), trials, verdict, "; ".join(evidence))
+            {
+                "number": number,
+                "question": suspect["question"],
+                "rows": len(mine),
+                "trials": sum(row.trials for row in mine),
+                "verdict": verdict,
+                "evidence": "; ".join(evidence),
+            }
         )
     return found
 
@@ -291,7 +287,7 @@ class Audit:
     records: Sequence[TrialRecord]
     rows: tuple[AuditRow, ...]
     """Rows of actions in sequence, or concurrent by the schedule; not those begun all at once."""
-    suspects: tuple[HypothesisFinding, ...]
+    suspects: Sequence[Mapping[str, Any]]
     figures: Figures
     config: dict[str, Any]
     seed: int
@@ -356,7 +352,7 @@ def run_audit(
         every = audit_rows(records)
         together = tuple(row for row in every if row.context.endswith(_AT_ONCE))
         rows = tuple(row for row in every if row not in together)
-        suspects, corrects = tuple(find(rows, together)), corrected(rows, plan, setup.rules)
+        suspects, corrects = find(rows, together), corrected(rows, plan, setup.rules)
         figures = campaign_figures(judged_by_rules(records), seed)
         comparison = None if earlier is None else compare_runs(earlier, session, judged_by_rules)
         planned = {row.name: row for row in plan}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.experiments.bundle import TRAJECTORY
 from craftsim.experiments.intervals import CONFIDENCE
@@ -53,7 +53,6 @@ from craftsim.validation.audit import (
     SOUND_SHARE,
     Audit,
     AuditRow,
-    HypothesisFinding,
     RuleVerdict,
     judged_by_rules,
     verdict_counts,
@@ -208,7 +207,7 @@ def _precision(found: Precision) -> list[str]:
     return [text] if found.car_error_mm else []
 
 
-def _suspects(suspects: Iterable[HypothesisFinding]) -> Section:
+def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:
     columns = (
         *(Column("suspect", "wide"), Column("verdict"), Column("evidence", "path", terminal=False)),
         *(Column("rows", "number"), Column("trials", "number")),
@@ -216,9 +215,10 @@ def _suspects(suspects: Iterable[HypothesisFinding]) -> Section:
     rows = []
     for one in suspects:
         # Verdicts are listed the gravest first.
-        gravest = next((j for j in RuleVerdict if one.verdict.split(", ")[0].endswith(f" {j}")), None)
-        verdict = Cell(one.verdict, _TONES[gravest] if gravest else Tone.MUTED)
-        rows.append((f"{one.number}. {one.question}", verdict, one.evidence, one.rows, one.trials))
+        gravest = next((j for j in RuleVerdict if one["verdict"].split(", ")[0].endswith(f" {j}")), None)
+        verdict = Cell(one["verdict"], _TONES[gravest] if gravest else Tone.MUTED)
+        counts = one["evidence"], one["rows"], one["trials"]
+        rows.append((f"{one['number']}. {one['question']}", verdict, *counts))
     table = DataTable(columns, rows, "Suspects", "Evidence is the clearest row of the gravest verdict.")
     lead = "Rules that were under suspicion before the audit."
     return Section("suspects", "Suspects", lead, [table], terminal=True)

@@ -193,19 +193,8 @@ class MarginResult:
     """Number of trials run."""
 
 
-@dataclass(frozen=True)
-class MapRow:
-    """One row of a map."""
-
-    __pydantic_config__ = STRICT
-    stood: tuple[_Count, ...]
-    """Number of trials that pass, by horizontal level."""
-    of: _Count
-    """Number of trials of each."""
-
-
-MARGINS: Final = Form(Judged, MarginResult | MapRow)
-"""Schema of the records of a search for margins."""
+MARGINS: Final = Form(Judged, MarginResult | dict[Literal["stood"], tuple[_Count, ...]])
+"""Schema of the records of a search for margins, and of a map's rows: how many trials pass, by horizontal level."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,7 +261,7 @@ def find(one: MarginSearch) -> Result:
         pairs = [((right, value), (up, values_of(up)[one.up])) for value in values_of(right)]
         above = [[(axis, value) for axis, value in pair if value > axis.value(base)] for pair in pairs]
         stood = [sum(not one.attempt(n, levels)[1] for n in range(one.trials)) for levels in above]
-        return Result(agrees=True, extra=asdict(MapRow(tuple(stood), one.trials)))
+        return Result(agrees=True, extra={"stood": stood})
     (axis,) = one.axes
     values = [axis.value(base), *(value for value in axis.levels if value > axis.value(base))]
     largest, tried = len(values) - 1, dict[tuple[int, int], tuple[tuple[Attempt, ...], str]]()

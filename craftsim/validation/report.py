@@ -50,7 +50,7 @@ from craftsim.reports.report import (
     share_cells,
 )
 from craftsim.validation.building import Building
-from craftsim.validation.play import ALL, NEIGHBOURS, Coverage
+from craftsim.validation.play import ALL, NEIGHBOURS
 from craftsim.validation.sections import (
     RunFailure,
     actions_section,
@@ -215,16 +215,16 @@ def runs_table(records: Iterable[TrialRecord]) -> DataTable:
     )
 
 
-def _coverage(coverage: Coverage | None) -> list[Section]:
+def _coverage(coverage: Mapping[str, Any] | None) -> list[Section]:
     """Return what random play did, and how often beside what."""
     if coverage is None:
         return []
-    totals = ", ".join(f"{n:,} {name}" for name, n in coverage.totals.items())
-    note = f"{coverage.actions:,} actions in {coverage.worlds:,} worlds: {totals}"
-    if coverage.do_not_stand:
-        note += f"; {coverage.do_not_stand:,} more worlds cannot be, and nothing was tried there"
+    totals = ", ".join(f"{n:,} {name}" for name, n in coverage["totals"].items())
+    note = f"{coverage['actions']:,} actions in {coverage['worlds']:,} worlds: {totals}"
+    if coverage["do_not_stand"]:
+        note += f"; {coverage['do_not_stand']:,} more worlds cannot be, and nothing was tried there"
     names = (Column(name, "number", terminal=name == ALL) for name in (ALL, *NEIGHBOURS))
-    rows = [(name, *(n or None for n in counts.values())) for name, counts in coverage.rows.items()]
+    rows = [(name, *(n or None for n in counts.values())) for name, counts in coverage["rows"].items()]
     table = DataTable((Column("action, level, load"), *names), rows, "Coverage", note, tall=True)
     lead = "What random play has done, and how often beside what."
     return [Section("coverage", "Coverage", lead, [table], terminal=True)]

@@ -35,7 +35,7 @@ from craftsim.logs.recorder import LogRecorder
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.storage.folders import directory_within
-from craftsim.validation.play import Play, covered, play
+from craftsim.validation.play import Joint, covered, play
 from craftsim.validation.policies import PLANNER, Policy, make_policy
 from craftsim.validation.replanning import Replanner, Replanning
 from craftsim.validation.worlds import RandomWorlds
@@ -86,7 +86,7 @@ class RolloutResult:
 
     task: Task
     start: Grid
-    played: Play | None
+    played: Sequence[Joint] | None
     """The random play, if any."""
     episode: Episode
     trajectory: Trajectory | None = None
@@ -133,7 +133,7 @@ def do_run(run: Run) -> Result:
     if episode.reached is not None:
         extra |= {"grid_success": episode.reached_by_rules, "physics_success": episode.reached}
     if done.played is not None:
-        extra["coverage"] = covered(done.played, episode.attempts)
+        extra["coverage"] = covered(done.start, done.played, Rules(run.setup.rules), episode.attempts)
     # What a policy asks for, and the rules forbid at the car's turn, does nothing in either world; so does what random
     # play would have done had all before gone as predicted.
     follows = isinstance(run.by, tuple)
@@ -153,10 +153,10 @@ def _write(run: Run, done: RolloutResult, out: Path) -> str | None:
         folder = directory_within(out, TRAJECTORIES)
         done.trajectory.write(folder / f"{run.file_name}{SUFFIX}")
         write_table(folder / f"{run.file_name}{LOG_SUFFIX}", done.logs)
-    if done.played is not None and any(done.played.ticks):
+    if done.played is not None and any(done.played):
         folder = directory_within(out, WORLDS)
         write_blueprint(done.start, folder / f"{run.file_name}.yaml")
-        write_plan(done.played.ticks, folder / f"{run.file_name}.plan")
+        write_plan(done.played, folder / f"{run.file_name}.plan")
     number = done.episode.first_disagreement
     if number is None:
         return None
@@ -183,7 +183,7 @@ def roll_out(run: Run, watch: Watch = unwatched) -> RolloutResult:
     if by == PLAY:
         rng = np.random.default_rng(policy_number)
         played = play(grid, Rules(setup.rules), rng, task.max_steps + 2)
-        by = steps_of(played.ticks, run.order)
+        by = steps_of(played, run.order)
     recorder, logs = Recorder(), list[LogRecorder]()
 
     def begin(judge: Judge) -> OnAttempts:

@@ -45,7 +45,7 @@ from craftsim.validation.choice import (
 )
 from craftsim.validation.forms import BUILDS, RUNS
 from craftsim.validation.minimize import Counterexample, MinimizeProgress, minimize_failures
-from craftsim.validation.play import Coverage
+from craftsim.validation.play import coverage_of
 from craftsim.validation.policies import RANDOM
 from craftsim.validation.replanning import Replanning
 from craftsim.validation.rollout import PlanOrder, Run, do_run, roll_out
@@ -101,8 +101,8 @@ class Validation:
     seed: int
     comparison: Comparison | None = None
     """Comparison with the baseline run, if given."""
-    coverage: Coverage | None = None
-    """Coverage of random play, if any."""
+    coverage: dict[str, Any] | None = None
+    """Coverage of random play, if any, as of :func:`craftsim.validation.play.coverage_of`."""
     smallest: tuple[Counterexample, ...] = ()
     """The first failure of each kind in its smallest world, with the option ``minimize``."""
     builds: dict[str, Any] | None = None
@@ -245,7 +245,7 @@ def validate(
 
     def find(session: Session, records: Sequence[TrialRecord]) -> dict[str, Any]:
         smallest = () if minimize is None else minimize_failures(session, records, minimize)
-        return {"coverage": Coverage.of(records), "smallest": smallest}
+        return {"coverage": coverage_of(records), "smallest": smallest}
 
     return _run(experiment, folder, how, read_earlier(experiment, folder, how), find)
 

@@ -179,12 +179,11 @@ def view(
 
 def _runs(path: Path) -> Runs:
     """Return the recorded runs in a file or a folder, by name."""
-    from craftsim.experiments.bundle import TEXT, read_bundle
+    from craftsim.experiments.bundle import TEXT
     from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
-    from craftsim.validation.recording import record_bundle
 
     if is_file(path / TEXT):
-        return {path.name: lambda: record_bundle(read_bundle(path))[1]}
+        return {path.name: partial(_recorded, path)}
     return {name_of(file): partial(Trajectory.read, file) for file in trajectory_files(path)}
 
 
@@ -242,9 +241,9 @@ def _find_trajectory(
 
 def _recorded(path: Path) -> Trajectory:
     """Return the trajectory in a file, or the one in a folder."""
+    from craftsim.cli.films import record_bundle
     from craftsim.experiments.bundle import TEXT, read_bundle
     from craftsim.rendering.trajectory import Trajectory, trajectory_files
-    from craftsim.validation.recording import record_bundle
 
     if is_file(path / TEXT):
         return record_bundle(read_bundle(path))[1]

@@ -135,7 +135,7 @@ def _answers(case: BuilderCase, env: TextConstruction) -> Answer:
         policy: Any = PlannerPolicy(env)
     else:
         policy = make_policy(case.builder, case.seed, core.task, core.options.rule_set)
-        if _own(case.builder):
+        if ":" in case.builder:
             return policy
 
     def answer(instructions: str, text: str) -> str:
@@ -144,10 +144,6 @@ def _answers(case: BuilderCase, env: TextConstruction) -> Answer:
         return answer_text(policy(Observations(observed, core.task)))
 
     return answer
-
-
-def _own(builder: str) -> bool:
-    return ":" in builder
 
 
 def builders_report(
@@ -162,7 +158,7 @@ def builders_report(
     numbered = [(name, row) for name, found in rows.items() for row in found]
     items = []
     for builder in dict.fromkeys(builders):
-        backends: tuple[Backend, ...] = ("physics",) if _own(builder) else ("grid", "physics")
+        backends: tuple[Backend, ...] = ("physics",) if ":" in builder else ("grid", "physics")
         for backend in backends:
             cases = [BuilderCase(builder, backend, row, seed + row) for _, row in numbered]
             _answers(cases[0], replace(cases[0], backend="grid").world())
@@ -255,7 +251,8 @@ def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_design
     }:
         first = next(iter(figures["builders"]))
         others = [
-            (name, *map(_signed, astuple(more)), f"{least:.2f}") for name, (more, least) in pairs.items()
+            (name, *(f"{share:+.2f}" for share in astuple(more)), f"{least:.2f}")
+            for name, (more, least) in pairs.items()
         ]
         head = (
             Column("builder"),
@@ -289,7 +286,3 @@ def _cells(one: Mapping[str, Any]) -> tuple[str, ...]:
         f"{one['forbidden']:,} of {one['acted']:,}",
         f"{one['unreadable']:,} of {one['turns']:,}",
     )
-
-
-def _signed(share: float) -> str:
-    return f"{share:+.2f}"

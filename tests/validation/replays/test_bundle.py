@@ -15,6 +15,7 @@ from craftsim import cli
 from craftsim.audit.situation import SCENES
 from craftsim.checking.episode import Recipe, Step, do, run_up
 from craftsim.checking.setup import Seed, compile_world, setup_of
+from craftsim.cli.films import record_bundle
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
@@ -32,7 +33,6 @@ from craftsim.experiments.bundle import (
 )
 from craftsim.experiments.replay import replay
 from craftsim.validation.audit import AuditTrial, recipe_of, try_it
-from craftsim.validation.recording import record_bundle
 
 
 def _world() -> Grid:

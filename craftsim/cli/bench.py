@@ -89,7 +89,7 @@ def bench(
         out: folder for report.json and the table in Markdown; with policies also for starts-POLICY.npz, worlds at
             random times of their asynchronous episodes in mild physics, for 'craftsim train --set starts=FILE'.
     """
-    from craftsim.cli.calibration import COLUMNS, measure
+    from craftsim.cli.calibration import cells, measure
     from craftsim.reports.json_file import document
 
     seed = chance.seed
@@ -116,9 +116,10 @@ def bench(
     for task in TASKS:
         for name, n, helper, step in _cases(what, task, rules, worlds, seed):
             rate = measure(step, n, seconds, task, helper)
-            rates[task][name] = rate.as_dict()
-            rows.append((task, name, *rate.cells()))
-    columns = (Column("task"), Column("case"), *(Column(name, "number") for name in COLUMNS))
+            rates[task][name] = rate
+            rows.append((task, name, *cells(rate)))
+    names = ("steps/s", "CraftEnv", "times")
+    columns = (Column("task"), Column("case"), *(Column(name, "number") for name in names))
     table = DataTable(columns, rows, f"Steps a CPU second, {what}")
     config = {"what": what, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
     if out is not None:

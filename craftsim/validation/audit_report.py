@@ -23,7 +23,6 @@ from craftsim.experiments.sections import (
 )
 from craftsim.experiments.statistics import (
     Figures,
-    Precision,
     capped_steps,
     error_counts,
     legal_attempts,
@@ -149,7 +148,6 @@ def audit_report(audit: Audit, command: str) -> Report:
         *([f"unsound rows by the correction that concerns them: {named}"] if named else []),
         *run_notes(capped_steps(audit.records), retried(audit.records)),
         *comparison_notes(audit.comparison),
-        *_precision(figures.precision),
     ]
     decided = (
         RuleVerdict.UNSOUND,
@@ -191,20 +189,6 @@ def _headline(audit: Audit) -> Headline:
     if not allowed or found[RuleVerdict.NOT_TRIED]:
         return Headline("Not decided", Tone.CAUTION, sentence)
     return Headline("Sound", Tone.GOOD, sentence)
-
-
-def _precision(found: Precision) -> list[str]:
-    """Return the 99th percentiles of the errors that figures hang on."""
-    named = {
-        "cars {:.2f} mm": found.car_error_mm,
-        "{:.2f} mrad": found.heading_error_mrad,
-        "set down {:.2f} mm": found.placed_error_mm,
-        "reaching out of a cell {:.2f} mm": found.reach_mm,
-        "others {:.2f} mm from their places": found.drift_mm,
-    }
-    parts = [words.format(one.p99) for words, one in named.items() if one is not None]
-    text = f"Of what the rules allow and did as predicted, 99th percentiles: {', '.join(parts)}"
-    return [text] if found.car_error_mm else []
 
 
 def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:

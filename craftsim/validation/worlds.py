@@ -166,44 +166,35 @@ class _Drawing:
 
     def _cars(self, n_cars: int) -> None:
         """Put all cars down, one after the other, and let some carry something."""
-        shares = [place.share for place in _PLACES]
-        drawn = [_PLACES[i] for i in self.rng.choice(len(_PLACES), _TRIES, p=shares).tolist()]
+        names, shares = list(_PLACES), [share for share, _ in _PLACES.values()]
+        drawn = [names[i] for i in self.rng.choice(len(names), _TRIES, p=shares).tolist()]
         # Those on ramps come first, while their ways are free.
-        wanted = sorted(drawn[:n_cars], key=lambda place: place.at_ramp, reverse=True) + drawn[n_cars:]
-        places: list[_Place] = []
+        wanted = sorted(drawn[:n_cars], key=lambda place: "a ramp" in place, reverse=True) + drawn[n_cars:]
+        places: list[str] = []
         for place in wanted:
             if len(places) < n_cars and _put_car(self.grid, len(places), place, self.rng):
                 places.append(place)
         self.grid.cars = self.grid.cars[: len(places)].copy()
         for car, place in enumerate(places):
-            _put_load(self.grid, car, place, self.rng)
+            _put_load(self.grid, car, _PLACES[place][1], self.rng)
 
 
-class _Place(NamedTuple):
-    """Where a car starts."""
+_PLACES: Final = {
+    "on top": (0.2, 0.4),
+    "under": (0.15, 0.0),
+    "under a slope": (0.1, 0.0),
+    "on a ramp": (0.2, 0.5),
+    "before a ramp": (0.35, 0.5),
+}
+"""Kinds of places where a car starts, with the probabilities that it starts there and that it carries something there.
 
-    share: float
-    """How likely it starts there."""
-    loaded: float
-    """How likely it carries something there."""
-    at_ramp: bool = False
-    """Whether it is on a ramp, or before one."""
-
-
-_ON_TOP: Final = _Place(0.2, 0.4)
-"""On the ground or on top of a stack, the highest included, where it is above the top level."""
-_UNDER: Final = _Place(0.15, 0.0)
-"""Under a block or a flag, in a stack or not."""
-_UNDER_SLOPE: Final = _Place(0.1, 0.0)
-"""Under a slope, folded or not."""
-_ON_RAMP: Final = _Place(0.2, 0.5, True)
-"""On the foot or over the body of a ramp, up or down."""
-_BEFORE_RAMP: Final = _Place(0.35, 0.5, True)
-"""Before the foot or on the landing of a ramp, about to drive it."""
-_PLACES: Final = (_ON_TOP, _UNDER, _UNDER_SLOPE, _ON_RAMP, _BEFORE_RAMP)
+On top: on the ground or on a stack, the highest included, where it is above the top level; under: under a block or a
+flag, in a stack or not; under a slope, folded or not; on the foot or over the body of a ramp, up or down; before the
+foot or on the landing of a ramp, about to drive it.
+"""
 
 
-def _put_car(grid: Grid, car: int, place: _Place, rng: np.random.Generator) -> bool:
+def _put_car(grid: Grid, car: int, place: str, rng: np.random.Generator) -> bool:
     """Put a car into a drawn cell of a kind of places, after those with lower numbers; return whether there is one."""
     taken = {tuple(row[: CarField.Z + 1]) for row in grid.cars[:car].tolist()}
     columns = {cell[:2] for cell in taken}
@@ -216,12 +207,12 @@ def _put_car(grid: Grid, car: int, place: _Place, rng: np.random.Generator) -> b
     return True
 
 
-def _put_load(grid: Grid, car: int, place: _Place, rng: np.random.Generator) -> None:
-    """Let a car carry something, if the draw says so and there is room for it."""
+def _put_load(grid: Grid, car: int, share: float, rng: np.random.Generator) -> None:
+    """Let a car carry something with a probability, if there is room for it."""
     row = grid.cars[car]
     chance, load = rng.random(), _LOADS[int(rng.integers(len(_LOADS)))]
     cell = (int(row[CarField.X]), int(row[CarField.Y]), int(row[CarField.Z]))
-    if chance >= place.loaded or grid.kind_at(cell) not in (Kind.AIR, Kind.FOOT):
+    if chance >= share or grid.kind_at(cell) not in (Kind.AIR, Kind.FOOT):
         return
     back = (int(row[CarField.YAW]) + 2) % 4
     row[CarField.LOAD], row[CarField.LOAD_YAW] = load, back if load == Kind.FSLOPE else 0
@@ -239,7 +230,7 @@ class _Start(NamedTuple):
     """Columns of a ramp, end and landing included, where no other car may be: it would block the way."""
 
 
-def _cells(grid: Grid, place: _Place) -> list[_Start]:
+def _cells(grid: Grid, place: str) -> list[_Start]:
     """Return the cells of a kind of places."""
     found: list[_Start] = []
     length, width, height = grid.size
@@ -247,14 +238,14 @@ def _cells(grid: Grid, place: _Place) -> list[_Start]:
         cell = (x, y, z + 1)
         here, below = grid.kind_at(cell), grid.kind_at((x, y, z))
         along = int(grid.yaw[cell]) if z < height else 0
-        on_top = place is _ON_TOP and here == Kind.AIR and below in (Kind.GROUND, Kind.BLOCK)
-        if on_top or (place is _UNDER and here in (Kind.BLOCK, Kind.FLAG)):
+        on_top = place == "on top" and here == Kind.AIR and below in (Kind.GROUND, Kind.BLOCK)
+        if on_top or (place == "under" and here in (Kind.BLOCK, Kind.FLAG)):
             found.append(_Start(cell))
-        elif place is _UNDER_SLOPE and here in (Kind.FSLOPE, Kind.BODY):
+        elif place == "under a slope" and here in (Kind.FSLOPE, Kind.BODY):
             found.append(_Start(cell, ((along + 2) % 4,)))
-        elif place.at_ramp and here == Kind.BODY:
+        elif "a ramp" in place and here == Kind.BODY:
             way, up, above = _way(cell, along), (along + 2) % 4, (x, y, z + 2)
-            if place is _ON_RAMP:
+            if place == "on a ramp":
                 found.append(_Start(beside(cell, along), (along, up), 1, way))
                 if grid.kind_at(above) == Kind.AIR:
                     found.append(_Start(above, (along, up), 2, way))

@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 
 
 TASKS: Final = ("simple_two_story", "complex_two_story")
-"""Those with two and with four cars."""
+"""Tasks with two and with four cars."""
 WORLDS: Final = 1000
-"""Of a batch, unless given."""
+"""Default size of a batch."""
 EPISODES: Final = 100
-"""Of each policy in each mode, unless given."""
+"""Default number of episodes of each policy and mode."""
 DEPTH: Final = 20
 """The search depth of CraftEnv's published training settings, the costlier of the two."""
 
 Step = Callable[[], None]
 Case = tuple[str, int, bool, Step]
-"""What is timed: its name, steps a call, whether CraftEnv's helper counts in the estimate, and the call."""
+"""A benchmark: name, steps of a call, whether the estimate is with CraftEnv's helper, and the call."""
 
 
 @owning

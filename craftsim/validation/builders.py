@@ -44,13 +44,13 @@ DIFFICULTIES: Final = ("one level", "with a ramp", "two levels")
 EACH: Final = 10
 """Designs of each difficulty."""
 TURNS: Final = 2
-"""Turns, by ticks of the stored plan."""
+"""Turns for each tick of the stored plan."""
 BASELINES: Final = (RANDOM, PLANNER, DESIGNS)
-"""What is measured unless other builders are named; the last one is a shipped policy."""
+"""Builders by default; the last one is a shipped policy."""
 ANSWER_S: Final = 300.0
-"""Of the clock, that an answer may take on average."""
+"""Mean time of an answer in seconds, for the time limit."""
 _KEPT: Final = 1000
-"""Characters of an answer that a record keeps, the last ones."""
+"""Number of last characters of an answer in a record."""
 _ALL: Final = "all"
 
 
@@ -62,7 +62,7 @@ class BuilderCase:
     """``planner``, what :func:`make_policy` knows, or ``module:function`` of a function from two texts to an answer."""
     backend: Backend
     row: int
-    """Of the held-out starts."""
+    """Index in the held-out starts."""
     seed: int
 
     def task(self) -> Task:

@@ -1,4 +1,4 @@
-"""A building to put up: a task, the plan that builds it, and its episode in physics."""
+"""A task with a plan, and the episode in which the plan was executed in physics."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from craftsim.validation.rollout import PlanOrder, Run, roll_out, steps_of
 
 @dataclass(frozen=True)
 class Building:
-    """A task with its plan, and the episode in which it was carried out, if it was, with what was recorded of it."""
+    """A task with a plan and, once it was executed, its episode and recordings."""
 
     task: Task
     plan: Plan
     episode: Episode | None = None
     trajectory: Trajectory | None = None
     logs: Mapping[int, Log] = field(default_factory=dict)
-    """Of each car, by its number."""
+    """Logs by car."""
 
     @property
     def name(self) -> str:
@@ -43,7 +43,7 @@ class Building:
 
     @property
     def attempts(self) -> tuple[Attempt, ...]:
-        """Of each action."""
+        """The attempts at the plan's actions; empty before the execution."""
         return self.episode.attempts if self.episode is not None else ()
 
     @property
@@ -53,7 +53,7 @@ class Building:
 
     @property
     def reached(self) -> bool | None:
-        """Whether the goal is reached; None where there is none."""
+        """Whether the goal is reached; None without a goal."""
         return self.episode.reached if self.episode is not None else None
 
     @property
@@ -69,9 +69,9 @@ class Building:
         watch: Watch = unwatched,
         where: SetUp = set_up,
     ) -> Building:
-        """Carry out the plan and return the building with its episode.
+        """Execute the plan and return the building with its episode.
 
-        ``watch`` looks on, and ``where`` sets up the world.
+        ``watch`` is called with the world, and ``where`` sets it up.
         """
         steps = steps_of(self.plan.ticks, order, self.plan.after)
         run = Run(key=self.name, world=self.task, by=steps, seed=seed, setup=setup, record=True, set_up=where)
@@ -80,7 +80,7 @@ class Building:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """What a report holds; lengths in mm, angles in mrad, None where nothing was measured."""
+        """Metrics for the report; lengths in mm, angles in mrad, None where nothing was measured."""
         assert self.episode is not None
 
         def worst(name: str) -> float | None:

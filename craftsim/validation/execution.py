@@ -42,7 +42,7 @@ from craftsim.workers.pool import Pool, answered
 
 ORDERS: Final[tuple[PlanOrder, ...]] = get_args(PlanOrder)
 ROUNDS: Final = 20
-"""Attempts at the plan of a random design, of which the best is taken."""
+"""Attempts at the plan of a random design; the best one is used."""
 
 
 PlanCase = tuple[str, int | None, int, Setup]
@@ -163,7 +163,7 @@ class Mode(NamedTuple):
     backend: Backend
     execution: Execution
     randomize: str
-    """Preset of what is drawn of physics; the grid has none."""
+    """Preset of the randomization of the physics."""
     drive: Drive = "reduced"
     network: tuple[float, float, float] | None = None
     """Delay and jitter in seconds, and loss, of the network between the policy with its skills and the robots."""
@@ -184,7 +184,7 @@ MODES: Final = (
     Mode("physics", "asynchronous", "workshop_floor", "rollers", (0.03, 0.01, 0.02), 10),
 )
 REACHED: Final = MODES[3]
-"""Worlds that a policy comes by in this mode are starts to train from."""
+"""The mode whose worlds are saved as starts for training."""
 
 
 PolicyCase = tuple[str, Mode, int]

@@ -63,15 +63,15 @@ class RunFailure(NamedTuple):
 
     run: str
     attempt: Mapping[str, Any] | None
-    """None where it is the run that failed."""
+    """None if the run as a whole failed."""
     error: str
     kept: str
-    """What shows it again, relative to the report's folder, empty where nothing does: the replay bundle of a run's
-    first action that the rules allow and that did not go as predicted, or the trajectory of a demonstration."""
+    """File that shows it, relative to the report's folder, or empty: the replay bundle of a run's first failure of a
+    legal action, or the trajectory of a demonstration."""
 
     @property
     def result(self) -> Cell:
-        """What became of it, in a word or two."""
+        """The result in one or two words."""
         if self.attempt is None:
             return Cell("error", Tone.MUTED)
         text = self.attempt["result"] if self.attempt["legal"] else "not tried"
@@ -79,7 +79,7 @@ class RunFailure(NamedTuple):
 
     @property
     def case(self) -> Case:
-        """It in detail."""
+        """The failure in detail."""
         text, tone, what = self.result.text, self.result.tone, self.attempt
         if what is None:
             return case_of(self.run, text, tone, self.error)
@@ -92,7 +92,7 @@ class RunFailure(NamedTuple):
 
     @property
     def row(self) -> tuple[Value, ...]:
-        """It as a row of :func:`failures_section`."""
+        """A row of the table of :func:`failures_section`."""
         what, kept = self.attempt, self.kept or None
         if what is None:
             return self.run, None, None, None, self.result, None, self.error, kept

@@ -19,12 +19,12 @@ LENGTHS: Final = (4, 12)
 """Least and largest number of cells along x and along y."""
 HEIGHTS: Final = (1, 5)
 _MAX_BLOCKS: Final = 40
-"""More of them make physics slow, not the world richer."""
+"""Limit for the speed of the physics."""
 _TRIES: Final = 200
 _LEVELLING: Final = 8
-"""How many blocks may be added to make room for one slope."""
+"""Maximum number of blocks added below one slope."""
 _PATCH: Final = 4
-"""Terraces are below this many cells long and wide."""
+"""Upper bound of the length and width of a terrace in cells, exclusive."""
 _LOADS: Final = (Kind.BLOCK, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.FSLOPE)
 
 
@@ -39,7 +39,7 @@ class RandomWorlds:
     n_cars: int | None = None
     """Drawn unless given."""
     n_blocks: int | None = None
-    """Of the stacks, about; drawn unless given."""
+    """Approximate number of blocks in stacks; drawn unless given."""
     max_steps: int = 14
     """An episode has two ticks more (docs/rules.md#episode-length)."""
 
@@ -72,7 +72,7 @@ class RandomWorlds:
 
 
 class _Drawing:
-    """One world in the making."""
+    """The drawing of one world."""
 
     def __init__(self, family: RandomWorlds, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -82,9 +82,9 @@ class _Drawing:
         n_cars = drawn if family.n_cars is None else family.n_cars
         self.grid = Grid.empty((length, width, height), n_cars)
         self.tops = np.zeros((length, width), np.int64)
-        """How many blocks are in each column."""
+        """Number of blocks by column."""
         self.taken: set[tuple[int, int]] = set()
-        """Columns on whose blocks something stands."""
+        """Columns with something on their blocks."""
         budget = int(rng.integers(min(length * width, _MAX_BLOCKS) + 1))
         self._terraces(budget if family.n_blocks is None else family.n_blocks)
         for _ in range(int(rng.integers(5))):
@@ -223,9 +223,9 @@ def _put_load(grid: Grid, car: int, share: float, rng: np.random.Generator) -> N
 class _Start(NamedTuple):
     cell: Cell
     yaws: tuple[int, ...] = (0, 1, 2, 3)
-    """Those that a car can have there."""
+    """Headings that a car can have there."""
     slope: int = 0
-    """The half of a slope that it is on."""
+    """The half of a slope, as in :class:`CarField`."""
     way: frozenset[tuple[int, int]] = frozenset()
     """Columns of a ramp, end and landing included, where no other car may be: it would block the way."""
 

@@ -25,10 +25,13 @@ from craftsim.storage.paths import exists, resolved
 from craftsim.storage.writing import writable
 from craftsim.training.policy import is_shipped_policy
 from craftsim.validation.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
+from craftsim.validation.replanning import Replanning
 from craftsim.validation.rollout import PLAY as PLAY
 from craftsim.validation.rollout import By, PlanOrder, Run, steps_of
 from craftsim.validation.worlds import MAX_CARS, RandomWorlds
 
+AUTO: Final = "auto"
+"""The plan that is made, and made again after a failure."""
 SHIPPED: Final = "shipped"
 """Digest of everything that belongs to a version of craftsim."""
 
@@ -115,6 +118,14 @@ def plan_pilot(plan: Plan, order: PlanOrder) -> PolicySpec:
     said = (plan.ticks, *plan.after.items()) if plan.after else plan.ticks
     steps = steps_of(plan.ticks, order, plan.after)
     return PolicySpec(writable(plan.path.stem), _digest(repr(said).encode()), steps)
+
+
+def replanning_pilot(replanning: Replanning, subjects: Sequence[RolloutWorld]) -> PolicySpec:
+    """Return the source that plans, and plans again after a failure. Raises InputError for a world without a goal."""
+    for subject in subjects:
+        if isinstance(subject.world, RandomWorlds) or not as_task(subject.world).has_goal:
+            raise InputError(f"{subject.name} has no goal to plan for; give a design with --goal")
+    return PolicySpec(AUTO, _digest(repr(replanning).encode()), replanning)
 
 
 def policy_pilot(

@@ -6,7 +6,7 @@ import html
 import math
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,16 +24,16 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.errors import InputError
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.durations import write_durations
-from craftsim.experiments.experiment import Experiment, Progress, RunOptions, Trial, TrialRecord
+from craftsim.experiments.experiment import Experiment, Progress, TrialRecord
 from craftsim.experiments.intervals import Proportion
-from craftsim.experiments.records import Finished
-from craftsim.experiments.session import Session, open_session
+from craftsim.experiments.session import open_session
 from craftsim.experiments.statistics import Figures, campaign_figures
 from craftsim.options import Physics, Rollouts, Trials, changed
 from craftsim.planning import Planned, plan_building
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.validation.choice import (
+    AUTO,
     PLANNER,
     PLAY,
     World,
@@ -41,6 +41,7 @@ from craftsim.validation.choice import (
     items_of,
     plan_pilot,
     policy_pilot,
+    replanning_pilot,
     subjects_of,
 )
 from craftsim.validation.forms import BUILDS, RUNS
@@ -48,7 +49,7 @@ from craftsim.validation.minimize import Counterexample, MinimizeProgress, minim
 from craftsim.validation.play import coverage_of
 from craftsim.validation.policies import RANDOM
 from craftsim.validation.replanning import Replanning
-from craftsim.validation.rollout import PlanOrder, Run, do_run, roll_out
+from craftsim.validation.rollout import PlanOrder, do_run, roll_out
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -178,9 +179,10 @@ def validate(
         minimize: progress of the minimization of the first failure of each kind; None for no minimization.
         options: any field of :class:`craftsim.options.Rollouts`, :class:`~craftsim.options.Physics` and
             :class:`~craftsim.options.Trials` by name, such as ``policy``, ``randomize`` or ``trials``. In addition to
-            the values on the command line, ``plan`` may be a Plan, ``policy`` a function from the observations by agent
-            to the actions by agent, ``gains`` Gains, ``machines`` Machines, ``noise`` and ``assume`` SensorNoise, and
-            ``skills`` a mapping such as ``{Action.LIFT: MyLift}`` with subclasses of :class:`craftsim.Skill`.
+            the values on the command line, ``plan`` may be a Plan or Replanning, ``policy`` a function from the
+            observations by agent to the actions by agent, ``gains`` Gains, ``machines`` Machines, ``noise`` and
+            ``assume`` SensorNoise, and ``skills`` a mapping such as
+            ``{Action.LIFT: MyLift}`` with subclasses of :class:`craftsim.Skill`.
 
     Raises:
         InputError: an argument, or a file that it names, is invalid.
@@ -212,7 +214,11 @@ def validate(
             "several workers, an engine, resume, baseline, minimize and record need the folder 'out'"
         )
     subjects = subjects_of(several, what.n_cars, what.n_blocks, what.max_steps)
-    if plan is not None:
+    replanning: Replanning | None = None
+    if isinstance(plan, Replanning) or plan == AUTO:
+        replanning = plan if isinstance(plan, Replanning) else Replanning()
+        pilots = [replanning_pilot(replanning, subjects)]
+    elif plan is not None:
         read = plan if isinstance(plan, Plan) else read_plan(Path(plan), subjects[0].n_cars)
         pilots = [plan_pilot(read, order)]
     elif actions is not None:
@@ -240,98 +246,34 @@ def validate(
     check_starts(subjects, setup, seed)
     terms = {"out": folder and folder.resolve(), "observers": tuple(observers), "record": record}
     items = list(items_of(subjects, pilots, trials, seed, setup, order=order, **terms))
-    experiment = Experiment("validate", seed, config, items, do_run, RUNS, timeout_s)
+    form = RUNS if replanning is None else BUILDS
+    experiment = Experiment("validate", seed, config, items, do_run, form, timeout_s)
     how = campaign.run(progress)
-
-    def find(session: Session, records: Sequence[TrialRecord]) -> dict[str, Any]:
+    earlier = read_earlier(experiment, folder, how)
+    if replanning is not None:
+        # Fail before the run starts if nothing can be built; finding out may take long.
+        rng, rules = np.random.default_rng(seed), Rules(setup.rules)
+        first = as_task(items[0].job.world).for_episode(rng)
+        rounds = replanning.rounds
+        plan_building(first.draw(rng), first, rules, rounds=rounds, time_s=math.inf, report=_enough)
+    with open_session(experiment, folder, how) as session:
+        records = session.run()
+        figures = campaign_figures(records, seed)
+        comparison = None if earlier is None else compare_runs(earlier, session)
         smallest = () if minimize is None else minimize_failures(session, records, minimize)
-        return {"coverage": coverage_of(records), "smallest": smallest}
-
-    return _run(experiment, folder, how, read_earlier(experiment, folder, how), find)
-
-
-def build_all(
-    task: Task,
-    setup: Setup,
-    asked: Replanning,
-    *,
-    trials: int,
-    seed: int,
-    out: Path,
-    options: RunOptions,
-    timeout_s: float = 600.0,
-    record: bool = False,
-) -> Validation:
-    """Build the goal of a task repeatedly, with replanning after failures.
-
-    Args:
-        task: a task with a goal.
-        setup: configuration of the physics.
-        asked: number of plans, and the disturbance.
-        trials: number of buildings.
-        seed: random seed.
-        out: folder for ``report.json``, ``trials.jsonl`` and bundles.
-        options: how the experiment is run.
-        timeout_s: time limit of a building.
-        record: write a trajectory of each.
-
-    Raises InputError for invalid combinations, and NoPlanError if there is no plan from the start.
-    """
-    subjects = subjects_of([task])
-    check_starts(subjects, setup, seed)
-    config: dict[str, Any] = {
-        "world": subjects[0].digest,
-        "trials": trials,
-        "asked": asked,
-        "record": record,
-        "setup": setup,
-        "digests": setup.digests,
-    }
-    terms: dict[str, Any] = {
-        "by": asked,
-        "seed": seed,
-        "setup": setup,
-        "out": out.resolve(),
-        "record": record,
-    }
-    keys = [f"{task.name}/{episode:04d}" for episode in range(trials)]
-    runs = [Run(key=key, world=task, episode=episode, **terms) for episode, key in enumerate(keys)]
-    items = [Trial(run.key, "built", seed, run, task.name, run.episode) for run in runs]
-    experiment = Experiment("build", seed, config, items, do_run, BUILDS, timeout_s)
-    earlier = read_earlier(experiment, out, options)
-    # Fail before the run starts if nothing can be built; finding out may take long.
-    rng, rules = np.random.default_rng(seed), Rules(setup.rules)
-    first = task.for_episode(rng)
-    plan_building(first.draw(rng), first, rules, rounds=asked.rounds, time_s=math.inf, report=_enough)
-    return _run(
-        experiment, out, options, earlier, lambda session, records: {"builds": build_figures(records)}
-    )
+        found: dict[str, Any] = {"coverage": coverage_of(records), "smallest": smallest}
+        if replanning is not None:
+            found["builds"] = build_figures(records)
+        session.write_report({"validation": figures, "paired": comparison, **found})
+        if folder is not None:
+            write_durations(folder, figures.durations)
+    return Validation(records, figures, config, seed, comparison, **found)
 
 
 def _enough(number: int, best: Planned | None) -> None:
     """Stop planning as soon as there is a plan."""
     if best is not None:
         raise KeyboardInterrupt
-
-
-def _run(
-    experiment: Experiment,
-    folder: Path | None,
-    how: RunOptions,
-    earlier: Finished | None,
-    find: Callable[[Session, Sequence[TrialRecord]], Mapping[str, Any]],
-) -> Validation:
-    """Run an experiment and report on it; ``found`` are further fields of Validation."""
-    with open_session(experiment, folder, how) as session:
-        records = session.run()
-        figures = campaign_figures(records, experiment.seed)
-        comparison = None if earlier is None else compare_runs(earlier, session)
-        found = find(session, records)
-        session.write_report({"validation": figures, "paired": comparison, **found})
-        if folder is not None:
-            write_durations(folder, figures.durations)
-    config = dict(experiment.config)
-    return Validation(records, figures, config, experiment.seed, comparison, **found)
 
 
 def read_goal(start: str, goal: Path | None) -> Task:

@@ -97,7 +97,19 @@ def test_cars_out_of_action_are_walls_but_where_the_design_has_what_stands_there
 
 
 def _build(out, start, goal, *words):
-    return main(["build", str(start), "--goal", str(goal), *words, "--drive", "reduced", "--out", str(out)])
+    words = [
+        str(start),
+        "--goal",
+        str(goal),
+        *words,
+        "--drive",
+        "reduced",
+        "--video",
+        "none",
+        "--out",
+        str(out),
+    ]
+    return main(["validate", "--plan", "auto", *words])
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -198,12 +198,11 @@ def _put_car(grid: Grid, car: int, place: str, rng: np.random.Generator) -> bool
     """Put a car into a drawn cell of a kind of places, after those with lower numbers; return whether there is one."""
     taken = {tuple(row[: CarField.Z + 1]) for row in grid.cars[:car].tolist()}
     columns = {cell[:2] for cell in taken}
-    free = [start for start in _cells(grid, place) if start.cell not in taken and not start.way & columns]
+    free = [start for start in _cells(grid, place) if start[0] not in taken and not start[3] & columns]
     if not free:
         return False
-    start = free[int(rng.integers(len(free)))]
-    yaw = start.yaws[int(rng.integers(len(start.yaws)))]
-    grid.cars[car] = (*start.cell, yaw, Kind.AIR, 0, start.slope)
+    cell, yaws, slope, _ = free[int(rng.integers(len(free)))]
+    grid.cars[car] = (*cell, yaws[int(rng.integers(len(yaws)))], Kind.AIR, 0, slope)
     return True
 
 
@@ -220,14 +219,10 @@ def _put_load(grid: Grid, car: int, share: float, rng: np.random.Generator) -> N
         row[CarField.LOAD], row[CarField.LOAD_YAW] = Kind.AIR, 0
 
 
-class _Start(NamedTuple):
-    cell: Cell
-    yaws: tuple[int, ...] = (0, 1, 2, 3)
-    """Headings that a car can have there."""
-    slope: int = 0
-    """The half of a slope, as in :class:`CarField`."""
-    way: frozenset[tuple[int, int]] = frozenset()
-    """Columns of a ramp, end and landing included, where no other car may be: it would block the way."""
+_Start = tuple[Cell, tuple[int, ...], int, frozenset[tuple[int, int]]]
+"""A cell, the headings that a car can have there, and the half of a slope that it is on, as in :class:`CarField`; and
+the columns of a ramp, end and landing included, where no other car may be: it would block the way."""
+_ANY: Final = (0, 1, 2, 3)
 
 
 def _cells(grid: Grid, place: str) -> list[_Start]:
@@ -240,18 +235,18 @@ def _cells(grid: Grid, place: str) -> list[_Start]:
         along = int(grid.yaw[cell]) if z < height else 0
         on_top = place == "on top" and here == Kind.AIR and below in (Kind.GROUND, Kind.BLOCK)
         if on_top or (place == "under" and here in (Kind.BLOCK, Kind.FLAG)):
-            found.append(_Start(cell))
+            found.append((cell, _ANY, 0, frozenset()))
         elif place == "under a slope" and here in (Kind.FSLOPE, Kind.BODY):
-            found.append(_Start(cell, ((along + 2) % 4,)))
+            found.append((cell, ((along + 2) % 4,), 0, frozenset()))
         elif "a ramp" in place and here == Kind.BODY:
             way, up, above = _way(cell, along), (along + 2) % 4, (x, y, z + 2)
             if place == "on a ramp":
-                found.append(_Start(beside(cell, along), (along, up), 1, way))
+                found.append((beside(cell, along), (along, up), 1, way))
                 if grid.kind_at(above) == Kind.AIR:
-                    found.append(_Start(above, (along, up), 2, way))
+                    found.append((above, (along, up), 2, way))
                 continue
             ends = ((beside(beside(cell, along), along), up), (beside(above, up), along))
-            found += [_Start(there, (yaw,), 0, way) for there, yaw in ends if _free(grid, there)]
+            found += [(there, (yaw,), 0, way) for there, yaw in ends if _free(grid, there)]
     return found
 
 

@@ -39,10 +39,9 @@ _SIDE_IN: Final = 5.4
 
 def margins_report(result: Margins, command: str) -> Report:
     """Return the report of a search; ``command`` is the command line that repeats it."""
-    weakest = {
-        action: [by_axis[axis.name] for axis in result.with_effect if axis.name in by_axis]
-        for action, by_axis in result.weakest.items()
-    }
+    by_action: dict[str, list[Margin]] = {action: [] for action in result.weakest}
+    for one in sorted(result.margins, key=lambda one: one.rank):
+        by_action[one.action].append(one)
     compared, trials = any(one.before for one in result.margins), result.config["trials"]
     return Report(
         "Margins",
@@ -50,7 +49,7 @@ def margins_report(result: Margins, command: str) -> Report:
         _headline(result),
         [
             KeyFigure(
-                f"{len({one.scenario for one in result.margins})}", "scenarios", f"{len(weakest)} actions"
+                f"{len({one.scenario for one in result.margins})}", "scenarios", f"{len(by_action)} actions"
             ),
             KeyFigure(f"{len(result.with_effect)}", "imperfections that matter", "to one action or more"),
             KeyFigure(
@@ -67,16 +66,10 @@ def margins_report(result: Margins, command: str) -> Report:
             Section(
                 "actions",
                 "By action",
-                "The weakest scenario of each action for each imperfection, and its first failure. A margin's "
-                "interval: all trials pass it, and above the value under 'over 5 % fail at' more than 5 % of all "
-                "worlds fail, with 95 % confidence. Replay the bundles from the folder of this page.",
-                [_limits(rows, action, compared) for action, rows in weakest.items()],
-            ),
-            Section(
-                "scenarios",
-                "By scenario",
-                "All scenarios and imperfections.",
-                [_limits(result.margins, "All scenarios", compared)],
+                "All scenarios and imperfections, the weakest first, and their first failures. A margin's interval: "
+                "all trials pass it, and above the value under 'over 5 % fail at' more than 5 % of all worlds fail, "
+                "with 95 % confidence. Replay the bundles from the folder of this page.",
+                [_limits(rows, action, compared) for action, rows in by_action.items()],
             ),
             provenance_section(command, result.seed, result.config),
         ],

@@ -16,7 +16,7 @@ from craftsim.rendering.playback import Posed
 from craftsim.rendering.render import render_frames
 from craftsim.rendering.stage import Stage
 from craftsim.validation.choice import PLANNER, items_of, policy_pilot, subjects_of
-from craftsim.validation.rollout import Terms, do_run
+from craftsim.validation.rollout import do_run
 from craftsim.validation.validation import record_once
 
 TASK = "simple_two_story"
@@ -74,6 +74,6 @@ def test_recording_a_run(benchmark, tmp_path, drive, record):
     """CPU time of a run with and without what is recorded of it, its files included."""
     subjects = subjects_of([TASK])
     pilot = policy_pilot(PLANNER, subjects, "concurrent")
-    terms = Terms(0, setup_of("none", "physical", drive=drive), tmp_path, record=record)
-    (item,) = items_of(subjects, [pilot], 1, terms)
+    setup = setup_of("none", "physical", drive=drive)
+    (item,) = items_of(subjects, [pilot], 1, 0, setup, out=tmp_path, record=record)
     benchmark.pedantic(do_run, args=(item.job,), rounds=5, warmup_rounds=1)

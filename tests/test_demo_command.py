@@ -66,7 +66,7 @@ def test_the_shipped_demo_succeeds_and_reports_it(demo, folder):
     status, said = demo("--seed", "7", *FAST, out="new/folder")
     lines = said.out.splitlines()
     assert (status, said.err) == (0, "")
-    assert lines[-1] == "24 of 24 actions agree with the rules; the building matches its goal."
+    assert lines[-1] == "24 of 24 actions agree with the rules; the goal is reached."
     rows = [line.split() for line in lines if "agrees" in line]
     assert (len(rows), {row[1] for row in rows}) == (24, {"0", "1"})
     assert sorted(path.name for path in (folder / "new/folder").iterdir()) == [
@@ -114,11 +114,11 @@ def test_the_film_plays_in_a_browser(demo, folder):
 @pytest.mark.parametrize(
     ("own", "status", "matches", "last"),
     [
-        (OWN, 0, True, "4 of 4 actions agree with the rules; the building matches its goal."),
+        (OWN, 0, True, "4 of 4 actions agree with the rules; the goal is reached."),
         ({"task": FLAT, "plan": CARRY}, 0, None, "4 of 4 actions agree with the rules; no goal was given."),
         (
             OWN | {"plan": CARRY.replace("3 0 DROP\n", "")},
-            *(1, False, "3 of 3 actions agree with the rules; the building does NOT match its goal."),
+            *(1, False, "3 of 3 actions agree with the rules; the goal is NOT reached."),
         ),
     ],
 )
@@ -179,7 +179,7 @@ def test_files_that_are_missing_or_do_not_fit_are_named(demo, folder):
 def test_a_plan_that_leaves_blocks_apart_misses_the_goal(demo):
     status, said = demo("--task", "free_building", *FAST, own={"plan": "0 0 MOVE_RIGHT\n"})
     assert status == 1
-    assert said.out.endswith("1 of 1 actions agree with the rules; the blocks do NOT form one platform.\n")
+    assert said.out.endswith("1 of 1 actions agree with the rules; the goal is NOT reached.\n")
 
 
 def test_all_tasks_give_one_summary_and_one_report(demo, folder, monkeypatch):
@@ -223,8 +223,6 @@ def test_what_the_reading_does_not_show_disagrees_nevertheless(demo, monkeypatch
     assert status == 1
     assert f"tick 0, car 0 MOVE_LEFT: {message}" in said.out
     assert "0 of 1 actions agree" in said.out
-    assert "At worst: cars " in said.out
-    assert "set down" not in said.out, "nothing is said of the errors of what was not done"
     figures = _report()["figures"]
     (action,) = figures["actions"]
     assert (action["finding"], action["result"]) == ("agrees", result)

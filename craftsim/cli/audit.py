@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -19,7 +20,7 @@ from craftsim.errors import CraftsimError, InputError, suggestion
 from craftsim.options import Dir, File, OptionalDir, Physics, Randomize, Record, Shown, Trials, number
 from craftsim.reports.report import Column, DataTable, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import RUNS, SHOWN, TRIAL_COUNT
+from craftsim.storage.limits import RUNS, TRIAL_COUNT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -34,6 +35,8 @@ Actions = Annotated[tuple[str, ...], Parameter(metavar="ACTION")]
 Situations = Annotated[str, Parameter(metavar="PATTERN")]
 QUICK: Final = ("lippage", "unevenness", "position-bias", "heading-bias", "delay", "motor-lag")
 """The imperfections of a quick look."""
+SHOWN: Final = 3
+"""Mismatches with CraftEnv that are drawn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +123,7 @@ def audit(
     )
     if filming or record == "trajectory":
         record_failures(out, result.records, campaign.workers, filming)
-    return audit_report(result, out, command_again()).publish(out)
+    return audit_report(result, command_again()).publish(out)
 
 
 def _check_actions(actions: Iterable[str]) -> None:
@@ -187,7 +190,7 @@ def margins(
         *(rows, chosen, setup, 20 if quick else campaign.trials, physics.seed, out),
         asked=asked | {"randomize": physics.randomize},
         options=campaign.run(counting("searches", without_error)),
-        pair=(over[0], over[1]) if pair else None,
+        pair=over,
     )
     return margins_report(result, command_again()).publish(out)
 
@@ -219,20 +222,21 @@ def clearance(
     _check_actions(actions)
     parameters = NOMINAL if machines is None else load_machines(machines)
     judged = [_judged(one, Rules(rules)) for one in neighbours(parameters, actions)]
-    listed = [one for one in judged if one["clearance_mm"] is not None or _unexplained(one)]
+    reach = [one for one in judged if one["clearance_mm"] is not None]
+    within = sorted((one for one in reach if one["clearance_mm"] < 0.0), key=itemgetter("clearance_mm"))
+    allowed = [one for one in within if one["legal"]]
+    forbidden = (one for one in judged if one["legal_alone"] and not one["legal"])
+    unexplained = [one for one in forbidden if one["clearance_mm"] is None]
+    listed = [one for one in judged if one["clearance_mm"] is not None or one in unexplained]
     written = document(
         {"clearance": {"neighbours": len(judged), "rows": listed}},
         command="clearance",
         seed=0,
         config={"rules": rules, "actions": actions, "machines": parameters.digest},
     )
-    allowed, unexplained = _findings(judged)
-    rows = []
-    for name, group in groupby(judged, lambda one: one["situation"]):
-        row = list(group)
-        reach = [one["clearance_mm"] for one in row if one["clearance_mm"] is not None]
-        counts = (len(row), len(reach), sum(mm < 0 for mm in reach))
-        rows.append((name, *counts, *(len(found) for found in _findings(row))))
+    groups = (judged, reach, within, allowed, unexplained)
+    counts = [Counter(one["situation"] for one in group) for group in groups]
+    rows = [(name, *(found[name] for found in counts)) for name in counts[0]]
     heads = ("neighbours", "within reach", "in the way", "allowed", "unexplained")
     columns = (Column("situation", "path"), *(Column(name, "number") for name in heads))
     table = DataTable(columns, rows, "Situations", tall=True, most=100)
@@ -275,17 +279,6 @@ def _judged(one: Neighbour, rules: Rules) -> dict[str, Any]:
     }
 
 
-def _unexplained(one: Mapping[str, Any]) -> bool:
-    """Return whether the rules forbid the action because of it, though it is out of reach."""
-    return one["legal_alone"] and not one["legal"] and one["clearance_mm"] is None
-
-
-def _findings(judged: Sequence[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[Mapping[str, Any]]]:
-    """Return the collisions that are allowed, the deepest first, and what is forbidden without one."""
-    allowed = [one for one in judged if one["legal"] and (one["clearance_mm"] or 0.0) < 0.0]
-    return sorted(allowed, key=lambda one: one["clearance_mm"]), [one for one in judged if _unexplained(one)]
-
-
 def _findings_table(title: str, found: Sequence[Mapping[str, Any]]) -> DataTable:
     rows = [
         (
@@ -304,7 +297,6 @@ def conformance(
     files: Annotated[tuple[Path, ...], Parameter(metavar="FILE")] = (),
     *,
     rules: RuleSet = "published",
-    show: Annotated[int, number(SHOWN)] = 3,
     out: OptionalDir = None,
 ) -> int:
     """Replay recordings of CraftEnv and compare masks, effects, rewards and plans.
@@ -315,7 +307,6 @@ def conformance(
     Args:
         files: recordings: gzip-compressed JSON lines.
         rules: the rule set to compare.
-        show: number of mismatches to draw.
         out: folder for report.json.
     """
     from craftsim.discrete.conformance import Checker, read_records
@@ -325,7 +316,7 @@ def conformance(
     if not files:
         raise InputError("no recordings given; name one or more .jsonl.gz files")
     begun = time.perf_counter()
-    checker = Checker(Rules(rules), keep=show)
+    checker = Checker(Rules(rules), keep=SHOWN)
     for file in files:
         for line, record in read_records(file):
             try:

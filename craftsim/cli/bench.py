@@ -6,11 +6,10 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import requires
 from importlib.resources import files
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
@@ -32,17 +31,17 @@ if TYPE_CHECKING:
 
 
 TASKS: Final = ("simple_two_story", "complex_two_story")
-"""Those with two and with four cars."""
+"""Tasks with two and with four cars."""
 WORLDS: Final = 1000
-"""Of a batch, unless given."""
+"""Default size of a batch."""
 EPISODES: Final = 100
-"""Of each policy in each mode, unless given."""
+"""Default number of episodes of each policy and mode."""
 DEPTH: Final = 20
 """The search depth of CraftEnv's published training settings, the costlier of the two."""
 
 Step = Callable[[], None]
 Case = tuple[str, int, bool, Step]
-"""What is timed: its name, steps a call, whether CraftEnv's helper counts in the estimate, and the call."""
+"""A benchmark: name, steps of a call, whether the estimate is with CraftEnv's helper, and the call."""
 
 
 @owning
@@ -90,12 +89,20 @@ def bench(
         out: folder for report.json and the table in Markdown; with policies also for starts-POLICY.npz, worlds at
             random times of their asynchronous episodes in mild physics, for 'craftsim train --set starts=FILE'.
     """
-    from craftsim.cli.calibration import COLUMNS, measure
+    from craftsim.cli.calibration import cells, measure
     from craftsim.reports.json_file import document
 
     seed = chance.seed
     if what == "execution":
-        return _execution(policies, worlds, seed, campaign.workers, out).publish(out)
+        from craftsim.checking.setup import setup_of
+        from craftsim.validation.execution import plans_report, policies_report
+
+        if policies:
+            n_episodes = EPISODES if worlds is None else worlds
+            return policies_report(policies, n_episodes, seed, campaign.workers, out).publish(out)
+        setup, designs = setup_of("mild", drive="reduced"), worlds or 0
+        asked = {"what": what, "designs": designs, "setup": setup}
+        return plans_report(designs, seed, setup, campaign.workers, asked).publish(out)
     if what == "builders":
         from craftsim.cli.progress import counting
         from craftsim.validation.builders import BASELINES, EACH, builders_report
@@ -109,9 +116,10 @@ def bench(
     for task in TASKS:
         for name, n, helper, step in _cases(what, task, rules, worlds, seed):
             rate = measure(step, n, seconds, task, helper)
-            rates[task][name] = rate.as_dict()
-            rows.append((task, name, *rate.cells()))
-    columns = (Column("task"), Column("case"), *(Column(name, "number") for name in COLUMNS))
+            rates[task][name] = rate
+            rows.append((task, name, *cells(rate)))
+    names = ("steps/s", "CraftEnv", "times")
+    columns = (Column("task"), Column("case"), *(Column(name, "number") for name in names))
     table = DataTable(columns, rows, f"Steps a CPU second, {what}")
     config = {"what": what, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
     if out is not None:
@@ -124,20 +132,6 @@ def bench(
         sections=[Section("speed", "Speed", "In CPU seconds, resets included.", [table], terminal=True)],
         document=document({}, command="bench", seed=seed, config=config, wall={"rates": rates}),
     ).publish(out)
-
-
-def _execution(
-    policies: Sequence[str], worlds: int | None, seed: int, workers: int, out: Path | None
-) -> Report:
-    from craftsim.checking.setup import setup_of
-    from craftsim.validation.execution import plans_report, policies_report
-
-    if policies:
-        return policies_report(policies, EPISODES if worlds is None else worlds, seed, workers, out)
-    setup, designs = setup_of("mild", drive="reduced"), worlds or 0
-    return plans_report(
-        designs, seed, setup, workers, {"what": "execution", "designs": designs, "setup": setup}
-    )
 
 
 def _cases(what: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iterator[Case]:
@@ -268,7 +262,7 @@ def doctor(*, out: OptionalDir = None) -> int:
     from craftsim.reports.json_file import versions, write_report
     from craftsim.reports.terminal import Terminal, cell
 
-    physics = _physics()
+    physics, processors = _physics(), len(os.sched_getaffinity(0))
     found = versions()
     audited = _audited(found["mujoco"])
     films = [_rendering(), _encoder()]
@@ -276,7 +270,7 @@ def doctor(*, out: OptionalDir = None) -> int:
     table = Table(title="craftsim doctor")
     for heading in ("", "what", "found"):
         table.add_column(heading, overflow="fold")
-    for name, text in {**found, "processors": str(_processors()), "MuJoCo's audit": audited}.items():
+    for name, text in {**found, "processors": str(processors), "MuJoCo's audit": audited}.items():
         table.add_row("", name, cell(text))
     table.add_section()
     for check in checks:
@@ -286,7 +280,7 @@ def doctor(*, out: OptionalDir = None) -> int:
         if check.remedy:
             print_safe(f"{check.what}: run this to fix it:\n    {check.remedy}")
     if out is not None:
-        figures = {"checks": checks, "processors": _processors(), "audited": audited}
+        figures = {"checks": checks, "processors": processors, "audited": audited}
         print_safe(f"Report: {write_report(out, figures, command='doctor')}")
     if not physics.works:
         print_safe("Physics does not run.")
@@ -356,8 +350,3 @@ def _encoder() -> Check:
     except ValueError:
         return Check(what, False, f"PyAV {av.__version__} has no libx264", install)
     return Check(what, True, f"libx264 in PyAV {av.__version__}")
-
-
-def _processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
@@ -99,43 +98,17 @@ def unit(seed: int = 0) -> float:
     return total
 
 
-COLUMNS: Final = ("steps/s", "CraftEnv", "times")
-"""Heads of the columns of :meth:`Rate.cells`."""
+def cells(rate: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the columns of a table from what :func:`measure` returns: steps/s, CraftEnv, times."""
+    values = (rate["steps_a_second"], rate["reference_a_second"], rate["times"])
+    return tuple(f"{value:,.{0 if value >= 100 else 1 if value >= 10 else 2}f}" for value in values)
 
 
-@dataclass(frozen=True)
-class Rate:
-    """How fast something ran, and how fast the calibration ran in turns with it."""
-
-    steps_a_second: float
-    """CPU seconds."""
-    units_a_second: float
-    """Units of the calibration in a CPU second."""
-    reference_a_second: float
-    """CraftEnv's steps in a CPU second here and now, estimated from the calibration."""
-
-    @property
-    def per_unit(self) -> float:
-        """Steps in the time of one unit of the calibration."""
-        return self.steps_a_second / self.units_a_second
-
-    @property
-    def times(self) -> float:
-        """How many times as many steps as CraftEnv."""
-        return self.steps_a_second / self.reference_a_second
-
-    def as_dict(self) -> dict[str, float]:
-        """Return all figures by name."""
-        return asdict(self) | {"per_unit": self.per_unit, "times": self.times}
-
-    def cells(self) -> tuple[str, ...]:
-        """Return the columns of a table."""
-        values = (self.steps_a_second, self.reference_a_second, self.times)
-        return tuple(f"{value:,.{0 if value >= 100 else 1 if value >= 10 else 2}f}" for value in values)
-
-
-def measure(step: Callable[[], None], n: int, seconds: float, task: str, helper: bool) -> Rate:
+def measure(step: Callable[[], None], n: int, seconds: float, task: str, helper: bool) -> dict[str, float]:
     """Return the rate of a function that takes ``n`` steps of a task, with or without the action helper.
+
+    It holds steps and units of the calibration in a CPU second; the steps that CraftEnv would take in one here and now,
+    estimated from the calibration; steps in the time of one unit; and how many times as many steps as CraftEnv.
 
     It is timed in CPU seconds, so that other processes count for neither side, and in turns with the calibration,
     because a processor's speed changes: by 1.8 times within a minute where REFERENCE_PER_UNIT was measured.
@@ -156,9 +129,15 @@ def measure(step: Callable[[], None], n: int, seconds: float, task: str, helper:
         calls, of_calls = calls + done, of_calls + spent
         done, spent = repeat(unit, _SHARE * seconds / _TURNS)
         units, of_units = units + done, of_units + spent
-    units_a_second = units / of_units
+    rate, units_a_second = n * calls / of_calls, units / of_units
     reference = units_a_second * REFERENCE_PER_UNIT[task] * (1.0 if helper else PRIMITIVE_TIMES_HELPER[task])
-    return Rate(n * calls / of_calls, units_a_second, reference)
+    return {
+        "steps_a_second": rate,
+        "units_a_second": units_a_second,
+        "reference_a_second": reference,
+        "per_unit": rate / units_a_second,
+        "times": rate / reference,
+    }
 
 
 def repeat(work: Callable[[int], object], seconds: float) -> tuple[int, float]:

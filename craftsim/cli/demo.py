@@ -62,7 +62,7 @@ def demo(
         raise InputError("robots stand in one world; --robot goes with a single task")
     setup = physics.setup()
     names = TASK_NAMES if task == "all" else (task,)
-    buildings = [read_building(name, None, carried.plan_file, design.goal) for name in names]
+    buildings = [read_building(name, carried.plan_file, design.goal) for name in names]
     filming = video and rendering_works()
     films: dict[str, Path] = {}
     done: list[Building] = []

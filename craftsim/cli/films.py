@@ -1,23 +1,25 @@
-"""Films of replay bundles, recorded runs and plans."""
+"""Trajectories and films of replay bundles, recorded runs and plans."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
+from craftsim.checking.judge import Judge
 from craftsim.cli.progress import counting
 from craftsim.cli.text import print_safe
 from craftsim.experiments.bundle import FILM, TRAJECTORY, Recorded, read_bundle
 from craftsim.experiments.experiment import TrialRecord
-from craftsim.experiments.replay import Replay
+from craftsim.experiments.replay import Replay, replay
 from craftsim.rendering.film import FilmOptions
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
 from craftsim.rendering.render import render
-from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
+from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory
 from craftsim.reports.terminal import Terminal
 from craftsim.storage.folders import directory_within
-from craftsim.validation.recording import CLIP_S, record_bundle
 from craftsim.workers.pool import Pool, answered
 
 if TYPE_CHECKING:
@@ -29,6 +31,10 @@ Job = TypeVar("Job")
 FILMS: Final = "films"
 SIZE: Final = (640, 360)
 """Size of the films of a run in pixels."""
+CLIP_S: Final = 3.0
+"""Length of a film of one failure."""
+_AFTER: Final = 0.2
+"""Share of a long action's time for which what follows is recorded; a short one's is filled up to a film's length."""
 
 
 def rendering_works() -> bool:
@@ -39,6 +45,26 @@ def rendering_works() -> bool:
         Terminal().print_safe(f"No film: {error}", style="yellow")
         return False
     return True
+
+
+def record_bundle(recorded: Recorded) -> tuple[Replay, Trajectory]:
+    """Re-run what a bundle shows, and a little of what follows; return how it compares, and what moved.
+
+    Raises InputError as :func:`craftsim.experiments.replay.replay`.
+    """
+    recorder = Recorder()
+    span_s = recorded.bundle.end_s - recorded.bundle.start_s
+    after_s = max(_AFTER * span_s, CLIP_S - span_s)
+
+    @contextmanager
+    def watch(judge: Judge) -> Iterator[None]:
+        recorder.begin(judge)
+        yield
+        for _ in range(math.ceil(after_s / judge.physics.config.control_period_s)):
+            judge.executor.advance()
+
+    result = replay(recorded, watch)
+    return result, recorder.trajectory(recorded.bundle.key, recorded.bundle.recipe, result.attempts)
 
 
 def film_bundle(recorded: Recorded, path: Path) -> Replay:
@@ -89,18 +115,16 @@ def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Desi
 
 def _do_all(what: str, function: Callable[[Job], None], jobs: Sequence[Job], workers: int) -> None:
     """Call a function for each job, in this process for one worker."""
-    with counting(what, bool)(len(jobs)) as tell:
-        for _ in _done(function, jobs, workers):
-            tell(True)
-
-
-def _done(function: Callable[[Job], None], jobs: Sequence[Job], workers: int) -> Iterator[None]:
-    if workers == 1 or len(jobs) < 2:
-        yield from map(function, jobs)
-        return
-    with Pool(workers) as pool:
+    several = workers > 1 and len(jobs) > 1
+    with counting(what, bool)(len(jobs)) as tell, Pool(workers) if several else nullcontext() as pool:
+        if pool is None:
+            for job in jobs:
+                function(job)
+                tell(True)
+            return
         for _, answer in pool.map_unordered(function, jobs):
-            yield answered(answer)
+            answered(answer)
+            tell(True)
 
 
 def _record_folder(job: tuple[Path, bool]) -> None:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 _INDENT: Final = 26
 """Column of the explanations."""
+_ORDER: Final = ("Arguments", "Options", "Rollouts", "Physics", "Trials", "Results")
+"""The headings."""
 REFERRED: Final = ("Rollouts", "Physics", "Trials")
 """Groups of options explained by the help of validate; other commands list them with their defaults."""
 
@@ -44,10 +46,11 @@ def command_help(app: App, found: Iterable[Argument], words: Sequence[str], belo
     headings: dict[str, list[Argument]] = {}
     for one in arguments:
         headings.setdefault(_heading(one), []).append(one)
-    for heading, its in sorted(headings.items(), key=lambda item: _rank(item[1][0])):
+    for heading, its in sorted(headings.items(), key=lambda item: _ORDER.index(item[0])):
         lines += ["", heading]
         if heading in REFERRED and words != ["validate"]:
-            listed = ", ".join(_brief(one) for one in its)
+            briefs = (f"{_names(one)[0]}{f' [{_default(one)}]' if _default(one) else ''}" for one in its)
+            listed = ", ".join(briefs)
             text = f"{listed}: see 'craftsim validate --help'"
             lines += textwrap.wrap(
                 text, width, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False
@@ -71,9 +74,9 @@ def _option(one: Argument, width: int) -> Iterator[str]:
         _value(one) if _is_positional(one) else " ".join(filter(None, [", ".join(_names(one)), _value(one)]))
     )
     said = " ".join((one.parameter.help or "").split()).rstrip(".")
-    notes = [
-        f"[{note}]" for note in (_range(one), f"default {_default(one)}" if _default(one) else "") if note
-    ]
+    default = _default(one)
+    notes = [f"[{allowed}]"] if (allowed := range_of(one.parameter)) else []
+    notes += [f"[default {default}]"] if default else []
     text = " ".join([f"{said[:1].lower()}{said[1:]}" if said[1:2].islower() else said, *notes])
     indent = " " * _INDENT
     explained = textwrap.wrap(
@@ -121,23 +124,9 @@ def _default(one: Argument) -> str:
     return " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
 
 
-def _range(one: Argument) -> str:
-    return str(range_of(one.parameter) or "")
-
-
-def _brief(one: Argument) -> str:
-    return f"{_names(one)[0]}{f' [{_default(one)}]' if _default(one) else ''}"
-
-
 def _heading(one: Argument) -> str:
     if _is_positional(one):
         return "Arguments"
     groups: Any = one.parameter.group
     named = [group.name for group in groups or () if not isinstance(group, str)]
     return "Options" if not named or named[0] in ("Parameters", "Arguments") else named[0]
-
-
-def _rank(one: Argument) -> int:
-    """Return the sort key of a heading: arguments, the command's own options, groups."""
-    order = ("Arguments", "Options", "Rollouts", "Physics", "Trials", "Results")
-    return order.index(_heading(one)) if _heading(one) in order else len(order)

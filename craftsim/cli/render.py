@@ -42,7 +42,6 @@ def render(
     at: Annotated[tuple[float, ...], number(MOMENT_S, "SECONDS")] = (),
     hide: tuple[Literal["ghost", "captions", "cards", "none"], ...] | None = None,
     title: Annotated[tuple[str, ...], Parameter(metavar="TITLE")] = (),
-    run: Annotated[str | None, Parameter(metavar="NAME")] = None,
     carried: CarriedPlan = CarriedPlan(),  # noqa: B008
     policy: Annotated[str | None, Parameter(metavar="NAME")] = None,
     workers: Annotated[int, number(WORKERS)] = 1,
@@ -57,7 +56,8 @@ def render(
     forces, each as PDF and PNG, and all together in all.pdf. Exit status: 0, or 2 for invalid input.
 
     Args:
-        what: a trajectory (.npz), the folder of a run or of a replay bundle, the name of a task, or a blueprint.
+        what: a trajectory (.npz), the folder of a run with one or, for figures, of a replay bundle, the name of a task,
+            or a blueprint.
         out: file to write: .mp4 (H.264), .webm (VP9), .webp or .gif (animations), or .png (a contact sheet, or pictures
             with --at); or a folder for figures, such as figures/.
         beside: other recorded runs, shown at its right at the same simulated time.
@@ -73,14 +73,13 @@ def render(
             captions in pictures.
         title: title; default: that of the trajectory. With runs beside it one for each; default: the names of the
             files.
-        run: name of one of the trajectories in a run's folder.
         policy: policy to execute instead of a plan, as in 'craftsim validate'.
         workers: number of processes; the pictures do not depend on it.
     """
     if out.suffix == "" and beside:
         raise InputError("figures are of one run; give --out a film or a picture, or leave --beside out")
     if out.suffix == "":
-        return _draw_figures(Path(what), run, out)
+        return _draw_figures(Path(what), out)
     from craftsim.rendering.film import FilmOptions
     from craftsim.rendering.offscreen import choose_backend
     from craftsim.rendering.render import check_format
@@ -100,8 +99,8 @@ def render(
     choose_backend()
     output_directory(out.parent)
     shown = [
-        _find_trajectory(what, out, run, physics, carried, policy),
-        *(_recorded(path, run) for path in beside),
+        _find_trajectory(what, out, physics, carried, policy),
+        *map(_recorded, beside),
     ]
     if names:
         shown = [trajectory.titled(name) for trajectory, name in zip(shown, names, strict=True)]
@@ -118,14 +117,14 @@ def _pixels(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _draw_figures(recorded: Path, run: str | None, out: Path) -> int:
+def _draw_figures(recorded: Path, out: Path) -> int:
     """Draw figures of a recorded run, or all of a folder; each trajectory gets a folder of its own in ``out``."""
     from craftsim.rendering.plots.figures import write_figures
     from craftsim.rendering.plots.signals import Signals
     from craftsim.rendering.trajectory import Trajectory, trajectory_files
     from craftsim.storage.folders import directory_within, output_directory
 
-    files = trajectory_files(recorded, run)
+    files = trajectory_files(recorded)
     output_directory(out)
     with counting("trajectories", bool)(len(files)) as on_trajectory:
         for file in files:
@@ -180,12 +179,11 @@ def view(
 
 def _runs(path: Path) -> Runs:
     """Return the recorded runs in a file or a folder, by name."""
-    from craftsim.experiments.bundle import TEXT, read_bundle
+    from craftsim.experiments.bundle import TEXT
     from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
-    from craftsim.validation.recording import record_bundle
 
     if is_file(path / TEXT):
-        return {path.name: lambda: record_bundle(read_bundle(path))[1]}
+        return {path.name: partial(_recorded, path)}
     return {name_of(file): partial(Trajectory.read, file) for file in trajectory_files(path)}
 
 
@@ -214,7 +212,6 @@ _NAMED: Final = 12
 def _find_trajectory(
     what: str,
     out: Path,
-    run: str | None,
     physics: Physics,
     carried: CarriedPlan,
     policy: str | None,
@@ -233,8 +230,8 @@ def _find_trajectory(
     recorded = what not in TASK_NAMES and (path.suffix == SUFFIX or is_folder(path))
     if recorded and (carried.plan or policy):
         raise InputError(f"{what} is recorded already; leave --plan and --policy out")
-    if recorded or run is not None:
-        return _recorded(path, run)
+    if recorded:
+        return _recorded(path)
     trajectory = record_once(
         what, physics.setup(), physics.seed, plan=carried.plan_file, policy=policy, order=carried.order
     )
@@ -242,20 +239,17 @@ def _find_trajectory(
     return trajectory
 
 
-def _recorded(folder: Path, run: str | None) -> Trajectory:
+def _recorded(path: Path) -> Trajectory:
+    """Return the trajectory in a file, or the one in a folder."""
+    from craftsim.cli.films import record_bundle
     from craftsim.experiments.bundle import TEXT, read_bundle
-    from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
-    from craftsim.validation.recording import record_bundle
+    from craftsim.rendering.trajectory import Trajectory, trajectory_files
 
-    if not is_folder(folder):
-        if run is not None:
-            raise InputError(f"--run chooses from a folder of a run, and {folder} is none")
-        return Trajectory.read(folder)
-    if is_file(folder / TEXT) and run is None:
-        return record_bundle(read_bundle(folder))[1]
-    first, *others = trajectory_files(folder, run)
+    if is_file(path / TEXT):
+        return record_bundle(read_bundle(path))[1]
+    first, *others = trajectory_files(path)
     if others:
-        names = [name_of(path) for path in (first, *others[: _NAMED - 1])]
+        named = ", ".join(map(str, (first, *others[: _NAMED - 1])))
         more = f" and {len(others) + 1 - _NAMED} more" if len(others) >= _NAMED else ""
-        raise InputError(f"{folder}: choose one with --run; there are {', '.join(names)}{more}")
+        raise InputError(f"{path}: give one of its trajectories: {named}{more}")
     return Trajectory.read(first)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,18 +15,14 @@ from craftsim.storage.folders import owning
 from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
-    from craftsim.checking.judge import Judge
     from craftsim.experiments.bundle import Recorded
     from craftsim.experiments.replay import Replay
-    from craftsim.models.world import PhysicsWorld
-    from craftsim.skills.executor import Observer
 
 
 @owning
 def replay(
     bundle: Annotated[Path, Parameter(metavar="BUNDLE")],
     *,
-    view: bool = False,
     video: bool = False,
     minimize: bool = False,
     skills: Annotated[str | None, Parameter(metavar="MODULE:NAME")] = None,
@@ -43,22 +36,19 @@ def replay(
 
     Args:
         bundle: folder of the bundle.
-        view: show it in MuJoCo's viewer in real time; needs a display.
         video: film it, three seconds.
         minimize: instead of comparing, reduce its first failure to the smallest world in which it occurs.
         skills: the user-defined skills with which the bundle was made; nothing named in a bundle is imported.
         out: folder for report.json and the film, or for the smallest world.
     """
-    if view + video + minimize > 1:
-        raise InputError("--view, --video and --minimize exclude each other; give one of them")
+    if video and minimize:
+        raise InputError("--video and --minimize exclude each other; give one of them")
     if skills is not None:
         from craftsim.skills.library import own_skills
 
         own_skills(skills)
     if minimize:
         return _minimize(bundle, out)
-    if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise InputError("--view needs a display, and there is none here; try --video")
     from craftsim.cli.films import film_bundle, rendering_works
     from craftsim.experiments import replay as again
     from craftsim.experiments.bundle import read_bundle
@@ -67,10 +57,9 @@ def replay(
     filming = video and rendering_works()
     recorded = read_bundle(bundle)
     film = out / f"{resolved(bundle).name}.mp4"
-    watch = _viewer if view else again.unwatched
-    result = film_bundle(recorded, film) if filming else again.replay(recorded, watch)
+    result = film_bundle(recorded, film) if filming else again.replay(recorded)
     figures = {"bundle": bundle.name, **_figures(recorded, result)}
-    written = document(figures, command="replay", config={"view": view})
+    written = document(figures, command="replay")
     files = {"Film": film} if filming else {}
     return _report(recorded, result, written, files).publish(out)
 
@@ -151,29 +140,6 @@ def _report(recorded: Recorded, result: Replay, written: dict[str, object], file
         written,
         0 if result.reproduced else 1,
     )
-
-
-@contextmanager
-def _viewer(judge: Judge) -> Iterator[Observer]:
-    """Show a world in MuJoCo's viewer at the speed at which things happen, until the window is closed."""
-    import time
-
-    import mujoco.viewer
-
-    from craftsim.rendering.playback import SeenWorld
-
-    physics, seen = judge.physics, SeenWorld(judge.physics)
-    with mujoco.viewer.launch_passive(seen.model, seen.now()) as viewer:
-        ahead_s = time.monotonic() - physics.time_s
-
-        def watch(physics: PhysicsWorld) -> None:
-            seen.now()
-            viewer.sync()
-            time.sleep(max(0.0, ahead_s + physics.time_s - time.monotonic()))
-
-        yield watch
-        while viewer.is_running():
-            time.sleep(0.05)
 
 
 @owning

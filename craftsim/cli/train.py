@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Iterable, Sequence
+from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
-from threading import Event, Thread
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
@@ -20,8 +19,6 @@ from craftsim.cli.text import print_safe
 from craftsim.errors import InputError, suggestion
 from craftsim.options import Dir, OptionalDir, Record, Seeded, Shown, Work, number
 from craftsim.reports.report import (
-    Column,
-    DataTable,
     Drawing,
     Headline,
     KeyFigure,
@@ -38,8 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from craftsim.discrete.tasks import Task
-    from craftsim.experiments.experiment import TrialRecord
-    from craftsim.studies.study import Study, StudyRun
     from craftsim.training.config import Protocol, TrainConfig
     from craftsim.training.curve import CurvePoint
     from craftsim.training.trainer import Trainer
@@ -47,8 +42,6 @@ if TYPE_CHECKING:
 INTERRUPTED: Final = 130
 LINE_EVERY_S: Final = 15.0
 """How often a run says how far it is where there is no terminal for a bar."""
-EVERY_S: Final = 20.0
-"""How often a study says how far its runs are, if there is anything new."""
 _BESIDES: Final[tuple[str, ...]] = ("cars", "blocks", "starts", "settings", "workers", "tensorboard")
 """What --set takes besides fields of the configuration and the algorithm's hyperparameters."""
 
@@ -103,6 +96,7 @@ def train(
     need_torch()
     from craftsim.discrete.tasks import as_task
     from craftsim.rendering.trajectory import TRAJECTORIES
+    from craftsim.training.config import Protocol, protocol
 
     given = _settings_of(settings)
     besides: dict[str, Any] = {name: given.pop(name) for name in _BESIDES if name in given}
@@ -114,7 +108,7 @@ def train(
         for name, value in {**physical, "record": None if record == "none" else record}.items():
             if value is not None:
                 raise InputError(f"{name} is for physics; on the grid nothing moves: leave it out")
-    run = _protocol(preset, task, algo, steps)
+    run = protocol(preset, task, algo, steps) if preset else Protocol(steps=steps or 3_000_000)
     until = run.until if until is None else until
     config = _config(given, besides, run, task=task, algo=algo, seed=chance.seed, backend=backend)
     learnt = as_task(task, cars, blocks)
@@ -171,12 +165,6 @@ def _settings_of(words: Iterable[str]) -> dict[str, Any]:
             raise InputError(f"--set is '{word}'; allowed: NAME=VALUE, each name once")
         found[name] = parse_document(f"value: {value}\n", Path("--set")).plain["value"]
     return found
-
-
-def _protocol(preset: PresetName | None, task: str, algo: AlgoName, steps: int | None) -> Protocol:
-    from craftsim.training.config import Protocol, protocol
-
-    return protocol(preset, task, algo, steps) if preset else Protocol(steps=steps or 3_000_000)
 
 
 def _config(given: dict[str, Any], besides: dict[str, Any], run: Protocol, **flags: Any) -> TrainConfig:
@@ -333,18 +321,9 @@ def _curve_section(curve: Sequence[CurvePoint]) -> Section:
         axes.set_xlabel("steps")
 
     drawing = Drawing.of_axes(draw, 2.9, "Success of evaluations during training.", "learning curve")
-    numbers = ("steps", "success", "return", "ticks")
-    table = DataTable(
-        [Column(name, "number") for name in numbers],
-        [
-            (one.steps, f"{one.success:.3f}", f"{one.mean_return:.2f}", f"{one.mean_ticks:.1f}")
-            for one in curve
-        ],
-        "Learning curve",
-        folded=True,
-        tall=True,
+    return Section(
+        "curve", "Learning curve", "Evaluations on fresh episodes; curve.csv holds all.", [drawing]
     )
-    return Section("curve", "Learning curve", "Evaluations on fresh episodes.", [drawing, table])
 
 
 @owning
@@ -375,7 +354,7 @@ def study(
     from craftsim.studies.study import read_study
 
     asked, begun = read_study(what), time.perf_counter()
-    records = run_study(asked, out, work.run(lambda total: watching(asked, out, total)), timeout)
+    records = run_study(asked, out, work.run(counting("runs")), timeout)
     figures = figures_of(asked, records)
     write_markdown(out / "study.md", asked, figures)
     pictures = plot_results(out, asked, figures)
@@ -387,68 +366,3 @@ def study(
     written = document(figures, command="study", seed=0, config=config, wall=wall)
     reached = sum(record["agrees"] for record in records)
     return study_report(asked, reached, written, pictures).publish(out)
-
-
-@contextmanager
-def watching(study: Study, out: Path, total: int) -> Iterator[Callable[[TrialRecord], None]]:
-    """Show how many runs of a study are done, and how far those under way are, by the curves in their folders.
-
-    It shows lines that change, or one now and then where there is no terminal. The function that is given is called
-    with each run's record.
-    """
-    from rich.live import Live
-    from rich.text import Text
-
-    from craftsim.reports.terminal import Terminal
-    from craftsim.reports.text import escape
-    from craftsim.studies.runs import RUNS
-
-    console = Terminal()
-    left = {run.key: run for run in study.runs}
-    reached = 0
-
-    def on_record(record: TrialRecord) -> None:
-        nonlocal reached
-        reached += record["agrees"]
-        left.pop(record["key"], None)
-
-    def lines() -> list[str]:
-        done = f"{total - len(left)} of {total} runs done, {reached} reached {study.goal:g}"
-        begun = [(run, out / RUNS / run.key) for run in list(left.values())]
-        return [done, *(_how_far(run, folder) for run, folder in begun if folder.is_dir())]
-
-    if console.is_terminal:
-        with Live(
-            get_renderable=lambda: Text(escape("\n".join(lines()))),
-            console=console,
-            refresh_per_second=1,
-            transient=True,
-        ):
-            yield on_record
-        return
-    ended = Event()
-
-    def tell() -> None:
-        said = ""
-        with suppress(OSError):  # nobody reads any more, which the results will show
-            while not ended.wait(EVERY_S):
-                if (now := "; ".join(lines())) != said:
-                    console.print(said := now, soft_wrap=True, markup=False, highlight=False)
-
-    teller = Thread(target=tell, daemon=True)
-    teller.start()
-    try:
-        yield on_record
-    finally:
-        ended.set()
-        teller.join()
-
-
-def _how_far(run: StudyRun, folder: Path) -> str:
-    from craftsim.training.curve import CURVE_FILE, read_last
-
-    last = read_last(folder / CURVE_FILE)
-    if last is None:
-        return f"{run.key}: no evaluation yet"
-    steps, success = last
-    return f"{run.key}: {steps:,} of at most {run.steps:,} steps, success {success:.2f}"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import time
+from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -19,14 +21,15 @@ from craftsim.storage.folders import owning
 from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from craftsim.discrete.tasks import Task
     from craftsim.envs.datasets import MakeAct
     from craftsim.envs.parallel import ParallelConstruction
     from craftsim.training.config import Acting
     from craftsim.training.policy import TrainedPolicy
+    from craftsim.validation.choice import World
 
-AUTO: Final = "auto"
-"""The plan that is made, and made again."""
 _PLANNER: Final = "planner"
 
 
@@ -81,27 +84,30 @@ def validate(
         return _write_dataset(world, what, physics, campaign, backend, dataset, out)
     if backend == "grid":
         return _play_policies(worlds, what, physics, campaign, area, acting, out)
-    if str(what.plan) == AUTO:
-        world = _only(worlds, "--plan auto")
-        filmed = video == "all" or (video == "failures" and record == "trajectory")
-        asked = replans, attempts, disturb
-        return _build(world, design.goal, asked, what.timeout_s, physics, campaign, filmed, out)
-    for option, given in (("--goal", design.goal), ("--disturb", disturb)):
-        if given is not None:
-            raise InputError(f"{option} goes with --plan auto")
     from craftsim.cli.films import film_runs, record_failures, rendering_works
     from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.validation import validation
+    from craftsim.validation.choice import AUTO
+    from craftsim.validation.replanning import Replanning
     from craftsim.validation.report import validation_report
 
-    worlds, recording = worlds or TASK_NAMES, record == "trajectory"
-    n_runs = campaign.trials * len(worlds) * max(1, len(what.policy))
+    several: tuple[World, ...] = worlds or TASK_NAMES
+    good: Callable[[Any], bool] = itemgetter("agrees")
+    if what.plan == AUTO:
+        several = (validation.read_goal(_only(worlds, "--plan auto"), design.goal),)
+        what = replace(what, plan=Replanning(replans, attempts, disturb))
+        good = _built
+    for option, given in (("--goal", design.goal), ("--disturb", disturb)):
+        if given is not None and not isinstance(what.plan, Replanning):
+            raise InputError(f"{option} goes with --plan auto")
+    recording = record == "trajectory"
+    n_runs = campaign.trials * len(several) * max(1, len(what.policy))
     RUNS.check("--trials times worlds and policies", n_runs)
     filming = video != "none" and rendering_works()
     result = validation.validate(
-        *(worlds, what, physics, campaign),
+        *(several, what, physics, campaign),
         out=out,
-        progress=counting("runs"),
+        progress=counting("runs", good),
         minimize=counting_kinds() if minimize else None,
         record=recording or video == "all",
     )
@@ -109,7 +115,11 @@ def validate(
         record_failures(out, result.records, campaign.workers, filming)
     if filming and video == "all":
         film_runs(out, campaign.workers)
-    return validation_report(result, out, command_again()).publish(out)
+    return validation_report(result, command_again()).publish(out)
+
+
+def _built(record: Any) -> bool:
+    return bool(record["extra"].get("ended") == "built")
 
 
 def _only(worlds: tuple[str, ...], option: str) -> str:
@@ -118,38 +128,6 @@ def _only(worlds: tuple[str, ...], option: str) -> str:
             f"{option} needs the one world that it is for: a task's name, a file or module:factory"
         )
     return worlds[0]
-
-
-def _build(
-    start: str,
-    goal: Path | None,
-    asked: tuple[int, int, Any],
-    timeout_s: float,
-    physics: Physics,
-    campaign: Trials,
-    video: bool,
-    out: Path,
-) -> int:
-    """Plan a building, build it in physics, and plan again from what is there where it went wrong: --plan auto."""
-    from craftsim.cli.films import film_runs, rendering_works
-    from craftsim.validation.replanning import Replanning
-    from craftsim.validation.report import validation_report
-    from craftsim.validation.validation import build_all, read_goal
-
-    task, setup = read_goal(start, goal), physics.setup()
-    filming = video and rendering_works()
-    result = build_all(
-        *(task, setup, Replanning(*asked)),
-        trials=campaign.trials,
-        seed=physics.seed,
-        out=out,
-        options=campaign.run(counting("buildings", lambda record: record["extra"].get("ended") == "built")),
-        timeout_s=timeout_s,
-        record=video,
-    )
-    if filming:
-        film_runs(out, campaign.workers)
-    return validation_report(result, out, command_again()).publish(out)
 
 
 def _play_policies(

@@ -55,6 +55,16 @@ class Estimate:
     high: float | None
 
 
+def mean_of(values: Sequence[float]) -> Estimate:
+    """Return a mean with its t interval; without one where fewer than two values differ."""
+    from scipy.stats import ttest_1samp
+
+    if len(set(values)) < 2:
+        return Estimate(values[0] if len(values) else None, None, None)
+    low, high = ttest_1samp(values, 0.0).confidence_interval(CONFIDENCE)
+    return Estimate(float(np.mean(values)), float(low), float(high))
+
+
 @dataclass(frozen=True)
 class RankAgreement:
     """Agreement of success in the grid world and in physics over several policies."""

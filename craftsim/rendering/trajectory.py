@@ -23,7 +23,7 @@ from craftsim.checking.episode import Recipe, check_recipe
 from craftsim.checking.judge import Judge
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Kind, Piece
-from craftsim.errors import InputError, suggestion
+from craftsim.errors import InputError
 from craftsim.models.measuring import READING
 from craftsim.models.world import PhysicsWorld
 from craftsim.reports.json_file import versions
@@ -313,18 +313,12 @@ def name_of(path: Path) -> str:
     return path.parent.name if is_file(path.parent / BUNDLE) else path.stem
 
 
-def trajectory_files(run: Path, name: str | None = None) -> list[Path]:
-    """Return the trajectory files that a path stands for, by name.
-
-    Args:
-        run: a run's folder, or a trajectory file.
-        name: of the one file of the folder that is wanted, with or without its ending.
+def trajectory_files(run: Path) -> list[Path]:
+    """Return the trajectory files that a path stands for, a run's folder or a trajectory file, by name.
 
     Raises InputError where there is nothing of the kind.
     """
     if not is_folder(run):
-        if name is not None:
-            raise InputError(f"{run} is no folder; a trajectory's name goes with a run's folder")
         if not is_file(run):
             raise InputError(f"{run}: no such file or folder; allowed: a run's folder or a trajectory file")
         return [run]
@@ -334,13 +328,7 @@ def trajectory_files(run: Path, name: str | None = None) -> list[Path]:
     found = next((paths for pattern in patterns if (paths := sorted(run.glob(pattern)))), [])
     if not found:
         raise InputError(f"{run}: no trajectories in it; run it again with --record")
-    if name is None:
-        return found
-    names = {name_of(path): path for path in found}
-    if (stem := name.removesuffix(SUFFIX)) not in names:
-        listed = ", ".join(list(names)[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-        raise InputError(f"{run}: no trajectory '{name}'{suggestion(name, names)}; there are {listed}")
-    return [names[stem]]
+    return found
 
 
 def _check_version(data: bytes) -> None:

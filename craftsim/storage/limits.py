@@ -221,8 +221,6 @@ PLAN_TIME_S: Final = Range(0, 604_800)
 BATCH: Final = Range(1, 100_000)
 """Worlds that are stepped side by side on the grid."""
 BENCH_S: Final = Range(0.001, 3600)
-SHOWN: Final = Range(0, 10_000)
-"""Mismatches that are drawn."""
 TRAIN_STEPS: Final = Range(1, 10**12)
 TRAIN_EPISODES: Final = Range(1, 1_000_000)
 STAGES: Final = 100

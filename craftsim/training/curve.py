@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from craftsim.errors import InputError
-from craftsim.storage.limits import TABLE
-from craftsim.storage.reading import read_text
 from craftsim.storage.writing import whole, write_whole
 
 CURVE_FILE: Final = "curve.csv"
@@ -107,15 +105,6 @@ def write_curve(path: Path, curve: Sequence[CurvePoint]) -> Path:
     writer.writerow(names)
     writer.writerows([getattr(point, name) for name in names] for point in curve)
     return write_whole(path, text.getvalue())
-
-
-def read_last(path: Path) -> tuple[int, float] | None:
-    """Return steps and success of the last point of a curve's file; None where there is none yet, or another file."""
-    try:
-        *_, last = csv.DictReader(io.StringIO(read_text(path, TABLE)))
-        return int(last["steps"]), int(last["successes"]) / int(last["episodes"])
-    except (InputError, ArithmeticError, KeyError, TypeError, ValueError, csv.Error):
-        return None
 
 
 def plot_curve(path: Path, title: str, curve: Sequence[CurvePoint]) -> Path:

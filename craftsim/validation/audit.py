@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from fnmatch import fnmatchcase
 from functools import lru_cache, partial
@@ -88,25 +88,23 @@ def try_it(trial: AuditTrial | None) -> Result:
     """Run one trial and judge it. There are no attempts for None, and in a world that is not stable."""
     if trial is None:
         return Result(agrees=True)
-    shared = trial.situation, trial.seed, trial.setup
-    if problems := _problems(*shared):
-        return Result(agrees=True, extra={"does_not_stand": list(problems)})
     recipe = recipe_of(trial)
-    attempts = do(run_up(recipe, _physics(*shared)), recipe.steps[-1])
+    if problems := _problems(recipe.world, trial.setup):
+        return Result(agrees=True, extra={"does_not_stand": list(problems)})
+    attempts = do(run_up(recipe, compiled_world(recipe.world, trial.setup)), recipe.steps[-1])
     return Result(agrees=all(attempt.agrees for attempt in attempts) == trial.legal, attempts=attempts)
 
 
-@lru_cache(maxsize=1)
-def _physics(situation: Situation, seed: int, setup: Setup) -> PhysicsWorld:
-    """Return the PhysicsWorld of a situation, shared by its trials."""
-    return compile_world(AuditTrial(situation, True, 0, seed, setup).placed.grid, setup)
+@lru_cache(maxsize=2)
+def compiled_world(world: str, setup: Setup) -> PhysicsWorld:
+    """Return the compiled world of a blueprint, shared by the trials that start from it."""
+    return compile_world(Recipe(world).grid, setup)
 
 
 @lru_cache(maxsize=1)
-def _problems(situation: Situation, seed: int, setup: Setup) -> tuple[str, ...]:
-    """Return how a situation's world, at rest in nominal physics, differs from its grid; empty if it does not."""
-    grid = AuditTrial(situation, True, 0, seed, setup).placed.grid
-    world = _physics(situation, seed, setup)
+def _problems(text: str, setup: Setup) -> tuple[str, ...]:
+    """Return how a blueprint's world, at rest in nominal physics, differs from it; empty if it does not."""
+    grid, world = Recipe(text).grid, compiled_world(text, setup)
     try:
         reading = set_up(grid, Setup(simulation=setup.simulation), reuse=world, watch_contacts=False).reading
     except StartError as error:
@@ -205,72 +203,53 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
     A group's name is the action, a slash and the context. A row is legal when all its attempts are; one whose trials
     have neither attempts nor errors has no prediction.
     """
-    groups: dict[str, _Group] = {}
+    results, kinds = dict[str, Counter[str]](), dict[str, Counter[str]]()
+    reasons, bundles = dict[str, dict[str, str]](), dict[str, list[str]]()
+    forbidden = set[str]()
     for record in records:
-        groups.setdefault(record["group"], _Group()).add(record)
-    return [group.row(name) for name, group in sorted(groups.items())]
-
-
-@dataclass
-class _Group:
-    """Counts over the trials of one row."""
-
-    results: Counter[Verdict] = field(default_factory=Counter)
-    errors: int = 0
-    legal: bool = True
-    bundles: list[str] = field(default_factory=list)
-    reasons: dict[str, str] = field(default_factory=dict)
-    """The first reason of each kind of failure."""
-    kinds: Counter[str] = field(default_factory=Counter)
-
-    def add(self, record: TrialRecord) -> None:
-        attempts = record["attempts"]
-        self.legal &= all(attempt["legal"] for attempt in attempts)
-        self.bundles += [record["bundle"]] if record["bundle"] else []
+        name, attempts = record["group"], record["attempts"]
+        counts = results.setdefault(name, Counter())
+        if not all(attempt["legal"] for attempt in attempts):
+            forbidden.add(name)
+        if record["bundle"]:
+            bundles.setdefault(name, []).append(record["bundle"])
         if record["error"] is not None:
-            self.errors += 1
+            counts["errors"] += 1
         elif attempts:
             worst = max(attempts, key=lambda attempt: RESULTS.index(Verdict(attempt["result"])))
-            self.results[Verdict(worst["result"])] += 1
+            counts[Verdict(worst["result"])] += 1
             if worst["result"] != Verdict.AS_PREDICTED:
-                self.reasons.setdefault(kind_of(worst["reason"]), worst["reason"])
-                self.kinds[kind_of(worst["reason"])] += 1
-
-    def row(self, name: str) -> AuditRow:
+                kind = kind_of(worst["reason"])
+                kinds.setdefault(name, Counter())[kind] += 1
+                reasons.setdefault(name, {}).setdefault(kind, worst["reason"])
+    rows = []
+    for name, counts in sorted(results.items()):
+        good, failed, side_effect, unsafe, numerics = (counts[result] for result in RESULTS)
+        trials, legal, predicted = good + failed + side_effect + unsafe, name not in forbidden, bool(counts)
+        (commonest, n), *others = kinds.get(name, Counter()).most_common() or [("", 0)]
+        reason = reasons.get(name, {}).get(commonest, "")
         action, _, context = name.partition("/")
-        good, failed, side_effect, unsafe, numerics = (self.results[result] for result in RESULTS)
-        trials = self.results.total() - numerics
-        has_prediction = bool(self.results) or bool(self.errors)
-        (commonest, n), *others = self.kinds.most_common() or [("", 0)]
-        reason = self.reasons.get(commonest, "")
-        return AuditRow(
-            *(action, context, self.legal and has_prediction, has_prediction),
-            *(trials, good, failed, side_effect, unsafe),
-            *wilson(good, trials),
-            verdict=judge(self.legal, has_prediction, trials, good).value,
-            reason=f"{reason} ({n} of {self.kinds.total()})" if others else reason,
-            bundles=tuple(self.bundles),
-            numerics=numerics,
-            errors=self.errors,
+        rows.append(
+            AuditRow(
+                *(action, context, legal and predicted, predicted),
+                *(trials, good, failed, side_effect, unsafe),
+                *wilson(good, trials),
+                verdict=judge(legal, predicted, trials, good).value,
+                reason=f"{reason} ({n} of {kinds[name].total()})" if others else reason,
+                bundles=tuple(bundles.get(name, ())),
+                numerics=numerics,
+                errors=counts["errors"],
+            )
         )
+    return rows
 
 
-@dataclass(frozen=True)
-class HypothesisFinding:
-    """The finding on one hypothesis."""
+def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[dict[str, Any]]:
+    """Return the finding on each of :data:`HYPOTHESES`; the rows ``at_once`` count as evidence only.
 
-    number: int
-    question: str
-    rows: int
-    """Number of rows tried."""
-    trials: int
-    verdict: str
-    evidence: str
-    """The clearest row of the most serious verdict, with its counts and reason."""
-
-
-def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[HypothesisFinding]:
-    """Return the finding on each of :data:`HYPOTHESES`; the rows ``at_once`` count as evidence only."""
+    A finding holds its ``number``, the ``question``, the numbers of ``rows`` and ``trials``, the ``verdict``, and as
+    ``evidence`` the clearest row of the most serious verdict, with its counts and reason.
+    """
     found = []
     for number, suspect in enumerate(HYPOTHESES, start=1):
         mine, together = (
@@ -283,9 +262,15 @@ def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[Hypothes
         evidence = [f"{row.name}: {row.evidence}" for row in clearest]
         evidence += [f"begun all at once, {row.name}: {row.evidence}" for row in together]
         verdict = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n) or "not tried"
-        trials = sum(row.trials for row in mine)
         found.append(
-            HypothesisFinding(number, suspect["question"], len(mine), trials, verdict, "; ".join(evidence))
+            {
+                "number": number,
+                "question": suspect["question"],
+                "rows": len(mine),
+                "trials": sum(row.trials for row in mine),
+                "verdict": verdict,
+                "evidence": "; ".join(evidence),
+            }
         )
     return found
 
@@ -302,7 +287,7 @@ class Audit:
     records: Sequence[TrialRecord]
     rows: tuple[AuditRow, ...]
     """Rows of actions in sequence, or concurrent by the schedule; not those begun all at once."""
-    suspects: tuple[HypothesisFinding, ...]
+    suspects: Sequence[Mapping[str, Any]]
     figures: Figures
     config: dict[str, Any]
     seed: int
@@ -367,7 +352,7 @@ def run_audit(
         every = audit_rows(records)
         together = tuple(row for row in every if row.context.endswith(_AT_ONCE))
         rows = tuple(row for row in every if row not in together)
-        suspects, corrects = tuple(find(rows, together)), corrected(rows, plan, setup.rules)
+        suspects, corrects = find(rows, together), corrected(rows, plan, setup.rules)
         figures = campaign_figures(judged_by_rules(records), seed)
         comparison = None if earlier is None else compare_runs(earlier, session, judged_by_rules)
         planned = {row.name: row for row in plan}

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.experiments.bundle import TRAJECTORY
 from craftsim.experiments.intervals import CONFIDENCE
@@ -24,7 +23,6 @@ from craftsim.experiments.sections import (
 )
 from craftsim.experiments.statistics import (
     Figures,
-    Precision,
     capped_steps,
     error_counts,
     legal_attempts,
@@ -54,12 +52,11 @@ from craftsim.validation.audit import (
     SOUND_SHARE,
     Audit,
     AuditRow,
-    HypothesisFinding,
     RuleVerdict,
     judged_by_rules,
     verdict_counts,
 )
-from craftsim.validation.sections import RecordedRun, case_of, recorded_section, smallest_section
+from craftsim.validation.sections import case_of, smallest_section
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,8 +87,8 @@ _OTHERS: Final = {
 _INTERVAL: Final = Column(f"{100 * CONFIDENCE:.0f} % interval", tip="of the share that did as predicted")
 
 
-def audit_report(audit: Audit, out: Path, command: str) -> Report:
-    """Return the report of an audit in the folder ``out``; ``command`` is how it can be run again."""
+def audit_report(audit: Audit, command: str) -> Report:
+    """Return the report of an audit; ``command`` is how it can be run again."""
     rows, figures = audit.rows, audit.figures
     found = verdict_counts(rows)
     unsound, conservative = (
@@ -99,10 +96,6 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
     )
     first = {row.action: row for row in reversed(unsound)}
     one_each = [row for row in unsound if first[row.action] is row]
-    striking = [*one_each, *(row for row in unsound if row not in one_each), *conservative]
-    recorded = [
-        RecordedRun(row.name, f"{row.bundles[0]}/{TRAJECTORY}", False) for row in striking if row.bundles
-    ]
     flags = audit.rows_by_flag | {"no flag": sum(not flags for flags in audit.corrections.values())}
     corrections = DataTable(
         (Column("correction", "path"), Column("unsound rows", "number")),
@@ -127,7 +120,6 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
             "The rules forbid these, and they would have worked.",
             conservative,
         ),
-        *recorded_section(out, recorded),
         Section(
             "others",
             "All other rows",
@@ -156,7 +148,6 @@ def audit_report(audit: Audit, out: Path, command: str) -> Report:
         *([f"unsound rows by the correction that concerns them: {named}"] if named else []),
         *run_notes(capped_steps(audit.records), retried(audit.records)),
         *comparison_notes(audit.comparison),
-        *_precision(figures.precision),
     ]
     decided = (
         RuleVerdict.UNSOUND,
@@ -200,21 +191,7 @@ def _headline(audit: Audit) -> Headline:
     return Headline("Sound", Tone.GOOD, sentence)
 
 
-def _precision(found: Precision) -> list[str]:
-    """Return the 99th percentiles of the errors that figures hang on."""
-    named = {
-        "cars {:.2f} mm": found.car_error_mm,
-        "{:.2f} mrad": found.heading_error_mrad,
-        "set down {:.2f} mm": found.placed_error_mm,
-        "reaching out of a cell {:.2f} mm": found.reach_mm,
-        "others {:.2f} mm from their places": found.drift_mm,
-    }
-    parts = [words.format(one.p99) for words, one in named.items() if one is not None]
-    text = f"Of what the rules allow and did as predicted, 99th percentiles: {', '.join(parts)}"
-    return [text] if found.car_error_mm else []
-
-
-def _suspects(suspects: Iterable[HypothesisFinding]) -> Section:
+def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:
     columns = (
         *(Column("suspect", "wide"), Column("verdict"), Column("evidence", "path", terminal=False)),
         *(Column("rows", "number"), Column("trials", "number")),
@@ -222,9 +199,10 @@ def _suspects(suspects: Iterable[HypothesisFinding]) -> Section:
     rows = []
     for one in suspects:
         # Verdicts are listed the gravest first.
-        gravest = next((j for j in RuleVerdict if one.verdict.split(", ")[0].endswith(f" {j}")), None)
-        verdict = Cell(one.verdict, _TONES[gravest] if gravest else Tone.MUTED)
-        rows.append((f"{one.number}. {one.question}", verdict, one.evidence, one.rows, one.trials))
+        gravest = next((j for j in RuleVerdict if one["verdict"].split(", ")[0].endswith(f" {j}")), None)
+        verdict = Cell(one["verdict"], _TONES[gravest] if gravest else Tone.MUTED)
+        counts = one["evidence"], one["rows"], one["trials"]
+        rows.append((f"{one['number']}. {one['question']}", verdict, *counts))
     table = DataTable(columns, rows, "Suspects", "Evidence is the clearest row of the gravest verdict.")
     lead = "Rules that were under suspicion before the audit."
     return Section("suspects", "Suspects", lead, [table], terminal=True)

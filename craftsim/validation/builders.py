@@ -28,10 +28,10 @@ from craftsim.envs.planner import PlannerPolicy
 from craftsim.envs.text import FORBIDDEN, MARK, Answer, TextConstruction, answer_text, converse
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import (
-    CONFIDENCE,
     Estimate,
     Proportion,
     least_detectable,
+    mean_of,
     paired_difference,
 )
 from craftsim.experiments.session import open_session
@@ -44,13 +44,13 @@ DIFFICULTIES: Final = ("one level", "with a ramp", "two levels")
 EACH: Final = 10
 """Designs of each difficulty."""
 TURNS: Final = 2
-"""Turns, by ticks of the stored plan."""
+"""Turns for each tick of the stored plan."""
 BASELINES: Final = (RANDOM, PLANNER, DESIGNS)
-"""What is measured unless other builders are named; the last one is a shipped policy."""
+"""Builders by default; the last one is a shipped policy."""
 ANSWER_S: Final = 300.0
-"""Of the clock, that an answer may take on average."""
+"""Mean time of an answer in seconds, for the time limit."""
 _KEPT: Final = 1000
-"""Characters of an answer that a record keeps, the last ones."""
+"""Number of last characters of an answer in a record."""
 _ALL: Final = "all"
 
 
@@ -62,7 +62,7 @@ class BuilderCase:
     """``planner``, what :func:`make_policy` knows, or ``module:function`` of a function from two texts to an answer."""
     backend: Backend
     row: int
-    """Of the held-out starts."""
+    """Index in the held-out starts."""
     seed: int
 
     def task(self) -> Task:
@@ -135,7 +135,7 @@ def _answers(case: BuilderCase, env: TextConstruction) -> Answer:
         policy: Any = PlannerPolicy(env)
     else:
         policy = make_policy(case.builder, case.seed, core.task, core.options.rule_set)
-        if _own(case.builder):
+        if ":" in case.builder:
             return policy
 
     def answer(instructions: str, text: str) -> str:
@@ -144,10 +144,6 @@ def _answers(case: BuilderCase, env: TextConstruction) -> Answer:
         return answer_text(policy(Observations(observed, core.task)))
 
     return answer
-
-
-def _own(builder: str) -> bool:
-    return ":" in builder
 
 
 def builders_report(
@@ -162,7 +158,7 @@ def builders_report(
     numbered = [(name, row) for name, found in rows.items() for row in found]
     items = []
     for builder in dict.fromkeys(builders):
-        backends: tuple[Backend, ...] = ("physics",) if _own(builder) else ("grid", "physics")
+        backends: tuple[Backend, ...] = ("physics",) if ":" in builder else ("grid", "physics")
         for backend in backends:
             cases = [BuilderCase(builder, backend, row, seed + row) for _, row in numbered]
             _answers(cases[0], replace(cases[0], backend="grid").world())
@@ -207,10 +203,12 @@ def builder_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     total = {
         key: sum(one[key] for one in kept) for key in ("predicted", "allowed", "acted", "unreadable", "turns")
     }
-    shares = [one["in_place"] for one in kept] + [0.0] * (len(records) - len(kept))
+    place = mean_of([one["in_place"] for one in kept] + [0.0] * (len(records) - len(kept)))
+    if place.low is not None and place.high is not None:
+        place = Estimate(place.value, max(0.0, place.low), min(1.0, place.high))
     return {
         "built": Proportion.of(sum(one["built"] for one in kept), len(records)),
-        "in_place": _mean(shares),
+        "in_place": place,
         "as_predicted": Proportion.of(total["predicted"], total["allowed"]),
         "forbidden": total["acted"] - total["allowed"],
         "acted": total["acted"],
@@ -218,16 +216,6 @@ def builder_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "turns": total["turns"],
         "errors": len(records) - len(kept),
     }
-
-
-def _mean(shares: Sequence[float]) -> Estimate:
-    """Return a mean of shares with its t interval over designs; without one where all are alike."""
-    from scipy.stats import ttest_1samp
-
-    if len(set(shares)) < 2:
-        return Estimate(shares[0] if shares else None, None, None)
-    low, high = ttest_1samp(shares, 0.0).confidence_interval(CONFIDENCE)
-    return Estimate(float(np.mean(shares)), max(0.0, float(low)), min(1.0, float(high)))
 
 
 def _difference(first: Sequence[TrialRecord], second: Sequence[TrialRecord]) -> dict[str, Any]:
@@ -263,7 +251,8 @@ def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_design
     }:
         first = next(iter(figures["builders"]))
         others = [
-            (name, *map(_signed, astuple(more)), f"{least:.2f}") for name, (more, least) in pairs.items()
+            (name, *(f"{share:+.2f}" for share in astuple(more)), f"{least:.2f}")
+            for name, (more, least) in pairs.items()
         ]
         head = (
             Column("builder"),
@@ -297,7 +286,3 @@ def _cells(one: Mapping[str, Any]) -> tuple[str, ...]:
         f"{one['forbidden']:,} of {one['acted']:,}",
         f"{one['unreadable']:,} of {one['turns']:,}",
     )
-
-
-def _signed(share: float) -> str:
-    return f"{share:+.2f}"

@@ -1,4 +1,4 @@
-"""A building to put up: a task, the plan that builds it, and its episode in physics."""
+"""A task with a plan, and the episode in which the plan was executed in physics."""
 
 from __future__ import annotations
 
@@ -10,27 +10,26 @@ from typing import Any
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Episode, Watch, unwatched
 from craftsim.checking.setup import SetUp, Setup, set_up
-from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import Plan, read_plan
 from craftsim.discrete.files.shipped import shipped_plan
-from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
+from craftsim.discrete.tasks import TASK_NAMES, Task, as_task
 from craftsim.errors import InputError
 from craftsim.logs.log import Log
 from craftsim.rendering.trajectory import Trajectory
-from craftsim.validation.rollout import PlanOrder, Run, Terms, roll_out, steps_of
+from craftsim.validation.rollout import PlanOrder, Run, roll_out, steps_of
 
 
 @dataclass(frozen=True)
 class Building:
-    """A task with its plan, and the episode in which it was carried out, if it was, with what was recorded of it."""
+    """A task with a plan and, once it was executed, its episode and recordings."""
 
     task: Task
     plan: Plan
     episode: Episode | None = None
     trajectory: Trajectory | None = None
     logs: Mapping[int, Log] = field(default_factory=dict)
-    """Of each car, by its number."""
+    """Logs by car."""
 
     @property
     def name(self) -> str:
@@ -44,7 +43,7 @@ class Building:
 
     @property
     def attempts(self) -> tuple[Attempt, ...]:
-        """Of each action."""
+        """The attempts at the plan's actions; empty before the execution."""
         return self.episode.attempts if self.episode is not None else ()
 
     @property
@@ -54,7 +53,7 @@ class Building:
 
     @property
     def reached(self) -> bool | None:
-        """Whether the goal is reached; None where there is none."""
+        """Whether the goal is reached; None without a goal."""
         return self.episode.reached if self.episode is not None else None
 
     @property
@@ -70,20 +69,19 @@ class Building:
         watch: Watch = unwatched,
         where: SetUp = set_up,
     ) -> Building:
-        """Carry out the plan and return the building with its episode.
+        """Execute the plan and return the building with its episode.
 
-        ``watch`` looks on, and ``where`` sets up the world.
+        ``watch`` is called with the world, and ``where`` sets it up.
         """
-        terms = Terms(seed, setup, set_up=where)
-        run = Run(self.name, self.task, steps_of(self.plan.ticks, order, self.plan.after), 0, terms)
-        done = roll_out(run, record=True, watch=watch)
+        steps = steps_of(self.plan.ticks, order, self.plan.after)
+        run = Run(key=self.name, world=self.task, by=steps, seed=seed, setup=setup, record=True, set_up=where)
+        done = roll_out(run, watch)
         return replace(self, episode=done.episode, trajectory=done.trajectory, logs=done.logs)
 
     @property
     def figures(self) -> dict[str, Any]:
-        """What a report holds; lengths in mm, angles in mrad, None where nothing was measured."""
-        if self.episode is None:
-            raise ValueError("nothing was run")
+        """Metrics for the report; lengths in mm, angles in mrad, None where nothing was measured."""
+        assert self.episode is not None
 
         def worst(name: str) -> float | None:
             values = [getattr(attempt, name) for attempt in self.attempts]
@@ -118,25 +116,17 @@ class Building:
         }
 
 
-def read_building(
-    task: str, blueprint: Path | None = None, plan: Path | None = None, goal: Path | None = None
-) -> Building:
-    """Return a task with its plan, some of its files replaced by one's own.
+def read_building(task: str, plan: Path | None = None, goal: Path | None = None) -> Building:
+    """Return a task with its plan, its own or that of a file, and with the design in the file ``goal``, if given.
 
-    A blueprint of one's own has the goal of the file ``goal``, or none.
-
-    Raises:
-        InputError: a file is not as it should be, or there is no plan for this task or blueprint.
+    Raises InputError for an invalid file, and if there is no plan for this task.
     """
     found = as_task(task)
-    if plan is None and (blueprint is not None or found.name not in TASK_NAMES):
+    if plan is None and found.name not in TASK_NAMES:
         raise InputError(
-            f"there is no shipped plan for {blueprint or task}; give one with --plan "
+            f"there is no shipped plan for {task}; give one with --plan "
             f"(shipped ones: {', '.join(TASK_NAMES)})"
         )
-    if blueprint is not None:
-        drawing = read_blueprint(blueprint)
-        found = free_play(drawing.path.stem, (drawing,))
     if goal is not None:
         design = read_design(goal)
         found = replace(found, design=design, success="built")

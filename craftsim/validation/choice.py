@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -25,11 +25,13 @@ from craftsim.storage.paths import exists, resolved
 from craftsim.storage.writing import writable
 from craftsim.training.policy import is_shipped_policy
 from craftsim.validation.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
-from craftsim.validation.rollout import By, PlanOrder, RandomPlay, Run, Terms, steps_of
+from craftsim.validation.replanning import Replanning
+from craftsim.validation.rollout import PLAY as PLAY
+from craftsim.validation.rollout import By, PlanOrder, Run, steps_of
 from craftsim.validation.worlds import MAX_CARS, RandomWorlds
 
-PLAY: Final = "play"
-"""Name of :class:`RandomPlay`."""
+AUTO: Final = "auto"
+"""The plan that is made, and made again after a failure."""
 SHIPPED: Final = "shipped"
 """Digest of everything that belongs to a version of craftsim."""
 
@@ -118,6 +120,14 @@ def plan_pilot(plan: Plan, order: PlanOrder) -> PolicySpec:
     return PolicySpec(writable(plan.path.stem), _digest(repr(said).encode()), steps)
 
 
+def replanning_pilot(replanning: Replanning, subjects: Sequence[RolloutWorld]) -> PolicySpec:
+    """Return the source that plans, and plans again after a failure. Raises InputError for a world without a goal."""
+    for subject in subjects:
+        if isinstance(subject.world, RandomWorlds) or not as_task(subject.world).has_goal:
+            raise InputError(f"{subject.name} has no goal to plan for; give a design with --goal")
+    return PolicySpec(AUTO, _digest(repr(replanning).encode()), replanning)
+
+
 def policy_pilot(
     policy: str | Policy,
     subjects: Sequence[RolloutWorld],
@@ -133,7 +143,7 @@ def policy_pilot(
         name = getattr(policy, "__name__", type(policy).__name__)
         return PolicySpec(name, _digest(name.encode()), policy)
     if policy == PLAY:
-        return PolicySpec(PLAY, SHIPPED, RandomPlay(order))
+        return PolicySpec(PLAY, SHIPPED, PLAY)
     if policy != PLANNER:
         own = exists(policy) and not is_shipped_policy(policy)
         place = str(resolved(policy)) if own else policy
@@ -154,16 +164,26 @@ def policy_pilot(
 
 
 def items_of(
-    subjects: Sequence[RolloutWorld], pilots: Sequence[PolicySpec], trials: int, terms: Terms
+    subjects: Sequence[RolloutWorld],
+    pilots: Sequence[PolicySpec],
+    trials: int,
+    seed: int,
+    setup: Setup,
+    **terms: Any,
 ) -> Iterator[Trial]:
-    """Yield all trials: every source of actions in every world, ``trials`` times."""
+    """Yield all trials: every source of actions in every world, ``trials`` times.
+
+    ``terms`` are further fields of :class:`Run`.
+    """
     for episode in range(trials):
         for subject in subjects:
             for pilot in pilots:
                 key = f"{subject.name}/{pilot.name}/{episode:04d}"
                 by = pilot.plans.get(subject.name, pilot.by)
-                run = Run(key, subject.world, by, episode, terms)
-                yield Trial(key, pilot.name, terms.seed, run, subject.name, episode)
+                run = Run(
+                    key=key, world=subject.world, by=by, episode=episode, seed=seed, setup=setup, **terms
+                )
+                yield Trial(key, pilot.name, seed, run, subject.name, episode)
 
 
 def _digest(data: bytes) -> str:

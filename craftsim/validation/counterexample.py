@@ -1,4 +1,4 @@
-"""What stands around a failure: the parts of its world, what is left when some are taken away, and all in words."""
+"""The world of a failure as parts that can be removed, and its description in words."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ _CLIMBS: Final = {
 
 @dataclass(frozen=True)
 class WorldPart:
-    """Something that stands in a world: a wall, a block, a flag, a slope, or a car."""
+    """A wall, a block, a flag, a slope, or a car in a world."""
 
     cell: Cell
     kind: Kind
     """AIR for a car."""
     yaw: int = 0
     load: Kind = Kind.AIR
-    """Of a car."""
+    """Load of a car."""
     load_yaw: int = 0
     slope: int = 0
-    """Of a car: 0 off slopes, 1 on a foot, 2 on a body."""
+    """Slope that a car is on: 0 none, 1 foot, 2 body."""
 
     @property
     def is_car(self) -> bool:
@@ -55,7 +55,7 @@ class WorldPart:
 
     @property
     def cells(self) -> tuple[Cell, ...]:
-        """Where it is; of a slope, and of a car that carries one, both cells."""
+        """Its cells: two for a slope and for a car that carries one."""
         kind, yaw = (self.load, self.load_yaw) if self.is_car else (self.kind, self.yaw)
         return (self.cell, beside(self.cell, yaw)) if kind in SECOND_PART else (self.cell,)
 

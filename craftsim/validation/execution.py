@@ -10,7 +10,7 @@ import math
 import re
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast, get_args
@@ -18,6 +18,7 @@ from typing import Any, Final, NamedTuple, cast, get_args
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
+from craftsim.checking.judge import Judge
 from craftsim.checking.setup import RANDOMIZE, Randomize, Seed, Setup, set_up
 from craftsim.choices import Backend, Drive, Execution, PlanOrder
 from craftsim.designs.drawn import random_start
@@ -30,7 +31,7 @@ from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
-from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion
+from craftsim.experiments.intervals import Estimate, Proportion, mean_of
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.reports.json_file import document
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
@@ -41,45 +42,38 @@ from craftsim.workers.pool import Pool, answered
 
 ORDERS: Final[tuple[PlanOrder, ...]] = get_args(PlanOrder)
 ROUNDS: Final = 20
-"""Attempts at the plan of a random design, of which the best is taken."""
+"""Attempts at the plan of a random design; the best one is used."""
 
 
-@dataclass(frozen=True)
-class PlanCase:
-    """What is built: a task by its shipped plan, or a random design by a plan that is made for it."""
-
-    name: str
-    design: int | None
-    """Number of the random design, which sets its difficulty; None for a task."""
-    seed: int
-    setup: Setup
-
-    def planned(self) -> tuple[Grid, Sequence[Sequence[Any]]]:
-        """Return the start and the ticks of the plan. Raises NoPlanError where none is found."""
-        if self.design is None:
-            grid = make_task(self.name).draw(np.random.default_rng(self.seed))
-            return grid, read_plan(shipped_plan(self.name), grid.n_cars).ticks
-        drawn = random_start(np.random.default_rng([self.seed, self.design]), self.design % 11 / 10)
-        rules = Rules(self.setup.rules)
-        plan = plan_building(drawn.grid, drawn.design, rules, rounds=ROUNDS, time_s=math.inf, seed=self.seed)
-        return drawn.grid, plan.ticks
+PlanCase = tuple[str, int | None, int, Setup]
+"""The name of a world, the number of its random design, which sets its difficulty (None for a task), seed and setup."""
 
 
-def executed(building: PlanCase) -> dict[str, Any]:
+def _planned(case: PlanCase) -> tuple[Grid, Sequence[Sequence[Any]]]:
+    """Return the start, and the ticks of the plan that is shipped or made. Raises NoPlanError where none is found."""
+    name, design, seed, setup = case
+    if design is None:
+        grid = make_task(name).draw(np.random.default_rng(seed))
+        return grid, read_plan(shipped_plan(name), grid.n_cars).ticks
+    drawn = random_start(np.random.default_rng([seed, design]), design % 11 / 10)
+    rules = Rules(setup.rules)
+    plan = plan_building(drawn.grid, drawn.design, rules, rounds=ROUNDS, time_s=math.inf, seed=seed)
+    return drawn.grid, plan.ticks
+
+
+def executed(case: PlanCase) -> dict[str, Any]:
     """Return a world's makespans in physics, by order, each from the same start in the same physics."""
+    name, _, seed, setup = case
     try:
-        grid, ticks = building.planned()
+        grid, ticks = _planned(case)
     except NoPlanError as error:
-        return {"world": building.name, "no_plan": str(error)}
-    orders = {order: _executed(building, grid, ticks, order) for order in ORDERS}
-    return {"world": building.name, "cars": grid.n_cars, "actions": sum(map(len, ticks)), "orders": orders}
+        return {"world": name, "no_plan": str(error)}
+    orders = {order: _executed(set_up(grid, setup, Seed((seed,))), ticks, order) for order in ORDERS}
+    return {"world": name, "cars": grid.n_cars, "actions": sum(map(len, ticks)), "orders": orders}
 
 
-def _executed(
-    building: PlanCase, grid: Grid, ticks: Sequence[Sequence[Any]], order: PlanOrder
-) -> dict[str, float | bool]:
-    judge, predicted_s = set_up(grid, building.setup, Seed((building.seed,))), 0.0
-    attempts: list[Attempt] = []
+def _executed(judge: Judge, ticks: Sequence[Sequence[Any]], order: PlanOrder) -> dict[str, float | bool]:
+    predicted_s, attempts = 0.0, list[Attempt]()
     parts = [[joint] for joint in ticks if joint] if order == "ticks" else [ticks]
     how: Concurrency = "sequential" if order == "sequential" else "concurrent"
     for part in parts:
@@ -94,13 +88,8 @@ def _executed(
 
 def ratio_of(pairs: Iterable[tuple[float, float]]) -> Estimate:
     """Return the geometric mean of first by second, with the t interval of its logarithm."""
-    from scipy.stats import ttest_1samp
-
-    logs = np.log([one / other for one, other in pairs])
-    if len(logs) < 2:
-        return Estimate(float(np.exp(logs[0])) if len(logs) else None, None, None)
-    low, high = ttest_1samp(logs, 0.0).confidence_interval(CONFIDENCE)
-    return Estimate(float(np.exp(logs.mean())), float(np.exp(low)), float(np.exp(high)))
+    logs = mean_of(np.log([one / other for one, other in pairs]).tolist())
+    return Estimate(*(None if log is None else math.exp(log) for log in astuple(logs)))
 
 
 def plan_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -127,8 +116,8 @@ def plan_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def plans_report(n_designs: int, seed: int, setup: Setup, workers: int, config: dict[str, Any]) -> Report:
     """Execute the plans of the six tasks and of random designs in each order, and return the report."""
-    cases = [PlanCase(name, None, seed, setup) for name in TASK_NAMES]
-    cases += [PlanCase(f"design {number}", number, seed, setup) for number in range(n_designs)]
+    cases: list[PlanCase] = [(name, None, seed, setup) for name in TASK_NAMES]
+    cases += [(f"design {number}", number, seed, setup) for number in range(n_designs)]
     with Pool(workers) as pool:
         found = dict(pool.map_unordered(executed, cases))
     records = [answered(found[one]) for one in cases]
@@ -174,7 +163,7 @@ class Mode(NamedTuple):
     backend: Backend
     execution: Execution
     randomize: str
-    """Preset of what is drawn of physics; the grid has none."""
+    """Preset of the randomization of the physics."""
     drive: Drive = "reduced"
     network: tuple[float, float, float] | None = None
     """Delay and jitter in seconds, and loss, of the network between the policy with its skills and the robots."""
@@ -195,17 +184,11 @@ MODES: Final = (
     Mode("physics", "asynchronous", "workshop_floor", "rollers", (0.03, 0.01, 0.02), 10),
 )
 REACHED: Final = MODES[3]
-"""Worlds that a policy comes by in this mode are starts to train from."""
+"""The mode whose worlds are saved as starts for training."""
 
 
-@dataclass(frozen=True)
-class PolicyCase:
-    """An episode of a policy: the same start in all modes."""
-
-    policy: str
-    """Name of a shipped policy, or a path."""
-    mode: Mode
-    seed: int
+PolicyCase = tuple[str, Mode, int]
+"""A shipped policy or its path, how it is executed, and the seed of the start, which is the same in all modes."""
 
 
 def episode(case: PolicyCase) -> dict[str, Any]:
@@ -214,8 +197,9 @@ def episode(case: PolicyCase) -> dict[str, Any]:
     ``blocked`` counts decisions that a claim stood against, ``failed`` actions whose skill did not succeed; ``reached``
     is the confirmed world at a time that is drawn.
     """
-    policy, env = _policy(case.policy), _env(case.policy, case.mode)
-    observations, _ = env.reset(seed=case.seed)
+    name, mode, seed = case
+    policy, env = _policy(name), _env(name, mode)
+    observations, _ = env.reset(seed=seed)
     found: dict[str, Any] = {"success": False, "seconds": 0.0, "decisions": 0, "blocked": 0, "failed": 0}
     reached, begun_s = [(0.0, env.grid)], time.process_time()
     while env.agents:
@@ -228,11 +212,11 @@ def episode(case: PolicyCase) -> dict[str, Any]:
         found["decisions"] += len(acting)
         found["blocked"] += sum(bool(infos[agent].get("blocked")) for agent in acting)
         found["failed"] += sum(one.get("outcome") not in (None, "succeeded") for one in infos.values())
-        if case.mode == REACHED and env.agents:
+        if mode == REACHED and env.agents:
             reached.append((found["seconds"], env.core.episodes.confirmed[0].copy()))
     found["deadlock"] = str(info["deadlock"].words) if info.get("deadlock") else ""
     found["unreadable"] = "; ".join(info["problems"])
-    at_s = np.random.default_rng([case.seed, 1]).uniform(0.0, found["seconds"])
+    at_s = np.random.default_rng([seed, 1]).uniform(0.0, found["seconds"])
     found["reached"] = [grid for time_s, grid in reached if time_s <= at_s][-1]
     found["cpu_s"] = time.process_time() - begun_s
     return found | {"seconds": round(found["seconds"], 3)}
@@ -282,7 +266,7 @@ def policies_report(
     """
     need_network()
     cases = [
-        PolicyCase(str(policy), mode, seed + number)
+        (str(policy), mode, seed + number)
         for policy in policies
         for mode in MODES
         for number in range(min(episodes, mode.most))
@@ -297,7 +281,7 @@ def policies_report(
     for policy in map(str, policies):
         rows = []
         for mode in MODES:
-            some = [answered(found[one]) for one in cases if one.policy == policy and one.mode == mode]
+            some = [answered(found[one]) for one in cases if one[:2] == (policy, mode)]
             own = figures.setdefault(policy, {})[str(mode)] = policy_figures(some)
             share: Proportion = own["success"]
             shown = f"{share.successes}/{share.trials} ({share.wilson_low:.2f}-{share.wilson_high:.2f})"

@@ -56,19 +56,11 @@ class _BuildExtra(_RunExtra):
     disturbed: str
 
 
-@dataclass(frozen=True)
-class _TrialExtra:
-    """What a trial of an audit leaves besides."""
-
-    __pydantic_config__ = STRICT
-    does_not_stand: tuple[str, ...] = ()
-
-
 RUNS: Final = Form(Judged, _RunExtra)
 """Of a validation."""
 BUILDS: Final = Form(Judged, _BuildExtra)
 """Of buildings with re-planning."""
-TRIALS: Final = Form(Judged, _TrialExtra)
+TRIALS: Final = Form(Judged, dict[Literal["does_not_stand"], tuple[str, ...]])
 """Of an audit."""
 COMPARED: Final = {"validate": RUNS, "audit": TRIALS}
 """What the records of the commands hold that make runs to compare."""

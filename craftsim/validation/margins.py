@@ -16,13 +16,12 @@ images are left out, since the machines are symmetric; diagonal moves are never 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from enum import StrEnum
 from fnmatch import fnmatchcase
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -31,7 +30,7 @@ from craftsim.audit.situation import SCENES, Row, Situation, shipped
 from craftsim.audit.survey import row_of, situation_of
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, do, start
-from craftsim.checking.setup import Seed, Setup, compile_world, imperfect
+from craftsim.checking.setup import Seed, Setup, imperfect
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, StartError
@@ -39,11 +38,9 @@ from craftsim.experiments.bundle import write_bundles
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.schema import STRICT, Form
-from craftsim.experiments.session import Session, open_session
-from craftsim.models.floor import Floor
-from craftsim.models.randomization import Making
-from craftsim.models.world import PhysicsWorld
+from craftsim.experiments.session import open_session
 from craftsim.storage.paths import resolved
+from craftsim.validation.audit import compiled_world
 from craftsim.validation.forms import Judged
 from craftsim.validation.imperfections import Imperfection
 
@@ -68,8 +65,11 @@ STRIDE: Final = 4
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 Levels = Sequence[tuple[Imperfection, float]]
 """Imperfections and their values."""
-Pair = tuple[Imperfection, Imperfection]
-"""The imperfections on a map's horizontal and vertical axis."""
+End = Literal["base", "edge", "largest", "no effect"]
+"""How a search ended: a trial fails at the nominal level, or at the level above the margin; all trials pass the largest
+level; or the largest level gives the results of the nominal level, bit for bit."""
+_ENDS: Final[tuple[End, ...]] = ("base", "edge", "largest", "no effect")
+"""The weakest first."""
 
 
 class Scenario(NamedTuple):
@@ -85,12 +85,6 @@ class Scenario(NamedTuple):
     def name(self) -> str:
         """Action and place."""
         return f"{self.action} {self.where}"
-
-    def situation(self, rules: RuleSet) -> Situation:
-        """Return the situation. Raises CraftsimError if there is none, or if the rules forbid its first actions."""
-        if self.row.scene:
-            return next(scene for scene in SCENES if scene.row == self.row)
-        return situation_of(self.row, rules)
 
 
 CHOSEN: Final = tuple(
@@ -116,46 +110,41 @@ def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
     return found
 
 
-class Found(NamedTuple):
-    """The result of a search, in indices of levels."""
-
-    margin: int | None
-    """The largest level that all trials pass; None if a trial fails at the nominal level."""
-    upper: int | None
-    """The level above which more than 5 % of all worlds fail; None if too few trials fail at the largest level."""
-    edge: tuple[int, int] | None
-    """A trial that fails at the level above the margin, and that level; None if all pass the largest level."""
-
-
 def confidence(trials: int) -> float:
     """Return the confidence that 95 % of all worlds pass a level that all of so many trials pass."""
     return 1.0 - SHARE**trials
 
 
-class _BaseFailsError(Exception):
-    """A trial fails at the nominal level: its number."""
+def search(
+    passes: Callable[[int, int], bool], levels: int, trials: int
+) -> tuple[int | None, int | None, tuple[int, int] | None]:
+    """Search the margin among the levels 0 (nominal) to ``levels``.
 
+    Args:
+        passes: whether a trial passes a level; asked several times of some.
+        levels: the largest level.
+        trials: number of trials.
 
-def search(passes: Callable[[int, int], bool], levels: int, trials: int) -> Found:
-    """Return the margin among the levels 0 (nominal) to ``levels``.
-
-    ``passes(trial, level)`` is called at most once for each pair.
+    Returns:
+        The largest level that all trials pass, None if one fails at the nominal level; the level above which more than
+        5 % of all worlds fail, None if too few trials fail at the largest level; and a trial that fails at the level
+        above the margin, with that level, None if all pass the largest level.
     """
-    known: dict[tuple[int, int], bool] = {}
+    failed = set[tuple[int, int]]()
 
     def passed(trial: int, level: int) -> bool:
-        if (trial, level) not in known:
-            known[trial, level] = passes(trial, level)
-        return known[trial, level]
+        held = passes(trial, level)
+        failed.update(() if held else [(trial, level)])
+        return held
 
     def critical(trial: int, most: int) -> int:
-        """Return the largest level up to ``most`` that a trial passes."""
+        """Return the largest level up to ``most`` that a trial passes; -1 if it fails at the nominal level."""
         if passed(trial, most):
             return most
         fails, step = most, 1
         while not passed(trial, level := max(fails - step, BASE)):
             if level == BASE:
-                raise _BaseFailsError(trial)
+                return -1
             fails, step = level, 2 * step
         while fails - level > 1:
             middle = (level + fails) // 2
@@ -163,33 +152,25 @@ def search(passes: Callable[[int, int], bool], levels: int, trials: int) -> Foun
         return level
 
     first, rank = next(pair for pair in RANKS if pair[0] <= trials)
-    ends: list[int] = []
-    try:
-        for trial in range(first):
-            ends.append(critical(trial, sorted(ends)[rank - 1] if len(ends) >= rank else levels))
-        lowest = min(ends)
-        for trial in range(first, trials):
-            lowest = critical(trial, lowest)
-        while (failed := next((n for n in range(trials) if not passed(n, lowest)), None)) is not None:
-            lowest = critical(failed, lowest)
-    except _BaseFailsError as error:
-        return Found(None, None, (error.args[0], BASE))
-    upper = sorted(ends)[rank - 1] + 1
-    failing = [trial for (trial, level), held in known.items() if level == lowest + 1 and not held]
-    return Found(lowest, upper if upper <= levels else None, (min(failing), lowest + 1) if failing else None)
+    ends = list[int]()
+    for trial in range(first):
+        end = critical(trial, sorted(ends)[rank - 1] if len(ends) >= rank else levels)
+        if end < BASE:
+            return None, None, (trial, BASE)
+        ends.append(end)
+    lowest, upper = min(ends), sorted(ends)[rank - 1] + 1
 
+    def others() -> Iterator[int]:
+        yield from range(first, trials)
+        while (trial := next((n for n in range(trials) if not passed(n, lowest)), None)) is not None:
+            yield trial
 
-class End(StrEnum):
-    """How a search ended."""
-
-    EDGE = "edge"
-    """A trial fails at the level above the margin."""
-    LARGEST = "largest"
-    """All trials pass the largest level."""
-    NO_EFFECT = "no effect"
-    """The largest level gives the results of the nominal level, bit for bit."""
-    BASE = "base"
-    """A trial fails at the nominal level."""
+    for trial in others():
+        lowest = critical(trial, lowest)
+        if lowest < BASE:
+            return None, None, (trial, BASE)
+    edge = min((pair for pair in failed if pair[1] == lowest + 1), default=None)
+    return lowest, upper if upper <= levels else None, edge
 
 
 @dataclass(frozen=True)
@@ -212,41 +193,29 @@ class MarginResult:
     """Number of trials run."""
 
 
-@dataclass(frozen=True)
-class RowFound:
-    """One row of a map."""
-
-    __pydantic_config__ = STRICT
-    stood: tuple[_Count, ...]
-    """Number of trials that pass, by horizontal level."""
-    of: _Count
-    """Number of trials of each."""
-
-
-MARGINS: Final = Form(Judged, MarginResult | RowFound)
-"""Schema of the records of a search for margins."""
-
-
-def margin_of_record(record: TrialRecord) -> MarginResult:
-    """Return the result in the record of a search."""
-    return MarginResult(**{**record["extra"], "end": End(record["extra"]["end"])})
+MARGINS: Final = Form(Judged, MarginResult | dict[Literal["stood"], tuple[_Count, ...]])
+"""Schema of the records of a search for margins, and of a map's rows: how many trials pass, by horizontal level."""
 
 
 @dataclass(frozen=True, slots=True)
-class ScenarioSetup:
-    """A scenario with its nominal setup; hashable."""
+class MarginSearch:
+    """The search of the margin of one imperfection, or a row of the map of two; sent to a worker."""
 
     scenario: Scenario
     setup: Setup
     """The nominal setup."""
     seed: int
+    axes: tuple[Imperfection, ...]
+    trials: int
+    up: int = 0
+    """Index of the row's level."""
 
     def recipe(self, number: int, levels: Levels = ()) -> Recipe:
         """Return the recipe of a trial; a trial has the same random draws at all levels."""
         drawn = self.setup.randomization
         for axis, value in levels:
             drawn = axis.on(drawn, value)
-        situation = _situation(self.scenario, self.setup.rules)
+        situation = _situation(self.scenario.row, self.setup.rules)
         placed = situation.placed(np.random.default_rng(self.seed))
         seed = Seed((self.seed, situation.digest, number))
         return Recipe(blueprint_text(placed.grid), placed.steps(), imperfect(self.setup, drawn), seed)
@@ -257,9 +226,11 @@ class ScenarioSetup:
         There are no attempts in a world in which solids overlap at the start.
         """
         recipe = self.recipe(number, levels)
-        drawn = recipe.setup.randomization
         try:
-            judge = start(recipe, _physics(self, drawn.floor, drawn.making))
+            # All trials on the same kind of floor share a compiled world.
+            drawn = recipe.setup.randomization
+            nominal = replace(self.setup.randomization, floor=drawn.floor, making=drawn.making)
+            judge = start(recipe, compiled_world(recipe.world, imperfect(self.setup, nominal)))
         except StartError as error:
             return (), str(error)
         for step in recipe.steps:
@@ -267,101 +238,62 @@ class ScenarioSetup:
         failed = next((attempt for attempt in attempts if not attempt.agrees), None)
         return attempts, "" if failed is None else f"{failed.result}: {failed.reason}"
 
-
-@lru_cache(maxsize=2)
-def _physics(rig: ScenarioSetup, floor: Floor, making: Making) -> PhysicsWorld:
-    """Return the compiled world, shared by all trials on the same kind of floor."""
-    recipe = rig.recipe(0)
-    drawn = replace(recipe.setup.randomization, floor=floor, making=making)
-    return compile_world(recipe.grid, imperfect(recipe.setup, drawn))
-
-
-@lru_cache(maxsize=2)
-def _situation(scenario: Scenario, rules: RuleSet) -> Situation:
-    return scenario.situation(rules)
-
-
-@dataclass(frozen=True, slots=True)
-class MarginSearch:
-    """The search of the margin of one imperfection, or a row of the map of two; sent to a worker."""
-
-    rig: ScenarioSetup
-    axes: tuple[Imperfection, ...]
-    trials: int
-    up: int = 0
-    """Index of the row's level."""
-
     @property
-    def item(self) -> Trial:
+    def trial(self) -> Trial:
         """This search as a trial of the experiment."""
-        scenario, names = self.rig.scenario, " x ".join(axis.name for axis in self.axes)
+        names = " x ".join(axis.name for axis in self.axes)
         row = f"/{self.up}" if len(self.axes) > 1 else ""
-        key = f"{scenario.name}/{names}{row}"
-        return Trial(key, scenario.action, self.rig.seed, self, context=scenario.name)
+        name = self.scenario.name
+        return Trial(f"{name}/{names}{row}", self.scenario.action, self.seed, self, context=name)
 
 
-def work(job: MarginSearch) -> Result:
-    """Run one trial of the experiment."""
-    return find_row(job) if len(job.axes) > 1 else find(job)
+@lru_cache(maxsize=2)
+def _situation(row: Row, rules: RuleSet) -> Situation:
+    """Return a scenario's situation. Raises CraftsimError if there is none, or if its first actions are illegal."""
+    return next(scene for scene in SCENES if scene.row == row) if row.scene else situation_of(row, rules)
 
 
 def find(one: MarginSearch) -> Result:
-    """Search a margin."""
-    rig, (axis,) = one.rig, one.axes
-    base = axis.value(rig.setup.randomization)
-    values = [base, *(value for value in axis.levels if value > base)]
-    results: dict[tuple[int, int], tuple[tuple[Attempt, ...], str]] = {}
+    """Search a margin, or try all pairs of levels of one row of a map."""
+    base = one.setup.randomization
+    if len(one.axes) > 1:
+        right, up = one.axes
+        pairs = [((right, value), (up, values_of(up)[one.up])) for value in values_of(right)]
+        above = [[(axis, value) for axis, value in pair if value > axis.value(base)] for pair in pairs]
+        stood = [sum(not one.attempt(n, levels)[1] for n in range(one.trials)) for levels in above]
+        return Result(agrees=True, extra={"stood": stood})
+    (axis,) = one.axes
+    values = [axis.value(base), *(value for value in axis.levels if value > axis.value(base))]
+    largest, tried = len(values) - 1, dict[tuple[int, int], tuple[tuple[Attempt, ...], str]]()
 
     def result(trial: int, level: int) -> tuple[tuple[Attempt, ...], str]:
-        if (trial, level) not in results:
-            results[trial, level] = rig.attempt(trial, [(axis, values[level])] if level != BASE else [])
-        return results[trial, level]
+        if (trial, level) not in tried:
+            tried[trial, level] = one.attempt(trial, [(axis, values[level])] if level != BASE else [])
+        return tried[trial, level]
 
-    def done(
-        end: End, margin: int | None, upper: int | None = None, edge: tuple[int, int] | None = None
-    ) -> Result:
-        attempts, reason = result(*edge) if edge else ((), "")
-        fails_at = values[edge[1]] if edge and edge[1] != BASE else None
-        limit = MarginResult(
-            end,
-            None if margin is None else values[margin],
-            None if upper is None else values[upper],
-            *(fails_at, edge[0] if edge else None, reason, len(results)),
-        )
-        return Result(end is not End.BASE, attempts, extra=asdict(limit) | {"end": end.value})
-
-    largest, probes = len(values) - 1, range(min(PROBES, one.trials))
-    if all(result(n, BASE) == result(n, largest) and not result(n, BASE)[1] for n in probes):
-        return done(End.NO_EFFECT, largest)
-    found = search(lambda trial, level: not result(trial, level)[1], largest, one.trials)
-    end = End.LARGEST if found.edge is None else End.BASE if found.margin is None else End.EDGE
-    return done(end, *found)
+    probes = range(min(PROBES, one.trials))
+    end: End = "no effect"
+    margin: int | None = largest
+    upper, edge = None, None
+    if not all(result(n, BASE) == result(n, largest) and not result(n, BASE)[1] for n in probes):
+        margin, upper, edge = search(lambda trial, level: not result(trial, level)[1], largest, one.trials)
+        end = "largest" if edge is None else "base" if margin is None else "edge"
+    attempts, reason = result(*edge) if edge else ((), "")
+    found = MarginResult(
+        end,
+        None if margin is None else values[margin],
+        None if upper is None else values[upper],
+        values[edge[1]] if edge and edge[1] != BASE else None,
+        edge[0] if edge else None,
+        reason,
+        len(tried),
+    )
+    return Result(end != "base", attempts, extra=asdict(found))
 
 
 def values_of(axis: Imperfection) -> tuple[float, ...]:
     """Return the values of an imperfection on a map; 0 means the nominal value."""
     return (0.0, *axis.levels[::-1][::STRIDE][::-1])
-
-
-def find_row(row: MarginSearch) -> Result:
-    """Try all pairs of levels of one row of a map."""
-    rig, (right, up) = row.rig, row.axes
-    base, value, stood = rig.setup.randomization, values_of(up)[row.up], []
-    for other in values_of(right):
-        levels = [(axis, v) for axis, v in ((right, other), (up, value)) if v > axis.value(base)]
-        stood.append(sum(not rig.attempt(n, levels)[1] for n in range(row.trials)))
-    return Result(agrees=True, extra=asdict(RowFound(tuple(stood), row.trials)))
-
-
-class Map(NamedTuple):
-    """The number of trials of a scenario that pass each pair of levels."""
-
-    scenario: str
-    pair: Pair
-    stood: tuple[tuple[int, ...], ...]
-    """By vertical, then by horizontal level."""
-    of: int
-    """Number of trials of each."""
 
 
 @dataclass(frozen=True)
@@ -378,16 +310,11 @@ class Margin:
     """Replay bundle of the trial that fails above it, relative to the run's folder; empty without one."""
 
     @property
-    def key(self) -> str:
-        """Key of its record."""
-        return f"{self.scenario}/{self.axis.name}"
-
-    @property
     def number(self) -> str:
         """The margin for a table, in the imperfection's unit."""
-        if self.limit.margin is None or self.limit.end is End.NO_EFFECT:
+        if self.limit.margin is None or self.limit.end == "no effect":
             return "fails" if self.limit.margin is None else "-"
-        return f"{'>= ' * (self.limit.end is End.LARGEST)}{self.axis.scale * self.limit.margin:.3g}"
+        return f"{'>= ' * (self.limit.end == 'largest')}{self.axis.scale * self.limit.margin:.3g}"
 
     @property
     def text(self) -> str:
@@ -398,8 +325,7 @@ class Margin:
     @property
     def rank(self) -> tuple[int, float]:
         """Sort key: the weakest scenario first."""
-        order = (End.BASE, End.EDGE, End.LARGEST, End.NO_EFFECT)
-        return order.index(self.limit.end), self.limit.margin or 0.0
+        return _ENDS.index(self.limit.end), self.limit.margin or 0.0
 
 
 @dataclass(frozen=True)
@@ -409,8 +335,10 @@ class Margins:
     records: Sequence[TrialRecord]
     margins: tuple[Margin, ...]
     """One for each finished search."""
-    maps: tuple[Map, ...]
-    """One for each scenario, if a pair of imperfections was given."""
+    maps: Mapping[str, Sequence[Sequence[int]]]
+    """By scenario, how many trials pass, by vertical, then by horizontal level; empty unless a pair was given."""
+    pair: tuple[Imperfection, ...]
+    """The imperfections on a map's horizontal and vertical axis."""
     config: dict[str, Any]
     seed: int
 
@@ -425,7 +353,7 @@ class Margins:
     @property
     def with_effect(self) -> list[Imperfection]:
         """The imperfections that have an effect on any action."""
-        tells = {one.axis for one in self.margins if one.limit.end is not End.NO_EFFECT}
+        tells = {one.axis for one in self.margins if one.limit.end != "no effect"}
         ranked = sorted(self.margins, key=lambda one: -one.rank[0])
         return [axis for axis in dict.fromkeys(one.axis for one in ranked) if axis in tells]
 
@@ -433,7 +361,12 @@ class Margins:
     def passed(self) -> bool:
         """Whether every search finished, and every scenario passes the nominal level."""
         ended = all(record["error"] is None for record in self.records)
-        return ended and all(one.limit.end is not End.BASE for one in self.margins)
+        return ended and all(one.limit.end != "base" for one in self.margins)
+
+    @property
+    def map_trials(self) -> int:
+        """Number of trials of each pair of levels of a map."""
+        return min(self.config["trials"], MAP_TRIALS)
 
 
 def run_margins(
@@ -446,7 +379,7 @@ def run_margins(
     *,
     asked: Mapping[str, Any],
     options: RunOptions,
-    pair: Pair | None = None,
+    pair: tuple[Imperfection, ...] = (),
 ) -> Margins:
     """Search the margin of each scenario for each imperfection; write report.json and replay bundles into a folder.
 
@@ -463,36 +396,34 @@ def run_margins(
     """
     earlier = _earlier(options.against, out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
-    rigs = [ScenarioSetup(scenario, setup, seed) for scenario in scenarios]
-    searches = [MarginSearch(rig, (axis,), trials) for rig in rigs for axis in axes]
-    ups = range(len(values_of(pair[1]))) if pair else range(0)
-    rows = [MarginSearch(rig, pair or (), min(trials, MAP_TRIALS), up) for rig in rigs for up in ups]
-    items = [job.item for job in (*searches, *rows)]
-    experiment = Experiment(COMMAND, seed, config, items, work, MARGINS, TIMEOUT_S)
+    searches = [MarginSearch(one, setup, seed, (axis,), trials) for one in scenarios for axis in axes]
+    ups = range(len(values_of(pair[1])) if pair else 0)
+    few = min(trials, MAP_TRIALS)
+    rows = [MarginSearch(one, setup, seed, pair, few, up) for one in scenarios for up in ups]
+    items = [one.trial for one in (*searches, *rows)]
+    experiment = Experiment(COMMAND, seed, config, items, find, MARGINS, TIMEOUT_S)
     with open_session(experiment, out, options) as session:
         records = session.run()
         ended = [(one, r) for one, r in zip(searches, records, strict=False) if r["error"] is None]
         margins = [
-            Margin(r["group"], r["context"] or "", one.axes[0], margin_of_record(r), earlier.get(r["key"]))
+            Margin(
+                r["group"], r["context"] or "", one.axes[0], MarginResult(**r["extra"]), earlier.get(r["key"])
+            )
             for one, r in ended
         ]
-        found = [records[len(searches) + number] for number in range(len(rows))]
-        maps = [_map(pair, found[at : at + len(ups)]) for at in range(0, len(rows), len(ups) or 1) if pair]
-        whole = tuple(one for one in maps if one is not None)
-        result = Margins(records, tuple(margins), whole, config, seed)
-        folders = _bundles(session, result, ended)
-        bundled = tuple(replace(one, bundle=folders.get(one.key, "")) for one in margins)
-        result = replace(result, margins=bundled)
-        session.write_report({"margins": _figures(result, trials)})
+        maps: dict[str, list[Sequence[int]]] = {}
+        for record in records[len(searches) :]:
+            maps.setdefault(record["context"] or "", []).append(record["extra"].get("stood", ()))
+        whole = {name: stood for name, stood in maps.items() if all(stood)}
+        result = Margins(records, tuple(margins), whole, pair, config, seed)
+        folders = write_bundles(session, _recipes(result, ended))
+        bundled = [
+            replace(one, bundle=folders.get(record["index"], ""))
+            for one, (_, record) in zip(margins, ended, strict=True)
+        ]
+        result = replace(result, margins=tuple(bundled))
+        session.write_report({"margins": _figures(result)})
     return result
-
-
-def _map(pair: Pair, rows: Sequence[TrialRecord]) -> Map | None:
-    """Return the map with these rows; None if one of them has an error."""
-    if any(row["error"] is not None for row in rows):
-        return None
-    stood = tuple(tuple(row["extra"]["stood"]) for row in rows)
-    return Map(rows[0]["context"] or "", pair, stood, rows[0]["extra"]["of"])
 
 
 def _earlier(folder: Path | None, out: Path) -> dict[str, MarginResult]:
@@ -502,33 +433,30 @@ def _earlier(folder: Path | None, out: Path) -> dict[str, MarginResult]:
     if resolved(folder) == resolved(out):
         raise InputError(f"--against {folder} is the folder of this run; choose another --out")
     records = read_finished(folder, COMMAND, MARGINS).records
-    return {r["key"]: margin_of_record(r) for r in records if r["error"] is None and "margin" in r["extra"]}
+    return {
+        r["key"]: MarginResult(**r["extra"]) for r in records if r["error"] is None and "margin" in r["extra"]
+    }
 
 
-def _bundles(
-    session: Session, result: Margins, ended: Iterable[tuple[MarginSearch, TrialRecord]]
-) -> dict[str, str]:
-    """Write the replay bundle of the weakest scenario of each action for each imperfection.
-
-    Returns the folders of the bundles, relative to the run's, by the keys of their margins.
-    """
-    shown = {one.key for by_axis in result.weakest.values() for one in by_axis.values() if one.limit.reason}
-    wanted = {}
-    for one, record in ended:
-        if record["key"] in shown and record["attempts"]:
-            limit = margin_of_record(record)
-            levels = () if limit.fails_at is None else ((one.axes[0], limit.fails_at),)
-            assert limit.trial is not None
-            wanted[record["index"]] = partial(one.rig.recipe, limit.trial, levels)
-    folders = write_bundles(session, wanted)
-    return {session.records[index]["key"]: folder for index, folder in folders.items()}
+def _recipes(
+    result: Margins, ended: Iterable[tuple[MarginSearch, TrialRecord]]
+) -> dict[int, Callable[[], Recipe]]:
+    """Return how the weakest scenario of each action fails for each imperfection, by the index of its record."""
+    shown = {(one.scenario, one.axis) for by_axis in result.weakest.values() for one in by_axis.values()}
+    found: dict[int, Callable[[], Recipe]] = {}
+    for one, (search, record) in zip(result.margins, ended, strict=True):
+        limit = one.limit
+        if (one.scenario, one.axis) in shown and limit.trial is not None and record["attempts"]:
+            levels = () if limit.fails_at is None else ((one.axis, limit.fails_at),)
+            found[record["index"]] = partial(search.recipe, limit.trial, levels)
+    return found
 
 
-def _figures(result: Margins, trials: int) -> dict[str, Any]:
+def _figures(result: Margins) -> dict[str, Any]:
     """Return the metrics of ``report.json``."""
     return {
         "share": SHARE,
-        "confidence": confidence(trials),
+        "confidence": confidence(result.config["trials"]),
         "scenarios": [
             {
                 "action": one.action,
@@ -545,12 +473,12 @@ def _figures(result: Margins, trials: int) -> dict[str, Any]:
         },
         "maps": [
             {
-                "scenario": one.scenario,
-                "axes": [axis.name for axis in one.pair],
-                "values": [values_of(axis) for axis in one.pair],
-                "stood": one.stood,
-                "of": one.of,
+                "scenario": scenario,
+                "axes": [axis.name for axis in result.pair],
+                "values": [values_of(axis) for axis in result.pair],
+                "stood": stood,
+                "of": result.map_trials,
             }
-            for one in result.maps
+            for scenario, stood in result.maps.items()
         ],
     }

@@ -6,6 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from craftsim.experiments.sections import error_tables, provenance_section
 from craftsim.experiments.statistics import error_counts
 from craftsim.reports.plots import BAD, GOOD, INK
@@ -25,7 +28,7 @@ from craftsim.reports.report import (
     percent,
 )
 from craftsim.validation.imperfections import Imperfection
-from craftsim.validation.margins import SHARE, Map, Margin, Margins, confidence, values_of
+from craftsim.validation.margins import SHARE, Margin, Margins, confidence, values_of
 from craftsim.validation.sections import case_of
 
 if TYPE_CHECKING:
@@ -36,10 +39,9 @@ _SIDE_IN: Final = 5.4
 
 def margins_report(result: Margins, command: str) -> Report:
     """Return the report of a search; ``command`` is the command line that repeats it."""
-    weakest = {
-        action: [by_axis[axis.name] for axis in result.with_effect if axis.name in by_axis]
-        for action, by_axis in result.weakest.items()
-    }
+    by_action: dict[str, list[Margin]] = {action: [] for action in result.weakest}
+    for one in sorted(result.margins, key=lambda one: one.rank):
+        by_action[one.action].append(one)
     compared, trials = any(one.before for one in result.margins), result.config["trials"]
     return Report(
         "Margins",
@@ -47,7 +49,7 @@ def margins_report(result: Margins, command: str) -> Report:
         _headline(result),
         [
             KeyFigure(
-                f"{len({one.scenario for one in result.margins})}", "scenarios", f"{len(weakest)} actions"
+                f"{len({one.scenario for one in result.margins})}", "scenarios", f"{len(by_action)} actions"
             ),
             KeyFigure(f"{len(result.with_effect)}", "imperfections that matter", "to one action or more"),
             KeyFigure(
@@ -60,20 +62,14 @@ def margins_report(result: Margins, command: str) -> Report:
         [
             _sheet(result),
             _first_failures(result),
-            *_maps(result.maps),
+            *_maps(result),
             Section(
                 "actions",
                 "By action",
-                "The weakest scenario of each action for each imperfection, and its first failure. A margin's "
-                "interval: all trials pass it, and above the value under 'over 5 % fail at' more than 5 % of all "
-                "worlds fail, with 95 % confidence. Replay the bundles from the folder of this page.",
-                [_limits(rows, action, compared) for action, rows in weakest.items()],
-            ),
-            Section(
-                "scenarios",
-                "By scenario",
-                "All scenarios and imperfections.",
-                [_limits(result.margins, "All scenarios", compared)],
+                "All scenarios and imperfections, the weakest first, and their first failures. A margin's interval: "
+                "all trials pass it, and above the value under 'over 5 % fail at' more than 5 % of all worlds fail, "
+                "with 95 % confidence. Replay the bundles from the folder of this page.",
+                [_limits(rows, action, compared) for action, rows in by_action.items()],
             ),
             provenance_section(command, result.seed, result.config),
         ],
@@ -141,41 +137,39 @@ def _first_failures(result: Margins) -> Section:
     return Section("first", "First failures", lead, [Cases(cases, most=40)], terminal=bool(cases))
 
 
-def _maps(maps: Sequence[Map]) -> list[Section]:
-    if not maps:
+def _maps(result: Margins) -> list[Section]:
+    if not result.maps:
         return []
+    pair = " and ".join(axis.words for axis in result.pair)
     drawings = [
         Drawing(
-            partial(_map, one),
+            partial(_map, result.pair, np.array(stood) / result.map_trials),
             _SIDE_IN,
-            f"{one.scenario}: {one.of} trials of each pair.",
-            f"{one.scenario}: share that passes, by {one.pair[0].words} and {one.pair[1].words}",
+            f"{scenario}: {result.map_trials} trials of each pair.",
+            f"{scenario}: share that passes, by {pair}",
             _SIDE_IN + 1.0,
         )
-        for one in maps
+        for scenario, stood in result.maps.items()
     ]
     lead = "Percentage of trials that pass under two imperfections together; green where all pass."
     return [Section("maps", "Two together", lead, drawings)]
 
 
-def _map(one: Map, figure: Figure) -> None:
-    """Draw the share of trials that pass each pair of levels."""
-    import numpy as np
-
-    axes, (right, up) = figure.subplots(), one.pair
-    share = np.array(one.stood) / one.of
+def _map(pair: Sequence[Imperfection], share: NDArray[np.float64], figure: Figure) -> None:
+    """Draw the share of trials that pass each pair of levels, of shape (vertical, horizontal levels)."""
+    axes = figure.subplots()
     for row, column in np.ndindex(*share.shape):
         value = share[row, column]
         # Flat colours of the page: a colour between two of them would not follow light and dark.
         colour, alpha = (GOOD, 0.75) if value == 1 else (BAD, 0.15 + 0.6 * (1 - value))
         axes.fill_between((column - 0.5, column + 0.5), row - 0.5, row + 0.5, color=colour, alpha=alpha, lw=0)
         axes.text(column, row, f"{100 * value:.0f}", ha="center", va="center", color=INK, fontsize=7)
-    ticks = [[f"{axis.scale * value:.3g}" for value in values_of(axis)] for axis in one.pair]
+    ticks = [[f"{axis.scale * value:.3g}" for value in values_of(axis)] for axis in pair]
     axes.set_xticks(range(len(ticks[0])), ticks[0])
     axes.set_yticks(range(len(ticks[1])), ticks[1])
     axes.grid(visible=False)
-    axes.set_xlabel(f"{right.words}, {right.unit}")
-    axes.set_ylabel(f"{up.words}, {up.unit}")
+    axes.set_xlabel(f"{pair[0].words}, {pair[0].unit}")
+    axes.set_ylabel(f"{pair[1].words}, {pair[1].unit}")
 
 
 def _limits(margins: Iterable[Margin], title: str, compared: bool) -> DataTable:

@@ -73,25 +73,6 @@ class FailingAction:
     seed: Seed = SEED_0
 
 
-@dataclass(frozen=True)
-class Smallest:
-    """The smallest world found; the acting car is car 0."""
-
-    grid: Grid
-    action: Action
-    attempt: Attempt
-    """The failing attempt."""
-    setup: Setup
-    minimal: bool
-    """Whether every piece is needed; False if the trials did not suffice."""
-    trials: int
-
-    @property
-    def words(self) -> str:
-        """The failure in one sentence."""
-        return words_of(self.grid, self.action, self.attempt.result, Rules(self.setup.rules))
-
-
 class NotReproducibleError(Exception):
     """The action alone, from a fresh start, does not fail; the message says why."""
 
@@ -133,10 +114,11 @@ def minimize(
     nominal = replace(failing.setup, thresholds=Thresholds(), randomization=NONE)
     trials = 0
     for setup, seed in dict.fromkeys(((nominal, SEED_0), (failing.setup, failing.seed))):
-        search = _Search(replace(failing, setup=setup, seed=seed), on_trial, most - trials)
-        if search.attempt is not None:
-            return search.run(trials)
-        trials += search.trials
+        search = Smallest(replace(failing, setup=setup, seed=seed), on_trial, most, trials)
+        if search.found:
+            search.run()
+            return search
+        trials = search.trials
     if not trials:
         raise NotReproducibleError("the world before it cannot be set up from a fresh start")
     raise NotReproducibleError(
@@ -144,81 +126,107 @@ def minimize(
     )
 
 
-class _Search:
-    """The search for one action, with a cache of the trials."""
+class Smallest:
+    """The smallest world in which an action still fails, and the search for it; the acting car is car 0.
 
-    def __init__(self, failing: FailingAction, on_trial: OnTrial, most: int) -> None:
-        self.setup, self.seed, self.rules = failing.setup, failing.seed, Rules(failing.setup.rules)
-        self.on_trial, self.most, self.trials = on_trial, most, 0
-        self.left_s = MINIMIZE_S
-        self.known: dict[str, bool] = {}
-        self.attempt: Attempt | None = None
-        self.pieces, self.size = pieces_of(failing.grid, failing.car), failing.grid.size
-        self.action = failing.action
+    Attributes:
+        action: the action, turned as the world is.
+        attempt: the failing attempt.
+        setup: configuration of the physics in which it fails.
+        trials: number of trials.
+    """
+
+    attempt: Attempt
+
+    def __init__(self, failing: FailingAction, on_trial: OnTrial, most: int, trials: int = 0) -> None:
+        """Try the action alone, as one of at most ``most`` trials after ``trials``."""
+        self.setup, self.action, self.trials = failing.setup, failing.action, trials
+        self.found = False
+        self._seed, self._rules, self._on_trial, self._most = (
+            failing.seed,
+            Rules(failing.setup.rules),
+            on_trial,
+            most,
+        )
+        self._left_s = MINIMIZE_S
+        self._known: dict[str, bool] = {}
+        self._pieces, self._size = pieces_of(failing.grid, failing.car), failing.grid.size
         # What play led to need not be what a drawing may show; then no smaller world need be.
-        self.drawn = "snapshot:" not in blueprint_text(grid_of(self.pieces, self.size))
-        self.fails(self.pieces, self.size, self.action)
+        self._drawn = "snapshot:" not in blueprint_text(self.grid)
+        self._fails(self._pieces, self._size, self.action)
 
-    def run(self, trials_before: int) -> Smallest:
-        """Remove pieces, lower the rest, crop the map, and return the smallest world."""
+    @property
+    def grid(self) -> Grid:
+        """The world."""
+        return grid_of(self._pieces, self._size)
+
+    @property
+    def minimal(self) -> bool:
+        """Whether every piece is needed; False if the trials did not suffice."""
+        return self.trials < self._most
+
+    @property
+    def words(self) -> str:
+        """The failure in one sentence."""
+        return words_of(self.grid, self.action, self.attempt.result, self._rules)
+
+    def run(self) -> None:
+        """Remove pieces, lower the rest, and crop the map."""
         self._remove()
         while self._simplify():
             self._remove()
-        quarters, action = -self.pieces[0].yaw, self.action
+        quarters, action = -self._pieces[0].yaw, self.action
         if action in MOVE_DIRECTION:
             action = _MOVES[(MOVE_DIRECTION[action] + quarters) % 4]
-        heading_x = tuple(piece.turned(quarters) for piece in self.pieces)
-        crops = product(((heading_x, action), (self.pieces, self.action)), _MARGINS)
+        heading_x = tuple(piece.turned(quarters) for piece in self._pieces)
+        crops = product(((heading_x, action), (self._pieces, self.action)), _MARGINS)
         for (pieces, act), margins in crops:
-            if self.fails(*cropped(pieces, *margins), act):
+            if self._fails(*cropped(pieces, *margins), act):
                 break
-        assert self.attempt is not None
-        grid, minimal = grid_of(self.pieces, self.size), self.trials < self.most
-        return Smallest(grid, self.action, self.attempt, self.setup, minimal, self.trials + trials_before)
 
-    def fails(self, pieces: Sequence[WorldPart], size: Cell, action: Action) -> bool:
+    def _fails(self, pieces: Sequence[WorldPart], size: Cell, action: Action) -> bool:
         """Return whether the action of the first piece is legal in a world and fails; if so keep that world."""
         grid = grid_of(pieces, size)
         text = blueprint_text(grid)
         key = f"{action.name} {text}"
-        if key not in self.known:
-            if self.trials >= self.most:
+        if key not in self._known:
+            if self.trials >= self._most:
                 return False
-            hopeless = self.drawn and "snapshot:" in text
-            self.known[key] = not hopeless and self.rules.legal(grid, 0, action) and self._try(grid, action)
-        if self.known[key]:
-            self.pieces, self.size, self.action = tuple(pieces), size, action
-        return self.known[key]
+            hopeless = self._drawn and "snapshot:" in text
+            self._known[key] = not hopeless and self._rules.legal(grid, 0, action) and self._try(grid, action)
+        if self._known[key]:
+            self._pieces, self._size, self.action = tuple(pieces), size, action
+        return self._known[key]
 
     def _try(self, grid: Grid, action: Action) -> bool:
-        judge = set_up(grid, self.setup, self.seed)
+        judge = set_up(grid, self.setup, self._seed)
         if judge.problems or not judge.grid.same_visible(grid):
             return False
         self.trials += 1
-        passed_s = limit_time(judge, self.left_s, action.name)
+        passed_s = limit_time(judge, self._left_s, action.name)
         try:
             attempt = judge.perform(0, action)
         except OverrunError:
-            self.trials = self.most
+            self.trials = self._most
             return False
-        self.left_s -= passed_s()
-        fails = not attempt.agrees and (self.attempt is None or self.attempt.result == attempt.result)
+        self._left_s -= passed_s()
+        fails = not attempt.agrees and (not self.found or self.attempt.result == attempt.result)
         if fails:
-            self.attempt = attempt
-        self.on_trial(fails)
+            self.attempt, self.found = attempt, True
+        self._on_trial(fails)
         return fails
 
     def _remove(self) -> None:
         """Remove surrounding pieces, in smaller and smaller groups."""
         n = 2
         while others := self._others():
-            n, before = min(n, len(others)), len(self.pieces)
+            n, before = min(n, len(others)), len(self._pieces)
             for i in range(n):
                 part = others[i * len(others) // n : (i + 1) * len(others) // n]
-                keep = without(self.pieces, part)
-                if len(keep) < len(self.pieces):
-                    self.fails(keep, self.size, self.action)
-            if len(self.pieces) < before:
+                keep = without(self._pieces, part)
+                if len(keep) < len(self._pieces):
+                    self._fails(keep, self._size, self.action)
+            if len(self._pieces) < before:
                 n = max(n - 1, 2)
             elif n == len(others):
                 return
@@ -227,19 +235,19 @@ class _Search:
 
     def _others(self) -> list[WorldPart]:
         """Return all pieces but the acting car and those below it, furthest first."""
-        me, *others = self.pieces
-        free = (piece for piece in others if me in without(self.pieces, (piece,)))
+        me, *others = self._pieces
+        free = (piece for piece in others if me in without(self._pieces, (piece,)))
         return sorted(free, key=lambda piece: (-distance(piece, me.cell), piece.cell, piece.kind))
 
     def _simplify(self) -> bool:
         """Remove a load, or lower everything by a level; return whether the failure remains."""
-        for place, piece in enumerate(self.pieces):
+        for place, piece in enumerate(self._pieces):
             bare = replace(piece, load=Kind.AIR, load_yaw=0)
-            pieces = (*self.pieces[:place], bare, *self.pieces[place + 1 :])
-            if piece.load != Kind.AIR and self.fails(pieces, self.size, self.action):
+            pieces = (*self._pieces[:place], bare, *self._pieces[place + 1 :])
+            if piece.load != Kind.AIR and self._fails(pieces, self._size, self.action):
                 return True
-        lower = lowered(self.pieces)
-        return bool(lower) and self.fails(lower, self.size, self.action)
+        lower = lowered(self._pieces)
+        return bool(lower) and self._fails(lower, self._size, self.action)
 
 
 @dataclass(frozen=True)
@@ -252,12 +260,12 @@ class Counterexample:
     """The failure in one sentence, or why it could not be minimized."""
     rules: str
     """The rule set that allows the action."""
-    minimal: bool
+    minimal: bool = False
     """Whether no further piece can be removed."""
-    trials: int
-    cells: tuple[int, int, int] | None
+    trials: int = 0
+    cells: tuple[int, int, int] | None = None
     """Size of the smallest world; None without one."""
-    folder: str | None
+    folder: str | None = None
     """Folder with its blueprint and actions, relative to the run's."""
 
 
@@ -285,7 +293,7 @@ def minimize_bundle(
         return Counterexample(
             bundle.key, found.words, rules, found.minimal, found.trials, found.grid.size, name
         )
-    return Counterexample(bundle.key, why, rules, minimal=False, trials=0, cells=None, folder=None)
+    return Counterexample(bundle.key, why, rules)
 
 
 def minimize_failures(
@@ -334,6 +342,6 @@ def _minimize(job: tuple[Path, str, str]) -> Result:
 
 def _shrunk(bundle: str, answer: Answer) -> Counterexample:
     if isinstance(answer, Failure):
-        return Counterexample(bundle, answer.text, "", minimal=False, trials=0, cells=None, folder=None)
+        return Counterexample(bundle, answer.text, "")
     cells = answer.extra["cells"]
     return Counterexample(**{**answer.extra, "cells": None if cells is None else tuple(cells)})

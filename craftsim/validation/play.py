@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -115,24 +115,16 @@ def _near(grid: Grid, me: int, cell: Cell) -> set[str]:
     return found
 
 
-@dataclass(frozen=True)
-class Play:
-    """The actions of all cars, tick by tick, each legal in its turn."""
-
-    ticks: tuple[Joint, ...]
-    doings: tuple[tuple[PlayedAction, ...], ...]
-    """Class of each action, parallel to ``ticks``."""
-
-
-def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> Play:
+def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tuple[Joint, ...]:
     """Return random play of ``n_ticks`` from a world; the order of the cars is drawn in each tick.
 
-    A car waits if it has no other legal action, and mostly if it would take a common one.
+    Each action is legal in its turn. A car waits if it has no other legal action, and mostly if it would take a common
+    one.
     """
     done: Counter[str] = Counter()
-    ticks, doings = [], []
+    ticks = []
     for _ in range(n_ticks):
-        joint, what = [], []
+        joint = []
         for car in rng.permutation(grid.n_cars).tolist():
             options = [Action(a) for a in np.flatnonzero(rules.mask(grid)[car]).tolist()]
             if not options:
@@ -149,12 +141,10 @@ def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> Pl
             if weights[choice] < _COMMON and rng.random() < _IDLE:
                 continue
             joint.append((car, options[choice]))
-            what.append(found[choice])
             done[found[choice].name] += 1
             grid = after[choice]
         ticks.append(tuple(joint))
-        doings.append(tuple(what))
-    return Play(tuple(ticks), tuple(doings))
+    return tuple(ticks)
 
 
 def _weight(grid: Grid, after: Grid, rules: Rules, car: int, one: PlayedAction) -> float:
@@ -176,14 +166,18 @@ def _ramp_ahead(grid: Grid, rules: Rules, car: int) -> bool:
     return rules.legal(grid, car, action) and bool(rules.apply(grid, car, action).cars[car, CarField.SLOPE])
 
 
-def covered(played: Play, attempts: Iterable[Attempt]) -> dict[str, dict[str, int]]:
-    """Return the number of performed actions by name, in all and by neighbour, as JSON values."""
+def covered(
+    grid: Grid, ticks: Iterable[Joint], rules: Rules, attempts: Iterable[Attempt]
+) -> dict[str, dict[str, int]]:
+    """Return the number of performed actions of play by name, in all and by neighbour, as JSON values."""
     done = {(a.tick, a.car) for a in attempts if a.performed}
     found: dict[str, Counter[str]] = {}
-    for tick, (joint, doings) in enumerate(zip(played.ticks, played.doings, strict=True)):
-        for (car, _), doing in zip(joint, doings, strict=True):
+    for tick, joint in enumerate(ticks):
+        for car, action in joint:
+            before, grid = grid, rules.apply(grid, car, action)
             if (tick, car) in done:
-                found.setdefault(doing.name, Counter()).update((ALL, *doing.near, *_classes(doing)))
+                one = doing(before, grid, car, action)
+                found.setdefault(one.name, Counter()).update((ALL, *one.near, *_classes(one)))
     return {name: dict(counts) for name, counts in found.items()}
 
 
@@ -199,32 +193,27 @@ def _classes(doing: PlayedAction) -> list[str]:
     return [f"~{name}" for name, holds in classes.items() if holds]
 
 
-@dataclass(frozen=True)
-class Coverage:
-    """The coverage of all runs together."""
+def coverage_of(records: Iterable[TrialRecord]) -> dict[str, Any] | None:
+    """Return the coverage of all runs together; None without random play.
 
-    worlds: int
-    do_not_stand: int
-    """Further worlds that are invalid, since solids would overlap; nothing is tried there."""
-    actions: int
-    totals: dict[str, int]
-    """Number of actions on slopes, turns of loads, folding and unfolding, and actions above the floor."""
-    rows: dict[str, dict[str, int]]
-    """By kind of action: ``all``, and the number beside each neighbour."""
-
-    @classmethod
-    def of(cls, records: Iterable[TrialRecord]) -> Coverage | None:
-        """Return the coverage in some records; None without random play."""
-        played = fallen = 0
-        counts: dict[str, Counter[str]] = {}
-        for extra in (record["extra"] for record in records):
-            fallen += "does_not_stand" in extra
-            played += "coverage" in extra
-            for name, found in extra.get("coverage", {}).items():
-                counts.setdefault(name, Counter()).update(found)
-        if not played:
-            return None
-        every = sum(counts.values(), Counter())
-        totals = {key[1:]: n for key, n in sorted(every.items()) if key.startswith("~")}
-        rows = {name: {key: counts[name][key] for key in (ALL, *NEIGHBOURS)} for name in sorted(counts)}
-        return cls(played, fallen, every[ALL], totals, rows)
+    It holds the numbers of ``worlds`` and of ``actions``; of worlds that ``do_not_stand``, since solids would overlap;
+    ``totals`` of actions on slopes, turns of loads, folding and unfolding, and actions above the floor; and by kind of
+    action the ``rows``: ``all``, and the number beside each neighbour.
+    """
+    played = fallen = 0
+    counts: dict[str, Counter[str]] = {}
+    for extra in (record["extra"] for record in records):
+        fallen += "does_not_stand" in extra
+        played += "coverage" in extra
+        for name, found in extra.get("coverage", {}).items():
+            counts.setdefault(name, Counter()).update(found)
+    if not played:
+        return None
+    every = sum(counts.values(), Counter())
+    return {
+        "worlds": played,
+        "do_not_stand": fallen,
+        "actions": every[ALL],
+        "totals": {key[1:]: n for key, n in sorted(every.items()) if key.startswith("~")},
+        "rows": {name: {key: counts[name][key] for key in (ALL, *NEIGHBOURS)} for name in sorted(counts)},
+    }

@@ -1,4 +1,4 @@
-"""Policies by name: what decides the next actions of the cars of a task, from their observations."""
+"""Policies by name: functions from the observations of the cars to their next actions."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from craftsim.storage.reading import read_bytes
 from craftsim.training.policy import load_policy, policy_file, shipped_policies
 
 Observations = dict[str, dict[str, NDArray[Any]]]
-"""By agent, ``car_0`` and so on: ``observation`` and ``action_mask`` (docs/reference/environments.md)."""
+"""``observation`` and ``action_mask`` by agent, such as ``car_0`` (docs/reference/environments.md)."""
 
 Policy = Callable[[Observations], dict[str, int]]
-"""Gives each agent one of the 15 primitive actions; may depend on nothing but the observations."""
+"""Returns one of the 15 primitive actions for each agent; may depend on the observations alone."""
 
 RANDOM: Final = "random"
 PLANNER: Final = "planner"
-"""The policy that carries out the shipped plan, and elsewhere plans, and plans again."""
+"""The policy that executes the shipped plan, or where there is none plans, and plans again after a failure."""
 
 _CONTRACT: Final = (
     "a policy takes observations by agent and returns a dictionary with a whole number from 0 to 14 for each"
 )
 _ANYTHING: Final = (Exception, SystemExit)
-"""What others' code may raise, when it is imported or called."""
+"""What user code may raise when it is imported or called."""
 
 _WEIGHTS: Final = {
     Action.STOP: 0.05,
@@ -53,11 +53,11 @@ _WEIGHTS: Final = {
     Action.LIFT: 2.0,
     Action.DROP: 0.6,
 }
-"""How much likelier an action is drawn than a move, so that cars do not turn on the spot all the time."""
+"""Weights of actions relative to a move, so that cars do not turn on the spot most of the time."""
 
 
 class RandomPolicy:
-    """Draws each car one of the actions that it is offered, those that handle things more often than turns."""
+    """Draws an allowed action for each car, with :data:`_WEIGHTS`."""
 
     def __init__(self, seed: int) -> None:
         """Draw from a seed."""
@@ -160,7 +160,7 @@ def _said(error: BaseException) -> str:
 
 
 class _Hanging(BaseException):
-    """The time is up; others' code does not catch it."""
+    """The time is up; not an Exception, so that user code does not catch it."""
 
 
 @contextmanager

@@ -29,19 +29,19 @@ from craftsim.storage.limits import RECIPE_ACTIONS, STEP_ACTIONS
 Ticks = Sequence[Sequence[tuple[int, Action]]]
 
 BEGINS: Final = 0.1, 0.6
-"""A disturbance begins after a share of the first plan's makespan that is drawn between these."""
+"""Range of the time at which a disturbance begins, as a share of the first plan's makespan."""
 FAILURES: Final = 2
-"""So many actions in a row must fail before a car counts as out of action; one, where it then stands between cells."""
+"""Failures in a row after which a car is out of action; one is enough if the car then stands between cells."""
 _HALF_M: Final = CELL_PITCH_M / 2 - PLACE_TOLERANCE_M
-"""A car is taken to reach so far from its middle: one that stands in its cell to within what can be read fills it."""
+"""Half of the side of the square that a car is assumed to fill: the cell, less the tolerance of reading its place."""
 
 
 @dataclass(frozen=True)
 class Replanning:
-    """How often, and how thoroughly, is planned, and what goes wrong on purpose."""
+    """Numbers of plans and of attempts at each, and the disturbance."""
 
     replans: int = 10
-    """Plans after the first one, at most."""
+    """Maximum number of plans after the first one."""
     rounds: int = 60
     """Attempts at each plan."""
     disturb: Literal["shove", "fold", "dead-car"] | None = None
@@ -51,7 +51,7 @@ class Replanner:
     """Decides the steps of one building. Raises NoPlanError where there is no plan from the start."""
 
     def __init__(self, task: Task, grid: Grid, asked: Replanning, setup: Setup, seed: int) -> None:
-        """Make the first plan of a task with a goal; ``seed`` is of the plans and of what is drawn of a disturbance."""
+        """Make the first plan of a task with a goal; ``seed`` decides the plans and the disturbance."""
         self.task, self.grid, self.asked, self.setup, self.seed = task, grid, asked, setup, seed
         self.first = self._plan(grid, 0)
         begin_s = float(np.random.default_rng(seed).uniform(*BEGINS)) * self.first.makespan_s
@@ -59,13 +59,13 @@ class Replanner:
             self.setup = replace(setup, disturbance=Disturbance(asked.disturb, begin_s))
         self.replans = 0
         self.ended: tuple[str, str] = ("", "")
-        """How, and why."""
+        """How the building ended, and why; empty before."""
         self.folded = ""
-        """Which slope was folded again on purpose, in words."""
+        """The disturbance by folding a slope, in words."""
         self.out: set[int] = set()
         """Cars out of action."""
         self.failures: Counter[int] = Counter()
-        """By car, how many of its actions have failed since one succeeded."""
+        """Number of failures by car since its last success."""
         self.n_ticks = self.n_acts = 0
 
     def steps(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
@@ -139,7 +139,7 @@ class Replanner:
                 self.failures[attempt.car] = self.failures[attempt.car] + 1 if failed else 0
 
     def _fold(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
-        """Let a car fold a slope that was just unfolded, which is in no plan."""
+        """Disturb the building: a car folds a slope that was just unfolded."""
         for car in range(judge.grid.n_cars):
             if judge.rules.legal(judge.grid, car, Action.FOLD):
                 self.folded = f"car {car} folds a slope again at {judge.physics.time_s:.2f} s"

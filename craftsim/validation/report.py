@@ -50,17 +50,15 @@ from craftsim.reports.report import (
     share_cells,
 )
 from craftsim.validation.building import Building
-from craftsim.validation.play import ALL, NEIGHBOURS, Coverage
+from craftsim.validation.play import ALL, NEIGHBOURS
 from craftsim.validation.sections import (
     RunFailure,
     actions_section,
     failures_of,
     failures_section,
-    recorded_runs,
-    recorded_section,
     smallest_section,
 )
-from craftsim.validation.validation import BuildFigures, Validation
+from craftsim.validation.validation import Validation
 
 _GOALS: Final = ("physics_success", "grid_success")
 _RENDER: Final = "To watch it, from the folder of this report: craftsim render FILE, or craftsim view FILE."
@@ -74,15 +72,10 @@ _WORST: Final = {
 _LEAD: Final = (
     "Each action is predicted by the rules, carried out by motors, and judged on the poses afterwards."
 )
-_OTHER_GOALS: Final = {
-    "free_building": ("all blocks form one platform", "the blocks do NOT form one platform"),
-    "breaking_barrier": ("the flag is at the goal", "the flag is NOT at the goal"),
-}
-"""What to say of goals that are no building, reached and missed."""
 
 
-def validation_report(result: Validation, out: Path, command: str) -> Report:
-    """Return the report of a validation in the folder ``out``; ``command`` is how it can be run again."""
+def validation_report(result: Validation, command: str) -> Report:
+    """Return the report of a validation; ``command`` is how it can be run again."""
     figures, records, builds = result.figures, result.records, result.builds
     runs = ((record["key"], [*map(Attempt.of, record["attempts"])]) for record in records)
     of_plans = [] if builds else [survival_section(figures.survival), *policies_section(figures)]
@@ -93,7 +86,6 @@ def validation_report(result: Validation, out: Path, command: str) -> Report:
         *smallest_section(result.smallest),
         *([actions_section(runs, len(records))] if records else []),
         failures_section(failures_of(records), error_tables(figures.errors)),
-        *recorded_section(out, recorded_runs(result.items, records)),
         *of_plans,
         Section(
             "errors",
@@ -223,38 +215,37 @@ def runs_table(records: Iterable[TrialRecord]) -> DataTable:
     )
 
 
-def _coverage(coverage: Coverage | None) -> list[Section]:
+def _coverage(coverage: Mapping[str, Any] | None) -> list[Section]:
     """Return what random play did, and how often beside what."""
     if coverage is None:
         return []
-    totals = ", ".join(f"{n:,} {name}" for name, n in coverage.totals.items())
-    note = f"{coverage.actions:,} actions in {coverage.worlds:,} worlds: {totals}"
-    if coverage.do_not_stand:
-        note += f"; {coverage.do_not_stand:,} more worlds cannot be, and nothing was tried there"
+    totals = ", ".join(f"{n:,} {name}" for name, n in coverage["totals"].items())
+    note = f"{coverage['actions']:,} actions in {coverage['worlds']:,} worlds: {totals}"
+    if coverage["do_not_stand"]:
+        note += f"; {coverage['do_not_stand']:,} more worlds cannot be, and nothing was tried there"
     names = (Column(name, "number", terminal=name == ALL) for name in (ALL, *NEIGHBOURS))
-    rows = [(name, *(n or None for n in counts.values())) for name, counts in coverage.rows.items()]
+    rows = [(name, *(n or None for n in counts.values())) for name, counts in coverage["rows"].items()]
     table = DataTable((Column("action, level, load"), *names), rows, "Coverage", note, tall=True)
     lead = "What random play has done, and how often beside what."
     return [Section("coverage", "Coverage", lead, [table], terminal=True)]
 
 
-def _built(builds: BuildFigures, n: int) -> Headline:
-    built = builds.endings.get("built", 0)
+def _built(builds: Mapping[str, Any], n: int) -> Headline:
+    built = builds["endings"].get("built", 0)
     sentence = f"{built} of {n} buildings stand"
-    sentence += f"; {builds.replans} further plans were made." if builds.replans else "."
+    sentence += f"; {builds['replans']} further plans were made." if builds["replans"] else "."
     if built == n:
         return Headline("Built", Tone.GOOD, sentence)
     return Headline("Not all built", Tone.CAUTION if built else Tone.BAD, sentence)
 
 
-def _build_figures(builds: BuildFigures) -> Iterator[KeyFigure]:
-    yield _share("built", builds.built)
-    yield KeyFigure(
-        f"{builds.replans:,}", "further plans", f"{count(builds.disturbed, 'building')} disturbed"
-    )
-    for name, value in (("first plan's makespan", builds.planned_s), ("real makespan", builds.real_s)):
-        if value is not None:
-            yield KeyFigure(f"{value:.1f} s", name, "median")
+def _build_figures(builds: Mapping[str, Any]) -> Iterator[KeyFigure]:
+    yield _share("built", builds["built"])
+    disturbed = f"{count(builds['disturbed'], 'building')} disturbed"
+    yield KeyFigure(f"{builds['replans']:,}", "further plans", disturbed)
+    for name, label in (("planned_s", "first plan's makespan"), ("real_s", "real makespan")):
+        if builds[name] is not None:
+            yield KeyFigure(f"{builds[name]:.1f} s", label, "median")
 
 
 def _builds(records: Iterable[TrialRecord]) -> Section:
@@ -320,10 +311,7 @@ def demo_report(
             *_films(buildings, films),
             provenance_section(command, *about),
         ],
-        [
-            *([_worst(figures[0])] if len(buildings) == 1 else []),
-            *run_notes(*(sum(one[name] for one in figures) for name in ("capped_steps", "retried"))),
-        ],
+        [*run_notes(*(sum(one[name] for one in figures) for name in ("capped_steps", "retried")))],
         {f"Film of {name}" if len(films) > 1 else "Film": path for name, path in films.items()},
         document,
         0 if good else 1,
@@ -352,7 +340,7 @@ def _summary(buildings: Sequence[Building], figures: Sequence[Mapping[str, Any]]
     names = ("ticks", "agree", "goal", "s", *_WORST.values())
     columns = (Column("task"), *(Column(name, "number") for name in names))
     table = DataTable(columns, rows, "Built in physics, checked by the rules", note)
-    return Section("buildings", "Buildings", _LEAD, [table], terminal=len(buildings) > 1)
+    return Section("buildings", "Buildings", _LEAD, [table], terminal=True)
 
 
 def _films(buildings: Sequence[Building], films: Mapping[str, Path]) -> list[Section]:
@@ -370,31 +358,11 @@ def _films(buildings: Sequence[Building], films: Mapping[str, Path]) -> list[Sec
     return [Section("films", "Films", "From the start to the end.", [Cases(cases)])]
 
 
-def _worst(figures: Mapping[str, Any]) -> str:
-    """Return how inexact the worst action of a run was; nothing of what was not set down."""
-    placed = figures["max_placed_error_mm"]
-    return (
-        f"At worst: cars {figures['max_car_error_mm']:.2f} mm and "
-        f"{figures['max_car_heading_error_mrad']:.2f} mrad off, "
-        + ("" if placed is None else f"things set down {placed:.2f} mm off, ")
-        + f"bystanders moved {figures['max_bystander_displacement_mm']:.2f} mm. "
-        f"{figures['simulated_s']:.1f} s simulated."
-    )
-
-
 def _conclusion(buildings: Sequence[Building], agree: int, total: int) -> str:
     """Return how many actions agree, and whether the goal, or each goal, is reached."""
     actions = f"{agree} of {total} actions agree with the rules"
+    reached = [one.reached for one in buildings]
     if len(buildings) > 1:
-        reached = sum(one.reached is True for one in buildings)
-        return f"{actions}; {reached} of {len(buildings)} goals are reached."
-    return f"{actions}; {_goal_words(buildings[0])}."
-
-
-def _goal_words(building: Building) -> str:
-    if building.reached is None:
-        return "no goal was given"
-    words = ("the building matches its goal", "the building does NOT match its goal")
-    if building.task.design is None:
-        words = _OTHER_GOALS.get(building.name, ("the goal is reached", "the goal is NOT reached"))
-    return words[0] if building.reached else words[1]
+        return f"{actions}; {reached.count(True)} of {len(buildings)} goals are reached."
+    words = {None: "no goal was given", True: "the goal is reached", False: "the goal is NOT reached"}
+    return f"{actions}; {words[reached[0]]}."

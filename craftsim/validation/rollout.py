@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -35,7 +35,7 @@ from craftsim.logs.recorder import LogRecorder
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.storage.folders import directory_within
-from craftsim.validation.play import Play, covered, play
+from craftsim.validation.play import Joint, covered, play
 from craftsim.validation.policies import PLANNER, Policy, make_policy
 from craftsim.validation.replanning import Replanner, Replanning
 from craftsim.validation.worlds import RandomWorlds
@@ -43,36 +43,15 @@ from craftsim.validation.worlds import RandomWorlds
 BUNDLES: Final = "bundles"
 WORLDS: Final = "worlds"
 """Subfolder for random worlds and their plans."""
+PLAY: Final = "play"
+"""Random legal play, weighted towards rare actions: a plan that each run draws for its world."""
 
 
-@dataclass(frozen=True)
-class RandomPlay:
-    """Random legal play, weighted towards rare actions: a plan that each run draws for its world."""
-
-    order: PlanOrder
+By = tuple[Step, ...] | Replanning | str | Policy
+"""A source of actions: the steps of a plan, a planner with replanning, or a policy; :data:`PLAY` is random play."""
 
 
-By = tuple[Step, ...] | RandomPlay | Replanning | str | Policy
-"""A source of actions: the steps of a plan, random play, a planner with replanning, or a policy."""
-
-
-@dataclass(frozen=True)
-class Terms:
-    """The common configuration of all runs of a validation."""
-
-    seed: int
-    setup: Setup
-    out: Path | None = None
-    """Folder of the run, for bundles."""
-    observers: tuple[Observer, ...] = ()
-    """Called with the PhysicsWorld after every control period."""
-    record: bool = False
-    """Whether to write a trajectory and the logs of each run."""
-    set_up: SetUp = set_up
-    """Sets up a plan's world: simulated here, or remote robots."""
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
     """One run; sent to a worker."""
 
@@ -80,9 +59,20 @@ class Run:
     world: Task | str | RandomWorlds
     """A task, a reference to one, or a family of random worlds."""
     by: By
-    episode: int
+    episode: int = 0
     """Index that, with the seed, determines all random draws; equal for all plans and policies, which pairs them."""
-    terms: Terms
+    seed: int
+    setup: Setup
+    out: Path | None = None
+    """Folder of the validation, for bundles."""
+    order: PlanOrder = "concurrent"
+    """Execution of the plan that random play draws for its world."""
+    observers: tuple[Observer, ...] = ()
+    """Called with the PhysicsWorld after every control period."""
+    record: bool = False
+    """Whether to record a trajectory and the logs."""
+    set_up: SetUp = set_up
+    """Sets up a plan's world: simulated here, or remote robots."""
 
     @property
     def file_name(self) -> str:
@@ -96,7 +86,7 @@ class RolloutResult:
 
     task: Task
     start: Grid
-    played: Play | None
+    played: Sequence[Joint] | None
     """The random play, if any."""
     episode: Episode
     trajectory: Trajectory | None = None
@@ -127,9 +117,9 @@ def _within(after: Constraints, tick: int, joint: Sequence[tuple[int, Action]]) 
 def do_run(run: Run) -> Result:
     """Run in physics and by the rules alone; write the bundle of the first disagreement, if any."""
     try:
-        done = roll_out(run, run.terms.record)
+        done = roll_out(run)
     except StartError as error:
-        if not isinstance(run.by, RandomPlay):
+        if run.by != PLAY:
             raise
         nothing = {"ticks": 0, "forbidden": 0, "makespan_s": 0.0}
         return Result(agrees=True, extra=nothing | {"does_not_stand": str(error)})
@@ -143,7 +133,7 @@ def do_run(run: Run) -> Result:
     if episode.reached is not None:
         extra |= {"grid_success": episode.reached_by_rules, "physics_success": episode.reached}
     if done.played is not None:
-        extra["coverage"] = covered(done.played, episode.attempts)
+        extra["coverage"] = covered(done.start, done.played, Rules(run.setup.rules), episode.attempts)
     # What a policy asks for, and the rules forbid at the car's turn, does nothing in either world; so does what random
     # play would have done had all before gone as predicted.
     follows = isinstance(run.by, tuple)
@@ -152,7 +142,7 @@ def do_run(run: Run) -> Result:
     return Result(
         agrees=episode.agrees and not (follows and episode.forbidden),
         attempts=[a for a in episode.attempts if (a.legal or follows) and (unperformed or a.performed)],
-        bundle=None if run.terms.out is None else _write(run, done, run.terms.out),
+        bundle=None if run.out is None else _write(run, done, run.out),
         extra=extra,
     )
 
@@ -163,10 +153,10 @@ def _write(run: Run, done: RolloutResult, out: Path) -> str | None:
         folder = directory_within(out, TRAJECTORIES)
         done.trajectory.write(folder / f"{run.file_name}{SUFFIX}")
         write_table(folder / f"{run.file_name}{LOG_SUFFIX}", done.logs)
-    if done.played is not None and any(done.played.ticks):
+    if done.played is not None and any(done.played):
         folder = directory_within(out, WORLDS)
         write_blueprint(done.start, folder / f"{run.file_name}.yaml")
-        write_plan(done.played.ticks, folder / f"{run.file_name}.plan")
+        write_plan(done.played, folder / f"{run.file_name}.plan")
     number = done.episode.first_disagreement
     if number is None:
         return None
@@ -175,13 +165,13 @@ def _write(run: Run, done: RolloutResult, out: Path) -> str | None:
     return bundle
 
 
-def roll_out(run: Run, record: bool = False, watch: Watch = unwatched) -> RolloutResult:
-    """Return an episode in physics and by the rules alone; with ``record`` also its trajectory and logs.
+def roll_out(run: Run, watch: Watch = unwatched) -> RolloutResult:
+    """Return an episode in physics and by the rules alone.
 
     Raises StartError for an invalid world, and NoPlanError if a planner finds no plan from the start.
     """
-    terms, by = run.terms, run.by
-    world_seed, policy_seed = np.random.SeedSequence([terms.seed, run.episode]).spawn(2)
+    by, setup = run.by, run.setup
+    world_seed, policy_seed = np.random.SeedSequence([run.seed, run.episode]).spawn(2)
     number, policy_number = (int(s.generate_state(1)[0]) for s in (world_seed, policy_seed))
     # As an environment spawns them from the same seed.
     start, physics = (np.random.default_rng(s) for s in np.random.SeedSequence(number).spawn(2))
@@ -190,75 +180,57 @@ def roll_out(run: Run, record: bool = False, watch: Watch = unwatched) -> Rollou
     )
     task = as_task(drawn).for_episode(start)
     grid, played = task.draw(start), None
-    if isinstance(by, RandomPlay):
+    if by == PLAY:
         rng = np.random.default_rng(policy_number)
-        played = play(grid, Rules(terms.setup.rules), rng, task.max_steps + 2)
-        by = steps_of(played.ticks, by.order)
+        played = play(grid, Rules(setup.rules), rng, task.max_steps + 2)
+        by = steps_of(played, run.order)
     recorder, logs = Recorder(), list[LogRecorder]()
 
     def begin(judge: Judge) -> OnAttempts:
-        judge.executor.observers.extend(terms.observers)
+        judge.executor.observers.extend(run.observers)
         if played is not None and not judge.grid.same_visible(grid):
             raise StartError("this world cannot be: it reads otherwise than it was drawn")
-        if record:
+        if run.record:
             recorder.begin(judge)
             logs.append(LogRecorder(judge.executor))
         return watch(judge)
 
     if isinstance(by, tuple | Replanning):
-        chooser = (
-            Replanner(task, grid, by, terms.setup, policy_number)
-            if isinstance(by, Replanning)
-            else _FixedPlan(task, grid, by, terms.setup)
-        )
-        episode = _carried_out(chooser, Seed.drawn(physics), terms.set_up, begin)
+        plan = Replanner(task, grid, by, setup, policy_number) if isinstance(by, Replanning) else by
+        setup = plan.setup if isinstance(plan, Replanner) else setup
+        recipe = Recipe(blueprint_text(grid), (), setup, Seed.drawn(physics), tuple(task.goal_cells))
+        episode = _carried_out(task, grid, plan, recipe, run.set_up, begin)
     else:
-        episode = _asked(task, by, terms.setup, (number, policy_number), begin)
-    if not record:
+        episode = _asked(task, by, setup, (number, policy_number), begin)
+    if not run.record:
         return RolloutResult(task, grid, played, episode)
     trajectory = recorder.trajectory(run.key, episode.recipe, episode.attempts, task.design)
     return RolloutResult(task, grid, played, episode, trajectory, logs[-1].logs())
 
 
-@dataclass(frozen=True)
-class _FixedPlan:
-    """The steps of a plan, executed as long as the world can be read."""
-
-    task: Task
-    grid: Grid
-    plan: tuple[Step, ...]
-    setup: Setup
-
-    def steps(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
-        for step in self.plan:
-            yield step
-            if judge.problems:
-                return
-
-    def end(self, judge: Judge) -> tuple[bool | None, bool | None, None]:
-        if not self.task.has_goal:
-            return None, None, None
-        reached = not judge.problems and self.task.succeeded(judge.grid)
-        grid, rules = self.grid, Rules(self.setup.rules)
-        for act in (act for step in self.plan for act in step.acts):
-            action = Action[act.action]
-            if rules.legal(grid, act.car, action):
-                grid = rules.apply(grid, act.car, action)
-        return reached, self.task.succeeded(grid), None
-
-
-def _carried_out(chooser: _FixedPlan | Replanner, seed: Seed, where: SetUp, begin: Watch) -> Episode:
-    """Execute the steps of a plan or planner, each from the world read before it."""
-    grid, setup = chooser.grid, chooser.setup
-    recipe = Recipe(blueprint_text(grid), (), setup, seed, tuple(chooser.task.goal_cells))
-    judge = where(grid, setup, seed, recipe.goals)
+def _carried_out(
+    task: Task, grid: Grid, plan: tuple[Step, ...] | Replanner, recipe: Recipe, where: SetUp, begin: Watch
+) -> Episode:
+    """Execute the steps of a plan or planner, each from the world read before it, as long as that can be read."""
+    judge = where(grid, recipe.setup, recipe.seed, recipe.goals)
     on_attempts = begin(judge)
     found: list[tuple[Attempt, ...]] = []
-    for step in chooser.steps(judge, found):
+    for step in plan.steps(judge, found) if isinstance(plan, Replanner) else plan:
         recipe = recipe.then(step)
         found.append(do(judge, step))
         on_attempts(found[-1])
-    reached, by_rules, ending = chooser.end(judge)
+        if judge.problems and not isinstance(plan, Replanner):
+            break
+    reached = by_rules = ending = None
+    if isinstance(plan, Replanner):
+        reached, by_rules, ending = plan.end(judge)
+    elif task.has_goal:
+        reached = not judge.problems and task.succeeded(judge.grid)
+        rules = Rules(recipe.setup.rules)
+        for act in (act for step in plan for act in step.acts):
+            if rules.legal(grid, act.car, Action[act.action]):
+                grid = rules.apply(grid, act.car, Action[act.action])
+        by_rules = task.succeeded(grid)
     return Episode(recipe, tuple(found), reached, by_rules, judge.physics.time_s, judge.problems, ending)
 
 

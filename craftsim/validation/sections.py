@@ -1,4 +1,4 @@
-"""Sections that reports on runs and trials share: every failure, what each action did, recordings, smallest worlds."""
+"""Sections that reports on runs and trials share: every failure, what each action did, smallest worlds."""
 
 from __future__ import annotations
 
@@ -9,13 +9,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from craftsim.checking.attempt import Attempt, Verdict
-from craftsim.errors import InputError
 from craftsim.experiments.bundle import FILM, TRAJECTORY
-from craftsim.experiments.experiment import Trial, TrialRecord
-from craftsim.rendering.plots.figures import plots_of
-from craftsim.rendering.plots.signals import Signals
-from craftsim.rendering.plots.style import DENSE, WIDTH_IN
-from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
+from craftsim.experiments.experiment import TrialRecord
+from craftsim.rendering.trajectory import SUFFIX
 from craftsim.reports.report import (
     Block,
     Case,
@@ -23,7 +19,6 @@ from craftsim.reports.report import (
     Cell,
     Column,
     DataTable,
-    Drawing,
     Group,
     Section,
     Tone,
@@ -34,14 +29,10 @@ from craftsim.validation.minimize import ACTIONS, BLUEPRINT, Counterexample
 
 MOST_FAILURES: Final = 1000
 """Failures that a report lists."""
-MOST_RUNS: Final = 4
-"""Recorded runs that a page draws."""
 MOST_PLANS: Final = 20
 """Runs whose actions a page lists one by one."""
 _ON_TERMINAL: Final = 20
 """Failures that the terminal lists."""
-_MOST_POINTS: Final = 300
-"""Of a line of a drawing."""
 
 REPLAY: Final = (
     "Replay, from the folder of this report: craftsim replay BUNDLE. The first failure of a run, of an action that the "
@@ -72,15 +63,15 @@ class RunFailure(NamedTuple):
 
     run: str
     attempt: Mapping[str, Any] | None
-    """None where it is the run that failed."""
+    """None if the run as a whole failed."""
     error: str
     kept: str
-    """What shows it again, relative to the report's folder, empty where nothing does: the replay bundle of a run's
-    first action that the rules allow and that did not go as predicted, or the trajectory of a demonstration."""
+    """File that shows it, relative to the report's folder, or empty: the replay bundle of a run's first failure of a
+    legal action, or the trajectory of a demonstration."""
 
     @property
     def result(self) -> Cell:
-        """What became of it, in a word or two."""
+        """The result in one or two words."""
         if self.attempt is None:
             return Cell("error", Tone.MUTED)
         text = self.attempt["result"] if self.attempt["legal"] else "not tried"
@@ -88,7 +79,7 @@ class RunFailure(NamedTuple):
 
     @property
     def case(self) -> Case:
-        """It in detail."""
+        """The failure in detail."""
         text, tone, what = self.result.text, self.result.tone, self.attempt
         if what is None:
             return case_of(self.run, text, tone, self.error)
@@ -101,7 +92,7 @@ class RunFailure(NamedTuple):
 
     @property
     def row(self) -> tuple[Value, ...]:
-        """It as a row of :func:`failures_section`."""
+        """A row of the table of :func:`failures_section`."""
         what, kept = self.attempt, self.kept or None
         if what is None:
             return self.run, None, None, None, self.result, None, self.error, kept
@@ -190,58 +181,6 @@ def actions_section(runs: Iterable[tuple[str, Sequence[Attempt]]], total: int) -
         blocks.append(Group(name, [actions_table(attempts, "")], *badge))
     blocks += [f"{count(total - MOST_PLANS, 'more run')}: in trials.jsonl."] if total > MOST_PLANS else []
     return Section("actions", title, lead, blocks)
-
-
-class RecordedRun(NamedTuple):
-    """A run whose trajectory should lie beside the page."""
-
-    title: str
-    file: str
-    """Relative to the page."""
-    agrees: bool
-    """Whether physics did what the rules predict."""
-
-
-def recorded_runs(items: Sequence[Trial], records: Sequence[TrialRecord]) -> list[RecordedRun]:
-    """Return the runs that were recorded and finished, those first that disagree."""
-    ended = [
-        RecordedRun(item.key, f"{TRAJECTORIES}/{item.job.file_name}{SUFFIX}", record["agrees"])
-        for item, record in zip(items, records, strict=False)
-        if item.job.terms.record and record["error"] is None
-    ]
-    return sorted(ended, key=lambda run: run.agrees)
-
-
-def recorded_section(out: Path, runs: Iterable[RecordedRun]) -> list[Section]:
-    """Return drawings of what recorded runs did; nothing where none was recorded in the folder ``out``."""
-    there = [run for run in runs if (out / run.file).is_file()]
-    if not there:
-        return []
-    blocks: list[Block] = [_recorded(out, run, not number) for number, run in enumerate(there[:MOST_RUNS])]
-    blocks.append(
-        f"All {count(len(there), 'recorded run')}, as PDF and PNG: craftsim plot . in the folder of this page."
-    )
-    lead = "What cars did and bore: framed actions, and the numbered marks at their ends, did not go as predicted."
-    return [Section("recorded", "Recorded runs", lead, blocks)]
-
-
-def _recorded(out: Path, run: RecordedRun, first: bool) -> Group:
-    badge, tone = ("", Tone.PLAIN) if run.agrees else ("disagrees", Tone.CAUTION)
-    try:
-        signals = Signals.of(Trajectory.read(out / run.file))
-    except InputError as error:
-        # A finished campaign gets its page, whatever became of a trajectory.
-        return Group(run.title, [f"No figures: {error}"], badge, tone, first)
-    drawings = [
-        Drawing(
-            *(plot.draw, plot.height_in, plot.caption, f"{run.title}: {plot.caption}"),
-            width_in=WIDTH_IN,
-            wide=True,
-            style=DENSE,
-        )
-        for plot in plots_of(signals, _MOST_POINTS)
-    ]
-    return Group(run.title, drawings, badge, tone, first)
 
 
 def smallest_section(found: Sequence[Counterexample]) -> list[Section]:

@@ -6,7 +6,7 @@ import html
 import math
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,16 +24,16 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.errors import InputError
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.durations import write_durations
-from craftsim.experiments.experiment import Experiment, Progress, RunOptions, Trial, TrialRecord
+from craftsim.experiments.experiment import Experiment, Progress, TrialRecord
 from craftsim.experiments.intervals import Proportion
-from craftsim.experiments.records import Finished
-from craftsim.experiments.session import Session, open_session
+from craftsim.experiments.session import open_session
 from craftsim.experiments.statistics import Figures, campaign_figures
 from craftsim.options import Physics, Rollouts, Trials, changed
 from craftsim.planning import Planned, plan_building
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.validation.choice import (
+    AUTO,
     PLANNER,
     PLAY,
     World,
@@ -41,14 +41,15 @@ from craftsim.validation.choice import (
     items_of,
     plan_pilot,
     policy_pilot,
+    replanning_pilot,
     subjects_of,
 )
 from craftsim.validation.forms import BUILDS, RUNS
 from craftsim.validation.minimize import Counterexample, MinimizeProgress, minimize_failures
-from craftsim.validation.play import Coverage
+from craftsim.validation.play import coverage_of
 from craftsim.validation.policies import RANDOM
 from craftsim.validation.replanning import Replanning
-from craftsim.validation.rollout import PlanOrder, Run, Terms, do_run, roll_out
+from craftsim.validation.rollout import PlanOrder, do_run, roll_out
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -60,37 +61,24 @@ _FORMER: Final = {"against": "baseline", "shrink": "minimize"}
 """Former names of arguments of validate."""
 
 
-@dataclass(frozen=True)
-class BuildFigures:
-    """Metrics of all buildings of a run; times are medians in simulated seconds."""
+def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
+    """Return the metrics of all buildings of a run.
 
-    built: Proportion
-    """Share built of all that finished, with any number of plans."""
-    endings: dict[str, int]
-    """Number built, given up, or unreadable."""
-    replans: int
-    """Total number of further plans."""
-    disturbed: int
-    """Buildings in which the disturbance took place."""
-    planned_s: float | None
-    """Predicted makespan of the first plan."""
-    real_s: float | None
-    """Makespan of what was built."""
-
-    @classmethod
-    def of(cls, records: Iterable[TrialRecord]) -> BuildFigures:
-        """Return the metrics of the buildings in some records."""
-        extras = [record["extra"] for record in records if record["error"] is None]
-        endings = Counter(extra["ended"] for extra in extras)
-        times = [extra["makespan_s"] for extra in extras if extra["ended"] == "built"]
-        return cls(
-            built=Proportion.of(endings["built"], len(extras)),
-            endings=dict(sorted(endings.items())),
-            replans=sum(extra["replans"] for extra in extras),
-            disturbed=sum(bool(extra["disturbed"]) for extra in extras),
-            planned_s=median(extra["planned_s"] for extra in extras) if extras else None,
-            real_s=median(times) if times else None,
-        )
+    They are the share built of all that finished, how many ended in which way, the number of further plans, in how many
+    the disturbance took place, and the medians of the first plan's predicted and of the real makespan in simulated
+    seconds.
+    """
+    extras = [record["extra"] for record in records if record["error"] is None]
+    endings = Counter(extra["ended"] for extra in extras)
+    times = [extra["makespan_s"] for extra in extras if extra["ended"] == "built"]
+    return {
+        "built": Proportion.of(endings["built"], len(extras)),
+        "endings": dict(sorted(endings.items())),
+        "replans": sum(extra["replans"] for extra in extras),
+        "disturbed": sum(bool(extra["disturbed"]) for extra in extras),
+        "planned_s": median(extra["planned_s"] for extra in extras) if extras else None,
+        "real_s": median(times) if times else None,
+    }
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,21 +100,19 @@ class Validation:
     config: dict[str, Any]
     """The configuration, without the seed."""
     seed: int
-    items: Sequence[Trial]
-    """The trials, parallel to the records."""
     comparison: Comparison | None = None
     """Comparison with the baseline run, if given."""
-    coverage: Coverage | None = None
-    """Coverage of random play, if any."""
+    coverage: dict[str, Any] | None = None
+    """Coverage of random play, if any, as of :func:`craftsim.validation.play.coverage_of`."""
     smallest: tuple[Counterexample, ...] = ()
     """The first failure of each kind in its smallest world, with the option ``minimize``."""
-    builds: BuildFigures | None = None
-    """Metrics of buildings with replanning."""
+    builds: dict[str, Any] | None = None
+    """Metrics of buildings with replanning, as of :func:`build_figures`."""
 
     @property
     def all_built(self) -> bool:
         """Whether every building with replanning was built."""
-        return self.builds is not None and self.builds.endings.get("built", 0) == len(self.records)
+        return self.builds is not None and self.builds["endings"].get("built", 0) == len(self.records)
 
     @property
     def agrees(self) -> bool:
@@ -193,9 +179,10 @@ def validate(
         minimize: progress of the minimization of the first failure of each kind; None for no minimization.
         options: any field of :class:`craftsim.options.Rollouts`, :class:`~craftsim.options.Physics` and
             :class:`~craftsim.options.Trials` by name, such as ``policy``, ``randomize`` or ``trials``. In addition to
-            the values on the command line, ``plan`` may be a Plan, ``policy`` a function from the observations by agent
-            to the actions by agent, ``gains`` Gains, ``machines`` Machines, ``noise`` and ``assume`` SensorNoise, and
-            ``skills`` a mapping such as ``{Action.LIFT: MyLift}`` with subclasses of :class:`craftsim.Skill`.
+            the values on the command line, ``plan`` may be a Plan or Replanning, ``policy`` a function from the
+            observations by agent to the actions by agent, ``gains`` Gains, ``machines`` Machines, ``noise`` and
+            ``assume`` SensorNoise, and ``skills`` a mapping such as
+            ``{Action.LIFT: MyLift}`` with subclasses of :class:`craftsim.Skill`.
 
     Raises:
         InputError: an argument, or a file that it names, is invalid.
@@ -227,7 +214,11 @@ def validate(
             "several workers, an engine, resume, baseline, minimize and record need the folder 'out'"
         )
     subjects = subjects_of(several, what.n_cars, what.n_blocks, what.max_steps)
-    if plan is not None:
+    replanning: Replanning | None = None
+    if isinstance(plan, Replanning) or plan == AUTO:
+        replanning = plan if isinstance(plan, Replanning) else Replanning()
+        pilots = [replanning_pilot(replanning, subjects)]
+    elif plan is not None:
         read = plan if isinstance(plan, Plan) else read_plan(Path(plan), subjects[0].n_cars)
         pilots = [plan_pilot(read, order)]
     elif actions is not None:
@@ -253,93 +244,36 @@ def validate(
         "digests": setup.digests,
     }
     check_starts(subjects, setup, seed)
-    terms = Terms(seed, setup, None if folder is None else folder.resolve(), tuple(observers), record)
-    items = list(items_of(subjects, pilots, trials, terms))
-    experiment = Experiment("validate", seed, config, items, do_run, RUNS, timeout_s)
+    terms = {"out": folder and folder.resolve(), "observers": tuple(observers), "record": record}
+    items = list(items_of(subjects, pilots, trials, seed, setup, order=order, **terms))
+    form = RUNS if replanning is None else BUILDS
+    experiment = Experiment("validate", seed, config, items, do_run, form, timeout_s)
     how = campaign.run(progress)
-
-    def find(session: Session, records: Sequence[TrialRecord]) -> dict[str, Any]:
+    earlier = read_earlier(experiment, folder, how)
+    if replanning is not None:
+        # Fail before the run starts if nothing can be built; finding out may take long.
+        rng, rules = np.random.default_rng(seed), Rules(setup.rules)
+        first = as_task(items[0].job.world).for_episode(rng)
+        rounds = replanning.rounds
+        plan_building(first.draw(rng), first, rules, rounds=rounds, time_s=math.inf, report=_enough)
+    with open_session(experiment, folder, how) as session:
+        records = session.run()
+        figures = campaign_figures(records, seed)
+        comparison = None if earlier is None else compare_runs(earlier, session)
         smallest = () if minimize is None else minimize_failures(session, records, minimize)
-        return {"coverage": Coverage.of(records), "smallest": smallest}
-
-    return _run(experiment, folder, how, read_earlier(experiment, folder, how), find)
-
-
-def build_all(
-    task: Task,
-    setup: Setup,
-    asked: Replanning,
-    *,
-    trials: int,
-    seed: int,
-    out: Path,
-    options: RunOptions,
-    timeout_s: float = 600.0,
-    record: bool = False,
-) -> Validation:
-    """Build the goal of a task repeatedly, with replanning after failures.
-
-    Args:
-        task: a task with a goal.
-        setup: configuration of the physics.
-        asked: number of plans, and the disturbance.
-        trials: number of buildings.
-        seed: random seed.
-        out: folder for ``report.json``, ``trials.jsonl`` and bundles.
-        options: how the experiment is run.
-        timeout_s: time limit of a building.
-        record: write a trajectory of each.
-
-    Raises InputError for invalid combinations, and NoPlanError if there is no plan from the start.
-    """
-    subjects = subjects_of([task])
-    check_starts(subjects, setup, seed)
-    config: dict[str, Any] = {
-        "world": subjects[0].digest,
-        "trials": trials,
-        "asked": asked,
-        "record": record,
-        "setup": setup,
-        "digests": setup.digests,
-    }
-    terms = Terms(seed, setup, out.resolve(), record=record)
-    runs = [Run(f"{task.name}/{episode:04d}", task, asked, episode, terms) for episode in range(trials)]
-    items = [Trial(run.key, "built", seed, run, task.name, run.episode) for run in runs]
-    experiment = Experiment("build", seed, config, items, do_run, BUILDS, timeout_s)
-    earlier = read_earlier(experiment, out, options)
-    # Fail before the run starts if nothing can be built; finding out may take long.
-    rng, rules = np.random.default_rng(seed), Rules(setup.rules)
-    first = task.for_episode(rng)
-    plan_building(first.draw(rng), first, rules, rounds=asked.rounds, time_s=math.inf, report=_enough)
-    return _run(
-        experiment, out, options, earlier, lambda session, records: {"builds": BuildFigures.of(records)}
-    )
+        found: dict[str, Any] = {"coverage": coverage_of(records), "smallest": smallest}
+        if replanning is not None:
+            found["builds"] = build_figures(records)
+        session.write_report({"validation": figures, "paired": comparison, **found})
+        if folder is not None:
+            write_durations(folder, figures.durations)
+    return Validation(records, figures, config, seed, comparison, **found)
 
 
 def _enough(number: int, best: Planned | None) -> None:
     """Stop planning as soon as there is a plan."""
     if best is not None:
         raise KeyboardInterrupt
-
-
-def _run(
-    experiment: Experiment,
-    folder: Path | None,
-    how: RunOptions,
-    earlier: Finished | None,
-    find: Callable[[Session, Sequence[TrialRecord]], Mapping[str, Any]],
-) -> Validation:
-    """Run an experiment and report on it; ``found`` are further fields of Validation."""
-    with open_session(experiment, folder, how) as session:
-        records = session.run()
-        figures = campaign_figures(records, experiment.seed)
-        comparison = None if earlier is None else compare_runs(earlier, session)
-        found = find(session, records)
-        session.write_report({"validation": figures, "paired": comparison, **found})
-        if folder is not None:
-            write_durations(folder, figures.durations)
-    config = dict(experiment.config)
-    return Validation(records, figures, config, experiment.seed, experiment.items, comparison, **found)
 
 
 def read_goal(start: str, goal: Path | None) -> Task:
@@ -376,7 +310,7 @@ def record_once(
         pilot = plan_pilot(read_plan(plan, subjects[0].n_cars), order)
     else:
         pilot = policy_pilot(policy or PLANNER, subjects, order, setup.rules)
-    (item,) = items_of(subjects, [pilot], 1, Terms(seed, setup))
-    trajectory = roll_out(item.job, record=True).trajectory
+    (item,) = items_of(subjects, [pilot], 1, seed, setup, order=order, record=True)
+    trajectory = roll_out(item.job).trajectory
     assert trajectory is not None
     return trajectory

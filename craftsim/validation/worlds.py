@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -19,12 +19,12 @@ LENGTHS: Final = (4, 12)
 """Least and largest number of cells along x and along y."""
 HEIGHTS: Final = (1, 5)
 _MAX_BLOCKS: Final = 40
-"""More of them make physics slow, not the world richer."""
+"""Limit for the speed of the physics."""
 _TRIES: Final = 200
 _LEVELLING: Final = 8
-"""How many blocks may be added to make room for one slope."""
+"""Maximum number of blocks added below one slope."""
 _PATCH: Final = 4
-"""Terraces are below this many cells long and wide."""
+"""Upper bound of the length and width of a terrace in cells, exclusive."""
 _LOADS: Final = (Kind.BLOCK, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.FSLOPE)
 
 
@@ -39,7 +39,7 @@ class RandomWorlds:
     n_cars: int | None = None
     """Drawn unless given."""
     n_blocks: int | None = None
-    """Of the stacks, about; drawn unless given."""
+    """Approximate number of blocks in stacks; drawn unless given."""
     max_steps: int = 14
     """An episode has two ticks more (docs/rules.md#episode-length)."""
 
@@ -72,7 +72,7 @@ class RandomWorlds:
 
 
 class _Drawing:
-    """One world in the making."""
+    """The drawing of one world."""
 
     def __init__(self, family: RandomWorlds, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -82,9 +82,9 @@ class _Drawing:
         n_cars = drawn if family.n_cars is None else family.n_cars
         self.grid = Grid.empty((length, width, height), n_cars)
         self.tops = np.zeros((length, width), np.int64)
-        """How many blocks are in each column."""
+        """Number of blocks by column."""
         self.taken: set[tuple[int, int]] = set()
-        """Columns on whose blocks something stands."""
+        """Columns with something on their blocks."""
         budget = int(rng.integers(min(length * width, _MAX_BLOCKS) + 1))
         self._terraces(budget if family.n_blocks is None else family.n_blocks)
         for _ in range(int(rng.integers(5))):
@@ -166,62 +166,52 @@ class _Drawing:
 
     def _cars(self, n_cars: int) -> None:
         """Put all cars down, one after the other, and let some carry something."""
-        shares = [place.share for place in _PLACES]
-        drawn = [_PLACES[i] for i in self.rng.choice(len(_PLACES), _TRIES, p=shares).tolist()]
+        names, shares = list(_PLACES), [share for share, _ in _PLACES.values()]
+        drawn = [names[i] for i in self.rng.choice(len(names), _TRIES, p=shares).tolist()]
         # Those on ramps come first, while their ways are free.
-        wanted = sorted(drawn[:n_cars], key=lambda place: place.at_ramp, reverse=True) + drawn[n_cars:]
-        places: list[_Place] = []
+        wanted = sorted(drawn[:n_cars], key=lambda place: "a ramp" in place, reverse=True) + drawn[n_cars:]
+        places: list[str] = []
         for place in wanted:
             if len(places) < n_cars and _put_car(self.grid, len(places), place, self.rng):
                 places.append(place)
         self.grid.cars = self.grid.cars[: len(places)].copy()
         for car, place in enumerate(places):
-            _put_load(self.grid, car, place, self.rng)
+            _put_load(self.grid, car, _PLACES[place][1], self.rng)
 
 
-class _Place(NamedTuple):
-    """Where a car starts."""
+_PLACES: Final = {
+    "on top": (0.2, 0.4),
+    "under": (0.15, 0.0),
+    "under a slope": (0.1, 0.0),
+    "on a ramp": (0.2, 0.5),
+    "before a ramp": (0.35, 0.5),
+}
+"""Kinds of places where a car starts, with the probabilities that it starts there and that it carries something there.
 
-    share: float
-    """How likely it starts there."""
-    loaded: float
-    """How likely it carries something there."""
-    at_ramp: bool = False
-    """Whether it is on a ramp, or before one."""
-
-
-_ON_TOP: Final = _Place(0.2, 0.4)
-"""On the ground or on top of a stack, the highest included, where it is above the top level."""
-_UNDER: Final = _Place(0.15, 0.0)
-"""Under a block or a flag, in a stack or not."""
-_UNDER_SLOPE: Final = _Place(0.1, 0.0)
-"""Under a slope, folded or not."""
-_ON_RAMP: Final = _Place(0.2, 0.5, True)
-"""On the foot or over the body of a ramp, up or down."""
-_BEFORE_RAMP: Final = _Place(0.35, 0.5, True)
-"""Before the foot or on the landing of a ramp, about to drive it."""
-_PLACES: Final = (_ON_TOP, _UNDER, _UNDER_SLOPE, _ON_RAMP, _BEFORE_RAMP)
+On top: on the ground or on a stack, the highest included, where it is above the top level; under: under a block or a
+flag, in a stack or not; under a slope, folded or not; on the foot or over the body of a ramp, up or down; before the
+foot or on the landing of a ramp, about to drive it.
+"""
 
 
-def _put_car(grid: Grid, car: int, place: _Place, rng: np.random.Generator) -> bool:
+def _put_car(grid: Grid, car: int, place: str, rng: np.random.Generator) -> bool:
     """Put a car into a drawn cell of a kind of places, after those with lower numbers; return whether there is one."""
     taken = {tuple(row[: CarField.Z + 1]) for row in grid.cars[:car].tolist()}
     columns = {cell[:2] for cell in taken}
-    free = [start for start in _cells(grid, place) if start.cell not in taken and not start.way & columns]
+    free = [start for start in _cells(grid, place) if start[0] not in taken and not start[3] & columns]
     if not free:
         return False
-    start = free[int(rng.integers(len(free)))]
-    yaw = start.yaws[int(rng.integers(len(start.yaws)))]
-    grid.cars[car] = (*start.cell, yaw, Kind.AIR, 0, start.slope)
+    cell, yaws, slope, _ = free[int(rng.integers(len(free)))]
+    grid.cars[car] = (*cell, yaws[int(rng.integers(len(yaws)))], Kind.AIR, 0, slope)
     return True
 
 
-def _put_load(grid: Grid, car: int, place: _Place, rng: np.random.Generator) -> None:
-    """Let a car carry something, if the draw says so and there is room for it."""
+def _put_load(grid: Grid, car: int, share: float, rng: np.random.Generator) -> None:
+    """Let a car carry something with a probability, if there is room for it."""
     row = grid.cars[car]
     chance, load = rng.random(), _LOADS[int(rng.integers(len(_LOADS)))]
     cell = (int(row[CarField.X]), int(row[CarField.Y]), int(row[CarField.Z]))
-    if chance >= place.loaded or grid.kind_at(cell) not in (Kind.AIR, Kind.FOOT):
+    if chance >= share or grid.kind_at(cell) not in (Kind.AIR, Kind.FOOT):
         return
     back = (int(row[CarField.YAW]) + 2) % 4
     row[CarField.LOAD], row[CarField.LOAD_YAW] = load, back if load == Kind.FSLOPE else 0
@@ -229,17 +219,13 @@ def _put_load(grid: Grid, car: int, place: _Place, rng: np.random.Generator) -> 
         row[CarField.LOAD], row[CarField.LOAD_YAW] = Kind.AIR, 0
 
 
-class _Start(NamedTuple):
-    cell: Cell
-    yaws: tuple[int, ...] = (0, 1, 2, 3)
-    """Those that a car can have there."""
-    slope: int = 0
-    """The half of a slope that it is on."""
-    way: frozenset[tuple[int, int]] = frozenset()
-    """Columns of a ramp, end and landing included, where no other car may be: it would block the way."""
+_Start = tuple[Cell, tuple[int, ...], int, frozenset[tuple[int, int]]]
+"""A cell, the headings that a car can have there, and the half of a slope that it is on, as in :class:`CarField`; and
+the columns of a ramp, end and landing included, where no other car may be: it would block the way."""
+_ANY: Final = (0, 1, 2, 3)
 
 
-def _cells(grid: Grid, place: _Place) -> list[_Start]:
+def _cells(grid: Grid, place: str) -> list[_Start]:
     """Return the cells of a kind of places."""
     found: list[_Start] = []
     length, width, height = grid.size
@@ -247,20 +233,20 @@ def _cells(grid: Grid, place: _Place) -> list[_Start]:
         cell = (x, y, z + 1)
         here, below = grid.kind_at(cell), grid.kind_at((x, y, z))
         along = int(grid.yaw[cell]) if z < height else 0
-        on_top = place is _ON_TOP and here == Kind.AIR and below in (Kind.GROUND, Kind.BLOCK)
-        if on_top or (place is _UNDER and here in (Kind.BLOCK, Kind.FLAG)):
-            found.append(_Start(cell))
-        elif place is _UNDER_SLOPE and here in (Kind.FSLOPE, Kind.BODY):
-            found.append(_Start(cell, ((along + 2) % 4,)))
-        elif place.at_ramp and here == Kind.BODY:
+        on_top = place == "on top" and here == Kind.AIR and below in (Kind.GROUND, Kind.BLOCK)
+        if on_top or (place == "under" and here in (Kind.BLOCK, Kind.FLAG)):
+            found.append((cell, _ANY, 0, frozenset()))
+        elif place == "under a slope" and here in (Kind.FSLOPE, Kind.BODY):
+            found.append((cell, ((along + 2) % 4,), 0, frozenset()))
+        elif "a ramp" in place and here == Kind.BODY:
             way, up, above = _way(cell, along), (along + 2) % 4, (x, y, z + 2)
-            if place is _ON_RAMP:
-                found.append(_Start(beside(cell, along), (along, up), 1, way))
+            if place == "on a ramp":
+                found.append((beside(cell, along), (along, up), 1, way))
                 if grid.kind_at(above) == Kind.AIR:
-                    found.append(_Start(above, (along, up), 2, way))
+                    found.append((above, (along, up), 2, way))
                 continue
             ends = ((beside(beside(cell, along), along), up), (beside(above, up), along))
-            found += [_Start(there, (yaw,), 0, way) for there, yaw in ends if _free(grid, there)]
+            found += [(there, (yaw,), 0, way) for there, yaw in ends if _free(grid, there)]
     return found
 
 

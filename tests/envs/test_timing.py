@@ -66,13 +66,13 @@ def test_a_ratio_to_the_reference_does_not_depend_on_how_fast_the_machine_is(mon
     monkeypatch.setattr(calibration, "time", clock)
     monkeypatch.setattr(calibration, "unit", unit)
     one = measure(slowed(1), 1, 0.3, "simple_two_story", helper=True)
-    assert one.per_unit == pytest.approx(1.0)
-    assert one.times == pytest.approx(1 / REFERENCE_PER_UNIT["simple_two_story"])
+    assert one["per_unit"] == pytest.approx(1.0)
+    assert one["times"] == pytest.approx(1 / REFERENCE_PER_UNIT["simple_two_story"])
     two = measure(slowed(2), 1, 0.3, "simple_two_story", helper=True)
-    assert two.per_unit == pytest.approx(0.5)
+    assert two["per_unit"] == pytest.approx(0.5)
     many = measure(slowed(2), 10, 0.3, "complex_two_story", helper=False)
-    assert many.per_unit == pytest.approx(5.0)
-    assert many.times == pytest.approx(
+    assert many["per_unit"] == pytest.approx(5.0)
+    assert many["times"] == pytest.approx(
         5 / REFERENCE_PER_UNIT["complex_two_story"] / PRIMITIVE_TIMES_HELPER["complex_two_story"]
     )
 

@@ -18,7 +18,7 @@ from craftsim.experiments.statistics import campaign_figures
 from craftsim.validation.audit import audit_rows
 from craftsim.validation.forms import RUNS
 from craftsim.validation.minimize import first_of_each_kind
-from craftsim.validation.play import Coverage
+from craftsim.validation.play import coverage_of
 from craftsim.validation.report import runs_table
 
 EXTRA = {
@@ -108,7 +108,7 @@ def against(folder: Path) -> None:
     records = read_finished(folder, "validate", RUNS).records
     if sum(zlib.crc32(path.read_bytes()) for path in folder.iterdir()) % 50 == 0:
         campaign_figures(records, 0)
-        Coverage.of(records)
+        coverage_of(records)
         runs_table(records)
         audit_rows(records)
         first_of_each_kind(records)

@@ -17,7 +17,7 @@ from craftsim.robots.simulated import SimulatedClock, simulated_network, simulat
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command
 from craftsim.validation.replanning import Replanning
-from craftsim.validation.rollout import Run, Terms, roll_out
+from craftsim.validation.rollout import Run, roll_out
 from craftsim.validation.validation import read_goal
 
 BUSY = Network(0.03, 0.01, 0.02)
@@ -99,8 +99,9 @@ def test_a_plan_is_made_anew_without_a_car_that_does_not_answer(silent, tmp_path
     write_blueprint(grid, tmp_path / "start.yaml")
     (tmp_path / "goal.yaml").write_text("block:\n  - {id: 0, x: 3, y: 1, z: 1}\n")
     task = read_goal(str(tmp_path / "start.yaml"), tmp_path / "goal.yaml")
-    terms = Terms(0, setup_of(drive="reduced"), set_up=simulated_network(BUSY))
-    done = roll_out(Run("one", task, Replanning(3, 3), 0, terms)).episode
+    where, setup = simulated_network(BUSY), setup_of(drive="reduced")
+    run = Run(key="one", world=task, by=Replanning(3, 3), seed=0, setup=setup, set_up=where)
+    done = roll_out(run).episode
     assert done.ending["ended"] == "built", done.ending
     assert done.ending["replans"] >= 1
     failed = [attempt for attempt in done.attempts if attempt.performed and attempt.skill != "succeeded"]

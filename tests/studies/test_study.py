@@ -1,10 +1,7 @@
 """Studies: what is read, what is refused, and that an interrupted one goes on."""
 
-import io
 import json
 import re
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,13 +10,11 @@ from owner import owner
 from sessions import cut_off
 
 from craftsim.cli import main
-from craftsim.cli import train as train_command
 from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
 from craftsim.studies.report import conclusions, runs_table
 from craftsim.studies.runs import RUNS, train_and_evaluate
 from craftsim.studies.study import SHIPPED, Study, read_study
-from craftsim.training.curve import CURVE_FILE, CurvePoint, read_last, write_curve
 
 TEXT = """
 title: Tiny
@@ -64,34 +59,6 @@ def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
     assert again["wall"]["cpu_s"] == whole["wall"]["cpu_s"]
     tiny.write_text(TEXT.replace("seeds: 2", "seeds: 3"))
     assert main(["study", str(tiny), "--out", str(out), "--resume"]) == 2
-
-
-def test_progress_says_how_far_each_run_is(tiny, tmp_path, monkeypatch):
-    monkeypatch.setattr(train_command, "EVERY_S", 0.01)
-    said = io.StringIO()
-    monkeypatch.setattr(sys, "stdout", said)
-    monkeypatch.setenv("COLUMNS", "200")
-    study = read_study(str(tiny))
-    first, second = study.runs
-    with train_command.watching(study, tmp_path, 2) as on_record:
-        (tmp_path / "runs" / first.key).mkdir(parents=True)
-        _wait_for("0 of 2 runs done, 0 reached 0.99; strip/ippo/0: no evaluation yet", said)
-        write_curve(
-            tmp_path / "runs" / first.key / CURVE_FILE, [CurvePoint(20, 5, 0.0, 1.0, 1, 0, 1, steps=1200)]
-        )
-        _wait_for("strip/ippo/0: 1,200 of at most 400 steps, success 0.25", said)
-        on_record({"key": first.key, "agrees": True})
-        (tmp_path / "runs" / second.key).mkdir(parents=True)
-        _wait_for("1 of 2 runs done, 1 reached 0.99; strip/ippo/1: no evaluation yet", said)
-    lines = said.getvalue().splitlines()
-    assert len(lines) == len(set(lines))
-
-
-def _wait_for(text, said):
-    end = time.monotonic() + 60
-    while text not in said.getvalue():
-        assert time.monotonic() < end, said.getvalue()
-        time.sleep(0.01)
 
 
 def test_one_seed_has_no_interval():
@@ -190,12 +157,6 @@ def test_two_tasks_of_one_name_are_not_mixed(tmp_path):
     names = [str(tmp_path / folder / "own.yaml") for folder in "ab"]
     with pytest.raises(InputError, match="are both called 'own'"):
         Study(title="T", tasks=tuple(names), settings={"worlds": 2, "width": 4})
-
-
-def test_progress_lives_with_a_curve_that_is_none(tmp_path):
-    for text in ("", "steps\n", "steps,successes,episodes\n1,1,0\n", "\xff\x00"):
-        (tmp_path / CURVE_FILE).write_text(text, encoding="latin-1")
-        assert read_last(tmp_path / CURVE_FILE) is None
 
 
 def test_a_shipped_study_is_found_by_name_and_not_hidden_by_a_folder_for_its_results(tmp_path, monkeypatch):

@@ -83,7 +83,7 @@ def test_known_unsound_rules_are_found_unsound_with_a_reason(found):
     assert rows[CONSERVATIVE].verdict == "conservative"
     assert sum(row.verdict == "sound" for row in rows.values()) == 1
     assert AT_ONCE not in rows, "what is begun at once is evidence only"
-    assert "begun all at once" in next(one for one in found.suspects if one.number == 3).evidence
+    assert "begun all at once" in next(one for one in found.suspects if one["number"] == 3)["evidence"]
 
 
 def test_a_bundle_that_is_there_is_not_made_again_and_one_that_comes_out_otherwise_stops_the_audit(tmp_path):

@@ -20,7 +20,6 @@ from craftsim.validation.margins import (
     SHARE,
     TRIALS,
     MarginSearch,
-    ScenarioSetup,
     confidence,
     find,
     scenarios,
@@ -33,7 +32,7 @@ NOMINAL = setup_of("none", drive="reduced")
 
 @pytest.mark.parametrize("scenario", CHOSEN, ids=lambda one: one.name)
 def test_every_scenario_is_legal_and_stood_without_imperfections(scenario):
-    attempts, reason = ScenarioSetup(scenario, NOMINAL, 3).attempt(0)
+    attempts, reason = MarginSearch(scenario, NOMINAL, 3, (), 1).attempt(0)
     assert attempts
     assert reason == ""
 
@@ -44,19 +43,17 @@ def test_names_of_scenarios_are_their_own():
 
 
 def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
-    rig, (axis,) = (
-        ScenarioSetup(scenarios("lift a block")[0], NOMINAL, 0),
-        imperfections_of(["position-bias"]),
-    )
-    found = find(MarginSearch(rig, (axis,), 7)).extra
+    (axis,) = imperfections_of(["position-bias"])
+    one = MarginSearch(scenarios("lift a block")[0], NOMINAL, 0, (axis,), 7)
+    found = find(one).extra
     assert found["end"] == "edge"
-    assert all(not rig.attempt(number, [(axis, found["margin"])])[1] for number in range(7))
-    assert rig.attempt(found["trial"], [(axis, found["fails_at"])])[1] == found["reason"]
+    assert all(not one.attempt(number, [(axis, found["margin"])])[1] for number in range(7))
+    assert one.attempt(found["trial"], [(axis, found["fails_at"])])[1] == found["reason"]
 
 
 def test_an_imperfection_that_changes_nothing_has_no_effect():
-    rig = ScenarioSetup(scenarios("move unloaded")[0], NOMINAL, 0)
-    found = find(MarginSearch(rig, imperfections_of(["hinge-bias"]), 7)).extra
+    axes = imperfections_of(["hinge-bias"])
+    found = find(MarginSearch(scenarios("move unloaded")[0], NOMINAL, 0, axes, 7)).extra
     assert (found["end"], found["tried"]) == ("no effect", 6)
 
 
@@ -87,11 +84,8 @@ def test_a_report_holds_margins_maps_and_bundles_that_replay(searched, capsys):
 def test_a_search_finds_the_same_in_any_process(searched):
     out, _ = searched
     first = json.loads((out / "trials.jsonl").read_text().splitlines()[0])
-    (axis,) = imperfections_of(["position-bias"])
-    assert (
-        find(MarginSearch(ScenarioSetup(scenarios("lift a block")[0], NOMINAL, 2), (axis,), 1)).extra
-        == first["extra"]
-    )
+    one = MarginSearch(scenarios("lift a block")[0], NOMINAL, 2, imperfections_of(["position-bias"]), 1)
+    assert find(one).extra == first["extra"]
 
 
 def test_a_finished_search_is_compared_with_an_earlier_one(searched, tmp_path, capsys):
@@ -121,23 +115,18 @@ def _stands(critical):
 
 def test_the_margin_is_what_the_weakest_trial_stands():
     critical = np.random.default_rng(1).integers(5, 60, TRIALS)
-    found = search(_stands(critical), LEVELS, TRIALS)
-    assert found.margin == min(critical)
-    assert found.upper == sorted(critical[:16])[2] + 1
-    trial, level = found.edge
-    assert level == found.margin + 1
-    assert critical[trial] == found.margin
+    margin, upper, (trial, level) = search(_stands(critical), LEVELS, TRIALS)
+    assert margin == critical[trial] == min(critical)
+    assert upper == sorted(critical[:16])[2] + 1
+    assert level == margin + 1
 
 
 def test_what_all_stand_has_no_edge():
-    found = search(_stands([LEVELS] * 20), LEVELS, 20)
-    assert (found.margin, found.upper, found.edge) == (LEVELS, None, None)
+    assert search(_stands([LEVELS] * 20), LEVELS, 20) == (LEVELS, None, None)
 
 
 def test_a_base_that_is_not_stood_ends_the_search():
-    found = search(_stands([7] * 19 + [-1]), LEVELS, 20)
-    assert found.margin is None
-    assert found.edge == (19, BASE)
+    assert search(_stands([7] * 19 + [-1]), LEVELS, 20) == (None, None, (19, BASE))
 
 
 def test_at_the_margin_every_trial_stands_even_where_higher_levels_are_stood_and_lower_ones_not():
@@ -147,9 +136,9 @@ def test_at_the_margin_every_trial_stands_even_where_higher_levels_are_stood_and
     def stands(trial, level):
         return not 3 <= level <= 6 if trial == 0 else level <= critical[trial]
 
-    found = search(stands, LEVELS, 7)
-    assert all(stands(trial, found.margin) for trial in range(7))
-    assert not stands(*found.edge)
+    margin, _, edge = search(stands, LEVELS, 7)
+    assert all(stands(trial, margin) for trial in range(7))
+    assert not stands(*edge)
 
 
 def test_a_margin_takes_few_trials():
@@ -173,9 +162,9 @@ def test_margins_of_drawn_worlds_are_stood_by_95_percent_as_often_as_claimed():
     rng, held = np.random.default_rng(3), []
     for _ in range(100):
         critical = np.floor(rng.normal(20, 4, TRIALS)).astype(int)
-        found = search(_stands(critical), LEVELS, TRIALS)
-        lower = np.mean(np.floor(rng.normal(20, 4, 2000)) >= found.margin) >= 0.94
-        upper = found.upper is None or np.mean(np.floor(rng.normal(20, 4, 2000)) < found.upper) >= 0.04
+        margin, above, _ = search(_stands(critical), LEVELS, TRIALS)
+        lower = np.mean(np.floor(rng.normal(20, 4, 2000)) >= margin) >= 0.94
+        upper = above is None or np.mean(np.floor(rng.normal(20, 4, 2000)) < above) >= 0.04
         held.append((lower, upper))
     assert np.all(np.mean(held, axis=0) >= 0.93)
 

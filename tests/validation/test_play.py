@@ -11,7 +11,7 @@ from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
-from craftsim.validation.play import play
+from craftsim.validation.play import doing, play
 from craftsim.validation.validation import validate
 from craftsim.validation.worlds import RandomWorlds
 
@@ -64,13 +64,14 @@ def test_play_is_legal_in_its_turn_and_prefers_the_rare():
     uniform = rare = 0
     for seed, grid in enumerate(GRIDS[:20]):
         played = play(grid, RULES, np.random.default_rng(seed), 10)
-        for joint in played.ticks:
-            grid, applied = RULES.tick(grid, joint)
-            assert applied.all()
+        for joint in played:
             assert len({car for car, _ in joint}) == len(joint)
-        done = [doing for tick in played.doings for doing in tick]
-        rare += sum(doing.on_slope or doing.verb in ("FOLD", "UNFOLD", "LIFT") for doing in done)
-        uniform += sum(doing.verb == "STOP" for doing in done)
+            for car, action in joint:
+                assert RULES.legal(grid, car, action)
+                before, grid = grid, RULES.apply(grid, car, action)
+                done = doing(before, grid, car, action)
+                rare += done.on_slope or done.verb in ("FOLD", "UNFOLD", "LIFT")
+                uniform += done.verb == "STOP"
     assert rare > 2 * uniform
 
 

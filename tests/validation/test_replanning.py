@@ -22,7 +22,7 @@ from craftsim.errors import InputError
 from craftsim.skills.fleet import Disturbance
 from craftsim.validation import validation
 from craftsim.validation.replanning import Replanning, without
-from craftsim.validation.rollout import Run, Terms, do_run
+from craftsim.validation.rollout import Run, do_run
 
 SETUP = setup_of(drive="reduced")
 STRIP = make_task("strip")
@@ -97,7 +97,19 @@ def test_cars_out_of_action_are_walls_but_where_the_design_has_what_stands_there
 
 
 def _build(out, start, goal, *words):
-    return main(["build", str(start), "--goal", str(goal), *words, "--drive", "reduced", "--out", str(out)])
+    words = [
+        str(start),
+        "--goal",
+        str(goal),
+        *words,
+        "--drive",
+        "reduced",
+        "--video",
+        "none",
+        "--out",
+        str(out),
+    ]
+    return main(["validate", "--plan", "auto", *words])
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +124,7 @@ def files(tmp_path_factory):
 @pytest.mark.parametrize(("disturb", "ended"), [(None, "built"), ("fold", "built"), ("shove", "built")])
 def test_a_design_is_planned_and_built(files, disturb, ended):
     task = validation.read_goal(str(files / "start.yaml"), files / "goal.yaml")
-    done = do_run(Run("one", task, Replanning(3, 3, disturb), 0, Terms(0, SETUP)))
+    done = do_run(Run(key="one", world=task, by=Replanning(3, 3, disturb), seed=0, setup=SETUP))
     assert (done.extra["ended"], done.extra["physics_success"]) == (ended, True), done.extra
     assert bool(done.extra["replans"]) == bool(done.extra["disturbed"])
 

@@ -3,20 +3,13 @@
 import base64
 import re
 from html.parser import HTMLParser
-from types import SimpleNamespace
 
 import pytest
 from synthetic import attempt, audit, episodes, record
 
 from craftsim.checking.attempt import Verdict
-from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.checking.setup import Setup
-from craftsim.discrete.files.blueprint import blueprint_text
-from craftsim.discrete.grid import Grid
-from craftsim.discrete.kinds import Action
-from craftsim.experiments.experiment import Trial
 from craftsim.experiments.statistics import campaign_figures
-from craftsim.rendering.trajectory import TRAJECTORIES, Recorder
 from craftsim.reports import html
 from craftsim.reports.html import write_html
 from craftsim.validation.audit import Audit, audit_rows
@@ -71,14 +64,14 @@ class Reader(HTMLParser):
         return "".join(self.words)
 
 
-def validate_report(out, records, config=CONFIG, command="craftsim validate strip", items=()):
-    result = Validation(records, campaign_figures(records, seed=0), config, 7, items)
-    return validation_report(result, out, command)
+def validate_report(out, records, config=CONFIG, command="craftsim validate strip"):
+    result = Validation(records, campaign_figures(records, seed=0), config, 7)
+    return validation_report(result, command)
 
 
 def audited_report(out, records):
     figures, rows = campaign_figures(records, seed=0), tuple(audit_rows(records))
-    return audit_report(Audit(records, rows, (), figures, CONFIG, 7, {}, None), out, "craftsim audit")
+    return audit_report(Audit(records, rows, (), figures, CONFIG, 7, {}, None), "craftsim audit")
 
 
 def page_of(out, report):
@@ -241,55 +234,14 @@ def test_the_rows_of_an_audit_are_grouped_by_action_the_most_striking_first_with
     assert "no film" not in group
 
 
-@pytest.fixture(scope="module")
-def trajectory():
-    """The recording of a run, of which text is hostile."""
-    recipe = Recipe(blueprint_text(Grid.empty((2, 1, 1), 1)), (Step.single(0, 0, Action.MOVE_RIGHT),))
-    recorder = Recorder()
-    judge = start(recipe)
-    recorder.begin(judge)
-    return recorder.trajectory(HOSTILE, recipe, do(judge, recipe.steps[0]))
-
-
-def _section(page):
-    section = page[page.index('<section id="recorded">') :]
-    return section[: section.index("</section>")]
-
-
-def test_recorded_runs_are_drawn_those_first_that_disagree_and_a_damaged_one_is_told(
-    tmp_path, monkeypatch, trajectory
-):
-    monkeypatch.setattr("craftsim.validation.sections.MOST_RUNS", 2)
-    (tmp_path / TRAJECTORIES).mkdir()
-    items, records = [], []
-    for name, result in {"one": Verdict.AS_PREDICTED, "two": Verdict.FAILED, "bad": Verdict.FAILED}.items():
-        trajectory.write(tmp_path / TRAJECTORIES / f"{name}.npz")
-        job = SimpleNamespace(file_name=name, terms=SimpleNamespace(record=True))
-        items.append(Trial(f"<b>{name}", "planner", 0, job))
-        records.append(record(name, attempt(result)))
-    (tmp_path / TRAJECTORIES / "bad.npz").write_bytes(b"PK")
-    page = page_of(tmp_path, validate_report(tmp_path, records, items=items))
-    titles = re.findall(r"<summary>(.*?)</summary>", _section(page))
-    assert titles == [f'&lt;b&gt;{name} <span class="badge">disagrees</span>' for name in ("two", "bad")]
-    assert all(address.startswith(("#", "data:")) for address in Reader(page).addresses)
-    assert _section(page).count("<svg") == 5
-    assert "No figures: " in _section(page)
-    assert "3 recorded runs" in Reader(page).text
-
-
-def test_the_disagreements_of_an_audit_that_were_recorded_are_drawn_and_linked(
-    tmp_path, monkeypatch, trajectory
-):
-    monkeypatch.setattr("craftsim.validation.sections.MOST_RUNS", 1)
+def test_the_recordings_of_an_audit_are_linked(tmp_path):
     results = {"LIFT/a": Verdict.FAILED, "FOLD/c": Verdict.UNSAFE, "LIFT/d": Verdict.FAILED}
     bundles = {name: f"bundles/{name[-1]} 1" for name in results}
     for name in ("LIFT/a", "FOLD/c"):
         (tmp_path / bundles[name]).mkdir(parents=True)
-        trajectory.write(tmp_path / bundles[name] / "trajectory.npz")
+        (tmp_path / bundles[name] / "trajectory.npz").touch()
     records = [record(name, attempt(r), group=name, bundle=bundles[name]) for name, r in results.items()]
     page = page_of(tmp_path, audited_report(tmp_path, records))
-    assert re.findall(r"<summary>(\w+)/<wbr>(\w)", _section(page)) == [("FOLD", "c")]
-    assert "2 recorded runs" in _section(page)
     links = [address for address in Reader(page).addresses if address.endswith("trajectory.npz")]
     assert links.count("bundles/a%201/trajectory.npz") == 2, "in the table of all, and beside the command"
     assert not any("/d" in link for link in links)

@@ -8,7 +8,7 @@ from craftsim.experiments.bundle import read_bundle
 from craftsim.models.world import PhysicsWorld
 from craftsim.validation.choice import items_of, policy_pilot, subjects_of
 from craftsim.validation.policies import make_policy
-from craftsim.validation.rollout import Terms, do_run
+from craftsim.validation.rollout import do_run
 
 
 @pytest.fixture
@@ -17,8 +17,8 @@ def run_of(tmp_path):
 
     def make(place, policy):
         subjects = subjects_of([place])
-        terms = Terms(3, setup_of(drive="reduced"), tmp_path)
-        (item,) = items_of(subjects, [policy_pilot(policy, subjects, "ticks")], 1, terms)
+        pilots = [policy_pilot(policy, subjects, "ticks")]
+        (item,) = items_of(subjects, pilots, 1, 3, setup_of(drive="reduced"), out=tmp_path)
         return item.job
 
     return make

@@ -22,7 +22,7 @@ from craftsim.experiments.experiment import Experiment, RunOptions, Trial, Trial
 from craftsim.experiments.session import run_experiment
 from craftsim.validation.choice import PLAY, items_of, policy_pilot, subjects_of
 from craftsim.validation.policies import RANDOM
-from craftsim.validation.rollout import Terms, do_run
+from craftsim.validation.rollout import do_run
 
 WORKERS = 2
 ALLOWED_MB = 30.0
@@ -106,8 +106,8 @@ def main(minutes: float, cheap: int, warm: int, worlds_warm: int) -> None:
     large = cheap_work.items(cheap, **{f"i{i}": "large" for i in range(cheap)})
     _soak("cheap trials with long records", large, cheap_work.work, Memory(warm, until), batch=5)
     pilot = policy_pilot(PLAY, subjects_of([RANDOM], 1, None, 4), "ticks")
-    terms = Terms(0, setup_of("mild", "physical"))
-    worlds = list(items_of(subjects_of([RANDOM], 1, None, 4), [pilot], 100_000, terms))
+    subjects, setup = subjects_of([RANDOM], 1, None, 4), setup_of("mild", "physical")
+    worlds = list(items_of(subjects, [pilot], 100_000, 0, setup, order="ticks"))
     _soak("random worlds in physics", worlds, do_run, Memory(worlds_warm, until))
 
 

@@ -15,6 +15,7 @@ from craftsim import cli
 from craftsim.audit.situation import SCENES
 from craftsim.checking.episode import Recipe, Step, do, run_up
 from craftsim.checking.setup import Seed, compile_world, setup_of
+from craftsim.cli.films import record_bundle
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
@@ -32,7 +33,6 @@ from craftsim.experiments.bundle import (
 )
 from craftsim.experiments.replay import replay
 from craftsim.validation.audit import AuditTrial, recipe_of, try_it
-from craftsim.validation.recording import record_bundle
 
 
 def _world() -> Grid:
@@ -232,14 +232,6 @@ def test_the_clip_lasts_three_seconds_and_moves(rendering, calm, tmp_path, capsy
     assert len(pictures) / 30 == 3.0
     change = np.abs(pictures[0][:200].astype(int) - pictures[-1][:200]).max()
     assert change > 60
-
-
-def test_without_a_display_there_is_no_viewer(calm, tmp_path, capsys, monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert _run(calm, tmp_path, "--view") == 2
-    assert "--view needs a display" in capsys.readouterr().err
-    assert _run(calm, tmp_path, "--view", "--video") == 2
 
 
 def test_a_bundle_as_a_trajectory_goes_from_its_state_before_to_the_one_after(noisy):

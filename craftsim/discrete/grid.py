@@ -26,6 +26,7 @@ MOVABLE: Final = (*CARRIED, Kind.BODY)
 """What cars can move, an unfolded slope once it is folded."""
 
 _derive_marks = seldom(derive_marks)
+_STEPS: Final = DIRECTIONS.tolist()
 
 Cell = tuple[int, int, int]
 """(x, y, z)."""
@@ -42,8 +43,8 @@ FILE_DTYPES: Final[dict[str, Any]] = {
 
 def beside(cell: Cell, yaw: int) -> Cell:
     """Return the next cell in direction yaw (any integer, taken modulo 4)."""
-    dx, dy = DIRECTIONS[yaw % 4]
-    return cell[0] + int(dx), cell[1] + int(dy), cell[2]
+    dx, dy = _STEPS[yaw % 4]
+    return cell[0] + dx, cell[1] + dy, cell[2]
 
 
 class Piece(NamedTuple):

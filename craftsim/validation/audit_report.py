@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -23,8 +23,8 @@ from craftsim.experiments.sections import (
     run_notes,
 )
 from craftsim.experiments.statistics import (
+    Distribution,
     Figures,
-    Precision,
     capped_steps,
     error_counts,
     legal_attempts,
@@ -200,18 +200,18 @@ def _headline(audit: Audit) -> Headline:
     return Headline("Sound", Tone.GOOD, sentence)
 
 
-def _precision(found: Precision) -> list[str]:
+def _precision(found: Mapping[str, Distribution | None]) -> list[str]:
     """Return the 99th percentiles of the errors that figures hang on."""
     named = {
-        "cars {:.2f} mm": found.car_error_mm,
-        "{:.2f} mrad": found.heading_error_mrad,
-        "set down {:.2f} mm": found.placed_error_mm,
-        "reaching out of a cell {:.2f} mm": found.reach_mm,
-        "others {:.2f} mm from their places": found.drift_mm,
+        "cars {:.2f} mm": found["car_error_mm"],
+        "{:.2f} mrad": found["heading_error_mrad"],
+        "set down {:.2f} mm": found["placed_error_mm"],
+        "reaching out of a cell {:.2f} mm": found["reach_mm"],
+        "others {:.2f} mm from their places": found["drift_mm"],
     }
     parts = [words.format(one.p99) for words, one in named.items() if one is not None]
     text = f"Of what the rules allow and did as predicted, 99th percentiles: {', '.join(parts)}"
-    return [text] if found.car_error_mm else []
+    return [text] if found["car_error_mm"] else []
 
 
 def _suspects(suspects: Iterable[HypothesisFinding]) -> Section:

@@ -14,7 +14,7 @@ from craftsim.checking.contacts import ContactLog
 from craftsim.cli import main
 from craftsim.discrete.grid import Grid
 from craftsim.errors import InputError
-from craftsim.experiments.durations import Duration, write_durations
+from craftsim.experiments.statistics import Duration, write_durations
 from craftsim.models.composition import world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Cell, Grid, Kind, Piece
+from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import STANDING
 
 CarRow = tuple[int, ...]
@@ -25,8 +25,18 @@ def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Gr
     """
     grid = Grid.empty(size, len(cars))
     grid.cars[:] = np.array(list(cars), np.int16).reshape(-1, len(CarField))
-    for piece in sorted(pieces, key=lambda piece: (piece.kind == Kind.FSLOPE, -piece.yaw)):
-        grid.put(piece)
+    filled: dict[Cell, tuple[int, int]] = {}
+    for kind, cell, yaw in sorted(pieces, key=lambda piece: (piece.kind == Kind.FSLOPE, -piece.yaw)):
+        filled[cell] = (int(kind), yaw)
+        if (second := SECOND_PART.get(kind)) is not None:
+            next_cell = beside(cell, yaw)
+            gives_way = second == Kind.GEAR and filled.get(next_cell, (Kind.GEAR,))[0] != Kind.GEAR
+            if not gives_way and grid.inside(next_cell):
+                filled[next_cell] = (int(second), yaw)
+    # One assignment: a survey makes tens of thousands of worlds.
+    rows = np.array([(*cell, *what) for cell, what in filled.items()], np.int16).reshape(-1, 5)
+    x, y, z, *_ = rows.T
+    grid.cells[x, y, z, :2] = rows[:, 3:]
     grid.derive_marks()
     return grid
 
@@ -64,9 +74,10 @@ class Builder:
 
         Raises ImpossibleError where something is.
         """
-        if any(cell in self.cells for cell, kind in self._taken(piece) if kind != Kind.GEAR):
+        taken = {cell: (kind, piece.yaw) for cell, kind in self._taken(piece) if kind != Kind.GEAR}
+        if taken.keys() & self.cells:
             raise ImpossibleError("two things would share a cell")
-        self.cells |= {cell: (kind, piece.yaw) for cell, kind in self._taken(piece) if kind != Kind.GEAR}
+        self.cells |= taken
 
     def claim(self, piece: Piece) -> None:
         """Put a piece that may be there already; its gear takes a cell, and AIR keeps one free.
@@ -81,14 +92,17 @@ class Builder:
     def _taken(piece: Piece) -> list[tuple[Cell, Kind]]:
         if piece.cell[2] < 1:
             raise ImpossibleError("something would be in the ground")
-        return list(zip(piece.cells, piece.kinds, strict=True))
+        second = SECOND_PART.get(piece.kind)
+        taken = [(piece.cell, piece.kind)]
+        return taken if second is None else [*taken, (beside(piece.cell, piece.yaw), second)]
 
     def support(self, cell: Cell) -> None:
         """Fill the cells below with blocks, down to the ground."""
         x, y, z = cell
         if z < 1:
             raise ImpossibleError("something would be in the ground")
-        for below in [(x, y, level) for level in range(1, z)]:
+        for level in range(1, z):
+            below = (x, y, level)
             if below not in self.cells and any(row[:3] == below for row in self.cars):
                 raise ImpossibleError("something would stand on nothing")
             there, _ = self.cells.setdefault(below, (Kind.BLOCK, 0))

@@ -57,7 +57,7 @@ def _plan(rule_set: RuleSet, of: tuple[str, ...]) -> tuple[PlanRow, ...]:
     found += nearby(rule_set, of)
     members: dict[tuple[Row, bool, str], list[Situation]] = {}
     for one, legal, row in found:
-        reason = "" if legal else one.why_nothing()
+        reason = "" if legal else one.why_nothing
         if reason and not row.scene:
             row = Row(row.action, kind=f"nothing intended: {reason}")
         members.setdefault((row, legal, reason), []).append(one)

@@ -129,8 +129,9 @@ class Situation:
         _, applied = rules.tick(self.grid, [(car, int(act)) for car, act in enumerate(self.acts)])
         return bool(applied.all())
 
+    @cached_property
     def why_nothing(self) -> str:
-        """Return why nothing is intended where the rules forbid it; empty where something is."""
+        """Why nothing is intended where the rules forbid it; empty where something is."""
         if self.order is not None:
             return "several cars are to act"
         try:

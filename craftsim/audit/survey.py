@@ -8,14 +8,16 @@ heads +x, so that every yaw and direction here is relative to its own.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import cache
-from itertools import product
+from contextlib import suppress
+from dataclasses import replace
+from functools import cache, lru_cache
+from itertools import chain, product
 from typing import Any, Final
 
 from craftsim.audit.builder import Builder, ImpossibleError
 from craftsim.audit.situation import BACK, DIRECTION_NAMES, FORWARD, Row, Situation
 from craftsim.discrete.actions import ACTIONS, ActionSpec, verbs
-from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, Cell, Kind, Piece, beside
+from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.errors import CraftsimError
@@ -54,6 +56,12 @@ _STANDS_ON: Final = (Kind.WALL, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, K
 
 def acts() -> dict[str, tuple[ActionSpec, int | None]]:
     """Return what one car can do by its word: the row of the table of actions, and of a move the direction."""
+    return _acts(tuple(map(id, ACTIONS.values())))
+
+
+@lru_cache(maxsize=1)
+def _acts(_: tuple[int, ...]) -> dict[str, tuple[ActionSpec, int | None]]:
+    """Return the same for a table of actions, by the identities of its rows."""
     found: dict[str, tuple[ActionSpec, int | None]] = {}
     for spec in (spec for spec in ACTIONS.values() if spec.performed):
         for way in spec.ahead or (None,):
@@ -106,40 +114,41 @@ def survey(rule_set: RuleSet = "physical", of: tuple[str, ...] = ()) -> tuple[tu
 
     Those in which it is forbidden are all with room.
     """
-    return _survey(rule_set, tuple(verb for verb in verbs() if not of or verb in of))
+    allowed, illegal = zip(
+        *(_survey(rule_set, verb) for verb in verbs() if not of or verb in of), strict=True
+    )
+    return tuple(
+        [(one, True) for part in allowed for one in part] + [(one, False) for part in illegal for one in part]
+    )
 
 
 @cache
-def _survey(rule_set: RuleSet, of: tuple[str, ...]) -> tuple[tuple[Situation, bool], ...]:
+def _survey(rule_set: RuleSet, verb: str) -> tuple[list[Situation], list[Situation]]:
+    """Return the situations of a verb that are allowed, and those with room that are not."""
     rules = Rules(rule_set)
-    allowed: list[tuple[Situation, bool]] = []
-    illegal: list[tuple[Situation, bool]] = []
-    for row in _rows(of):
-        try:
-            world = _built(row)
-        except ImpossibleError:
-            continue
-        found = _situation(row, world)
+    allowed, illegal = list[Situation](), list[Situation]()
+    for found, world in _worlds(verb):
         if not found.legal(rules):
-            illegal.append((found, False))
+            illegal.append(found)
             continue
-        allowed.append((found, True))
-        tight = _tight(row._replace(room="tight"), world, rules)
-        allowed += [(tight, True)] if tight is not None else []
-    return tuple(allowed + illegal)
+        tight = _tight(found.row._replace(room="tight"), world, rules)
+        allowed += [found] if tight is None else [found, tight]
+    return allowed, illegal
 
 
-def _rows(of: tuple[str, ...]) -> Iterator[Row]:
-    """Yield every combination of what matters to these verbs that a car can stand in."""
-    for verb in of:
-        inner = list(_inner(verb))
-        for ground, own, load in product(GROUNDS, _OWN, LOADS):
-            try:
-                _check_car(ground, own, load)
-            except ImpossibleError:
-                continue
+@cache
+def _worlds(verb: str) -> list[tuple[Situation, Builder]]:
+    """Return every combination of what matters to a verb that can exist, with room; kept for both rule sets."""
+    found, inner = [], list(_inner(verb))
+    for ground, own, load in product(GROUNDS, _OWN, LOADS):
+        with suppress(ImpossibleError):
+            _check_car(ground, own, load)
             for row in inner:
-                yield row._replace(ground=ground, own=own, load=load)
+                with suppress(ImpossibleError):
+                    row = row._replace(ground=ground, own=own, load=load)
+                    world = _built(row)
+                    found.append((_situation(row, world), world))
+    return found
 
 
 def _inner(verb: str) -> Iterator[Row]:
@@ -157,11 +166,11 @@ def _inner(verb: str) -> Iterator[Row]:
 
 def _situation(row: Row, world: Builder) -> Situation:
     """Return a situation in its smallest world, with a column of room round all that matters."""
-    own: Cell = (0, 0, int(row.level))
-    reach = [*world.cells, own, *(beside(beside(own, way), way) for way in range(4))]
-    low = min(x for x, _, _ in reach) - 1, min(y for _, y, _ in reach) - 1
-    high = max(x for x, _, _ in reach) + 2, max(y for _, y, _ in reach) + 2
-    size = high[0] - low[0], high[1] - low[1], max(z for _, _, z in reach) + 1
+    level = int(row.level)
+    around = ((2, 0, level), (0, 2, level), (-2, 0, level), (0, -2, level))
+    xs, ys, zs = zip(*world.cells, *around, strict=True)
+    low = min(xs) - 1, min(ys) - 1
+    size = max(xs) + 2 - low[0], max(ys) + 2 - low[1], max(zs) + 1
     first, *others = [_action(word) for word in (row.action, *row.then)]
     return Situation(row, world.grid(low, size), (first, *others), anywhere=True)
 
@@ -181,13 +190,9 @@ def _built(row: Row) -> Builder:
 
     Raises ImpossibleError where two of its properties exclude each other.
     """
-    world = Builder()
     own: Cell = (0, 0, int(row.level))
     spec, way = acts()[row.action]
-    _check_car(row.ground, row.own, row.load)
-    _build_ground(world, row, own, way)
-    if row.load == "fslope":
-        world.claim(Piece(Kind.AIR, beside(own, BACK)))
+    world = _ground(row.ground, row.own, row.load, own, way).copy()
     if way is not None:
         _build_next(world, row, own, way)
     if row.over:
@@ -227,15 +232,28 @@ def _check_car(ground: str, own: str, load: str) -> None:
         raise ImpossibleError("a load and what the car stands under would share a cell")
 
 
-def _build_ground(world: Builder, row: Row, own: Cell, way: int | None) -> None:
-    """Build what the car stands on and under; half of a slope comes with a block behind it."""
-    half, downhill = GROUNDS[row.ground]
+@lru_cache(maxsize=256)
+def _ground(ground: str, word: str, load: str, own: Cell, way: int | None) -> Builder:
+    """Return what the car stands on and under, before a move in a direction; half of a slope comes with a block behind
+    it.
+
+    Raises ImpossibleError where a car cannot stand like that.
+    """
+    _check_car(ground, word, load)
+    world, (half, downhill) = Builder(), GROUNDS[ground]
     if half == 0:
-        _claim(world, _OWN[row.own], own)
+        _claim(world, _OWN[word], own)
         world.support(own)
-        if row.own == "fslope-back":
+        if word == "fslope-back":
             world.support(beside(own, BACK))
-        return
+    else:
+        _build_ramp(world, half, downhill, own, way)
+    if load == "fslope":
+        world.claim(Piece(Kind.AIR, beside(own, BACK)))
+    return world
+
+
+def _build_ramp(world: Builder, half: int, downhill: int, own: Cell, way: int | None) -> None:
     if half == 1:
         body = beside(own, downhill + 2)
     else:
@@ -297,14 +315,20 @@ def _over(row: Row, own: Cell, spec: ActionSpec, way: int | None) -> Cell:
 def _tight(row: Row, world: Builder, rules: Rules) -> Situation | None:
     """Return a situation with the neighbour cells filled with blocks, one after the other while the action stays legal;
     None where none can be."""
-    found, filled = None, world
-    for column in _fillable(row, world):
-        more = filled.copy()
-        more.cells |= dict.fromkeys(column, (Kind.BLOCK, 0))
-        tight = _situation(row, more)
-        if tight.legal(rules):
-            found, filled = tight, more
-    return found
+    filled, roomy, columns = world.copy(), world.copy(), _fillable(row, world)
+    roomy.cells = dict.fromkeys(chain.from_iterable(columns), (Kind.AIR, 0)) | world.cells
+    tried = _situation(row, roomy)
+    x0, y0 = tried.grid.cars[0, : CarField.Z].tolist()
+    for column in columns:
+        grid = tried.grid.copy()
+        for x, y, z in column:
+            grid.put(Piece(Kind.BLOCK, (x0 + x, y0 + y, z)))
+        grid.derive_marks()
+        more = replace(tried, grid=grid)
+        if more.legal(rules):
+            tried = more
+            filled.cells |= dict.fromkeys(column, (Kind.BLOCK, 0))
+    return None if filled.cells == world.cells else _situation(row, filled)
 
 
 def _fillable(row: Row, world: Builder) -> list[tuple[Cell, ...]]:
@@ -344,25 +368,31 @@ def counted_row(row: Row, legal: bool) -> Row:
     return min((_merged(one, legal) for one in (row, _mirrored(row))), key=str)
 
 
+_ALIKE: Final = {"2": "2+", "3": "2+", "flag": "block"}
+_GEARS: Final = {f"gear-{way}": "gear" for way in DIRECTION_NAMES}
+
+
 def _merged(row: Row, legal: bool) -> Row:
-    alike = {"2": "2+", "3": "2+", "flag": "block"}
-    row = _reworded(row, alike)
-    gears = {f"gear-{way}": "gear" for way in DIRECTION_NAMES}
-    own = gears.get(row.own, row.own)
+    row = _reworded(row, _ALIKE)
+    own = _GEARS.get(row.own, row.own)
     if legal:
         return row._replace(own=own)
     ahead = acts()[row.action][1] in (None, FORWARD)
-    return row._replace(own=own, over=gears.get(row.over, row.over) if ahead else "")
+    return row._replace(own=own, over=_GEARS.get(row.over, row.over) if ahead else "")
 
 
 def _mirrored(row: Row) -> Row:
+    return _reworded(row, _mirror_words(tuple(acts())))
+
+
+@lru_cache(maxsize=1)
+def _mirror_words(actions: tuple[str, ...]) -> dict[Any, str]:
     sides = {"left": "right", "right": "left"}
-    heads = {word.rpartition("-")[0] for word in (*acts(), *_AHEAD, *_BELOW)}
+    heads = {word.rpartition("-")[0] for word in (*actions, *_AHEAD, *_BELOW)}
     words = {f"{head}-{side}": f"{head}-{other}" for head in heads for side, other in sides.items()}
-    words |= {"ROTATE_LEFT": "ROTATE_RIGHT", "ROTATE_RIGHT": "ROTATE_LEFT"}
-    return _reworded(row, words)
+    return words | {"ROTATE_LEFT": "ROTATE_RIGHT", "ROTATE_RIGHT": "ROTATE_LEFT"}
 
 
 def _reworded(row: Row, words: Mapping[Any, Any]) -> Row:
     """Return a row in other words, where there are such."""
-    return Row(**{name: words.get(word, word) for name, word in row._asdict().items()})
+    return Row(*(words.get(word, word) for word in row))

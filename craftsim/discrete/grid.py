@@ -30,6 +30,7 @@ MAX_CELLS: Final = 131_072
 MAX_CARS: Final = 256
 
 _derive_marks = seldom(derive_marks)
+_STEPS: Final = DIRECTIONS.tolist()
 
 Cell = tuple[int, int, int]
 """(x, y, z)."""
@@ -46,8 +47,8 @@ FILE_DTYPES: Final[dict[str, Any]] = {
 
 def beside(cell: Cell, yaw: int) -> Cell:
     """Return the next cell in direction yaw (any integer, taken modulo 4)."""
-    dx, dy = DIRECTIONS[yaw % 4]
-    return cell[0] + int(dx), cell[1] + int(dy), cell[2]
+    dx, dy = _STEPS[yaw % 4]
+    return cell[0] + dx, cell[1] + dy, cell[2]
 
 
 class Piece(NamedTuple):

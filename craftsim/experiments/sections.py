@@ -13,7 +13,6 @@ import numpy as np
 from craftsim.checking.attempt import capped_text
 from craftsim.experiments import statistics
 from craftsim.experiments.compare import Comparison, Paired
-from craftsim.experiments.durations import Duration
 from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, least_detectable
 from craftsim.reports.json_file import plain, versions
 from craftsim.reports.plots import (
@@ -85,9 +84,9 @@ def results_table(title: str, name: str, rows: Mapping[str, statistics.MatrixRow
     )
 
 
-def legality_table(matrix: statistics.LegalityMatrix) -> DataTable:
+def legality_table(matrix: Mapping[str, statistics.MatrixRow]) -> DataTable:
     """Return the results of legal attempts, and of forbidden ones tried on purpose."""
-    rows = {"allowed by the rules": matrix.legal, "forbidden, tried on purpose": matrix.forbidden}
+    rows = {"allowed by the rules": matrix["legal"], "forbidden, tried on purpose": matrix["forbidden"]}
     return results_table("Legality and result", "attempts", rows)
 
 
@@ -121,13 +120,11 @@ def error_tables(errors: Mapping[str, int]) -> list[Block]:
     return [DataTable(numbers("error", "trials"), rows, "Unfinished trials", note)]
 
 
-def precision_table(found: statistics.Precision) -> DataTable:
+def precision_table(found: Mapping[str, statistics.Distribution | None]) -> DataTable:
     """Return a table of errors."""
-    named: dict[str, statistics.Distribution | None] = {
-        label: getattr(found, statistics.in_thousandths(name)) for name, label in statistics.ERRORS.items()
-    }
-    named["duration against the median of its kind, s"] = found.duration_error_s
-    named["peak contact force, N (all attempts)"] = found.peak_force_n
+    named = {label: found[statistics.in_thousandths(name)] for name, label in statistics.ERRORS.items()}
+    named["duration against the median of its kind, s"] = found["duration_error_s"]
+    named["peak contact force, N (all attempts)"] = found["peak_force_n"]
     return DataTable(
         numbers("error", "n", "median", "95th percentile", "99th percentile", "largest"),
         [
@@ -170,7 +167,7 @@ def error_drawing(attempts: DataFrame) -> Drawing:
     return Drawing.of_axes(draw, 2.9, caption, "distribution of errors")
 
 
-def duration_blocks(table: Sequence[Duration]) -> list[Block]:
+def duration_blocks(table: Sequence[statistics.Duration]) -> list[Block]:
     """Return the durations of each kind of action, as a drawing and a table."""
     rows = {duration_name(row): (row.median_s, row.p05_s, row.p95_s) for row in table}
 
@@ -198,18 +195,18 @@ def duration_blocks(table: Sequence[Duration]) -> list[Block]:
     ]
 
 
-def duration_name(row: Duration) -> str:
+def duration_name(row: statistics.Duration) -> str:
     """Return a kind of action in words."""
     load = "" if row.load == "none" else f" with {row.load}"
     return f"{row.verb}{load}, {'slope' if row.slope else 'flat'}, level {row.level}"
 
 
-def survival_section(found: statistics.PlanSurvival) -> Section:
+def survival_section(found: Mapping[str, statistics.Survival]) -> Section:
     """Return a section on the survival of plans."""
 
     def draw(axes: Axes) -> None:
-        _curve(axes, found.with_resync, GOOD, "closed loop")
-        _curve(axes, found.without_resync, ACCENT, "open loop")
+        _curve(axes, found["with_resync"], GOOD, "closed loop")
+        _curve(axes, found["without_resync"], ACCENT, "open loop")
         axes.set_ylim(-0.02, 1.04)
         axes.set_xlim(left=0)
         axes.yaxis.set_major_formatter(percent_ticks)

@@ -6,21 +6,25 @@ separately and enter no other metric.
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from itertools import islice, repeat, takewhile
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Verdict
-from craftsim.experiments.durations import Duration, duration_table, kinds_of
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import CONFIDENCE, Proportion, RankAgreement, agreement_of
+from craftsim.storage.folders import output_directory
+from craftsim.storage.writing import write_whole
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -141,18 +145,10 @@ class MatrixRow:
         return cls(n, good, failed, side_effect, unsafe, numerics, Proportion.of(good, n))
 
 
-@dataclass(frozen=True)
-class LegalityMatrix:
-    """Results of legal attempts, and of forbidden ones that were tried on purpose."""
-
-    legal: MatrixRow
-    forbidden: MatrixRow
-
-
-def legality_matrix(attempts: DataFrame) -> LegalityMatrix:
-    """Return the matrix of legality and result of some attempts."""
+def legality_matrix(attempts: DataFrame) -> dict[str, MatrixRow]:
+    """Return the results of ``legal`` attempts, and of ``forbidden`` ones that were tried on purpose."""
     forbidden = attempts[~attempts.legal & attempts.performed]
-    return LegalityMatrix(MatrixRow.of(attempts[attempts.legal]), MatrixRow.of(forbidden))
+    return {"legal": MatrixRow.of(attempts[attempts.legal]), "forbidden": MatrixRow.of(forbidden)}
 
 
 @dataclass(frozen=True)
@@ -174,31 +170,6 @@ class Distribution:
         return cls(known.size, *(float(q) for q in np.quantile(known, (0.5, 0.95, 0.99, 1.0))))
 
 
-@dataclass(frozen=True)
-class Precision:
-    """Errors of the attempts as predicted, and the peak contact forces of all attempts."""
-
-    car_error_mm: Distribution | None
-    """Horizontal distance of the car from its prediction."""
-    heading_error_mrad: Distribution | None
-    height_error_mm: Distribution | None
-    placed_error_mm: Distribution | None
-    """Of what was set down, folded or unfolded."""
-    bystander_displacement_mm: Distribution | None
-    """Largest displacement of a bystander."""
-    duration_error_s: Distribution | None
-    """Deviation of an attempt's duration from the median of its kind (verb, load, level and slope)."""
-    peak_force_n: Distribution | None
-    """Of all attempts."""
-    thing_heading_mrad: Distribution | None = None
-    """Of what was set down, folded or unfolded, and of what is carried against its car."""
-    reach_mm: Distribution | None = None
-    """Excess reach of the same towards a neighbouring cell."""
-    bystander_turn_mrad: Distribution | None = None
-    drift_mm: Distribution | None = None
-    """Largest distance of a bystander from where it was last put, at any time."""
-
-
 def drift(trials: DataFrame, attempts: DataFrame) -> dict[str, Distribution | None]:
     """Return the placement errors in mm in each third of the runs, to show a drift."""
     placed = attempts[attempts.performed & attempts.placed_error_m.notna()]
@@ -209,15 +180,19 @@ def drift(trials: DataFrame, attempts: DataFrame) -> dict[str, Distribution | No
     }
 
 
-def precision(attempts: DataFrame) -> Precision:
-    """Return the errors of some attempts."""
-    kinds = (part.duration_s for _, part in kinds_of(as_predicted(attempts)))
+def precision(attempts: DataFrame) -> dict[str, Distribution | None]:
+    """Return the errors of the attempts as predicted, by name and unit (:data:`ERRORS`, in thousandths).
+
+    ``duration_error_s`` is the deviation of a duration from the median of its kind (verb, load, level and slope),
+    ``peak_force_n`` the peak contact force of all attempts.
+    """
+    kinds = (part.duration_s for _, part in as_predicted(attempts).groupby(_KIND, observed=True))
     deviations = [np.abs(seconds - np.median(seconds)) for seconds in kinds]
-    return Precision(
-        duration_error_s=Distribution.of(np.concatenate([[], *deviations])),
-        peak_force_n=Distribution.of(attempts.peak_force_n.dropna()),
+    return {
+        "duration_error_s": Distribution.of(np.concatenate([[], *deviations])),
+        "peak_force_n": Distribution.of(attempts.peak_force_n.dropna()),
         **{in_thousandths(name): Distribution.of(values) for name, values in errors(attempts).items()},
-    )
+    }
 
 
 def in_thousandths(name: str) -> str:
@@ -237,6 +212,50 @@ def as_predicted(attempts: DataFrame) -> DataFrame:
     return attempts[attempts.result == Verdict.AS_PREDICTED]
 
 
+_KIND: Final = ["verb", "load", "level", "slope"]
+"""What has a duration of its own."""
+
+
+@dataclass(frozen=True)
+class Duration:
+    """Durations of one kind of action in seconds, over the attempts as predicted."""
+
+    verb: str
+    """LIFT, DROP, FOLD, UNFOLD, ROTATE_LEFT, ROTATE_RIGHT, MOVE or STOP."""
+    load: str
+    """What the car carries before: none, block, flag or fslope."""
+    level: int
+    """The car's level before."""
+    slope: bool
+    """Whether the action starts or ends on a slope."""
+    n: int
+    mean_s: float
+    p05_s: float
+    median_s: float
+    p95_s: float
+    max_s: float
+
+
+def duration_table(good: DataFrame) -> list[Duration]:
+    """Return the durations of the attempts as predicted, by kind, sorted."""
+    rows = []
+    for (verb, load, level, slope), part in good.groupby(_KIND, observed=True):
+        seconds = part.duration_s.to_numpy()
+        quantiles = np.quantile(seconds, (0.05, 0.5, 0.95, 1.0)).tolist()
+        mean_s = float(np.mean(seconds))
+        rows.append(Duration(str(verb), str(load), int(level), bool(slope), len(part), mean_s, *quantiles))
+    return rows
+
+
+def write_durations(out: Path, table: Sequence[Duration]) -> Path:
+    """Write a table as ``durations.csv`` into the directory ``out``, made when missing, and return its path."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(field.name for field in fields(Duration))
+    writer.writerows([round(v, 4) if isinstance(v, float) else v for v in astuple(row)] for row in table)
+    return write_whole(output_directory(out) / "durations.csv", text.getvalue())
+
+
 @dataclass(frozen=True)
 class Survival:
     """A Kaplan-Meier curve with its pointwise 95 % band (exponential Greenwood); all lists are of one length."""
@@ -250,17 +269,6 @@ class Survival:
     low: list[float | None]
     """None at shares of 0 and 1, where the formula has no band."""
     high: list[float | None]
-
-
-@dataclass(frozen=True)
-class PlanSurvival:
-    """Open-loop and closed-loop survival of plans."""
-
-    without_resync: Survival
-    """Open loop: a run ends with the first action that is not as predicted."""
-    with_resync: Survival
-    """Closed loop: a run continues from the world that was read. It ends with the first action that is forbidden there,
-    is unsafe, or leaves an unreadable world."""
 
 
 def survival(actions: NDArray[np.int64], ended: NDArray[np.bool_]) -> Survival:
@@ -291,13 +299,19 @@ def survival(actions: NDArray[np.int64], ended: NDArray[np.bool_]) -> Survival:
     )
 
 
-def plan_survival(trials: DataFrame, attempts: DataFrame) -> PlanSurvival:
-    """Return the survival of the runs without error."""
+def plan_survival(trials: DataFrame, attempts: DataFrame) -> dict[str, Survival]:
+    """Return the survival of the runs without error.
+
+    ``without_resync``, open loop: a run ends with the first action that is not as predicted. ``with_resync``, closed
+    loop: a run continues from the world that was read. It ends with the first action that is forbidden there, is
+    unsafe, or leaves an unreadable world.
+    """
     unreadable = attempts.finding.isin(("unreadable", "numerics", "diverged"))
-    return PlanSurvival(
-        _survival(trials, attempts[attempts.result != Verdict.AS_PREDICTED]),
-        _survival(trials, attempts[~attempts.legal | (attempts.result == Verdict.UNSAFE) | unreadable]),
-    )
+    closed_loop = attempts[~attempts.legal | (attempts.result == Verdict.UNSAFE) | unreadable]
+    return {
+        "without_resync": _survival(trials, attempts[attempts.result != Verdict.AS_PREDICTED]),
+        "with_resync": _survival(trials, closed_loop),
+    }
 
 
 def _survival(trials: DataFrame, ends: DataFrame) -> Survival:
@@ -350,12 +364,12 @@ class Figures:
     by_group: dict[str, GroupFigures]
     by_verb: dict[str, MatrixRow]
     """Legal attempts alone."""
-    matrix: LegalityMatrix
-    precision: Precision
+    matrix: dict[str, MatrixRow]
+    precision: dict[str, Distribution | None]
     """Of legal attempts."""
     drift: dict[str, Distribution | None]
     durations: list[Duration]
-    survival: PlanSurvival
+    survival: dict[str, Survival]
     policies: list[PolicyScore]
     rank_agreement: RankAgreement | None
     """None for fewer than three policies."""

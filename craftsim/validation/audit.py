@@ -23,12 +23,18 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.errors import StartError
 from craftsim.experiments.bundle import write_bundles
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
-from craftsim.experiments.durations import write_durations
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import wilson
 from craftsim.experiments.records import select
 from craftsim.experiments.session import Session, open_session
-from craftsim.experiments.statistics import RESULTS, Figures, campaign_figures, capped_steps, retried
+from craftsim.experiments.statistics import (
+    RESULTS,
+    Figures,
+    campaign_figures,
+    capped_steps,
+    retried,
+    write_durations,
+)
 from craftsim.models.world import PhysicsWorld
 from craftsim.validation.forms import TRIALS
 from craftsim.validation.minimize import Counterexample, MinimizeProgress, kind_of, minimize_failures

@@ -114,7 +114,7 @@ def validation_report(result: Validation, command: str) -> Report:
 
 
 def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
-    actions = figures.matrix.legal
+    actions = figures.matrix["legal"]
     runs = figures.all.runs
     missed = actions.trials - actions.as_predicted
     errors = sum(figures.errors.values())
@@ -143,9 +143,9 @@ def _disagrees(attempt: Mapping[str, Any]) -> bool:
 def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
     yield _share("runs that agree", figures.all.runs)
     yield _share("actions as predicted", figures.all.actions)
-    if car := figures.precision.car_error_mm:
+    if car := figures.precision["car_error_mm"]:
         yield KeyFigure(f"{car.median:.2g} mm", "car's error, median", f"95 % within {car.p95:.2g} mm")
-    if force := figures.precision.peak_force_n:
+    if force := figures.precision["peak_force_n"]:
         yield KeyFigure(f"{force.max:.0f} N", "peak contact force", f"median {force.median:.0f} N")
     if figures.rank_agreement:
         yield KeyFigure(f"{figures.rank_agreement.mmrv:.2f}", "rank violation (MMRV)", "0 best, 1 worst")

@@ -23,11 +23,10 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.errors import InputError
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
-from craftsim.experiments.durations import write_durations
 from craftsim.experiments.experiment import Experiment, Progress, TrialRecord
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.session import open_session
-from craftsim.experiments.statistics import Figures, campaign_figures
+from craftsim.experiments.statistics import Figures, campaign_figures, write_durations
 from craftsim.options import Physics, Rollouts, Trials, changed
 from craftsim.planning import Planned, plan_building
 from craftsim.rendering.trajectory import Trajectory
@@ -142,7 +141,7 @@ class Validation:
         return DataFrame(rows, columns=columns)
 
     def __repr__(self) -> str:
-        runs, legal = f"{self.n_agree} of {len(self.records)} runs agree", self.figures.matrix.legal
+        runs, legal = f"{self.n_agree} of {len(self.records)} runs agree", self.figures.matrix["legal"]
         return f"Validation({runs}, {legal.as_predicted} of {legal.trials} actions as predicted)"
 
     def _repr_html_(self) -> str:

@@ -28,7 +28,6 @@ from craftsim.discrete.tasks.registry import read_task
 from craftsim.discrete.tasks.starts import load_starts, save_starts
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import read_bundle
-from craftsim.experiments.durations import Duration, read_durations, write_durations
 from craftsim.logs.bags import read_topics
 from craftsim.logs.files import read_log, write_table
 from craftsim.logs.log import GROUPS, Log
@@ -190,10 +189,6 @@ def _trajectory(folder: Path) -> None:
         record_once(str(world), Setup(), 0, plan=plan).write(folder / "run.npz")
 
 
-_DURATIONS = [
-    Duration("LIFT", "none", 1, False, 12, 2.01, 1.9, 2.0, 2.2, 2.25),
-    Duration("MOVE", "block", 2, True, 3, 3.5, 3.25, 3.5, 3.75, 3.8),
-]
 FORMATS = {
     "blueprint": Format(
         lambda: [{"a.yaml": text.encode()} for text in _starts()],
@@ -246,9 +241,6 @@ FORMATS = {
         *("strip", "shelf.yaml", "random_strip", "tasks:corner", "os.path:join"),
         cases=300,
     ),
-    "durations": Format(
-        lambda: _written(_write_durations), lambda folder: read_durations(folder / "durations.csv")
-    ),
     "picture": Format(_pictures, _design, 150),
     "mesh": Format(_meshes, _design, 100),
     "log": Format(lambda: _written(_write_log), lambda folder: read_log(folder / "log.csv")),
@@ -273,10 +265,6 @@ FORMATS = {
     ),
 }
 """By name."""
-
-
-def _write_durations(folder: Path) -> None:
-    write_durations(folder, _DURATIONS)
 
 
 def _write_log(folder: Path) -> None:

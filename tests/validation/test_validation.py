@@ -75,7 +75,7 @@ def test_a_bystander_that_moves_too_far_disagrees_whoever_asks(monkeypatch):
     assert 0.001 < attempt.bystander_displacement_m < 0.025
     assert attempt.finding == "agrees", "the grid that is read is the predicted one"
     assert (attempt.result, attempt.agrees, result.agrees) == ("side effect", False, False)
-    assert result.figures.matrix.legal.side_effect == 1
+    assert result.figures.matrix["legal"].side_effect == 1
 
     env = parallel_env("strip", "physics")
     env.reset(seed=0)
@@ -103,7 +103,7 @@ def test_what_the_rules_forbid_is_not_tried_and_named_with_rule_and_cells():
     assert attempt.reason.startswith("the rules forbid it: ")
     assert "(0, 0, 1)" in attempt.reason
     matrix = result.figures.matrix
-    assert (matrix.legal.trials, matrix.forbidden.trials) == (0, 0)
+    assert (matrix["legal"].trials, matrix["forbidden"].trials) == (0, 0)
 
 
 def test_a_failing_car_stops_what_depends_on_it_and_nothing_else(monkeypatch):

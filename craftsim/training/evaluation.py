@@ -59,13 +59,14 @@ def evaluate(
         noise = draws.gumbel(size=offered.shape) if acting == "sampled" else None
         chosen = choose_actions(net, seen, offered, noise)
         repetitions.add(np.flatnonzero(running), seen[running], chosen[running])
-        steps = worlds.step(chosen)
+        event = worlds.step(chosen, offered=offered) if isinstance(worlds, AsynchronousEpisodes) else None
+        steps = event or worlds.step(chosen)
         won[running & steps.success] = 1
         total += steps.reward * running
         ticks += running
         running &= ~steps.done
-        if isinstance(worlds, AsynchronousEpisodes):
-            running &= ~worlds.deadlocks(offered)
+        if event is not None:
+            running &= ~event.deadlock
     return _played(won, total, ticks, repetitions)
 
 

@@ -173,8 +173,8 @@ class AsynchronousWorlds:
 
     def step(self, actions: NDArray[np.int64]) -> BatchStep:
         """Let the cars that decide begin their actions, and each world go on to its next event."""
-        event = self.episodes.step(actions)
-        self._over = event.done | self.episodes.deadlocks(self._offered)
+        event = self.episodes.step(actions, offered=self._offered)
+        self._over = event.done | event.deadlock
         elapsed = event.duration_s / USUAL_TICK_S
         return BatchStep(event.reward, event.success & event.done, self._over, elapsed)
 

@@ -474,7 +474,7 @@ def close(
             earned[i, car] = decisions.earned[i, car] if ended[i, car] or done[i] else 0.0
             outcome = decisions.outcome[i, car]
             lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf
-            waited[i] = waited[i] and (outcome == WAITS or outcome == ILLEGAL or lost)
+            waited[i] = waited[i] and (outcome in (WAITS, ILLEGAL) or lost)
             vain = vain or outcome == ILLEGAL
         if waited[i] and not vain:
             for car in range(offered.shape[1]):

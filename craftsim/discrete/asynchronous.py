@@ -289,7 +289,8 @@ class AsynchronousEpisodes(Episodes):
         With ``offered`` (B, n, actions), what the cars have chosen from, deadlocks are found sooner. A second costs
         ``time_weight``.
         """
-        before, order = self.worlds_before(), self.draw_order() if order is None else order
+        before = self.worlds_before()
+        order = self.draw_order() if order is None else order
         if self.own or before is not None:
             outcome = self.decide(actions, order)
             doing = self.running.action.copy()
@@ -298,12 +299,22 @@ class AsynchronousEpisodes(Episodes):
             doing = self.running.action
             ended, outcome = np.empty(doing.shape, np.bool_), np.full(doing.shape, RUNS, np.int64)
             duration_s, elapsed_s = np.empty(len(self)), np.empty(doing.shape)
-            depth = NO_HELPER if self.depth is None else self.depth
-            worlds = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
-            turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
-            scratch = self.queue, self._space, depth
-            now = self.running, self.decisions, self._draw(), turns, acts
-            events.step(*worlds, *now, *scratch, outcome, duration_s, elapsed_s, ended)
+            events.step(
+                self.confirmed.world(self.corrections),
+                self.grids.world(self.corrections),
+                self.running,
+                self.decisions,
+                self._draw(),
+                np.ascontiguousarray(order, np.int64),
+                np.ascontiguousarray(actions, np.int64),
+                self.queue,
+                self._space,
+                NO_HELPER if self.depth is None else self.depth,
+                outcome,
+                duration_s,
+                elapsed_s,
+                ended,
+            )
         steps = self.settle(before, doing, ended, duration_s, time_weight)
         earned, waited = np.empty_like(elapsed_s), np.empty(len(self), np.bool_)
         masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)

@@ -2,6 +2,7 @@
 ticks and without."""
 
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -34,24 +35,41 @@ def test_a_registered_action(benchmark, own, registered, what):
     benchmark.extra_info["us_a_world"] = 1e6 * benchmark.stats.stats.median / WORLDS
 
 
-@pytest.mark.parametrize("task", ["simple_two_story", "complex_two_story"])
+def _steps(task, worlds, helper, **options):
+    """Return a function that takes a step of masked random play; it returns how many cars decided, and its CPU time."""
+    envs = craftsim.vector_env(task, worlds, helper_depth=helper, **options)
+    (seen, infos), rng = envs.reset(seed=0), np.random.default_rng(0)
+
+    def step():
+        nonlocal seen, infos
+        actions = pick(rng, seen["action_mask"])
+        decisions = infos["decides"].sum() if options else actions.size
+        began_s = time.process_time()
+        seen, _, _, _, infos = envs.step(actions)
+        return decisions, time.process_time() - began_s
+
+    return step
+
+
+@pytest.mark.parametrize(("task", "cars"), [("strip", 2), ("simple_two_story", 4), ("complex_two_story", 4)])
 @pytest.mark.parametrize("helper", [None, 10])
 @pytest.mark.parametrize("worlds", [64, 500])
-@pytest.mark.parametrize("execution", ["synchronous", "asynchronous"])
-def test_decisions_of_a_batch(benchmark, task, helper, worlds, execution):
-    """A call is a step of ``worlds`` worlds in masked random play; cars whose actions run do not decide."""
-    options = {} if execution == "synchronous" else {"execution": execution, "jitter": 0.1}
-    envs = craftsim.vector_env(task, worlds, helper_depth=helper, **options)
-    (seen, infos), rng, decisions = envs.reset(seed=0), np.random.default_rng(0), []
+def test_decisions_of_asynchronous_batches(benchmark, task, cars, helper, worlds):
+    """A call is a step of ``worlds`` asynchronous worlds in masked random play, in turn with synchronous ones.
 
-    def choose():
-        actions = pick(rng, seen["action_mask"])
-        decisions.append(infos["decides"].sum() if options else actions.size)
-        return (actions,), {}
+    ``ratio`` is asynchronous decisions a second by synchronous ones; cars whose actions run do not decide.
+    """
+    made = craftsim.make_task(task, n_cars=cars)
+    ticks = _steps(made, worlds, helper)
+    events = _steps(made, worlds, helper, execution="asynchronous", jitter=0.1)
+    found = {"synchronous": [], "asynchronous": []}
 
-    def step(actions):
-        nonlocal seen, infos
-        seen, _, _, _, infos = envs.step(actions)
+    def tick():
+        found["synchronous"].append(ticks())
 
-    benchmark.pedantic(step, setup=choose, rounds=60, warmup_rounds=20)
-    benchmark.extra_info["decisions_a_second"] = np.mean(decisions[20:]) / benchmark.stats.stats.mean
+    benchmark.pedantic(
+        lambda: found["asynchronous"].append(events()), setup=tick, rounds=200, warmup_rounds=20
+    )
+    rates = {name: float(np.divide(*np.sum(steps[20:], axis=0))) for name, steps in found.items()}
+    benchmark.extra_info |= {f"{name}_decisions_a_second": rate for name, rate in rates.items()}
+    benchmark.extra_info["ratio"] = rates["asynchronous"] / rates["synchronous"]

@@ -1,6 +1,7 @@
 """What a joint step in physics costs: by cars and blocks, beside MuJoCo's own steps; resets; many worlds."""
 
 import os
+import time
 from contextlib import closing
 from pathlib import Path
 
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 from benches import ToAndFro, yard
 
+import craftsim
+from craftsim.cli.bench import pick
 from craftsim.discrete.kinds import Action
 from craftsim.envs.central import CentralConstruction
 from craftsim.mjcf.parameters import DRIVES
@@ -46,3 +49,40 @@ def test_the_memory_of_a_world(benchmark, drive):
 
 def _resident_mib():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+@pytest.mark.parametrize(("task", "cars"), [("strip", 2), ("simple_two_story", 4), ("complex_two_story", 4)])
+def test_simulated_time_of_asynchronous_execution(benchmark, task, cars):
+    """A call is a minute of asynchronous masked random play, in turn with a synchronous one.
+
+    The figures are simulated seconds a CPU second; ``ratio`` is asynchronous by synchronous.
+    """
+    minutes = {name: _Minutes(task, cars, name) for name in ("synchronous", "asynchronous")}
+    benchmark.pedantic(
+        minutes["asynchronous"].play, setup=minutes["synchronous"].play, rounds=5, warmup_rounds=1
+    )
+    rates = {name: float(np.divide(*np.sum(one.found[1:], axis=0))) for name, one in minutes.items()}
+    benchmark.extra_info |= {f"{name}_simulated_s_a_second": rate for name, rate in rates.items()}
+    benchmark.extra_info["ratio"] = rates["asynchronous"] / rates["synchronous"]
+
+
+class _Minutes:
+    """Masked random play of an environment in physics; of each minute the simulated and the CPU seconds are kept."""
+
+    def __init__(self, task, cars, execution):
+        self.env = craftsim.parallel_env(craftsim.make_task(task, n_cars=cars), execution=execution)
+        self.rng, self.found = np.random.default_rng(0), []
+        self.seen, _ = self.env.reset(seed=0)
+
+    def play(self):
+        simulated_s, cpu_s = 0.0, 0.0
+        while simulated_s < 60:
+            masks = np.stack([one["action_mask"] for one in self.seen.values()])
+            actions = dict(zip(self.seen, pick(self.rng, masks).tolist(), strict=True))
+            began_s, cpu_began_s = self.env.core.backend.judge.physics.time_s, time.process_time()
+            self.seen = self.env.step(actions)[0]
+            cpu_s += time.process_time() - cpu_began_s
+            simulated_s += self.env.core.backend.judge.physics.time_s - began_s
+            if not self.env.agents:
+                self.seen, _ = self.env.reset()
+        self.found.append((simulated_s, cpu_s))

@@ -23,3 +23,11 @@ def pytest_benchmark_update_json(config, benchmarks, output_json):
         one["params"] = one["params"] and {key: str(value) for key, value in one["params"].items()}
     output_json["machine_info"] = {"cpu": output_json["machine_info"]["cpu"].get("brand_raw", "")}
     output_json["versions"] = {name: version(name) for name in ("craftsim", "mujoco", "numba", "numpy")}
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """Print the figures that the table has no columns for."""
+    for one in config._benchmarksession.benchmarks:
+        if one.extra_info:
+            figures = ", ".join(f"{name} {value:.4g}" for name, value in one.extra_info.items())
+            terminalreporter.write_line(f"{one.name}: {figures}")

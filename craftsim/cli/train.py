@@ -29,7 +29,7 @@ from craftsim.reports.report import (
 )
 from craftsim.storage.folders import owned, owning
 from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS, WORKERS
-from craftsim.training.extra import need_torch
+from craftsim.training.policy import need_torch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -233,7 +233,7 @@ def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: 
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     from craftsim.reports.terminal import Terminal
-    from craftsim.training.tensorboard_log import TensorboardLog
+    from craftsim.training.curve import TensorboardLog
 
     log = TensorboardLog(folder, trainer.curve) if tensorboard else None
     console = Terminal()

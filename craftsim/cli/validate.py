@@ -147,7 +147,7 @@ def _play_policies(
     """
     from craftsim.reports.json_file import document
     from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, count
-    from craftsim.training.extra import need_torch
+    from craftsim.training.policy import need_torch
 
     policies = [str(policy) for policy in what.policy]
     cars, blocks = what.n_cars, what.n_blocks

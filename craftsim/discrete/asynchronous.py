@@ -104,6 +104,8 @@ class Event(Steps):
     """(B, n): the time since each decision that has ended, and with an episode since all."""
     earned: NDArray[np.float64]
     """(B, n): the sum of the rewards of that time."""
+    deadlock: NDArray[np.bool_]
+    """(B,): nothing can go on, for :meth:`AsynchronousEpisodes.deadlock` says why."""
 
 
 class AsynchronousEpisodes(Episodes):
@@ -184,14 +186,9 @@ class AsynchronousEpisodes(Episodes):
         What the rules forbid, or what a claim stands against, becomes a wait.
         """
         turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
-        factor, fails = self._same
-        if timed:
-            factor = self.timing.factors(self.rng, acts.shape) if self.timing.jitter else factor
-            fails = self.timing.fails(self.rng, acts.shape) if self.timing.failures else fails
-        nominal = self.timing.nominal_s if timed else self._unknown
-        clock = EventTimes(self.time_s, nominal, factor, fails, self._wait_s)
+        clock = self._draw() if timed else EventTimes(self.time_s, self._unknown, *self._same, self._wait_s)
         out = np.full(acts.shape, RUNS, np.int64)
-        some = np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else []
+        some = np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else ()
         done = 0
         for i in [*some, len(self)]:
             self._decide(slice(done, i), turns, acts, clock, out)
@@ -205,12 +202,17 @@ class AsynchronousEpisodes(Episodes):
                     self._decide(slice(i, i + 1), turns[:, place : place + 1], acts, clock, out)
         return out
 
+    def _draw(self) -> EventTimes:
+        """Draw how long what begins now takes, and what fails."""
+        (factor, fails), timing = self._same, self.timing
+        factor = timing.factors(self.rng, factor.shape) if timing.jitter else factor
+        fails = timing.fails(self.rng, factor.shape) if timing.failures else fails
+        return EventTimes(self.time_s, timing.nominal_s, factor, fails, self._wait_s)
+
     def _decide(self, worlds: slice, turns: Any, acts: Any, clock: EventTimes, out: Any) -> None:
         depth = NO_HELPER if self.depth is None else self.depth
         events.decide(
-            self.grids.cells,
-            self.grids.cars,
-            self.corrections,
+            self.grids.world(self.corrections),
             self.running,
             self.decisions,
             clock,
@@ -254,13 +256,13 @@ class AsynchronousEpisodes(Episodes):
 
     def advance(
         self,
-    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
         """Let time pass in each world to its next event, for which all cars must have decided.
 
-        Returns which decisions have ended, and which have failed, both (B, n), the time since the event before (B,),
-        and that since each decision (B, n).
+        Returns which decisions have ended (B, n), the time since the event before (B,), and that since each decision
+        (B, n). Of what has ended that has failed which ``running`` says.
         """
-        own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else []
+        own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else ()
         kept = {i: (self._marked(self.confirmed[i]), self.running.action[i].copy()) for i in own}
         shape = self.running.action.shape
         ended, duration_s, elapsed_s = np.empty(shape, np.bool_), np.empty(len(self)), np.empty(shape)
@@ -272,31 +274,66 @@ class AsynchronousEpisodes(Episodes):
                 if ended[i, car] and not failed[i, car]:
                     self._enforce(grid, int(car), int(actions[car]))
             self.confirm(i, grid)
-        return ended, failed, duration_s, elapsed_s
+        return ended, duration_s, elapsed_s
 
     def step(
         self,
         actions: NDArray[np.integer],
         order: NDArray[np.integer] | None = None,
+        *,
+        offered: NDArray[Any] | None = None,
         time_weight: float = 0.0,
     ) -> Event:
         """Let the cars that decide begin, ``actions`` (B, n) by car, and advance each world to its next event.
 
-        A second costs ``time_weight``.
+        With ``offered`` (B, n, actions), what the cars have chosen from, deadlocks are found sooner. A second costs
+        ``time_weight``.
         """
         before = self.worlds_before()
-        outcome = self.decide(actions, self.draw_order() if order is None else order)
-        doing = self.running.action.copy()
-        ended, failed, duration_s, elapsed_s = self.advance()
+        order = self.draw_order() if order is None else order
+        if self.own or before is not None:
+            outcome = self.decide(actions, order)
+            doing = self.running.action.copy()
+            ended, duration_s, elapsed_s = self.advance()
+        else:
+            doing = self.running.action
+            ended, outcome = np.empty(doing.shape, np.bool_), np.full(doing.shape, RUNS, np.int64)
+            duration_s, elapsed_s = np.empty(len(self)), np.empty(doing.shape)
+            events.step(
+                self.confirmed.world(self.corrections),
+                self.grids.world(self.corrections),
+                self.running,
+                self.decisions,
+                self._draw(),
+                np.ascontiguousarray(order, np.int64),
+                np.ascontiguousarray(actions, np.int64),
+                self.queue,
+                self._space,
+                NO_HELPER if self.depth is None else self.depth,
+                outcome,
+                duration_s,
+                elapsed_s,
+                ended,
+            )
         steps = self.settle(before, doing, ended, duration_s, time_weight)
-        complete = ended | steps.done[:, None]
+        earned, waited = np.empty_like(elapsed_s), np.empty(len(self), np.bool_)
+        masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)
+        events.close(self.running, self.decisions, masks, ended, steps.done, elapsed_s, earned, waited)
+        deadlock = np.zeros(len(self), np.bool_)
+        for i in np.flatnonzero(waited).tolist():
+            deadlock[i] = self.deadlock(i) is not None
         return Event(
-            **vars(steps),
+            steps.reward,
+            steps.done,
+            steps.success,
+            steps.applied,
+            steps.order,
             duration_s=duration_s,
             outcome=outcome,
-            failed=failed,
-            elapsed_s=elapsed_s * complete,
-            earned=self.decisions.earned * complete,
+            failed=ended & self.running.fails,
+            elapsed_s=elapsed_s,
+            earned=earned,
+            deadlock=deadlock,
         )
 
     @property
@@ -412,8 +449,7 @@ class AsynchronousEpisodes(Episodes):
         """Return some of the episodes to look at; what is done to them is not done to these."""
         other = super().some(rows)
         other.time_s = self.time_s[rows]
-        other.running = Running._make(array.take(rows, 0) for array in self.running)
-        other.decisions = Decisions._make(array.take(rows, 0) for array in self.decisions)
+        other.running = Running._make(array[rows] for array in self.running)
         return other
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
@@ -434,19 +470,6 @@ class AsynchronousEpisodes(Episodes):
         after = before.copy()
         carry_out(after, car, action)
         return self._clash(i, footprint(before, after, car, action))
-
-    def deadlocks(self, offered: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return (B,): in which worlds :meth:`deadlock` finds one at an event.
-
-        ``offered`` (B, n, actions) is what was offered before it: where all cars have waited since, that is so still.
-        """
-        outcome, found = self.decisions.outcome, np.zeros(len(self), np.bool_)
-        waited = np.flatnonzero(((outcome == WAITS) | (outcome == ILLEGAL) | self.lost).all(1))
-        if len(waited):
-            doubted = _stuck(offered[waited]) | (outcome[waited] == ILLEGAL).any(1)
-            for i in waited[doubted].tolist():
-                found[i] = self.deadlock(i) is not None
-        return found
 
     def deadlock(self, i: int) -> Deadlock | None:
         """Return why nothing can go on in a world at an event, or None where something can.
@@ -500,13 +523,13 @@ class AsynchronousEpisodes(Episodes):
         """Return what each car sees of what all are doing, and of what is claimed.
 
         That is (B, n, n, 2), of each car what it does, -1 if it decides, and the seconds since that began; and
-        (B, n, L, W, H + 1), 1 for each cell that what runs has claimed.
+        (B, n, L, W, H + 1), 1 for each cell that what runs has claimed, a view of the same for all cars.
         """
         n = self.n_cars
         doing = np.empty((len(self), n, n, 2), np.float32)
         claimed = np.zeros(self.grids.cells.shape[:4], np.int8)
         events.show(self.running, self.time_s, doing, claimed)
-        return doing, claimed[:, None].repeat(n, axis=1)
+        return doing, np.broadcast_to(claimed[:, None], (len(self), n, *claimed.shape[1:]))
 
 
 def _stuck(masks: NDArray[Any]) -> NDArray[np.bool_]:

@@ -146,7 +146,7 @@ class GridVectorEnv(TaskVectorEnv):
         """Let the cars that decide begin, and advance each world to its next event."""
         asked = np.where(episodes.decides, chosen, int(Action.STOP))
         numbers, queued = self.form.begin(episodes, asked)
-        event = episodes.step(numbers, time_weight=self.time_weight)
+        event = episodes.step(numbers, offered=self._masks, time_weight=self.time_weight)
         wrong = event.outcome == ILLEGAL
         if queued is not None:
             # A choice of an object to which there is no way is a STOP that was not asked for.
@@ -159,7 +159,7 @@ class GridVectorEnv(TaskVectorEnv):
             "failed": event.failed,
             "elapsed_s": event.elapsed_s,
             "earned": event.earned,
-            "deadlock": episodes.deadlocks(self._masks),
+            "deadlock": event.deadlock,
         }
 
     def _seen(self, episodes: Episodes) -> Observation:

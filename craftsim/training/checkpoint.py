@@ -23,9 +23,8 @@ from craftsim.storage.records import first_mistake
 from craftsim.storage.writing import whole, write_whole
 from craftsim.training.config import TrainConfig
 from craftsim.training.curve import CurvePoint
-from craftsim.training.identity import TaskIdentity
 from craftsim.training.policy import POLICY_FILE
-from craftsim.training.shape import Shape
+from craftsim.training.shape import Shape, TaskIdentity
 
 if TYPE_CHECKING:
     from craftsim.training.networks import CarNet
@@ -141,8 +140,7 @@ def _net(head: PolicyHead, arrays: dict[str, Any]) -> CarNet:
     """Return the network of a policy; raises InputError for arrays that are not its weights."""
     import torch
 
-    from craftsim.training.networks import first_net
-    from craftsim.training.restoring import numbers
+    from craftsim.training.networks import first_net, numbers
 
     net = first_net(head.shape, head.config.seed)
     weights = dict(net.named_parameters())

@@ -6,6 +6,8 @@ episodes may be a single one, repeated.
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -20,8 +22,10 @@ from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.config import Acting
 from craftsim.training.curve import EvaluationResult
 from craftsim.training.networks import CarNet
-from craftsim.training.repetitions import Repetitions
 from craftsim.training.rollouts import TRAINED_JITTER, Seen
+
+_FACTOR: Final = np.int64(6364136223846793005)
+"""Of Knuth's linear congruential generator; numbers are taken modulo 2**64."""
 
 
 def evaluate(
@@ -59,13 +63,14 @@ def evaluate(
         noise = draws.gumbel(size=offered.shape) if acting == "sampled" else None
         chosen = choose_actions(net, seen, offered, noise)
         repetitions.add(np.flatnonzero(running), seen[running], chosen[running])
-        steps = worlds.step(chosen)
+        event = worlds.step(chosen, offered=offered) if isinstance(worlds, AsynchronousEpisodes) else None
+        steps = event or worlds.step(chosen)
         won[running & steps.success] = 1
         total += steps.reward * running
         ticks += running
         running &= ~steps.done
-        if isinstance(worlds, AsynchronousEpisodes):
-            running &= ~worlds.deadlocks(offered)
+        if event is not None:
+            running &= ~event.deadlock
     return _played(won, total, ticks, repetitions)
 
 
@@ -126,3 +131,39 @@ def choose_actions(
         values = values + torch.from_numpy(noise)
     chosen: NDArray[np.int64] = values.argmax(-1).numpy()
     return chosen
+
+
+class Repetitions:
+    """Digests of n episodes: of how each began, and of all that its cars saw and did."""
+
+    def __init__(self, designs: NDArray[np.integer]) -> None:
+        """Begin; ``designs`` (n, T, 5) is what is to be built in each."""
+        self._designs = _digests(designs.reshape(len(designs), -1))
+        self.starts = self._designs.copy()
+        self.trajectories = self._designs.copy()
+        self._begun = np.zeros(len(designs), np.bool_)
+
+    def add(
+        self, which: NDArray[np.integer], seen: NDArray[np.integer], actions: NDArray[np.integer]
+    ) -> None:
+        """Add a tick of some episodes: what was seen, (k, ...), and then done, (k, n)."""
+        with np.errstate(over="ignore"):
+            world = _digests(seen.reshape(len(which), -1))
+            new = which[~self._begun[which]]
+            self.starts[new] = self.starts[new] * _FACTOR + world[~self._begun[which]]
+            self._begun[new] = True
+            done = _digests(actions.reshape(len(which), -1))
+            self.trajectories[which] = (self.trajectories[which] * _FACTOR + world) * _FACTOR + done
+
+    def solved(self, won: NDArray[np.generic]) -> tuple[int, int]:
+        """Return of how many starts each episode succeeded, and how many starts there are."""
+        _, start = np.unique(self.starts, return_inverse=True)
+        failures = np.bincount(start, weights=won == 0)
+        return int((failures == 0).sum()), len(failures)
+
+
+def _digests(rows: NDArray[np.integer]) -> NDArray[np.int64]:
+    factors = np.random.default_rng(1).integers(-(2**62), 2**62, rows.shape[1])
+    with np.errstate(over="ignore"):
+        sums: NDArray[np.int64] = (rows.astype(np.int64) * factors).sum(axis=1)
+    return sums

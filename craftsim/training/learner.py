@@ -8,8 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from craftsim.training.networks import CarNet
-from craftsim.training.restoring import numbers, restore_adam, restore_module
+from craftsim.training.networks import CarNet, numbers, restore_adam, restore_module
 from craftsim.training.rollouts import Rollout, Seen
 from craftsim.training.settings import Settings
 

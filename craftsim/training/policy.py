@@ -1,4 +1,4 @@
-"""Trained policies: callables from observations to actions."""
+"""Trained policies: callables from observations to actions; and the libraries that training and they need."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.errors import InputError
-from craftsim.training.extra import need_torch
+from craftsim.extras import need
 
 if TYPE_CHECKING:
     from craftsim.discrete.rules import RuleSet
     from craftsim.discrete.tasks import Task
     from craftsim.training.config import TrainConfig
-    from craftsim.training.identity import TaskIdentity
     from craftsim.training.networks import CarNet
-    from craftsim.training.shape import Shape
+    from craftsim.training.shape import Shape, TaskIdentity
 
+PACKAGES: Final = ("torch",)
+"""Whose versions decide what a run learns."""
 POLICY_FILE: Final = "policy.safetensors"
 """File name in the folder of a training run."""
 _OLD_FILE: Final = "policy.pt"
@@ -29,6 +30,18 @@ SHIPPED: Final = Path(__file__).parents[1] / "data" / "policies"
 
 Observations = dict[str, dict[str, NDArray[Any]]]
 """By agent, ``car_0`` and so on: ``observation`` (vector_length,) and ``action_mask`` (15,)."""
+
+
+def need_torch() -> None:
+    """Raise InputError with the command that installs what is missing."""
+    cpu = "pip install torch --index-url https://download.pytorch.org/whl/cpu"
+    need(
+        "train",
+        "training needs",
+        *PACKAGES,
+        "safetensors",
+        remark=f" (a CPU build of torch is enough: {cpu})",
+    )
 
 
 class TrainedPolicy:

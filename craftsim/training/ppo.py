@@ -1,4 +1,4 @@
-"""Independent and multi-agent PPO: clipped objective and generalised advantages over many parallel worlds.
+"""Independent and multi-agent PPO: clipped objective and generalised advantages over many parallel worlds; imitation.
 
 After Schulman et al. (2017) and Yu et al., "The surprising effectiveness of PPO in cooperative multi-agent games"
 (NeurIPS 2022).
@@ -8,18 +8,32 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 from torch.nn.functional import smooth_l1_loss
 
+from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.training.demonstrations import NOT_SHOWN, Demonstrations
 from craftsim.training.learner import Learner, drawn
 from craftsim.training.networks import CarNet, Critic
-from craftsim.training.rollouts import Rollout, Seen, UniqueObservations, joined
+from craftsim.training.rollouts import Rollout, Seen, distinct, joined
 from craftsim.training.settings import PPOSettings
 from craftsim.training.shape import Shape
 
 MIN_ADVANTAGE_STD: Final = 0.1
 """Advantages with a smaller standard deviation are not normalised to 1, since they are noise of the critic."""
+EPOCHS: Final = 6
+"""Of imitation, as are the next ones."""
+LEAST: Final = 200
+"""Steps of the optimiser, however little is shown."""
+BATCH: Final = 512
+LEARNING_RATE: Final = 1e-3
+_LOOKED_AT: Final = 4096
+"""Worlds that are put into observations at once."""
 
 
 class PPOLearner(Learner):
@@ -45,12 +59,12 @@ class PPOLearner(Learner):
         settings = self.settings
         n, actions = len(rollout), rollout.actions.flatten(0, 1)
         # Values now and after each tick; these differ at the end of an episode.
-        distinct = UniqueObservations(joined([rollout.now.flat(), rollout.after.flat()]))
+        once, inverse = distinct(joined([rollout.now.flat(), rollout.after.flat()]))
         with torch.no_grad():
-            encoded = self.net.encode(distinct.seen)
-            now, after = self.critic(encoded)[distinct.inverse].view(2, *rollout.actions.shape)
-            before = self.net.masked(encoded, distinct.seen).log_softmax(-1)
-            before = _of(before[distinct.inverse[:n]], actions)
+            encoded = self.net.encode(once)
+            now, after = self.critic(encoded)[inverse].view(2, *rollout.actions.shape)
+            before = self.net.masked(encoded, once).log_softmax(-1)
+            before = _of(before[inverse[:n]], actions)
         advantage = advantages(rollout, now, after, settings.gamma, settings.gae_lambda).flatten(0, 1)
         target = advantage + now.flatten(0, 1)
         chose = None if rollout.decides is None else rollout.decides.flatten(0, 1)
@@ -58,15 +72,15 @@ class PPOLearner(Learner):
         advantage = (advantage - met.mean()) / met.std().clamp(min=MIN_ADVANTAGE_STD)
         for _ in range(settings.epochs):
             for some in torch.randperm(n).chunk(settings.minibatches):
-                met, inverse = torch.unique(distinct.inverse[some], return_inverse=True)
-                seen = distinct.seen[met]
+                met, places = torch.unique(inverse[some], return_inverse=True)
+                seen = once[met]
                 encoded = self.net.encode(seen)
                 log_probs = self.net.masked(encoded, seen).log_softmax(-1)
-                ratio = (_of(log_probs.index_select(0, inverse), actions[some]) - before[some]).exp()
+                ratio = (_of(log_probs.index_select(0, places), actions[some]) - before[some]).exp()
                 gain = ratio * advantage[some]
                 clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip) * advantage[some]
-                value = self.critic(encoded).index_select(0, inverse)
-                entropy = -(log_probs.exp() * log_probs.clamp(min=-1e4)).sum(-1).index_select(0, inverse)
+                value = self.critic(encoded).index_select(0, places)
+                entropy = -(log_probs.exp() * log_probs.clamp(min=-1e4)).sum(-1).index_select(0, places)
                 loss = settings.critic * smooth_l1_loss(value, target[some], reduction="none")
                 loss = loss - torch.minimum(gain, clipped) - settings.entropy * entropy
                 self.minimize((loss if chose is None else loss[chose[some]]).mean())
@@ -103,3 +117,47 @@ def advantages(rollout: Rollout, now: Tensor, after: Tensor, gamma: float, decay
         follows = torch.where(rollout.decides[t], now[t], earned)
         ahead = torch.where(rollout.decides[t], found[t], ahead)
     return found
+
+
+def imitate(
+    learner: PPOLearner,
+    task: Task,
+    shown: Demonstrations,
+    rules: RuleSet = "physical",
+    helper_depth: int | None = None,
+) -> None:
+    """Fit what a learner would do to what was shown, and its values to the returns of that."""
+    seen = _seen(learner, shown, Episodes(task, np.random.default_rng(0), _LOOKED_AT, rules, helper_depth))
+    actions = torch.from_numpy(shown.actions)
+    returns = torch.from_numpy(shown.returns(learner.settings.gamma))
+    # What a car does later in a tick may be legal only after what another did: such actions are not imitated.
+    taught = (actions != NOT_SHOWN) & seen.offers.gather(-1, actions.clamp(min=0)[..., None])[..., 0]
+    optimizer = torch.optim.Adam(learner.modules.parameters(), LEARNING_RATE, fused=True)
+    batches = -(-len(actions) // BATCH)
+    steps = max(LEAST, EPOCHS * batches)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
+    for step in range(steps):
+        if step % batches == 0:
+            order = torch.randperm(len(actions)).chunk(batches)
+        some = order[step % batches]
+        encoded = learner.net.encode(seen[some])
+        logits = learner.net.masked(encoded, seen[some])
+        values = learner.critic(encoded)
+        doing = functional.cross_entropy(logits[taught[some]], actions[some][taught[some]])
+        valuing = functional.mse_loss(values, returns[some, None].expand_as(values))
+        optimizer.zero_grad()
+        (doing + learner.settings.critic * valuing).backward()
+        nn.utils.clip_grad_norm_(learner.modules.parameters(), learner.settings.max_gradient)
+        optimizer.step()
+        schedule.step()
+
+
+def _seen(learner: PPOLearner, shown: Demonstrations, episodes: Episodes) -> Seen:
+    """Return what the cars saw, (N,)."""
+    places, masks = [], []
+    for rows in np.split(np.arange(len(shown.actions)), range(_LOOKED_AT, len(shown.actions), _LOOKED_AT)):
+        episodes.begin(np.arange(len(rows)), shown.worlds.take(rows))
+        vectors = torch.from_numpy(episodes.vectors()[: len(rows)])
+        places.append(learner.net.encoder.places(vectors).to(torch.int32))
+        masks.append(torch.from_numpy(episodes.offered()[: len(rows)]))
+    return Seen(torch.cat(places), torch.cat(masks))

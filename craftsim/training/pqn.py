@@ -13,7 +13,7 @@ from torch.nn.functional import mse_loss
 from craftsim.training.learner import Learner
 from craftsim.training.networks import CarNet
 from craftsim.training.q_learning import epsilon_greedy, of_actions
-from craftsim.training.rollouts import Rollout, Seen, UniqueObservations, joined, lambda_returns
+from craftsim.training.rollouts import Rollout, Seen, distinct, joined, lambda_returns
 from craftsim.training.settings import PQNSettings
 from craftsim.training.shape import Shape
 
@@ -36,13 +36,13 @@ class PQNLearner(Learner):
         """Learn from each tick as many times as there are epochs."""
         settings = self.settings
         n, actions = len(rollout), rollout.actions.flatten(0, 1)
-        distinct = UniqueObservations(joined([rollout.now.flat(), rollout.after.flat()]))
+        once, inverse = distinct(joined([rollout.now.flat(), rollout.after.flat()]))
         with torch.no_grad():
-            best = self.net(distinct.seen).amax(-1).sum(-1)
-        after = best[distinct.inverse[n:]].view_as(rollout.rewards)
+            best = self.net(once).amax(-1).sum(-1)
+        after = best[inverse[n:]].view_as(rollout.rewards)
         target = lambda_returns(rollout, after, settings.gamma, settings.td_lambda).flatten()
         for _ in range(settings.epochs):
             for some in torch.randperm(n).chunk(settings.minibatches):
-                met, inverse = torch.unique(distinct.inverse[some], return_inverse=True)
-                values = self.net(distinct.seen[met]).index_select(0, inverse)
+                met, places = torch.unique(inverse[some], return_inverse=True)
+                values = self.net(once[met]).index_select(0, places)
                 self.minimize(mse_loss(of_actions(values, actions[some]).sum(-1), target[some]))

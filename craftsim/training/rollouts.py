@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -19,8 +19,12 @@ from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.features import Encoder, RelativeEncoder
+from craftsim.training.shape import Shape
 
 _HASH_SEED: Final = 2
+_NOVELTY_SEED: Final = 1
+BUCKETS: Final = 1 << 20
+"""Counts of :class:`NoveltyWorlds`."""
 TRAINED_JITTER: Final = 0.1
 """Relative jitter of durations in asynchronous training."""
 
@@ -87,63 +91,8 @@ class Rollout:
         return self.rewards.numel()
 
 
-class WorldBatch(Protocol):
-    """B parallel worlds of one task."""
-
-    @property
-    def decides(self) -> NDArray[np.bool_] | None:
-        """(B, n): which cars decide next; None: all, in ticks."""
-
-    def reset(self, seed: int) -> None:
-        """Start new episodes everywhere; all further random draws follow from the seed."""
-
-    def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
-        """Return observations (B, n, vector_length) and masks (B, n, 15)."""
-
-    def step(self, actions: NDArray[np.int64]) -> BatchStep:
-        """Step with actions (B, n) of the cars that decide."""
-
-    def restart(self) -> None:
-        """Start new episodes where they are over."""
-
-    def close(self) -> None:
-        """Release resources."""
-
-
 class GridWorlds:
-    """WorldBatch on the grid, stepped in one compiled call."""
-
-    decides: NDArray[np.bool_] | None = None
-
-    def __init__(
-        self, task: Task, n: int, rules: RuleSet = "physical", helper_depth: int | None = None
-    ) -> None:
-        self.episodes = Episodes(task, np.random.default_rng(), n, rules, helper_depth)
-
-    def reset(self, seed: int) -> None:
-        """Start all episodes anew."""
-        self.episodes.rng = np.random.default_rng(seed)
-        self.episodes.reset()
-
-    def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
-        """Return observations and masks."""
-        return self.episodes.vectors(), self.episodes.offered()
-
-    def step(self, actions: NDArray[np.int64]) -> BatchStep:
-        """Let all cars act."""
-        steps = self.episodes.step(actions)
-        return BatchStep(steps.reward, steps.success & steps.done, steps.done)
-
-    def restart(self) -> None:
-        """Start the episodes anew that are over."""
-        self.episodes.reset(np.flatnonzero(self.episodes.done))
-
-    def close(self) -> None:
-        """Free nothing: all of it is in arrays."""
-
-
-class AsynchronousWorlds:
-    """WorldBatch on the grid in asynchronous execution; a step lasts until the next event of each world."""
+    """B parallel worlds of one task on the grid, in ticks or, in asynchronous execution, from event to event."""
 
     def __init__(
         self,
@@ -151,35 +100,44 @@ class AsynchronousWorlds:
         n: int,
         rules: RuleSet = "physical",
         helper_depth: int | None = None,
+        asynchronous: bool = False,
     ) -> None:
-        rng, timing = np.random.default_rng(), Timing(jitter=TRAINED_JITTER)
-        self.episodes = AsynchronousEpisodes(task, rng, n, rules, helper_depth, timing=timing)
+        rng = np.random.default_rng()
+        self.episodes = (
+            AsynchronousEpisodes(task, rng, n, rules, helper_depth, timing=Timing(jitter=TRAINED_JITTER))
+            if asynchronous
+            else Episodes(task, rng, n, rules, helper_depth)
+        )
         self._over = np.zeros(n, np.bool_)
 
     @property
-    def decides(self) -> NDArray[np.bool_]:
-        """Which cars have no action and decide."""
-        return self.episodes.decides
+    def decides(self) -> NDArray[np.bool_] | None:
+        """(B, n): which cars decide next; None: all, in ticks."""
+        return self.episodes.decides if isinstance(self.episodes, AsynchronousEpisodes) else None
 
     def reset(self, seed: int) -> None:
-        """Start all episodes anew."""
+        """Start new episodes everywhere; all further random draws follow from the seed."""
         self.episodes.rng = np.random.default_rng(seed)
         self.episodes.reset()
 
     def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
-        """Return observations and masks."""
+        """Return observations (B, n, vector_length) and masks (B, n, 15)."""
         self._offered = self.episodes.offered()
         return self.episodes.vectors(), self._offered
 
     def step(self, actions: NDArray[np.int64]) -> BatchStep:
-        """Let the cars that decide begin their actions, and each world go on to its next event."""
-        event = self.episodes.step(actions)
-        self._over = event.done | self.episodes.deadlocks(self._offered)
-        elapsed = event.duration_s / USUAL_TICK_S
-        return BatchStep(event.reward, event.success & event.done, self._over, elapsed)
+        """Let the cars that decide act, ``actions`` (B, n)."""
+        if isinstance(self.episodes, AsynchronousEpisodes):
+            event = self.episodes.step(actions, offered=self._offered)
+            self._over = event.done | event.deadlock
+            elapsed = event.duration_s / USUAL_TICK_S
+            return BatchStep(event.reward, event.success & event.done, self._over, elapsed)
+        steps = self.episodes.step(actions)
+        self._over = steps.done
+        return BatchStep(steps.reward, steps.success & steps.done, steps.done)
 
     def restart(self) -> None:
-        """Start the episodes anew that are over."""
+        """Start new episodes where they are over."""
         self.episodes.reset(np.flatnonzero(self._over))
 
     def close(self) -> None:
@@ -187,7 +145,7 @@ class AsynchronousWorlds:
 
 
 class PhysicsWorlds:
-    """WorldBatch in physics over worker processes; results do not depend on their number."""
+    """The same in physics over worker processes; results do not depend on their number."""
 
     decides: NDArray[np.bool_] | None = None
 
@@ -227,6 +185,41 @@ class PhysicsWorlds:
     def close(self) -> None:
         """End the processes."""
         self.envs.close()
+
+
+class NoveltyWorlds:
+    """Worlds whose rewards rise by a weight divided by the root of how often their arrangement of things was seen.
+
+    Count-based exploration by hashing (Tang et al., "#Exploration", NeurIPS 2017): the bonus fades as counts grow, and
+    evaluations never see it. Where the cars are plays no part. ``counts`` (BUCKETS,) may be shared by several.
+    """
+
+    def __init__(
+        self, worlds: GridWorlds | PhysicsWorlds, weight: float, shape: Shape, counts: NDArray[np.int32]
+    ) -> None:
+        self.worlds, self.weight, self.counts = worlds, weight, counts
+        self._skip = ROW * (1 + shape.n_cars)
+        n = shape.vector_length - self._skip
+        self._factors = np.random.default_rng(_NOVELTY_SEED).integers(-(2**62), 2**62, n)
+        self.reset, self.observe = worlds.reset, worlds.observe
+        self.restart, self.close = worlds.restart, worlds.close
+
+    @property
+    def decides(self) -> NDArray[np.bool_] | None:
+        """Which cars choose what they do next."""
+        return self.worlds.decides
+
+    def step(self, actions: NDArray[np.int64]) -> BatchStep:
+        """Let all cars act; the bonus is part of the reward."""
+        outcome = self.worlds.step(actions)
+        things = self.observe()[0][:, 0, self._skip :].astype(np.int64)
+        with np.errstate(over="ignore"):
+            buckets = ((things * self._factors).sum(-1) >> 20) % BUCKETS
+        np.add.at(self.counts, buckets, 1)
+        return outcome._replace(reward=outcome.reward + self.weight / np.sqrt(self.counts[buckets]))
+
+
+WorldBatch = GridWorlds | PhysicsWorlds | NoveltyWorlds
 
 
 @torch.no_grad()
@@ -275,23 +268,18 @@ def lambda_returns(rollout: Rollout, after: Tensor, gamma: float, decay: float) 
     return found
 
 
-class UniqueObservations:
-    """De-duplication of N observations by a hash of 64 bits, so that a network evaluates each distinct one once.
+def distinct(seen: Seen) -> tuple[Seen, Tensor]:
+    """Return the distinct ones of N observations, and (N,) the index of each among them.
 
-    Episodes with equal starts visit the same worlds often. Among a million rows the probability of a collision is 1e-7.
+    A network then evaluates each once: episodes with equal starts visit the same worlds often. They are told apart by a
+    hash of 64 bits; among a million rows the probability of a collision is 1e-7.
     """
-
-    def __init__(self, seen: Seen) -> None:
-        """De-duplicate N rows."""
-        generator = torch.Generator().manual_seed(_HASH_SEED)
-        hashes = torch.zeros(len(seen.places), dtype=torch.int64)
-        for column in (seen.places, seen.offers):
-            rows = column.flatten(1).long()
-            hashes += (rows * torch.randint(-(2**62), 2**62, rows.shape[1:], generator=generator)).sum(-1)
-        found, self.inverse = torch.unique(hashes, return_inverse=True)
-        """(N,): index of each row among the distinct ones."""
-        first = torch.full_like(found, len(hashes)).scatter_reduce_(
-            0, self.inverse, torch.arange(len(hashes)), "amin"
-        )
-        self.seen = seen[first]
-        """(U,): the distinct rows."""
+    generator = torch.Generator().manual_seed(_HASH_SEED)
+    hashes = torch.zeros(len(seen.places), dtype=torch.int64)
+    for column in (seen.places, seen.offers):
+        rows = column.flatten(1).long()
+        hashes += (rows * torch.randint(-(2**62), 2**62, rows.shape[1:], generator=generator)).sum(-1)
+    found, inverse = torch.unique(hashes, return_inverse=True)
+    numbers = torch.arange(len(hashes))
+    first = torch.full_like(found, len(hashes)).scatter_reduce_(0, inverse, numbers, "amin")
+    return seen[first], inverse

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
@@ -19,34 +20,40 @@ from craftsim.discrete.tasks import Task, known_task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.reports.json_file import versions
-from craftsim.training.checkpoint import RUN_FILE, PolicyHead, RunHead, open_run, save_policy, save_run
+from craftsim.training.checkpoint import (
+    RUN_FILE,
+    TABLE,
+    PolicyHead,
+    RunHead,
+    open_run,
+    read_policy,
+    save_policy,
+    save_run,
+)
 from craftsim.training.coma import COMALearner
 from craftsim.training.config import WITH_PROBABILITIES, TrainConfig
 from craftsim.training.curve import CURVE_FILE, CurvePoint, EvaluationResult, write_curve
 from craftsim.training.demonstrations import Progress, silent
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
-from craftsim.training.extra import PACKAGES
+from craftsim.training.features import RelativeEncoder
 from craftsim.training.guidance import Guidance, check_guidance, guidance_of
-from craftsim.training.identity import TaskIdentity, starts_digest
-from craftsim.training.imitation import imitate
 from craftsim.training.learner import Learner
-from craftsim.training.novelty import BUCKETS, NoveltyWorlds
-from craftsim.training.policy import POLICY_FILE
-from craftsim.training.ppo import PPOLearner
+from craftsim.training.networks import CarNet, first_net, numbers
+from craftsim.training.policy import PACKAGES, POLICY_FILE, policy_file
+from craftsim.training.ppo import PPOLearner, imitate
 from craftsim.training.pqn import PQNLearner
-from craftsim.training.pretraining import begin_as_pretrained
 from craftsim.training.q_learning import QLearner
-from craftsim.training.restoring import numbers
 from craftsim.training.rollouts import (
-    AsynchronousWorlds,
+    BUCKETS,
     GridWorlds,
+    NoveltyWorlds,
     PhysicsWorlds,
     Rollout,
     WorldBatch,
     play,
 )
 from craftsim.training.settings import COMASettings, PPOSettings, PQNSettings, QSettings, settings_of
-from craftsim.training.shape import Shape, check_stage
+from craftsim.training.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.workers.actor import defer_sigint
 
 if TYPE_CHECKING:
@@ -138,11 +145,10 @@ class Trainer:
 
     def _make_worlds(self, task: Task) -> WorldBatch:
         config = self.config
-        worlds: WorldBatch
-        if config.execution == "asynchronous":
-            worlds = AsynchronousWorlds(task, config.n_worlds, config.rules, config.helper_depth)
-        elif config.backend == "grid":
-            worlds = GridWorlds(task, config.n_worlds, config.rules, config.helper_depth)
+        worlds: GridWorlds | PhysicsWorlds
+        if config.backend == "grid":
+            how = config.rules, config.helper_depth, config.execution == "asynchronous"
+            worlds = GridWorlds(task, config.n_worlds, *how)
         else:
             worlds = PhysicsWorlds(task, config.n_worlds, **self._physics)
         return NoveltyWorlds(worlds, config.novelty, self.shape, self.counts) if config.novelty else worlds
@@ -308,6 +314,38 @@ def make_learner(config: TrainConfig, shape: Shape, ticks: int) -> Learner:
         case QSettings() as settings:
             return QLearner(shape, ticks, config.algo, settings)
     raise AssertionError(config.algo)
+
+
+def begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
+    """Let a network begin as the policy that a configuration names; return the digest (SHA-256) of its file.
+
+    What that one has not learnt stays as it is. Networks that look from a car may be for areas of different sizes,
+    others are for the same one. Raises InputError for a policy of which nothing can be taken over.
+    """
+    path = policy_file(config.pretrained)
+    head, other = read_policy(path)
+    begun, known = head.config, head.shape
+    if begun.algo not in WITH_PROBABILITIES:
+        raise InputError(
+            f"{path}: trained by {begun.algo}, which rates actions by value; allowed: {', '.join(WITH_PROBABILITIES)}"
+        )
+    learnt = (other.encoder.table.weight != first_net(known, begun.seed).encoder.table.weight).any(-1)
+    if known.fits(shape):
+        table = torch.where(learnt[:, None], other.encoder.table.weight, net.encoder.table.weight)
+        net.load_state_dict({**other.state_dict(), TABLE: table})
+    elif (
+        isinstance(net.encoder, RelativeEncoder)
+        and isinstance(other.encoder, RelativeEncoder)
+        and known.width == shape.width
+    ):
+        net.encoder.take_over(other.encoder, learnt)
+        net.head.load_state_dict(other.head.state_dict())
+    else:
+        raise InputError(
+            f"{path}: its network is for {known}, the one to train for {shape}; take the same network and width, and "
+            "with 'map' the same area and number of cars"
+        )
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _named(name: str, config: TrainConfig) -> Task:

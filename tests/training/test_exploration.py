@@ -13,7 +13,7 @@ from craftsim.training.config import TrainConfig
 from craftsim.training.demonstrations import NOT_SHOWN
 from craftsim.training.evaluation import choose_actions
 from craftsim.training.exploration import done_on, explore
-from craftsim.training.imitation import imitate
+from craftsim.training.ppo import imitate
 from craftsim.training.trainer import Trainer
 
 

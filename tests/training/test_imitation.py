@@ -16,7 +16,7 @@ from craftsim.errors import InputError
 from craftsim.training.config import TrainConfig
 from craftsim.training.demonstrations import NOT_SHOWN, planned_demonstrations
 from craftsim.training.evaluation import choose_actions
-from craftsim.training.imitation import imitate
+from craftsim.training.ppo import imitate
 from craftsim.training.trainer import Trainer
 
 

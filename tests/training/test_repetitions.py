@@ -6,7 +6,7 @@ import pytest
 from craftsim.cli import main
 from craftsim.training.config import TrainConfig
 from craftsim.training.curve import EvaluationResult
-from craftsim.training.repetitions import Repetitions
+from craftsim.training.evaluation import Repetitions
 from craftsim.training.trainer import Trainer
 
 ALL = np.arange(4)

@@ -11,13 +11,13 @@ from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.training.features import Encoder
 from craftsim.training.learner import drawn, drawn_offers
-from craftsim.training.novelty import BUCKETS, NoveltyWorlds
 from craftsim.training.rollouts import (
-    AsynchronousWorlds,
+    BUCKETS,
     GridWorlds,
+    NoveltyWorlds,
     PhysicsWorlds,
     Seen,
-    UniqueObservations,
+    distinct,
     play,
 )
 from craftsim.training.shape import Shape
@@ -74,7 +74,7 @@ def test_a_rollout_in_physics_keeps_the_last_observations_and_begins_each_episod
 
 def test_an_asynchronous_rollout_is_what_the_cars_decide_one_by_one():
     task = make_task("simple_two_story", max_steps=3)
-    worlds, encoder = AsynchronousWorlds(task, 8), _encoder(task)
+    worlds, encoder = GridWorlds(task, 8, asynchronous=True), _encoder(task)
     rollouts = []
     for _ in range(2):
         torch.manual_seed(0)
@@ -106,19 +106,19 @@ def test_a_car_that_can_do_nothing_is_offered_stop():
 def test_rows_are_the_same_exactly_where_all_their_columns_are():
     rows = torch.tensor([[1, 2], [1, 2], [2, 1], [1, 2], [1, -2]], dtype=torch.int32)
     flags = torch.tensor([[True], [True], [True], [False], [True]])
-    distinct = UniqueObservations(Seen(rows, flags))
-    assert len(distinct.seen.places) == 4
-    assert torch.equal(distinct.seen.places[distinct.inverse], rows)
-    assert torch.equal(distinct.seen.offers[distinct.inverse], flags)
+    once, inverse = distinct(Seen(rows, flags))
+    assert len(once.places) == 4
+    assert torch.equal(once.places[inverse], rows)
+    assert torch.equal(once.offers[inverse], flags)
 
 
 def test_what_the_network_says_of_distinct_worlds_it_says_of_all():
     trainer = Trainer(TrainConfig("strip", worlds=20, width=8))
     with torch.random.fork_rng():
         seen = trainer.play(0).now.flat()
-    net, distinct = trainer.learner.net, UniqueObservations(seen)
-    assert len(distinct.seen.places) < len(seen.places)
-    assert torch.allclose(net(distinct.seen)[distinct.inverse], net(seen), atol=1e-6)
+    net, (once, inverse) = trainer.learner.net, distinct(seen)
+    assert len(once.places) < len(seen.places)
+    assert torch.allclose(net(once)[inverse], net(seen), atol=1e-6)
 
 
 def test_actions_are_drawn_with_the_probabilities_of_their_logits_and_only_where_offered():

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.effects import apply
-from craftsim.discrete.kernel.jit import compiled, plain
+from craftsim.discrete.kernel.jit import compiled, plain, seldom
 from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions, load_below_walls, load_fits
 from craftsim.discrete.kernel.search import (
     UNKNOWN,
@@ -119,7 +119,8 @@ def reason(cells: Cells, cars: Cars, corrections: int, car: int, action: int) ->
     return legal_actions(w, car, pose_of(w, car), action, action) >> REASON_BIT
 
 
-@plain
+@seldom
+@compiled
 def enforce(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -> None:
     """Change a single world as an action does, whether it is legal or not."""
     apply(World(cells, cars, corrections), car, action)

@@ -144,10 +144,10 @@ def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
 def write_box(claims: Claims, count: int, box: NDArray[np.int16]) -> None:
     """Write the least and the greatest x, y and z of claims into box (6,)."""
     for axis in range(3):
-        box[2 * axis] = box[2 * axis + 1] = claims[0, axis]
+        least = greatest = int(np.int64(claims[0, axis]))
         for k in range(1, count):
-            box[2 * axis] = min(box[2 * axis], claims[k, axis])
-            box[2 * axis + 1] = max(box[2 * axis + 1], claims[k, axis])
+            least, greatest = min(least, claims[k, axis]), max(greatest, claims[k, axis])
+        box[2 * axis], box[2 * axis + 1] = least, greatest
 
 
 @compiled

@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.batch import NO_HELPER, Cars, Cells, Mask, Queues
 from craftsim.discrete.kernel.claims import Claims, claims_of, conflict, write_box
-from craftsim.discrete.kernel.codes import FIRST_MOVE, LAST_MOVE, LIFT, MOVE_DIRECTIONS, N_ACTIONS, STOP
+from craftsim.discrete.kernel.codes import (
+    FIRST_MOVE,
+    FOLD,
+    LAST_MOVE,
+    LIFT,
+    MOVE_DIRECTIONS,
+    N_ACTIONS,
+    STOP,
+    UNFOLD,
+)
 from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
@@ -108,23 +117,46 @@ def near(running: Running, i: int, car: int, x0: int, x1: int, y0: int, y1: int,
 
 
 @compiled
-def blocked(w: World, running: Running, i: int, car: Pose, action: int, row: Claims, count: int) -> bool:
+def reach_of(w: World, car: Pose, action: int) -> int:
+    """Return how many cells beside a car's way a legal action may claim any."""
+    if car.load != AIR or (
+        action in (LIFT, FOLD, UNFOLD) and kind_at(w, car.x, car.y, car.z) in (FSLOPE, BODY)
+    ):
+        return 3  # the neighbours of its load included
+    return 1 if action == LIFT else 0
+
+
+@compiled
+def neighbours(w: World, running: Running, i: int, car: Pose) -> int:
+    """Return which cars run what could stand against any action of a car, a bit each; the last bit is of many."""
+    found = 0
+    reach = max(1, reach_of(w, car, LIFT), reach_of(w, car, FIRST_MOVE) + 1)
+    x0, x1, y0, y1 = car.x - reach, car.x + reach, car.y - reach, car.y + reach
+    for other in range(running.action.shape[1]):
+        if near(running, i, other, x0, x1, y0, y1, car.z - 2, car.z + 3):
+            found |= 1 << min(other, 62)
+    return found
+
+
+@compiled
+def blocked(
+    w: World, running: Running, i: int, others: int, car: Pose, action: int, row: Claims, count: int
+) -> bool:
     """Return whether a claim of what runs in a world stands against a legal action of a car.
 
-    The claims of that are the first ``count`` rows of ``row`` (MOST, 4); with 0 they are written there when needed.
+    Looked at are the cars of :func:`neighbours`. The action's claims are the first ``count`` rows of ``row`` (MOST, 4);
+    with 0 they are written there when needed.
     """
-    reach, dx, dy = 0, 0, 0
-    if car.load != AIR or kind_at(w, car.x, car.y, car.z) in (FSLOPE, BODY):
-        reach = 3  # the neighbours of its load included
-    elif action == LIFT:
-        reach = 1
+    if others == 0:
+        return False
+    reach, dx, dy = reach_of(w, car, action), 0, 0
     if FIRST_MOVE <= action <= LAST_MOVE:
         m = MOVE_DIRECTIONS[action - FIRST_MOVE]
         dx, dy = dir_x(m), dir_y(m)
     x0, x1 = min(car.x, car.x + dx) - reach, max(car.x, car.x + dx) + reach
     y0, y1 = min(car.y, car.y + dy) - reach, max(car.y, car.y + dy) + reach
     for other in range(running.action.shape[1]):
-        if near(running, i, other, x0, x1, y0, y1, car.z - 2, car.z + 3):
+        if others & (1 << min(other, 62)) and near(running, i, other, x0, x1, y0, y1, car.z - 2, car.z + 3):
             if count == 0:
                 count = claims_of(w, car, action, row)
             theirs = running.claims[i, other], running.n_claims[i, other], running.box[i, other]
@@ -168,9 +200,10 @@ def offer(
             if running.action[i, car] == DECIDES:
                 pose = pose_of(w, car)
                 legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
+                others = neighbours(w, running, i, pose)
                 for action in range(N_ACTIONS):
                     if legal & (1 << action) and (
-                        action == STOP or not blocked(w, running, i, pose, action, row, 0)
+                        action == STOP or not blocked(w, running, i, others, pose, action, row, 0)
                     ):
                         out[i, car, action] = some = True
                 missing = ~(legal >> FIRST_MOVE) & 15
@@ -181,17 +214,71 @@ def offer(
                         node = plan_move(w, car, space, FIRST_MOVE + m, depth) if wanted & (1 << m) else -1
                         if node >= 0:
                             write_plan(space, node, plan)
-                            if not blocked(w, running, i, pose, int(np.int64(plan[0])), row, 0):
+                            first = int(np.int64(plan[0]))
+                            if not blocked(w, running, i, others, pose, first, row, 0):
                                 out[i, car, FIRST_MOVE + m] = some = True
             if not some:
                 out[i, car, STOP] = True
 
 
 @compiled
+def decide_in(
+    i: int,
+    w: World,
+    running: Running,
+    decisions: Decisions,
+    clock: EventTimes,
+    order: NDArray[np.int64],
+    actions: NDArray[np.int64],
+    queues: Queues,
+    space: SearchBuffers,
+    depth: int,
+    out: NDArray[np.int64],
+) -> None:
+    """Let the cars order[i] of a world begin what they have decided on, in their order; see :func:`decide`."""
+    turn = 0
+    for car in range(w.cars.shape[0]):
+        turn = max(turn, running.turn[i, car])
+    for place in range(order.shape[1]):
+        car = order[i, place]
+        if running.action[i, car] != DECIDES:
+            out[i, car] = RUNS
+            continue
+        due, queued = actions[i, car], queues[i, car, 0] >= 0
+        if depth != NO_HELPER:
+            due = due_of(w, car, due, queues[i, car], space, depth)
+        turn += 1
+        result, end_s, now_s = WAITS, clock.time_s[i] + clock.wait_s[0], clock.time_s[i]
+        if due == STOP:
+            result = WAITS if actions[i, car] == STOP or queued else ILLEGAL
+        else:
+            pose = pose_of(w, car)
+            result = ILLEGAL
+            if due < N_ACTIONS and legal_actions(w, car, pose, due, due) & (1 << due):
+                claims = running.claims[i, car]
+                count = claims_of(w, pose, due, claims)
+                result = BLOCKED if blocked(w, running, i, -1, pose, due, claims, count) else BEGUN
+                if result == BEGUN:
+                    apply(w, car, due)
+                    running.n_claims[i, car] = count
+                    write_box(claims, count, running.box[i, car])
+                    sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
+                    column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
+                    end_s = now_s + clock.nominal_s[due, column] * clock.factor[i, car]
+        if depth != NO_HELPER and due != STOP:
+            if result == BEGUN:
+                if queues[i, car, 0] >= 0:
+                    pop(queues[i, car])
+            elif result == ILLEGAL or not queued:
+                queues[i, car, :] = -1
+        running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
+        note(running, decisions, clock, i, car, actions[i, car], result, end_s)
+        out[i, car] = result
+
+
+@compiled
 def decide(
-    cells: Cells,
-    cars: Cars,
-    corrections: int,
+    committed: World,
     running: Running,
     decisions: Decisions,
     clock: EventTimes,
@@ -210,45 +297,8 @@ def decide(
     of what has begun from here on, but marks are not derived.
     """
     for i in range(first, end):
-        w = World(cells[i], cars[i], corrections)
-        turn = 0
-        for car in range(w.cars.shape[0]):
-            turn = max(turn, running.turn[i, car])
-        for place in range(order.shape[1]):
-            car = order[i, place]
-            if running.action[i, car] != DECIDES:
-                out[i, car] = RUNS
-                continue
-            due, queued = actions[i, car], queues[i, car, 0] >= 0
-            if depth != NO_HELPER:
-                due = due_of(w, car, due, queues[i, car], space, depth)
-            turn += 1
-            result, end_s, now_s = WAITS, clock.time_s[i] + clock.wait_s[0], clock.time_s[i]
-            pose = pose_of(w, car)
-            if due == STOP:
-                result = WAITS if actions[i, car] == STOP or queued else ILLEGAL
-            elif due >= N_ACTIONS or not legal_actions(w, car, pose, due, due) & (1 << due):
-                result = ILLEGAL
-            else:
-                claims = running.claims[i, car]
-                count = claims_of(w, pose, due, claims)
-                result = BLOCKED if blocked(w, running, i, pose, due, claims, count) else BEGUN
-                if result == BEGUN:
-                    apply(w, car, due)
-                    running.n_claims[i, car] = count
-                    write_box(claims, count, running.box[i, car])
-                    sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
-                    column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
-                    end_s = now_s + clock.nominal_s[due, column] * clock.factor[i, car]
-            if depth != NO_HELPER and due != STOP:
-                if result == BEGUN:
-                    if queues[i, car, 0] >= 0:
-                        pop(queues[i, car])
-                elif result == ILLEGAL or not queued:
-                    queues[i, car, :] = -1
-            running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
-            note(running, decisions, clock, i, car, actions[i, car], result, end_s)
-            out[i, car] = result
+        w = World(committed.cells[i], committed.cars[i], committed.corrections)
+        decide_in(i, w, running, decisions, clock, order, actions, queues, space, depth, out)
 
 
 @compiled
@@ -294,6 +344,45 @@ def following(running: Running, i: int, turn: int) -> int:
 
 
 @compiled
+def advance_in(
+    i: int,
+    confirmed: World,
+    committed: World,
+    running: Running,
+    queues: Queues,
+    time_s: NDArray[np.float64],
+    duration_s: NDArray[np.float64],
+    elapsed_s: NDArray[np.float64],
+    ended: Mask,
+) -> None:
+    """Advance a world to its next event; see :func:`advance`."""
+    before_s = time_s[i]
+    time_s[i] = running.ends_s[i, 0]
+    for car in range(1, running.action.shape[1]):
+        time_s[i] = min(time_s[i], running.ends_s[i, car])
+    duration_s[i] = moment(time_s[i] - before_s)
+    for car in range(running.action.shape[1]):
+        elapsed_s[i, car] = moment(time_s[i] - running.began_s[i, car])
+    w = World(confirmed.cells[i], confirmed.cars[i], confirmed.corrections)
+    failed, turn = False, 0
+    for _ in range(running.action.shape[1]):
+        car = following(running, i, turn)
+        turn = running.turn[i, car]
+        action = running.action[i, car]
+        ended[i, car] = action == STOP or running.ends_s[i, car] <= time_s[i]
+        if not ended[i, car]:
+            continue
+        if running.fails[i, car]:
+            failed = True
+            queues[i, car, :] = -1
+        elif action < STOP:
+            apply(w, car, action)
+        running.action[i, car], running.n_claims[i, car] = DECIDES, 0
+    if failed:
+        commit(confirmed, committed, running, i)
+
+
+@compiled
 def advance(
     confirmed: World,
     committed: World,
@@ -311,30 +400,31 @@ def advance(
     something failed, the committed worlds are made anew. Registered actions change nothing here. Marks are not derived.
     """
     for i in range(time_s.shape[0]):
-        before_s = time_s[i]
-        time_s[i] = running.ends_s[i, 0]
-        for car in range(1, running.action.shape[1]):
-            time_s[i] = min(time_s[i], running.ends_s[i, car])
-        duration_s[i] = moment(time_s[i] - before_s)
-        for car in range(running.action.shape[1]):
-            elapsed_s[i, car] = moment(time_s[i] - running.began_s[i, car])
-        w = World(confirmed.cells[i], confirmed.cars[i], confirmed.corrections)
-        failed, turn = False, 0
-        for _ in range(running.action.shape[1]):
-            car = following(running, i, turn)
-            turn = running.turn[i, car]
-            action = running.action[i, car]
-            ended[i, car] = action == STOP or running.ends_s[i, car] <= time_s[i]
-            if not ended[i, car]:
-                continue
-            if running.fails[i, car]:
-                failed = True
-                queues[i, car, :] = -1
-            elif action < STOP:
-                apply(w, car, action)
-            running.action[i, car], running.n_claims[i, car] = DECIDES, 0
-        if failed:
-            commit(confirmed, committed, running, i)
+        advance_in(i, confirmed, committed, running, queues, time_s, duration_s, elapsed_s, ended)
+
+
+@compiled
+def step(
+    confirmed: World,
+    committed: World,
+    running: Running,
+    decisions: Decisions,
+    clock: EventTimes,
+    order: NDArray[np.int64],
+    actions: NDArray[np.int64],
+    queues: Queues,
+    space: SearchBuffers,
+    depth: int,
+    out: NDArray[np.int64],
+    duration_s: NDArray[np.float64],
+    elapsed_s: NDArray[np.float64],
+    ended: Mask,
+) -> None:
+    """Do both, :func:`decide` and :func:`advance`, world by world."""
+    for i in range(duration_s.shape[0]):
+        w = World(committed.cells[i], committed.cars[i], committed.corrections)
+        decide_in(i, w, running, decisions, clock, order, actions, queues, space, depth, out)
+        advance_in(i, confirmed, committed, running, queues, clock.time_s, duration_s, elapsed_s, ended)
 
 
 @compiled
@@ -360,18 +450,53 @@ def commit(confirmed: World, committed: World, running: Running, i: int) -> None
 
 
 @compiled
+def close(
+    running: Running,
+    decisions: Decisions,
+    offered: NDArray[np.int8],
+    ended: Mask,
+    done: Mask,
+    elapsed_s: NDArray[np.float64],
+    earned: NDArray[np.float64],
+    waited: Mask,
+) -> None:
+    """Write what each decision has earned that has ended, or whose episode is ``done`` (B,), and 0 for the others in
+    both ``elapsed_s`` and ``earned`` (B, n); and in which worlds there may be a deadlock.
+
+    That takes that all cars have waited, or are lost. Where none was offered anything else, (B, n, actions), that is so
+    still, and where one has asked in vain it can ask again.
+    """
+    for i in range(done.shape[0]):
+        waited[i], vain, stuck = True, False, True
+        for car in range(running.action.shape[1]):
+            if not (ended[i, car] or done[i]):
+                elapsed_s[i, car] = 0.0
+            earned[i, car] = decisions.earned[i, car] if ended[i, car] or done[i] else 0.0
+            outcome = decisions.outcome[i, car]
+            lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf
+            waited[i] = waited[i] and (outcome in (WAITS, ILLEGAL) or lost)
+            vain = vain or outcome == ILLEGAL
+        if waited[i] and not vain:
+            for car in range(offered.shape[1]):
+                for action in range(offered.shape[2]):
+                    stuck = stuck and (action == STOP or offered[i, car, action] == 0)
+        waited[i] = waited[i] and (vain or stuck)
+
+
+@compiled
 def show(
     running: Running, time_s: NDArray[np.float64], doing: NDArray[np.float32], out: NDArray[np.int8]
 ) -> None:
     """Write what each car sees all do, action and seconds (B, n, n, 2), and 1 for claimed cells (B, L, W, H + 1)."""
+    length, width, layers = out.shape[1:]
     for i in range(out.shape[0]):
-        for car in range(running.action.shape[1]):
+        for car in range(doing.shape[1]):
             action = running.action[i, car]
-            for me in range(running.action.shape[1]):
-                doing[i, me, car, 0] = action
-                doing[i, me, car, 1] = 0.0 if action == DECIDES else time_s[i] - running.began_s[i, car]
+            seconds = 0.0 if action == DECIDES else time_s[i] - running.began_s[i, car]
+            for me in range(doing.shape[1]):
+                doing[i, me, car, 0], doing[i, me, car, 1] = action, seconds
             for k in range(running.n_claims[i, car]):
                 claim = running.claims[i, car, k]
                 x, y, z = claim[0], claim[1], claim[2]
-                if 0 <= x < out.shape[1] and 0 <= y < out.shape[2] and z < out.shape[3]:
+                if 0 <= x < length and 0 <= y < width and z < layers:
                     out[i, x, y, z] = 1

@@ -121,7 +121,6 @@ def _pixels(text: str) -> tuple[int, int]:
 def _draw_figures(recorded: Path, run: str | None, out: Path) -> int:
     """Draw figures of a recorded run, or all of a folder; each trajectory gets a folder of its own in ``out``."""
     from craftsim.rendering.plots.figures import write_figures
-    from craftsim.rendering.plots.signals import Signals
     from craftsim.rendering.trajectory import Trajectory, trajectory_files
     from craftsim.storage.folders import directory_within, output_directory
 
@@ -129,7 +128,7 @@ def _draw_figures(recorded: Path, run: str | None, out: Path) -> int:
     output_directory(out)
     with counting("trajectories", bool)(len(files)) as on_trajectory:
         for file in files:
-            written = list(write_figures(directory_within(out, file.stem), Signals.of(Trajectory.read(file))))
+            written = list(write_figures(directory_within(out, file.stem), Trajectory.read(file)))
             on_trajectory(written)
             print_safe(f"{file.stem}: {len(written)} files in {out / file.stem}")
     return 0

@@ -13,8 +13,6 @@ from craftsim.errors import InputError
 from craftsim.experiments.bundle import FILM, TRAJECTORY
 from craftsim.experiments.experiment import Trial, TrialRecord
 from craftsim.rendering.plots.figures import plots_of
-from craftsim.rendering.plots.signals import Signals
-from craftsim.rendering.plots.style import DENSE, WIDTH_IN
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Trajectory
 from craftsim.reports.report import (
     Block,
@@ -23,7 +21,6 @@ from craftsim.reports.report import (
     Cell,
     Column,
     DataTable,
-    Drawing,
     Group,
     Section,
     Tone,
@@ -228,19 +225,11 @@ def recorded_section(out: Path, runs: Iterable[RecordedRun]) -> list[Section]:
 def _recorded(out: Path, run: RecordedRun, first: bool) -> Group:
     badge, tone = ("", Tone.PLAIN) if run.agrees else ("disagrees", Tone.CAUTION)
     try:
-        signals = Signals.of(Trajectory.read(out / run.file))
+        plots = plots_of(Trajectory.read(out / run.file), _MOST_POINTS).values()
     except InputError as error:
         # A finished campaign gets its page, whatever became of a trajectory.
         return Group(run.title, [f"No figures: {error}"], badge, tone, first)
-    drawings = [
-        Drawing(
-            *(plot.draw, plot.height_in, plot.caption, f"{run.title}: {plot.caption}"),
-            width_in=WIDTH_IN,
-            wide=True,
-            style=DENSE,
-        )
-        for plot in plots_of(signals, _MOST_POINTS)
-    ]
+    drawings = [replace(plot, label=f"{run.title}: {plot.caption}") for plot in plots]
     return Group(run.title, drawings, badge, tone, first)
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from types import TracebackType
+from functools import partial
 from typing import Self
 
 from craftsim.checking.attempt import Attempt
@@ -15,12 +16,19 @@ from craftsim.discrete.schedule import ScheduledAction
 from craftsim.errors import InputError, suggestion
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
-from craftsim.rendering.viewer.moment import live
-from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Controls, ViewerPage
+from craftsim.rendering.viewer.page import (
+    AS_IT_GOES,
+    FRAMES_HZ,
+    SPEEDS,
+    Moment,
+    ViewerPage,
+    last_attempt,
+    motors_of,
+)
 from craftsim.rendering.viewer.scene import MARK
 
 
-class LiveView(Controls):
+class LiveView:
     """Shows a PhysicsWorld in the browser; an observer, to be called after every control period.
 
     It looks, and changes nothing. People may pause what runs, and slow it down.
@@ -58,7 +66,7 @@ class LiveView(Controls):
         self.address = server.address
         """What to type into a browser on this machine."""
         self.page = ViewerPage(server, speed)
-        self.page.controls = self
+        self.page.controls = {"toggle": self.toggle}
         self._physics: PhysicsWorld | None = None
         self._judge: Judge | None = None
         self._attempts: Callable[[], Sequence[Attempt]] = tuple
@@ -140,9 +148,7 @@ class LiveView(Controls):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _begin(self, physics: PhysicsWorld, title: str, goals: Sequence[Cell]) -> None:
@@ -153,11 +159,44 @@ class LiveView(Controls):
         self._pace(physics.time_s)
 
     def _show(self, physics: PhysicsWorld) -> None:
-        moment = live(physics, self._judge, self._running, self.judged)
-        self.page.show(physics.data.qpos, moment, self.judged)
+        running = {car: one.action.name for car, one in self._running.items()}
+        moment = partial(live, physics, self._judge, running, self.judged)
+        self.page.show(physics.data.qpos, physics.time_s, self.judged, moment)
         self.page.show_playing(self._playing)
 
     def _pace(self, time_s: float) -> None:
         """Keep to the chosen speed from this moment on."""
         self._speed = SPEEDS[self.page.speed.value]
         self._then, self._from_s = time.monotonic(), time_s
+
+
+def live(
+    physics: PhysicsWorld,
+    judge: Judge | None,
+    running: Mapping[int, str],
+    attempts: Sequence[Attempt],
+    car: int,
+) -> Moment:
+    """Return what is known of a car of a PhysicsWorld now.
+
+    Args:
+        physics: the world.
+        judge: the judge on it, where there is one.
+        running: names of the actions on their way, by car.
+        attempts: those that have been judged.
+        car: its number.
+    """
+    measured, contact_n = None, math.nan
+    if judge is not None:
+        reading = judge.executor.readings()[car]
+        measured = [float(reading[name]) for name in ("x", "y", "heading")]
+        contact_n = math.nan if judge.log is None else judge.log.period_n
+    return Moment(
+        physics.time_s,
+        running.get(car, ""),
+        physics.free_body_state(physics.cars[car].base)[0].tolist(),
+        measured,
+        motors_of(physics, physics.data.actuator_force, car),
+        last_attempt(attempts, car, physics.time_s),
+        contact_n,
+    )

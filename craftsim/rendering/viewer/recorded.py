@@ -31,6 +31,8 @@ class RecordedView:
         Raises InputError where the first run cannot be read.
         """
         self._page, self._runs = page, runs
+        self.time_s, self.playing = 0.0, False
+        """Of the moment that is shown, and whether it plays on."""
         self._open(next(iter(runs)))
         orders = (self.toggle, self.step, self.step_back, self.seek, self.choose)
         page.controls = {order.__name__: order for order in orders}

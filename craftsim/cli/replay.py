@@ -160,7 +160,7 @@ def _viewer(judge: Judge) -> Iterator[Observer]:
 
     import mujoco.viewer
 
-    from craftsim.rendering.playback import SeenWorld
+    from craftsim.rendering.trajectory import SeenWorld
 
     physics, seen = judge.physics, SeenWorld(judge.physics)
     with mujoco.viewer.launch_passive(seen.model, seen.now()) as viewer:

@@ -17,7 +17,7 @@ from craftsim.mjcf.block import TABLE_NAMES
 from craftsim.models.parts import MachineNames
 from craftsim.rendering.cameras import View
 from craftsim.rendering.offscreen import make_renderer
-from craftsim.rendering.playback import SeenWorld
+from craftsim.rendering.trajectory import SeenWorld
 from craftsim.storage.limits import IMAGE_PIXELS, PHYSICS_PARTS
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.composition import ground_pose_and_size
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import label_strip_m
-from craftsim.rendering.playback import SeenWorld
 from craftsim.rendering.stage import FLOOR_RGB, dressed_rgb, floor, number_plate
+from craftsim.rendering.trajectory import SeenWorld
 
 if TYPE_CHECKING:
     import trimesh  # loaded where it is used: every worker in physics imports this file

@@ -12,7 +12,7 @@ import numpy as np
 from craftsim.discrete.drawing import GOAL, INK, KIND_COLOURS, LINE, car_colour
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kinds import STANDING
-from craftsim.rendering.grid_picture import Outline, Word, car_shapes, level_shapes, levels_of
+from craftsim.rendering.grid_picture import Outline, car_shapes, level_shapes, levels_of
 from craftsim.rendering.plots.signals import (
     NOTE_IN,
     Floats,
@@ -98,23 +98,26 @@ def _ticks(count: int) -> list[int]:
     return list(range(0, count, 1 if count <= 12 else 2 if count <= 24 else 5))
 
 
-def _draw(axes: Axes, one: Outline | Word, cell_in: float, order: float) -> None:
+def _draw(axes: Axes, one: Outline, cell_in: float, order: float) -> None:
     from matplotlib.patches import Polygon
 
-    if isinstance(one, Word):
-        size = one.height * cell_in * _POINTS / 0.72  # a capital is 0.72 of a font's size
-        place: dict[str, Any] = {"ha": "center", "va": "center_baseline"}
-        axes.text(
-            one.x, one.y, one.text, fontsize=size, color=one.colour, weight="bold", zorder=order, **place
-        )
-        return
     width = one.width * cell_in * _POINTS
-    if one.fill is None:
+    if one.text:
+        # A capital letter is 0.72 of a font's size.
+        look: dict[str, Any] = {
+            "fontsize": width / 0.72,
+            "color": one.line,
+            "weight": "bold",
+            "zorder": order,
+        }
+        x, y = one.points[0]
+        axes.text(x, y, one.text, **look, ha="center", va="center_baseline")
+    elif one.fill is None:
         ends: dict[str, Any] = {"solid_capstyle": "butt", "solid_joinstyle": "miter"}
         axes.plot(*one.points.T, color=one.line, lw=width, zorder=order, **ends)
-        return
-    edge, width = ("none", 0.0) if one.line is None else (one.line, width)
-    axes.add_patch(Polygon(one.points, facecolor=one.fill, edgecolor=edge, lw=width, zorder=order))
+    else:
+        edge, width = ("none", 0.0) if one.line is None else (one.line, width)
+        axes.add_patch(Polygon(one.points, facecolor=one.fill, edgecolor=edge, lw=width, zorder=order))
 
 
 def _legend(grid: Grid, goal: Cell | None, design: Collection[Piece]) -> Iterator[Patch]:

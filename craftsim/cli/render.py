@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from craftsim.rendering.trajectory import Trajectory
-    from craftsim.rendering.viewer.live import LiveView
+    from craftsim.rendering.viewer.views import LiveView
     from craftsim.validation.building import Building
 
     Runs = dict[str, Callable[[], Trajectory]]
@@ -153,9 +153,8 @@ def view(
     need_viser()
     from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.rendering.trajectory import SUFFIX
-    from craftsim.rendering.viewer.live import LiveView
     from craftsim.rendering.viewer.page import REAL_TIME
-    from craftsim.rendering.viewer.recorded import RecordedView
+    from craftsim.rendering.viewer.views import LiveView, RecordedView
     from craftsim.validation.building import read_building
 
     path = Path(what)

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Literal, Self
+from typing import Any, Final, Literal, Self, get_args
 
 import mujoco
 import numpy as np
@@ -47,12 +47,7 @@ MOST_BYTES: Final = limits.TRAJECTORY.content_bytes // 2
 _TEXT: Final = "story"
 
 GoalKind = Literal["block", "fslope", "body", "foot"]
-KINDS: Final[dict[Kind, GoalKind]] = {
-    Kind.BLOCK: "block",
-    Kind.FSLOPE: "fslope",
-    Kind.BODY: "body",
-    Kind.FOOT: "foot",
-}
+_KIND_NAMES: Final[dict[Kind, GoalKind]] = {Kind[name.upper()]: name for name in get_args(GoalKind)}
 
 
 @dataclass(frozen=True)
@@ -296,7 +291,7 @@ class Recorder:
                 tuple(attempts),
                 poses_of(physics),
                 motors_of(physics),
-                tuple(GoalCell(KINDS[target.kind], target.cell, target.yaw) for target in targets),
+                tuple(GoalCell(_KIND_NAMES[one.kind], one.cell, one.yaw) for one in targets),
             ),
             np.array(time),
             np.array(qpos),

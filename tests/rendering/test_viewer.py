@@ -17,10 +17,9 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.errors import InputError
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import Recorder
-from craftsim.rendering.viewer.live import live
 from craftsim.rendering.viewer.page import car_html, list_html
-from craftsim.rendering.viewer.recorded import RecordedView, recorded
 from craftsim.rendering.viewer.scene import shapes_of
+from craftsim.rendering.viewer.views import RecordedView, live, recorded
 
 pytestmark = pytest.mark.skipif(not find_spec("viser"), reason="needs the extra 'view'")
 

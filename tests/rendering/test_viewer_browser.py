@@ -13,7 +13,7 @@ from recorded import record
 from craftsim import Action, Grid, LiveView, Trajectory
 from craftsim.discrete.grid import CarField
 from craftsim.rendering.viewer.page import REAL_TIME
-from craftsim.rendering.viewer.recorded import RecordedView
+from craftsim.rendering.viewer.views import RecordedView
 
 BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)

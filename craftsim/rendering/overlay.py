@@ -1,4 +1,4 @@
-"""What a film says: captions beside its picture, and cards at its start and its end."""
+"""Text in films: captions beside the picture, the title card and the end card."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _REASONS: Final = 3
 
 
 class CarCaption(NamedTuple):
-    """What is said of one car."""
+    """The caption of one car."""
 
     car: int
     action: str = "waits"
@@ -52,7 +52,7 @@ class CarCaption(NamedTuple):
 
 
 class Caption(NamedTuple):
-    """All that is said at one moment."""
+    """The captions of one moment."""
 
     title: str
     step: int
@@ -65,7 +65,7 @@ class Caption(NamedTuple):
 
 
 def caption_of(trajectory: Trajectory, time_s: float, factor: float | None) -> Caption:
-    """Return what is said of a trajectory at a simulated time; after its end the clock stands still."""
+    """Return the captions of a trajectory at a simulated time; after its end the clock stands still."""
     story = trajectory.story
     performed = sorted((a for a in story.attempts if a.performed), key=lambda a: a.start_s)
     begun = [a for a in performed if a.start_s <= time_s]
@@ -77,7 +77,7 @@ def caption_of(trajectory: Trajectory, time_s: float, factor: float | None) -> C
 
 
 def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:
-    """Return what is said of a car whose actions so far are ``begun``."""
+    """Return the caption of a car whose actions so far are ``begun``."""
     running = [a for a in begun if time_s < a.start_s + a.duration_s]
     action = ACTIONS[Action[running[-1].action]].words if running else "waits"
     ended = [a for a in begun if a.start_s + a.duration_s <= time_s]
@@ -141,7 +141,7 @@ def _without_clock(
 def _draw_car(
     draw: ImageDraw.ImageDraw, car: CarCaption, corner: tuple[int, int], unit: int, inner: int, room: int
 ) -> int:
-    """Draw what is said of a car from a corner on, with ``room`` lines for its verdict; return where it ends."""
+    """Draw the caption of a car from a corner on, with ``room`` lines for its verdict; return where it ends."""
     x, y = corner
     badge = round(1.7 * unit)
     red, green, blue = (round(255 * part) for part in car_colour(car.car))
@@ -159,7 +159,7 @@ def _draw_car(
 
 
 def title_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) -> Frame:
-    """Return the card that says what comes, beside a picture."""
+    """Return the title card: the world, the rules and the physics, beside a picture."""
     story = trajectory.story
     recipe, setup = story.recipe, story.recipe.setup
     things = Counter(name.split()[0] for name in story.poses)
@@ -175,7 +175,7 @@ def title_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) ->
 
 
 def end_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) -> Frame:
-    """Return the card that says what was found, beside a picture."""
+    """Return the end card: how many actions did as predicted, and the largest errors, beside a picture."""
     attempts = [a for a in trajectory.story.attempts if a.performed]
     lines = [f"{trajectory.duration_s:.1f} s of simulated time"]
     if attempts:

@@ -1,4 +1,4 @@
-"""What an identification leaves: its report and figure, and files of parameters and noise to run with."""
+"""The results of an identification: report, figure, and files of parameters and noise."""
 
 from __future__ import annotations
 

@@ -269,7 +269,7 @@ def cma_es(
 
 
 class Tuning:
-    """What a tuning tries, known before it begins, and its phases; each goes by the results of those before."""
+    """The evaluations of a tuning, known before it begins, and its phases, each of which depends on those before."""
 
     def __init__(
         self, group: GainGroup, setup: Setup, goal: Goal, evaluations: int, trials: int, seed: int

@@ -1,4 +1,4 @@
-"""What a tuning leaves: its report, and the file of gains that says where it comes from."""
+"""The results of a tuning: its report, and the file of gains with its provenance."""
 
 from __future__ import annotations
 

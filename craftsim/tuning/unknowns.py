@@ -1,4 +1,4 @@
-"""What may be identified from a log: figures of the machines, and what sensors and motors do to them."""
+"""The unknowns that may be identified from a log: parameters of machines, sensors and motors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Section = Literal["smartcar", "block", "noise", "mounting"]
 
 @dataclass(frozen=True)
 class Unknown:
-    """Something that a log may tell."""
+    """An unknown parameter."""
 
     section: Section
     """Of a machine's file, or ``noise`` of the file of noise; ``mounting`` is in neither."""

@@ -1,6 +1,6 @@
-"""The page of the viewer: the scene, what plays it, and what is known of the car that is looked at.
+"""The page of the viewer: the scene, the playback controls, and the state of the selected car.
 
-What people do in their browsers arrives in threads of the server; it waits in a queue until :meth:`ViewerPage.attend`.
+Events of browsers arrive in threads of the server; they wait in a queue until :meth:`ViewerPage.attend`.
 """
 
 from __future__ import annotations
@@ -63,23 +63,6 @@ class Moment(NamedTuple):
     """The verdict on its action, where that is known, or else on its last one; None before its first."""
     contact_n: float
     """The largest force between any two machines; nan where nobody looks."""
-
-
-def motors_of(
-    physics: PhysicsWorld, force: NDArray[np.floating], car: int
-) -> tuple[tuple[str, float, float], ...]:
-    """Return the motors of a car as of :class:`Moment`, for the forces (nu,) of all motors."""
-    machine, model = physics.cars[car], physics.model
-    columns = [*machine.wheel_actuators.tolist(), machine.board.actuator]
-    names = [model.actuator(column).name.split("/")[-1] for column in columns]
-    limits = model.actuator_forcerange[columns, 1].tolist()
-    return tuple(zip(names, force[columns].tolist(), limits, strict=True))
-
-
-def last_attempt(attempts: Sequence[Attempt], car: int, time_s: float) -> Attempt | None:
-    """Return a car's last attempt that has begun."""
-    own = (one for one in reversed(attempts) if one.car == car and one.start_s <= time_s + _SAME_S)
-    return next(own, None)
 
 
 class ViewerPage:

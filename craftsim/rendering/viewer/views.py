@@ -1,4 +1,4 @@
-"""Views in the browser: of recorded runs, which play, and of what runs, by an observer of physics worlds."""
+"""Views in the browser: of physics worlds while they run (an observer), and of recorded runs."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Final, NoReturn, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.judge import Judge
 from craftsim.discrete.grid import Cell, Kind
@@ -17,15 +20,7 @@ from craftsim.errors import InputError, suggestion
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
-from craftsim.rendering.viewer.page import (
-    AS_IT_GOES,
-    FRAMES_HZ,
-    SPEEDS,
-    Moment,
-    ViewerPage,
-    last_attempt,
-    motors_of,
-)
+from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Moment, ViewerPage
 from craftsim.rendering.viewer.scene import MARK
 
 _WHOLE: Final = (Kind.BLOCK, Kind.FSLOPE)
@@ -201,8 +196,8 @@ def live(
         running.get(car, ""),
         physics.free_body_state(physics.cars[car].base)[0].tolist(),
         measured,
-        motors_of(physics, physics.data.actuator_force, car),
-        last_attempt(attempts, car, physics.time_s),
+        _motors(physics, physics.data.actuator_force, car),
+        _last(attempts, car, physics.time_s),
         contact_n,
     )
 
@@ -227,7 +222,7 @@ class RecordedView:
         page.controls = {order.__name__: order for order in orders}
 
     def serve(self) -> NoReturn:
-        """Play and obey until interrupted."""
+        """Play and carry out what the page asks for, until interrupted."""
         then = time.monotonic()
         while True:
             time.sleep(1 / FRAMES_HZ)
@@ -300,14 +295,31 @@ class RecordedView:
 def recorded(trajectory: Trajectory, sample: int, car: int) -> Moment:
     """Return what a trajectory knows of a car at one of its samples."""
     time_s = float(trajectory.time[sample])
-    attempt = last_attempt(trajectory.story.attempts, car, time_s)
+    attempt = _last(trajectory.story.attempts, car, time_s)
     runs = attempt is not None and time_s < attempt.start_s + attempt.duration_s - _SAME_S
     return Moment(
         time_s,
         attempt.action if attempt is not None and runs else "",
         trajectory.pose(f"car {car}")[sample, :3].tolist(),
         trajectory.measured[sample, car].tolist(),
-        motors_of(trajectory.physics, trajectory.force[sample], car),
+        _motors(trajectory.physics, trajectory.force[sample], car),
         attempt,
         float(trajectory.contact[sample]),
     )
+
+
+def _motors(
+    physics: PhysicsWorld, force: NDArray[np.floating], car: int
+) -> tuple[tuple[str, float, float], ...]:
+    """Return the motors of a car as of :class:`Moment`, for the forces (nu,) of all motors."""
+    machine, model = physics.cars[car], physics.model
+    columns = [*machine.wheel_actuators.tolist(), machine.board.actuator]
+    names = [model.actuator(column).name.split("/")[-1] for column in columns]
+    limits = model.actuator_forcerange[columns, 1].tolist()
+    return tuple(zip(names, force[columns].tolist(), limits, strict=True))
+
+
+def _last(attempts: Sequence[Attempt], car: int, time_s: float) -> Attempt | None:
+    """Return a car's last attempt that has begun."""
+    own = (one for one in reversed(attempts) if one.car == car and one.start_s <= time_s + _SAME_S)
+    return next(own, None)

@@ -4,6 +4,7 @@ import time
 from contextlib import closing
 from functools import cache
 
+import mujoco
 import pytest
 
 from craftsim.checking.setup import setup_of
@@ -12,9 +13,9 @@ from craftsim.rendering.encode import encode
 from craftsim.rendering.film import FilmOptions, Frames, pace_of
 from craftsim.rendering.layout import arrange
 from craftsim.rendering.offscreen import make_renderer
-from craftsim.rendering.playback import Posed
 from craftsim.rendering.render import render_frames
 from craftsim.rendering.stage import Stage
+from craftsim.rendering.trajectory import place
 from craftsim.validation.choice import PLANNER, items_of, policy_pilot, subjects_of
 from craftsim.validation.rollout import do_run
 from craftsim.validation.validation import record_once
@@ -32,13 +33,13 @@ def bare(trajectory, look):
     """Render the frames with the same stage, camera, samples and size, without captions."""
     (tile,), _ = arrange(look.size, (1.0,), look.layout, look.captions)
     stage = Stage(trajectory, look.quality)
-    posed, view = Posed(stage.model), make_view("overview", trajectory, tile.size[0] / tile.size[1])
+    data, view = mujoco.MjData(stage.model), make_view("overview", trajectory, tile.size[0] / tile.size[1])
     stage.model.vis.global_.fovy = view.fovy_deg
     renderer = make_renderer(stage.model, tile.size, stage.shadows)
 
     def loop():
-        for moment in map(float, pace_of(trajectory, look).times):
-            data = posed.at(trajectory.qpos[trajectory.at(moment)])
+        for moment in map(float, pace_of(trajectory, look)[0]):
+            place(stage.model, data, trajectory.qpos[trajectory.at(moment)])
             renderer.update_scene(data, view.camera(moment))
             stage.finish(renderer.scene, data.qpos)
             renderer.render()

@@ -36,7 +36,7 @@ from .planning.planned import Planned as Planned
 from .planning.planner import plan as plan
 from .rendering.images import take_images as take_images
 from .rendering.trajectory import Trajectory as Trajectory
-from .rendering.viewer.live import LiveView as LiveView
+from .rendering.viewer.views import LiveView as LiveView
 from .skills.executor import Executor as Executor
 from .skills.gains import Gains as Gains
 from .skills.gains import load_gains as load_gains

@@ -101,8 +101,8 @@ def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Desi
     """Draw the Gantt chart of a plan by the physical rules, and, with ``film``, film it on the grid."""
     from craftsim.discrete.rules import Rules
     from craftsim.rendering.grid_picture import wanted_of
-    from craftsim.rendering.plan_film import film_plan
     from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
+    from craftsim.rendering.render import film_plan
 
     for ending in FORMATS:
         print_safe(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from craftsim.rendering.trajectory import Trajectory
-    from craftsim.rendering.viewer.live import LiveView
+    from craftsim.rendering.viewer.views import LiveView
     from craftsim.validation.building import Building
 
     Runs = dict[str, Callable[[], Trajectory]]
@@ -120,7 +120,6 @@ def _pixels(text: str) -> tuple[int, int]:
 def _draw_figures(recorded: Path, out: Path) -> int:
     """Draw figures of a recorded run, or all of a folder; each trajectory gets a folder of its own in ``out``."""
     from craftsim.rendering.plots.figures import write_figures
-    from craftsim.rendering.plots.signals import Signals
     from craftsim.rendering.trajectory import Trajectory, trajectory_files
     from craftsim.storage.folders import directory_within, output_directory
 
@@ -128,7 +127,7 @@ def _draw_figures(recorded: Path, out: Path) -> int:
     output_directory(out)
     with counting("trajectories", bool)(len(files)) as on_trajectory:
         for file in files:
-            written = list(write_figures(directory_within(out, file.stem), Signals.of(Trajectory.read(file))))
+            written = list(write_figures(directory_within(out, file.stem), Trajectory.read(file)))
             on_trajectory(written)
             print_safe(f"{file.stem}: {len(written)} files in {out / file.stem}")
     return 0
@@ -153,9 +152,8 @@ def view(
     need_viser()
     from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.rendering.trajectory import SUFFIX
-    from craftsim.rendering.viewer.live import LiveView
     from craftsim.rendering.viewer.page import REAL_TIME
-    from craftsim.rendering.viewer.recorded import RecordedView
+    from craftsim.rendering.viewer.views import LiveView, RecordedView
     from craftsim.validation.building import read_building
 
     path = Path(what)

@@ -165,13 +165,9 @@ class Images:
         width, height = self.size
         each = () if n_cars is None or self.camera != "front" else (n_cars,)
         return {
-            kind: spaces.Box(
-                PIXELS[kind].low,
-                PIXELS[kind].high,
-                (*each, height, width, *PIXELS[kind].shape),
-                PIXELS[kind].dtype,
-            )
+            kind: spaces.Box(low, high, (*each, height, width, *shape), dtype)
             for kind in self.kinds
+            for shape, dtype, low, high in (PIXELS[kind],)
         }
 
 

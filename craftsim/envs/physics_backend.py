@@ -25,8 +25,8 @@ from craftsim.envs.recording import EpisodeRecords, Pictures, has_display
 from craftsim.errors import InputError
 from craftsim.rendering.images import CameraImages
 from craftsim.rendering.viewer import LOOPBACK, PORT, has_viser
-from craftsim.rendering.viewer.live import LiveView
 from craftsim.rendering.viewer.page import AS_IT_GOES
+from craftsim.rendering.viewer.views import LiveView
 from craftsim.skills.executor import Observer
 
 

@@ -20,8 +20,7 @@ from craftsim.errors import InputError
 from craftsim.extras import install
 from craftsim.rendering.images import camera_number
 from craftsim.rendering.offscreen import make_renderer
-from craftsim.rendering.playback import SeenWorld
-from craftsim.rendering.trajectory import SUFFIX, Recorder
+from craftsim.rendering.trajectory import SUFFIX, Recorder, SeenWorld
 from craftsim.storage.folders import output_directory
 
 if TYPE_CHECKING:

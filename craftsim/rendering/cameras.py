@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Final, NamedTuple
+from typing import Annotated, Any, Final
 
 import mujoco
 import numpy as np
@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.errors import InputError, suggestion
 from craftsim.models.framing import Aim, box_corners, fitted, overview, top
-from craftsim.rendering.playback import Posed
-from craftsim.rendering.trajectory import Trajectory
+from craftsim.rendering.trajectory import Trajectory, place
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record
 from craftsim.storage.yaml import read_document
@@ -40,8 +39,6 @@ _Metres = Annotated[float, Range(-1000.0, 1000.0)]
 class View:
     """A camera that may move with the time of a trajectory."""
 
-    name: str
-    """As it was asked for."""
     fovy_deg: float
     """Vertical field of view; MuJoCo keeps a free camera's in ``model.vis.global_.fovy``."""
     aim: Callable[[float], Aim]
@@ -73,20 +70,20 @@ def make_view(text: str, trajectory: Trajectory, aspect: float) -> View:
         InputError: there is no such view or car, or the file is wrong.
     """
     if Path(text).suffix in (".yaml", ".yml"):
-        return _still(text, read_aim(Path(text)))
+        return _still(read_aim(Path(text)))
     kind, _, number = text.partition(":")
     size = trajectory.story.recipe.grid.size
     cars = [str(car) for car in range(trajectory.story.recipe.grid.n_cars)]
     if text in ("overview", "top"):
         fit = {"overview": overview, "top": top}[text]
-        return _still(text, fit(size, reached_m(trajectory), aspect, label_strip_m(*size[:2])))
+        return _still(fit(size, reached_m(trajectory), aspect, label_strip_m(*size[:2])))
     if text == "orbit":
         return _orbit(trajectory, size, aspect)
     if kind in CAR_VIEWS:
         if number not in cars:
             there = f"allowed: {', '.join(cars)}" if cars else "this world has no cars; try overview"
             raise InputError(f"camera '{text[:80]}': there is no car '{number[:40]}'; {there}")
-        return _beside(text, trajectory, int(number), _POSTS[kind])
+        return _beside(trajectory, int(number), **_BESIDE[kind])
     known = [*AREA_VIEWS, *(f"{view}:{car}" for view in CAR_VIEWS for car in cars)]
     raise InputError(
         f"unknown camera '{text[:80]}'{suggestion(text[:80], known)}; there are {', '.join(AREA_VIEWS)}, "
@@ -141,8 +138,8 @@ def reached_m(trajectory: Trajectory) -> float:
     return max(tops, default=LEVEL_HEIGHT_M)
 
 
-def _still(name: str, aim: Aim) -> View:
-    return View(name, aim.fovy_deg, lambda time_s: aim)
+def _still(aim: Aim) -> View:
+    return View(aim.fovy_deg, lambda time_s: aim)
 
 
 def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View:
@@ -166,46 +163,69 @@ def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View
         azimuth = first.azimuth_deg + 360.0 * (time_s - start) / turn_s
         return Aim(lookat, ring.distance_m + forward, azimuth, ring.elevation_deg, ring.fovy_deg)
 
-    return View("orbit", ring.fovy_deg, aim)
+    return View(ring.fovy_deg, aim)
 
 
-class _Post(NamedTuple):
-    """Where a camera stands beside a car."""
-
-    distance_m: float
-    sides: tuple[tuple[float, float], ...]
-    """Turns of its direction from the car's heading, 0 looking the way the car does, and elevations, in degrees; it
-    stands where the car is least hidden."""
-    fovy_deg: float
-    ahead_m: float
-    height_m: float
-    """Of the point at which it looks: before the car's origin, and over it."""
-    place_s: float
-    """Standard deviation of the Gaussian low-pass of the car's place."""
-    heading_s: float
-    """That of its heading: a car turns by a right angle in less than a second, too fast for a camera."""
-    ghost: bool
-
-
-_POSTS: Final = {
-    "follow": _Post(1.25, ((0.0, -32.0), (0.0, -48.0)), 45.0, 0.25, 0.10, 0.4, 1.2, True),
-    "closeup": _Post(
-        0.85,
-        tuple((turn, elevation) for elevation in (-20.0, -35.0) for turn in (116.0, -116.0, 64.0, -64.0)),
-        *(30.0, 0.0, 0.06, 0.15, 1.2, False),
-    ),
+_BESIDE: Final[dict[str, dict[str, Any]]] = {
+    "follow": {
+        "distance_m": 1.25,
+        "sides": ((0.0, -32.0), (0.0, -48.0)),
+        "fovy_deg": 45.0,
+        "ahead_m": 0.25,
+        "height_m": 0.10,
+        "place_s": 0.4,
+        "ghost": True,
+    },
+    "closeup": {
+        "distance_m": 0.85,
+        "sides": tuple((turn, tilt) for tilt in (-20.0, -35.0) for turn in (116.0, -116.0, 64.0, -64.0)),
+        "fovy_deg": 30.0,
+        "ahead_m": 0.0,
+        "height_m": 0.06,
+        "place_s": 0.15,
+        "ghost": False,
+    },
 }
+"""Of each view of a car what :func:`_beside` takes."""
+_HEADING_S: Final = 1.2
+"""Standard deviation of the low-pass of a heading: a car turns by a right angle in less than a second, too fast for a
+camera."""
 _LOOKS: Final = 40
 """Samples at which it is tried from where a car is seen."""
 
 
-def _beside(name: str, trajectory: Trajectory, car: int, post: _Post) -> View:
+def _beside(
+    trajectory: Trajectory,
+    car: int,
+    *,
+    distance_m: float,
+    sides: tuple[tuple[float, float], ...],
+    fovy_deg: float,
+    ahead_m: float,
+    height_m: float,
+    place_s: float,
+    ghost: bool,
+) -> View:
+    """Return the view of a camera beside a car.
+
+    Args:
+        trajectory: what is looked at.
+        car: its number.
+        distance_m: from the point at which it looks.
+        sides: turns of its direction from the car's heading, 0 looking the way the car does, and elevations, in
+            degrees; it stands where the car is least hidden.
+        fovy_deg: vertical field of view.
+        ahead_m: of that point, before the car's origin.
+        height_m: of that point, over it.
+        place_s: standard deviation of the Gaussian low-pass of the car's place.
+        ghost: whether the ghost of the goal is shown.
+    """
     poses, times = trajectory.pose(f"car {car}"), trajectory.time
     period_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    heading = _smooth(np.unwrap(_headings(poses[:, 3:])), post.heading_s / period_s)
-    ahead = post.ahead_m * np.column_stack([np.cos(heading), np.sin(heading)])
-    place = _smooth(poses[:, :3], post.place_s / period_s)
-    place += np.column_stack([ahead, np.full(len(times), post.height_m)])
+    heading = _smooth(np.unwrap(_headings(poses[:, 3:])), _HEADING_S / period_s)
+    ahead = ahead_m * np.column_stack([np.cos(heading), np.sin(heading)])
+    place = _smooth(poses[:, :3], place_s / period_s)
+    place += np.column_stack([ahead, np.full(len(times), height_m)])
 
     def from_side(side: tuple[float, float]) -> Callable[[float], Aim]:
         turn, elevation = side
@@ -213,12 +233,11 @@ def _beside(name: str, trajectory: Trajectory, car: int, post: _Post) -> View:
         def aim(time_s: float) -> Aim:
             lookat = np.array([np.interp(time_s, times, place[:, axis]) for axis in range(3)])
             azimuth = math.degrees(float(np.interp(time_s, times, heading))) + turn
-            return Aim(lookat, post.distance_m, azimuth, elevation, post.fovy_deg)
+            return Aim(lookat, distance_m, azimuth, elevation, fovy_deg)
 
         return aim
 
-    aim = _least_hidden(trajectory, car, [from_side(side) for side in post.sides])
-    return View(name, post.fovy_deg, aim, post.ghost)
+    return View(fovy_deg, _least_hidden(trajectory, car, list(map(from_side, sides))), ghost)
 
 
 def _least_hidden(
@@ -226,10 +245,10 @@ def _least_hidden(
 ) -> Callable[[float], Aim]:
     """Return the first of the aims from which nothing hides a car most often."""
     model, root = trajectory.model, trajectory.physics.cars[car].base.body
-    posed = Posed(model)
+    data = mujoco.MjData(model)
     seen, groups, hit = [0] * len(aims), np.array([0, 0, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
     for sample in np.linspace(0, len(trajectory) - 1, _LOOKS).astype(int):
-        data = posed.at(trajectory.qpos[sample])
+        place(model, data, trajectory.qpos[sample])
         for number, aim in enumerate(aims):
             found = aim(float(trajectory.time[sample]))
             ray = found.lookat - found.position

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import queue
-import threading
+from collections import deque
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack, suppress
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 import av
@@ -40,10 +39,6 @@ _ENCODERS: Final = {
 """By the ending of the file's name: the container, the encoder, its options, and those of the container."""
 _THREADS: Final = {"threads": "2"}
 """Encoders are deterministic at a given number of threads, so the number must not depend on the machine."""
-_ANIMATED: Final[dict[str, dict[str, Any]]] = {
-    ".webp": {"quality": 80, "method": 4, "minimize_size": False},
-    ".gif": {"optimize": False, "disposal": 1},
-}
 _ANIMATION_PIXELS: Final = 400_000_000
 """Of all frames of an animation together: they are all in memory at its end."""
 _GIF_FPS: Final = 50
@@ -53,39 +48,23 @@ _WAITING: Final = 16
 
 
 def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None) -> None:
-    """Write frames into a film or an animation while the next ones are being made; ``tell`` is called after each.
+    """Write frames into a film or an animation; ``tell`` is called after each.
 
-    Encoders let go of the interpreter: they have a thread of their own.
+    A film is encoded in a thread of its own while the next frames are made: encoders release the interpreter. Raises
+    InputError where the disk does not take it.
     """
-    waiting: queue.Queue[Frame | None] = queue.Queue(_WAITING)
-    wrong: list[BaseException] = []
-    with (VideoWriter if path.suffix in FILMS else AnimationWriter)(path, fps) as writer:
-
-        def write() -> None:
-            while (frame := waiting.get()) is not None:
-                if not wrong:
-                    try:
-                        writer.write(frame)
-                    except BaseException as error:
-                        wrong.append(error)
-
-        thread = threading.Thread(target=write, name="encoder")
-        thread.start()
-        try:
-            for frame in frames:
-                if wrong:
-                    break
-                waiting.put(frame)
-                tell(True)
-        finally:
-            waiting.put(None)
-            thread.join()
-        if wrong:
-            raise wrong[0]
-
-
-class _Abandoned(Exception):
-    """A film is given up because of an error elsewhere."""
+    if path.suffix in ANIMATIONS:
+        _animate(path, fps, frames, tell)
+        return
+    waiting: deque[Future[None]] = deque()
+    with VideoWriter(path, fps) as writer, ThreadPoolExecutor(1, "encoder") as encoder:
+        for frame in frames:
+            waiting.append(encoder.submit(writer.write, frame))
+            while waiting and (waiting[0].done() or len(waiting) > _WAITING):
+                waiting.popleft().result()
+            tell(True)
+        for written in waiting:
+            written.result()
 
 
 class VideoWriter:
@@ -108,15 +87,18 @@ class VideoWriter:
             partial = file.enter_context(whole(self.path))
             form, self._encoder, self._options, options = _ENCODERS[self.path.suffix]
             self._container = av.open(str(partial), "w", format=form, options=options)
+            file.push(self._finish)
             self._file = file.pop_all()
         return self
 
-    def write(self, frame: Frame, repeat: int = 1) -> None:
-        """Append a frame, ``repeat`` times.
+    def __exit__(self, *error: Any) -> None:
+        self._file.__exit__(*error)
+
+    def write(self, frame: Frame) -> None:
+        """Append a frame.
 
         Args:
             frame: shape (height, width, 3), uint8, RGB; both sizes even, the same for all frames.
-            repeat: how many frame times it stays on screen.
 
         Raises:
             ValueError: the frame has another type or size, or an odd one.
@@ -135,13 +117,12 @@ class VideoWriter:
             )
         planes: Any = cv2.cvtColor(frame, cv2.COLOR_RGB2YUV_I420)
         picture = av.VideoFrame.from_ndarray(planes, format="yuv420p")
+        picture.pts = self.frames
         try:
-            for _ in range(repeat):
-                picture.pts = self.frames
-                self._container.mux(self._stream.encode(picture))
-                self.frames += 1
+            self._container.mux(self._stream.encode(picture))
         except OSError as error:
             raise InputError(unwritten(self.path, error)) from error
+        self.frames += 1
 
     def _begin(self, width: int, height: int) -> None:
         stream = self._container.add_stream(self._encoder, rate=self.fps, options=self._options | _THREADS)
@@ -151,17 +132,13 @@ class VideoWriter:
         stream.codec_context.time_base = Fraction(1, self.fps)
         self._stream = stream
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with suppress(_Abandoned), self._file:
-            if error is None and self._stream is not None:
-                self._container.mux(self._stream.encode(None))
-            self._container.close()
-            if error is not None:
-                raise _Abandoned
-            if self._stream is None:
-                raise ValueError("a film needs at least one frame")
+    def _finish(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Close the file, complete where the block ended without an error."""
+        if kind is None and self._stream is not None:
+            self._container.mux(self._stream.encode(None))
+        self._container.close()
+        if kind is None and self._stream is None:
+            raise ValueError("a film needs at least one frame")
 
 
 def check_animation(path: Path, n_frames: int, size: tuple[int, int], fps: int) -> None:
@@ -177,34 +154,22 @@ def check_animation(path: Path, n_frames: int, size: tuple[int, int], fps: int) 
         )
 
 
-class AnimationWriter:
-    """Context manager that collects frames, and writes them as an animated WebP or GIF, which runs for ever."""
-
-    def __init__(self, path: Path, fps: int) -> None:
-        """Prepare an animation at ``path``, a ``.webp`` or ``.gif`` (its folder must exist)."""
-        self.path, self.fps = path, fps
-        self._gif = path.suffix == ".gif"
-        self._frames: list[Image.Image] = []
-
-    def __enter__(self) -> Self:
-        return self
-
-    def write(self, frame: Frame) -> None:
-        """Append a frame, shape (height, width, 3), uint8, RGB."""
+def _animate(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame) -> None:
+    """Write frames as an animated WebP or GIF, which runs for ever."""
+    gif = path.suffix == ".gif"
+    pictures = []
+    for frame in frames:
         picture = Image.fromarray(frame)
         # A GIF has 256 colours a frame anyway, and takes a third of the memory.
-        self._frames.append(picture.quantize(256, dither=Image.Dither.NONE) if self._gif else picture)
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is not None:
-            return
-        # A GIF counts in hundredths of a second, of which no sum may drift.
-        tick = 10 if self._gif else 1
-        ends = [round(1000 * i / self.fps / tick) * tick for i in range(len(self._frames) + 1)]
-        shown_ms = np.diff(ends).tolist()
-        first, *rest = self._frames
-        options = _ANIMATED[self.path.suffix]
-        with whole(self.path) as partial:
-            first.save(partial, save_all=True, append_images=rest, duration=shown_ms, loop=0, **options)
+        pictures.append(picture.quantize(256, dither=Image.Dither.NONE) if gif else picture)
+        tell(True)
+    # A GIF counts in hundredths of a second, of which no sum may drift.
+    tick = 10 if gif else 1
+    shown_ms = np.diff([round(1000 * i / fps / tick) * tick for i in range(len(pictures) + 1)]).tolist()
+    options: dict[str, Any] = {"quality": 80, "method": 4, "minimize_size": False}
+    if gif:
+        options = {"optimize": False, "disposal": 1}
+    with whole(path) as partial:
+        pictures[0].save(
+            partial, save_all=True, append_images=pictures[1:], duration=shown_ms, loop=0, **options
+        )

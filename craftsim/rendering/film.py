@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
-from typing import Final, NamedTuple
+from typing import Final
 
 import cv2
 import mujoco
@@ -27,12 +27,11 @@ from craftsim.errors import InputError
 from craftsim.rendering.cameras import aspect_of, make_view
 from craftsim.rendering.encode import Frame
 from craftsim.rendering.grid_picture import levels_of, world_image
-from craftsim.rendering.layout import Layout, Tile, arrange, hidden_by, row_of
+from craftsim.rendering.layout import Layout, Mask, Tile, arrange, covered_by, row_of
 from craftsim.rendering.offscreen import make_renderer
-from craftsim.rendering.overlay import PAPER, Panel, caption_of, end_card, title_card
-from craftsim.rendering.playback import Posed
+from craftsim.rendering.overlay import PAPER, caption_of, draw_panel, end_card, title_card
 from craftsim.rendering.stage import Quality, Stage
-from craftsim.rendering.trajectory import Trajectory
+from craftsim.rendering.trajectory import Trajectory, place
 from craftsim.storage.limits import FILM_SPEED, FRAME_PIXELS, FRAME_RATE
 
 GRID: Final = "grid"
@@ -122,7 +121,9 @@ class Frames:
 
     def __init__(self, shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> None:
         """Prepare; raises InputError for a camera that there is not, and RenderingUnavailable where nothing renders."""
-        self.look, self.pace = look, pace_of(longest(shown), look)
+        self.look = look
+        self.times, self._factors = pace_of(longest(shown), look)
+        """Simulated time of each frame between the cards, (n,), in seconds."""
         trajectories, self._begins_s = several(shown), float(longest(shown).time[0])
         tiles = row_of(Tile(0, 0, *look.size), [1.0] * len(trajectories))
         self._panes = [
@@ -130,19 +131,19 @@ class Frames:
         ]
 
     def __len__(self) -> int:
-        return len(self.pace.times) + sum(self.look.n_cards)
+        return len(self.times) + sum(self.look.n_cards)
 
     @staticmethod
     def count(shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> int:
         """Return how many frames a film has, without preparing one."""
-        return len(pace_of(longest(shown), look).times) + sum(look.n_cards)
+        return len(pace_of(longest(shown), look)[0]) + sum(look.n_cards)
 
     def __getitem__(self, number: int) -> Frame:
         """Return a frame, shape (height, width, 3), uint8, RGB."""
         n_title, _ = self.look.n_cards
-        if n_title <= number < n_title + len(self.pace.times):
+        if n_title <= number < n_title + len(self.times):
             number -= n_title
-            return self.at(float(self.pace.times[number]), float(self.pace.factors[number]))
+            return self.at(float(self.times[number]), float(self._factors[number]))
         card = title_card if number < n_title else end_card
         return self._joined([card(pane.trajectory, pane.tile.size, pane.last) for pane in self._panes])
 
@@ -151,9 +152,11 @@ class Frames:
 
         Of several trajectories it is a moment of the longest; each is shown as long after its own start, or at its end.
         """
-        since = [time_s + float(pane.trajectory.time[0]) - self._begins_s for pane in self._panes]
         return self._joined(
-            [pane.at(moment_s, factor) for pane, moment_s in zip(self._panes, since, strict=True)]
+            [
+                pane.at(time_s + float(pane.trajectory.time[0]) - self._begins_s, factor)
+                for pane in self._panes
+            ]
         )
 
     def _joined(self, pictures: Sequence[Frame]) -> Frame:
@@ -176,24 +179,20 @@ class _Pane:
     def __init__(self, trajectory: Trajectory, tile: Tile, look: FilmOptions) -> None:
         self.trajectory, self.tile, self.look = trajectory, tile, look
 
-        def hidden_in(first: Tile) -> Callable[[Tile], int]:
+        def covered(size: tuple[int, int]) -> Mask:
             if look.cameras[0] == GRID:
-                return lambda tile: 1  # on the prediction any hides some
-            view = make_view(look.cameras[0], trajectory, first.width / first.height)
-            return hidden_by(trajectory, view, first)
+                return np.ones(size[::-1], bool)
+            return covered_by(trajectory, make_view(look.cameras[0], trajectory, size[0] / size[1]), size)
 
         aspects = [_aspect(trajectory, camera) for camera in look.cameras]
-        captions = look.captions is not False
-        tiles, panel = arrange(
-            tile.size, aspects, look.layout, captions, hidden_in, below=tile.size != look.size
-        )
+        captions, below = look.captions is not False, tile.size != look.size
+        tiles, self._panel = arrange(tile.size, aspects, look.layout, captions, covered, below)
         if any(min(tile.size) < LEAST_PIXELS for tile in tiles):
             raise InputError(f"{len(tiles)} views do not fit into {tile.width} x {tile.height} pixels")
         # A copy takes a twentieth of the time.
         self._blank: Frame = np.full((tile.height, tile.width, 3), PAPER, np.uint8)
-        self._panel = None if panel is None else (panel, Panel(panel.size, min(look.size)))
         self._stage = Stage(trajectory, look.quality)
-        self._posed = Posed(self._stage.model)
+        self._data = mujoco.MjData(self._stage.model)
         self._renderers: list[mujoco.Renderer] = []
         self._views: list[tuple[Tile, _Picture]] = [
             (tile, _predicted(trajectory, tile.size) if camera == GRID else self._seen(camera, tile))
@@ -211,19 +210,20 @@ class _Pane:
         for tile, picture in self._views:
             frame[tile.rows, tile.columns] = picture(sample, min(time_s, ends_s))
         if self._panel is not None:
-            tile, panel = self._panel
-            frame[tile.rows, tile.columns] = panel.draw(caption_of(self.trajectory, time_s, factor))
+            caption = caption_of(self.trajectory, time_s, factor)
+            words = draw_panel(caption, self._panel.size, min(self.look.size))
+            frame[self._panel.rows, self._panel.columns] = words
         return frame
 
     def _seen(self, camera: str, tile: Tile) -> _Picture:
         """Return what a camera sees of the stage."""
-        stage, trajectory = self._stage, self.trajectory
+        stage, trajectory, data = self._stage, self.trajectory, self._data
         view = make_view(camera, trajectory, tile.width / tile.height)
         renderer = make_renderer(stage.model, tile.size, stage.shadows)
         self._renderers.append(renderer)
 
         def draw(sample: int, time_s: float) -> Frame:
-            data = self._posed.at(trajectory.qpos[sample], trajectory.time[sample])
+            place(stage.model, data, trajectory.qpos[sample], trajectory.time[sample])
             stage.model.vis.global_.fovy = view.fovy_deg
             renderer.update_scene(data, view.camera(time_s))
             stage.finish(renderer.scene, data.qpos, ghost=self.look.ghost and view.ghost)
@@ -308,13 +308,8 @@ def fitted(picture: Frame, size: tuple[int, int]) -> Frame:
     return found
 
 
-class Pace(NamedTuple):
-    """When each frame of a film is."""
-
-    times: NDArray[np.float64]
-    """(n,) simulated time of each frame, in seconds."""
-    factors: NDArray[np.float64]
-    """(n,) simulated seconds in a second of film."""
+Pace = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Of each frame of a film, (n,) each: its simulated time in seconds, and the simulated seconds in a second of film."""
 
 
 def pace_of(trajectory: Trajectory, look: FilmOptions) -> Pace:
@@ -330,7 +325,7 @@ def pace_of(trajectory: Trajectory, look: FilmOptions) -> Pace:
     else:
         return _adapted_pace(trajectory, look.fps)
     times = np.minimum(trajectory.time[0] + np.arange(n) * speed / look.fps, trajectory.time[-1])
-    return Pace(times, np.full(n, speed))
+    return times, np.full(n, speed)
 
 
 def _adapted_pace(trajectory: Trajectory, fps: int) -> Pace:
@@ -348,7 +343,7 @@ def _adapted_pace(trajectory: Trajectory, fps: int) -> Pace:
     pace = np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
     film = np.cumsum(pace * steps)
     moments = np.arange(int(np.ceil(film[-1] * fps - 1e-6)) + 1) / fps
-    return Pace(np.interp(moments, film, time), 1.0 / np.interp(moments, film, pace))
+    return np.interp(moments, film, time), 1.0 / np.interp(moments, film, pace)
 
 
 def _slow_down(speed: NDArray[np.float64], time: NDArray[np.float64], attempt: Attempt) -> None:

@@ -55,24 +55,15 @@ _CHEVRON: Final = np.array([(-0.16, 0.20), (0.04, 0.0), (-0.16, -0.20)])
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """A polygon, or an open line where it is not filled."""
+    """A polygon, an open line where it is not filled, or a word that is centred at its only point."""
 
     points: Points
     fill: Rgb | None = None
     line: Rgb | None = None
+    """Also of a word."""
     width: float = 0.02
-
-
-@dataclass(frozen=True)
-class Word:
-    """A word, centred at a place."""
-
-    x: float
-    y: float
-    text: str
-    height: float
-    """Of a capital letter."""
-    colour: Rgb
+    """Of the line; height of a capital letter."""
+    text: str = ""
 
 
 def wanted_of(design: Design | None) -> tuple[Piece, ...]:
@@ -115,7 +106,7 @@ def level_shapes(
 
 def car_shapes(
     grid: Grid, z: int, shifts: Mapping[int, tuple[float, float]] | None = None
-) -> Iterator[Outline | Word]:
+) -> Iterator[Outline]:
     """Yield the cars of a level: four wheels, a body in a car's colour with a light nose, its number, and its load.
 
     ``shifts`` are how far cars on their way have come from their cells, along x and y.
@@ -124,16 +115,12 @@ def car_shapes(
         if cell[2] == z:
             for car in cars:
                 shift = (shifts or {}).get(car, (0.0, 0.0))
-                yield from (_shifted(one, *shift) for one in _car(grid, car, cell))
+                yield from (
+                    replace(one, points=one.points + np.array(shift)) for one in _car(grid, car, cell)
+                )
 
 
-def _shifted(one: Outline | Word, x: float, y: float) -> Outline | Word:
-    if isinstance(one, Word):
-        return replace(one, x=one.x + x, y=one.y + y)
-    return replace(one, points=one.points + np.array((x, y)))
-
-
-def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline | Word]:
+def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline]:
     row = grid.cars[car]
     x, y, _ = cell
     load = Kind(row[CarField.LOAD])
@@ -152,7 +139,7 @@ def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline | Word]:
     body = _box(-0.33, -0.2, 0.33, 0.2)
     yield Outline(_placed(body, x, y, turn), fill=car_colour(car), line=INK, width=0.015)
     yield Outline(_placed(_NOSE, x, y, turn), fill=_WHITE)
-    yield Word(x, y, str(car), 0.2, _WHITE)
+    yield Outline(np.array([(x, y)], np.float64), line=_WHITE, width=0.2, text=str(car))
 
 
 def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
@@ -268,25 +255,22 @@ def world_image(
     return image
 
 
-def _paint(image: NDArray[np.uint8], one: Outline | Word, width: int) -> None:
-    if isinstance(one, Word):
-        x, y = _pixels(np.array([(one.x, one.y)]), width)[0]
-        _letter(image, round(x), round(y), one.text, round(one.height * CELL_PX), one.colour)
+def _paint(image: NDArray[np.uint8], one: Outline, width: int) -> None:
+    """Draw a shape into the picture of a level that is ``width`` cells wide along y."""
+    x, y = one.points.T
+    pixels = MARGIN_PX + np.stack([x + 0.5, width - 0.5 - y], axis=1) * CELL_PX
+    thick = max(1, round(one.width * CELL_PX))
+    if one.text:
+        assert one.line is not None
+        x, y = pixels[0]
+        _letter(image, round(x), round(y), one.text, thick, one.line)
         return
-    points = np.round(_pixels(one.points, width) * (1 << _BITS)).astype(np.int32)
+    points = np.round(pixels * (1 << _BITS)).astype(np.int32)
     if one.fill is not None:
         cv2.fillPoly(image, [points], _bytes(one.fill), cv2.LINE_AA, _BITS)
     if one.line is not None:
-        thick = max(1, round(one.width * CELL_PX))
         closed = one.fill is not None
         cv2.polylines(image, [points], closed, _bytes(one.line), thick, cv2.LINE_AA, _BITS)
-
-
-def _pixels(points: NDArray[np.float64], width: int) -> NDArray[np.float64]:
-    """Return where in a level's picture places are."""
-    x = MARGIN_PX + (points[:, 0] + 0.5) * CELL_PX
-    y = MARGIN_PX + (width - 0.5 - points[:, 1]) * CELL_PX
-    return np.stack([x, y], axis=1)
 
 
 def _letter(image: NDArray[np.uint8], x: int, y: int, text: str, height_px: int, colour: Rgb) -> None:

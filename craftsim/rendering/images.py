@@ -6,7 +6,7 @@ import copy
 import math
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, Self, get_args
 
 import mujoco
 import numpy as np
@@ -17,7 +17,7 @@ from craftsim.mjcf.block import TABLE_NAMES
 from craftsim.models.parts import MachineNames
 from craftsim.rendering.cameras import View
 from craftsim.rendering.offscreen import make_renderer
-from craftsim.rendering.playback import SeenWorld
+from craftsim.rendering.trajectory import SeenWorld
 from craftsim.storage.limits import IMAGE_PIXELS, PHYSICS_PARTS
 
 if TYPE_CHECKING:
@@ -31,26 +31,19 @@ LABELS: Final = tuple(dict.fromkeys(("ground", "wall", "car", "block", "flag", "
 """The kinds of machines, in the order of their numbers in a segmentation."""
 
 
-class Pixels(NamedTuple):
-    """What a pixel of a kind of image holds."""
-
-    shape: tuple[int, ...]
-    dtype: Any
-    low: float
-    high: float
-
-
-PIXELS: Final[dict[ImageKind, Pixels]] = {
-    "rgb": Pixels((3,), np.uint8, 0, 255),
-    "depth": Pixels((), np.float32, 0.0, FAR_M),
-    "segmentation": Pixels((2,), np.int16, -1, PHYSICS_PARTS + 1),  # with the ground and the walls
+PIXELS: Final[dict[ImageKind, tuple[tuple[int, ...], Any, float, float]]] = {
+    "rgb": ((3,), np.uint8, 0, 255),
+    "depth": ((), np.float32, 0.0, FAR_M),
+    "segmentation": ((2,), np.int16, -1, PHYSICS_PARTS + 1),  # with the ground and the walls
 }
+"""Of each kind of image the shape of a pixel, its type, and its least and largest value."""
 
 Images = dict[str, NDArray[Any]]
 """By kind."""
 
 _NEAR_M: Final = 0.005
 """What is nearer to a camera is cut away: a car's comes close to what the car docks with."""
+_FIXED: Final = mujoco.mjtCamera.mjCAMERA_FIXED
 _DRAWN: Final = ("ngeom", "nsite", "geom_dataid", "mesh_vert", "mesh_normal", "mesh_face", "tex_data")
 """Of a model: worlds in which these are equal are drawn by one renderer."""
 
@@ -128,21 +121,30 @@ class CameraImages:
             self._begin(physics)
         model, data = self._seen.model, self._seen.now() if qpos is None else self._seen.at(qpos)
         width, height = self.size
-        taken: Images = {
-            kind: np.empty((len(self.cameras), height, width, *PIXELS[kind].shape), PIXELS[kind].dtype)
-            for kind in self.kinds
-        }
+        taken: Images = {}
+        for kind in self.kinds:
+            shape, dtype, _, _ = PIXELS[kind]
+            taken[kind] = np.empty((len(self.cameras), height, width, *shape), dtype)
         for place, camera in enumerate(self.cameras):
-            shot = camera.camera(time_s) if isinstance(camera, View) else _fixed(model, camera)
-            zoom = _zoom(model, camera) if isinstance(camera, View) else 1.0
-            for kind, images in taken.items():
-                images[place] = self._image(kind, shot, zoom, data)
+            if isinstance(camera, View):
+                shot = camera.camera(time_s)
+                # How much wider the view is than MuJoCo's free camera is for this model.
+                wide, usual = camera.fovy_deg, model.vis.global_.fovy
+                zoom = math.tan(math.radians(wide) / 2) / math.tan(math.radians(usual) / 2)
+            else:
+                shot, zoom = mujoco.MjvCamera(), 1.0
+                shot.type, shot.fixedcamid = _FIXED, camera_number(model, camera)
+            for name, images in taken.items():
+                images[place] = self._image(name, shot, zoom, data)
         return taken
 
     def _begin(self, physics: PhysicsWorld) -> None:
         self._seen = SeenWorld(physics)
         model = self._seen.model
-        if self._renderer is None or not _drawn_alike(self._renderer.model, model):
+        drawn = None if self._renderer is None else self._renderer.model
+        if drawn is None or not all(
+            np.array_equal(getattr(drawn, name), getattr(model, name)) for name in _DRAWN
+        ):
             self.close()
             self._renderer = make_renderer(self._plain(model), self.size)
         self._physics = physics
@@ -218,30 +220,10 @@ def check_images(size: object, kinds: Sequence[str]) -> None:
 
 def camera_number(model: mujoco.MjModel, camera: str) -> int:
     """Return the number of a camera of a world; raise InputError for one that it lacks."""
-    names = [_spoken(model.camera(number).name) for number in range(model.ncam)]
+    # ``front:0`` is said for ``car0/front``.
+    names = [re.sub(r"car(\d+)/(.+)", r"\2:\1", model.camera(n).name) for n in range(model.ncam)]
     if camera not in names:
         raise InputError(
             f"unknown camera '{camera}'{suggestion(str(camera), names)}; there are {', '.join(names)}"
         )
     return names.index(camera)
-
-
-def _fixed(model: mujoco.MjModel, camera: str) -> mujoco.MjvCamera:
-    shot = mujoco.MjvCamera()
-    shot.type, shot.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera_number(model, camera)
-    return shot
-
-
-def _zoom(model: mujoco.MjModel, view: View) -> float:
-    """Return how much wider a view is than MuJoCo's free camera is for this model."""
-    wide, usual = (math.tan(math.radians(fovy) / 2) for fovy in (view.fovy_deg, model.vis.global_.fovy))
-    return wide / usual
-
-
-def _spoken(name: str) -> str:
-    """Return ``front:0`` for ``car0/front``."""
-    return re.sub(r"car(\d+)/(.+)", r"\2:\1", name)
-
-
-def _drawn_alike(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
-    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in _DRAWN)

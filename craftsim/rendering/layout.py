@@ -10,6 +10,7 @@ from typing import Final, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.models.framing import box_corners
 from craftsim.rendering.cameras import View, reached_m
@@ -18,6 +19,8 @@ from craftsim.rendering.trajectory import Trajectory
 Layout = Literal["side", "main", "inset"]
 """Views of the same size side by side; the first one large and the others in a column beside it; or small ones in a
 corner of the first one."""
+
+Mask = NDArray[np.bool_]
 
 _PANEL: Final = 0.23
 """Share of a wide frame's width for the captions; of a tall frame's height it is a little more."""
@@ -63,15 +66,15 @@ def arrange(
     aspects: Sequence[float],
     layout: Layout,
     captions: bool,
-    hidden_in: Callable[[Tile], Callable[[Tile], int]] = lambda first: lambda tile: 0,
+    covered: Callable[[tuple[int, int]], Mask] | None = None,
     below: bool = False,
 ) -> tuple[list[Tile], Tile | None]:
     """Return the tiles of the views and of the captions in a frame of ``size`` (width, height).
 
     Views are placed so that what they show, of their own aspects (width over height), leaves little of the frame empty.
     Tiles do not overlap, but for insets, which lie on the first view where they hide nothing; without such a corner
-    they are beside it. ``hidden_in`` gives, for the tile of the first view, what gives the pixels that a tile on it
-    hides. Captions are at the right; below in a tall frame, and where ``below`` asks for it.
+    they are beside it: ``covered`` gives the pixels (height, width) of a first view of a size that none may hide.
+    Captions are at the right; below in a tall frame, and where ``below`` asks for it.
     """
     n_views, (width, height) = len(aspects), size
     panel = None
@@ -85,9 +88,9 @@ def arrange(
         height -= taken
     area = Tile(0, 0, width, height)
     if layout == "inset" and n_views > 1:
-        hidden = hidden_in(area)
+        mask = np.zeros((height, width), bool) if covered is None else covered(area.size)
         for tiles in _corners(area, n_views - 1):
-            if not any(map(hidden, tiles)):
+            if not any(mask[tile.rows, tile.columns].any() for tile in tiles):
                 return [area, *tiles], panel
     if layout != "side" and n_views > 1:
         candidates = list(_beside(area, aspects))
@@ -157,21 +160,13 @@ def _grid(area: Tile, n: int, columns: int) -> list[Tile]:
     ]
 
 
-def hidden_by(trajectory: Trajectory, view: View, large: Tile) -> Callable[[Tile], int]:
-    """Return what gives the pixels of the area, as a view of a trajectory shows it in a tile, that another tile hides.
-
-    The area is taken with all the height that anything in it reaches.
-    """
+def covered_by(trajectory: Trajectory, view: View, size: tuple[int, int]) -> Mask:
+    """Return where in a picture of ``size`` a view shows the area of a trajectory, up to the height that is reached."""
     corners = box_corners(trajectory.story.recipe.grid.size, reached_m(trajectory))
-    seen = np.zeros((large.height, large.width), np.uint8)
-    half = 0.5 * np.array(large.size)
+    width, height = size
+    seen, half = np.zeros((height, width), np.uint8), 0.5 * np.array(size)
     for moment in np.linspace(trajectory.time[0], trajectory.time[-1], _MOMENTS):
-        places = view.aim(float(moment)).project(corners, large.width / large.height)
+        places = view.aim(float(moment)).project(corners, width / height)
         pixels = (half + half * places * [1, -1]).round().astype(np.int32)
         cv2.fillConvexPoly(seen, cv2.convexHull(pixels), 1)
-
-    def hidden(tile: Tile) -> int:
-        top, left = tile.top - large.top, tile.left - large.left
-        return int(seen[top : top + tile.height, left : left + tile.width].sum())
-
-    return hidden
+    return seen > 0

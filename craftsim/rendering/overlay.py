@@ -1,4 +1,4 @@
-"""What a film says: captions beside its picture, and cards at its start and its end."""
+"""Text in films: captions beside the picture, the title card and the end card."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.drawing import CAR_COLOURS
+from craftsim.discrete.drawing import car_colour
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.rendering.encode import Frame
@@ -41,7 +41,7 @@ _REASONS: Final = 3
 
 
 class CarCaption(NamedTuple):
-    """What is said of one car."""
+    """The caption of one car."""
 
     car: int
     action: str = "waits"
@@ -52,7 +52,7 @@ class CarCaption(NamedTuple):
 
 
 class Caption(NamedTuple):
-    """All that is said at one moment."""
+    """The captions of one moment."""
 
     title: str
     step: int
@@ -65,7 +65,7 @@ class Caption(NamedTuple):
 
 
 def caption_of(trajectory: Trajectory, time_s: float, factor: float | None) -> Caption:
-    """Return what is said of a trajectory at a simulated time; after its end the clock stands still."""
+    """Return the captions of a trajectory at a simulated time; after its end the clock stands still."""
     story = trajectory.story
     performed = sorted((a for a in story.attempts if a.performed), key=lambda a: a.start_s)
     begun = [a for a in performed if a.start_s <= time_s]
@@ -77,7 +77,7 @@ def caption_of(trajectory: Trajectory, time_s: float, factor: float | None) -> C
 
 
 def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:
-    """Return what is said of a car whose actions so far are ``begun``."""
+    """Return the caption of a car whose actions so far are ``begun``."""
     running = [a for a in begun if time_s < a.start_s + a.duration_s]
     action = ACTIONS[Action[running[-1].action]].words if running else "waits"
     ended = [a for a in begun if a.start_s + a.duration_s <= time_s]
@@ -90,83 +90,76 @@ def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:
     )
 
 
-class Panel:
-    """Draws captions; what has not changed since the last one is not drawn again."""
+def draw_panel(caption: Caption, size: tuple[int, int], side: int) -> Frame:
+    """Return a panel of ``size`` (width, height) in pixels with a caption; ``side`` is the shorter side of the film."""
+    unit = max(9, round(side / 42))
+    still, y = _without_clock(size, unit, *caption[:4])
+    picture = still.copy()
+    speed = "" if caption.factor is None else f"   x{caption.factor:.2g}"
+    face = _font(round(1.15 * unit), "bold")
+    ImageDraw.Draw(picture).text((unit, y), f"{caption.time_s:.1f} s{speed}", _INK, face)
+    return np.asarray(picture)
 
-    def __init__(self, size: tuple[int, int], side: int) -> None:
-        """Prepare for a panel of ``size`` (width, height) in pixels; ``side`` is the shorter side of the film."""
-        self.size = size
-        self._unit = max(9, round(side / 42))
-        self._drawn: tuple[object, ...] = ()
-        self._picture = Image.new("RGB", size, PAPER)
-        self._clock_at = 0
 
-    def draw(self, caption: Caption) -> Frame:
-        """Return the panel with a caption."""
-        if caption[:4] != self._drawn:
-            self._drawn, self._picture = caption[:4], self._still(caption)
-        picture = self._picture.copy()
-        speed = "" if caption.factor is None else f"   x{caption.factor:.2g}"
-        place, face = (self._unit, self._clock_at), _font(round(1.15 * self._unit), "bold")
-        ImageDraw.Draw(picture).text(place, f"{caption.time_s:.1f} s{speed}", _INK, face)
-        return np.asarray(picture)
+@lru_cache(maxsize=8)
+def _without_clock(
+    size: tuple[int, int], unit: int, title: str, step: int, n_steps: int, cars: tuple[CarCaption, ...]
+) -> tuple[Image.Image, int]:
+    """Return all of a panel but the clock, and the row at which that begins; many frames share it."""
+    picture = Image.new("RGB", size, PAPER)
+    draw = ImageDraw.Draw(picture)
+    width, height = size
+    inner, bold = width - 2 * unit, _font(round(1.25 * unit), "bold")
+    y = unit
+    for line in _wrap(draw, title, bold, inner, 3):
+        draw.text((unit, y), line, _INK, bold)
+        y += round(1.65 * unit)
+    clock_at = y
+    y += round(1.8 * unit)
+    if n_steps:
+        draw.text((unit, y), f"action {step} of {n_steps}", _PALE, _font(unit))
+        y += round(1.5 * unit)
+        done = round(inner * step / n_steps)
+        draw.rectangle((unit, y, unit + inner, y + unit // 4), _RULE)
+        draw.rectangle((unit, y, unit + done, y + unit // 4), _INK)
+        y += round(1.3 * unit)
+    shown = cars[:_CARS]
+    a_column = max(1, min(len(shown), round((height - y) / (_CAR * unit))))
+    columns = max(1, min(-(-len(shown) // a_column), inner // (_NARROW * unit)))
+    a_column, wide = -(-len(shown) // columns), inner // columns
+    room = (height - y) // (round(1.35 * unit) * max(1, a_column)) - 2
+    room = min(5, max(1 if columns > 1 else 2, room))
+    top = y
+    for number, car in enumerate(shown):
+        y = top if number % a_column == 0 else y
+        y = _draw_car(draw, car, (unit + number // a_column * wide, y), unit, wide, room)
+    if len(cars) > len(shown):
+        draw.text((unit, y), f"and {len(cars) - len(shown)} more cars", _PALE, _font(unit))
+    return picture, clock_at
 
-    def _still(self, caption: Caption) -> Image.Image:
-        """Return all but the clock."""
-        picture = Image.new("RGB", self.size, PAPER)
-        draw = ImageDraw.Draw(picture)
-        unit, (width, height) = self._unit, self.size
-        inner, bold = width - 2 * unit, _font(round(1.25 * unit), "bold")
-        y = unit
-        for line in _wrap(draw, caption.title, bold, inner, 3):
-            draw.text((unit, y), line, _INK, bold)
-            y += round(1.65 * unit)
-        self._clock_at = y
-        y += round(1.8 * unit)
-        if caption.n_steps:
-            draw.text((unit, y), f"action {caption.step} of {caption.n_steps}", _PALE, _font(unit))
-            y += round(1.5 * unit)
-            done = round(inner * caption.step / caption.n_steps)
-            draw.rectangle((unit, y, unit + inner, y + unit // 4), _RULE)
-            draw.rectangle((unit, y, unit + done, y + unit // 4), _INK)
-            y += round(1.3 * unit)
-        cars = caption.cars[:_CARS]
-        a_column = max(1, min(len(cars), round((height - y) / (_CAR * unit))))
-        columns = max(1, min(-(-len(cars) // a_column), inner // (_NARROW * unit)))
-        a_column, wide = -(-len(cars) // columns), inner // columns
-        room = min(
-            5, max(1 if columns > 1 else 2, (height - y) // (round(1.35 * unit) * max(1, a_column)) - 2)
-        )
-        top = y
-        for number, car in enumerate(cars):
-            y = top if number % a_column == 0 else y
-            y = self._draw_car(draw, car, (unit + number // a_column * wide, y), wide, room)
-        if len(caption.cars) > len(cars):
-            draw.text((unit, y), f"and {len(caption.cars) - len(cars)} more cars", _PALE, _font(unit))
-        return picture
 
-    def _draw_car(
-        self, draw: ImageDraw.ImageDraw, car: CarCaption, corner: tuple[int, int], inner: int, room: int
-    ) -> int:
-        """Draw what is said of a car from a corner on, with ``room`` lines for its verdict; return where it ends."""
-        unit, (x, y) = self._unit, corner
-        badge = round(1.7 * unit)
-        red, green, blue = (round(255 * part) for part in CAR_COLOURS[car.car % len(CAR_COLOURS)])
-        draw.rounded_rectangle((x, y, x + badge, y + badge), unit // 3, (red, green, blue))
-        middle = x + badge / 2, y + badge / 2
-        draw.text(middle, str(car.car), (255, 255, 255), _font(unit, "bold"), anchor="mm")
-        ink, face = _PALE if car.action == "waits" else _INK, _font(round(1.1 * unit))
-        draw.text((x + badge + unit // 2, middle[1]), car.action, ink, face, anchor="lm")
-        y += round(2.1 * unit)
-        small = _font(round(0.9 * unit))
-        for line in _wrap(draw, car.verdict, small, inner, room):
-            draw.text((x, y), line, _GOOD if car.agrees else _BAD, small)
-            y += round(1.25 * unit)
-        return y + unit // 2
+def _draw_car(
+    draw: ImageDraw.ImageDraw, car: CarCaption, corner: tuple[int, int], unit: int, inner: int, room: int
+) -> int:
+    """Draw the caption of a car from a corner on, with ``room`` lines for its verdict; return where it ends."""
+    x, y = corner
+    badge = round(1.7 * unit)
+    red, green, blue = (round(255 * part) for part in car_colour(car.car))
+    draw.rounded_rectangle((x, y, x + badge, y + badge), unit // 3, (red, green, blue))
+    middle = x + badge / 2, y + badge / 2
+    draw.text(middle, str(car.car), (255, 255, 255), _font(unit, "bold"), anchor="mm")
+    ink, face = _PALE if car.action == "waits" else _INK, _font(round(1.1 * unit))
+    draw.text((x + badge + unit // 2, middle[1]), car.action, ink, face, anchor="lm")
+    y += round(2.1 * unit)
+    small = _font(round(0.9 * unit))
+    for line in _wrap(draw, car.verdict, small, inner, room):
+        draw.text((x, y), line, _GOOD if car.agrees else _BAD, small)
+        y += round(1.25 * unit)
+    return y + unit // 2
 
 
 def title_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) -> Frame:
-    """Return the card that says what comes, beside a picture."""
+    """Return the title card: the world, the rules and the physics, beside a picture."""
     story = trajectory.story
     recipe, setup = story.recipe, story.recipe.setup
     things = Counter(name.split()[0] for name in story.poses)
@@ -182,7 +175,7 @@ def title_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) ->
 
 
 def end_card(trajectory: Trajectory, size: tuple[int, int], picture: Frame) -> Frame:
-    """Return the card that says what was found, beside a picture."""
+    """Return the end card: how many actions did as predicted, and the largest errors, beside a picture."""
     attempts = [a for a in trajectory.story.attempts if a.performed]
     lines = [f"{trajectory.duration_s:.1f} s of simulated time"]
     if attempts:

@@ -1,8 +1,12 @@
-"""Rendering a trajectory: films, animations, stills and contact sheets, by the ending of the file's name."""
+"""Rendering a trajectory into a film, an animation, stills or a contact sheet, by the ending of the file's name.
+
+:func:`film_plan` films a plan on the grid: what the rules predict, at the pace of nominal physics, and no physics at
+all.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -12,10 +16,16 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from craftsim.discrete.actions import ACTIONS
+from craftsim.discrete.grid import CarField, Grid, Piece
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import Schedule
 from craftsim.errors import InputError
 from craftsim.rendering.encode import ANIMATIONS, FILMS, Frame, OnFrame, check_animation, encode
-from craftsim.rendering.film import FilmOptions, Frames, longest, several
-from craftsim.rendering.overlay import label
+from craftsim.rendering.film import FilmOptions, Frames, fitted, longest, several
+from craftsim.rendering.grid_picture import levels_of, world_image
+from craftsim.rendering.layout import arrange
+from craftsim.rendering.overlay import PAPER, Caption, CarCaption, draw_panel, label
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.writing import write_whole
 from craftsim.workers.pool import Pool, answered
@@ -25,6 +35,14 @@ SHEET: Final = 12
 """Moments on a contact sheet."""
 _BATCH: Final = 8
 """Frames that a process makes at once."""
+PLAN_SIZE: Final = (1280, 720)
+PLAN_FPS: Final = 20
+_PLAN_SPEED: Final = 4.0
+"""Seconds of the plan in a second of film, at least."""
+LONGEST_S: Final = 60.0
+"""Length of a plan's film at most: a long plan is shown faster."""
+END_S: Final = 1.5
+"""How long its last picture stays."""
 
 Progress = Callable[[int], AbstractContextManager[OnFrame]]
 """Given the number of frames, opens what is called after each one."""
@@ -132,8 +150,8 @@ def _stills(
 def _sheet(shown: Trajectory | Sequence[Trajectory], path: Path, look: FilmOptions) -> Path:
     """Write moments of the film, at equal distances, as one picture of the look's size."""
     with closing(Frames(shown, look)) as frames:
-        moments = np.linspace(0, len(frames.pace.times) - 1, SHEET).round().astype(int)
-        times = frames.pace.times[moments].tolist()
+        moments = np.linspace(0, len(frames.times) - 1, SHEET).round().astype(int)
+        times = frames.times[moments].tolist()
         pictures = [frames.at(time_s) for time_s in times]
     columns = 3 if look.size[0] >= look.size[1] else 4
     width, height = look.size[0] // columns, look.size[1] // columns
@@ -148,3 +166,78 @@ def _sheet(shown: Trajectory | Sequence[Trajectory], path: Path, look: FilmOptio
 def _write_png(path: Path, picture: Frame) -> Path:
     _, data = cv2.imencode(".png", picture[:, :, ::-1])
     return write_whole(path, data.tobytes())
+
+
+def film_plan(
+    path: Path,
+    schedule: Schedule,
+    rules: Rules,
+    title: str,
+    design: Collection[Piece] = (),
+    progress: Progress = no_progress,
+) -> Path:
+    """Write a film (``.mp4``, ``.webm``) of a schedule, made with these rules, over its timetable.
+
+    Cars glide from cell to cell; all else of an action is seen when it ends. The panel at the side says what each car
+    does. Returns the path; raises InputError where the disk does not take it.
+    """
+    n_frames = len(plan_moments(schedule)[0])
+    with progress(n_frames) as tell:
+        encode(path, PLAN_FPS, plan_frames(schedule, rules, title, design), tell)
+    return path
+
+
+def plan_moments(schedule: Schedule) -> tuple[list[float], float]:
+    """Return the time of each frame of a plan's film in seconds of the plan, and how many of them a second shows."""
+    took_s = schedule.makespan()
+    speed = max(_PLAN_SPEED, took_s / LONGEST_S)
+    n = int(np.ceil(took_s / speed * PLAN_FPS)) + 1 + round(END_S * PLAN_FPS)
+    return np.minimum(np.arange(n) * speed / PLAN_FPS, took_s).tolist(), speed
+
+
+def plan_worlds(
+    schedule: Schedule, rules: Rules, moments: Iterable[float]
+) -> Iterator[tuple[Grid, dict[int, int]]]:
+    """Yield for each moment the world as what has ended left it, and the running step of each car."""
+    steps, times = schedule.steps, schedule.times()
+    starts, ends = (np.argsort(column, kind="stable").tolist() for column in times.T)
+    grid, begun, ended = steps[0].before if steps else schedule.final, 0, 0
+    running: dict[int, int] = {}
+    for moment in moments:
+        # In the order of their ends, in which each comes after all that it waits for.
+        while ended < len(ends) and times[ends[ended], 1] <= moment:
+            step = steps[ends[ended]]
+            grid, _ = rules.tick(grid, [(step.car, step.action)])
+            ended += 1
+        while begun < len(starts) and times[starts[begun], 0] <= moment:
+            running[steps[starts[begun]].car] = starts[begun]
+            begun += 1
+        running = {car: index for car, index in running.items() if times[index, 1] > moment}
+        yield grid, running.copy()
+
+
+def plan_frames(
+    schedule: Schedule, rules: Rules, title: str, design: Collection[Piece] = ()
+) -> Iterator[Frame]:
+    """Yield the frames of a plan's film, each of shape (height, width, 3), uint8, RGB."""
+    (tile,), panel = arrange(PLAN_SIZE, (1.0,), "side", captions=True)
+    assert panel is not None
+    steps, times, (moments, speed) = schedule.steps, schedule.times(), plan_moments(schedule)
+    start = steps[0].before if steps else schedule.final
+    levels = levels_of([start, *(step.after for step in steps)], design=design)
+    for moment, (grid, running) in zip(moments, plan_worlds(schedule, rules, moments), strict=True):
+        shifts, doing = {}, {}
+        for car, index in running.items():
+            step, (begins, ends) = steps[index], times[index].tolist()
+            share = (moment - begins) / (ends - begins)
+            way = share * (step.after.cars[car] - step.before.cars[car])
+            shifts[car] = float(way[CarField.X]), float(way[CarField.Y])
+            doing[car] = ACTIONS[step.action].words
+        picture = world_image(grid, levels=levels, design=design, shifts=shifts)
+        frame = np.full((*PLAN_SIZE[::-1], 3), PAPER, np.uint8)
+        frame[tile.rows, tile.columns] = fitted(picture, tile.size)
+        cars = tuple(CarCaption(car, doing.get(car, "waits")) for car in range(grid.n_cars))
+        begun = int((times[:, 0] <= moment).sum())
+        caption = Caption(title, begun, len(steps), cars, moment, speed)
+        frame[panel.rows, panel.columns] = draw_panel(caption, panel.size, PLAN_SIZE[1])
+        yield frame

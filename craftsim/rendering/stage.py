@@ -1,4 +1,4 @@
-"""The stage: the model that pictures are made of. It has the positions of the physics, and what is only to be seen.
+"""The stage: the model that is rendered. It has the joints of the physics model, and geoms that are visual only.
 
 Both qualities have a floor with the grid, its coordinates and soft shadows, and numbers on the cars. ``draft`` is
 quick; in ``paper`` machines shade each other, and have materials and smoother edges.
@@ -108,7 +108,7 @@ _HINGE_RAD: Final = {"fslope": math.pi, "body": 0.0}
 
 
 class Stage:
-    """The model of which pictures of a trajectory are made, and what its scenes still lack.
+    """The render model of a trajectory, with the shadows on its floor and the ghost of the design.
 
     A picture is made of data of its model with the positions of a sample: ``renderer.update_scene(data, camera)``,
     ``stage.finish(renderer.scene, data.qpos)``, ``renderer.render()``.

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Literal, Self
+from typing import Any, Final, Literal, Self, get_args
 
 import mujoco
 import numpy as np
@@ -47,12 +47,7 @@ MOST_BYTES: Final = limits.TRAJECTORY.content_bytes // 2
 _TEXT: Final = "story"
 
 GoalKind = Literal["block", "fslope", "body", "foot"]
-KINDS: Final[dict[Kind, GoalKind]] = {
-    Kind.BLOCK: "block",
-    Kind.FSLOPE: "fslope",
-    Kind.BODY: "body",
-    Kind.FOOT: "foot",
-}
+_KIND_NAMES: Final[dict[Kind, GoalKind]] = {Kind[name.upper()]: name for name in get_args(GoalKind)}
 
 
 @dataclass(frozen=True)
@@ -296,7 +291,7 @@ class Recorder:
                 tuple(attempts),
                 poses_of(physics),
                 motors_of(physics),
-                tuple(GoalCell(KINDS[target.kind], target.cell, target.yaw) for target in targets),
+                tuple(GoalCell(_KIND_NAMES[one.kind], one.cell, one.yaw) for one in targets),
             ),
             np.array(time),
             np.array(qpos),
@@ -352,3 +347,36 @@ def poses_of(physics: PhysicsWorld) -> dict[str, int]:
 def motors_of(physics: PhysicsWorld) -> tuple[str, ...]:
     """Return the names of all motors."""
     return tuple(physics.model.actuator(i).name for i in range(physics.model.nu))
+
+
+def place(model: mujoco.MjModel, data: mujoco.MjData, qpos: NDArray[np.float64], time_s: float = 0.0) -> None:
+    """Put everything where MuJoCo's positions ``qpos`` (nq,) say, in data that no simulation uses."""
+    data.time = time_s
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_camlight(model, data)
+
+
+class SeenWorld:
+    """A world as it is seen: its world with what is only seen, its cameras and markers, in a model of its own."""
+
+    def __init__(self, physics: PhysicsWorld) -> None:
+        """Build the world of a PhysicsWorld again."""
+        self.model = physics.seen_model()
+        self._physics, self._data = physics, mujoco.MjData(self.model)
+        names = [physics.model.geom(geom).name for geom in range(physics.model.ngeom)]
+        self._geoms = np.array([self.model.geom(name).id for name in names], np.intp)
+        """By geom of the physics, which has fewer: its number here."""
+
+    def at(self, qpos: NDArray[np.float64]) -> mujoco.MjData:
+        """Return data with everything where ``qpos`` (nq,) say, and as drawn; the next call overwrites it."""
+        for name in ("body_pos", "body_quat", "hfield_data"):
+            getattr(self.model, name)[:] = getattr(self._physics.model, name)
+        for name in ("geom_pos", "geom_quat", "geom_size"):
+            getattr(self.model, name)[self._geoms] = getattr(self._physics.model, name)
+        place(self.model, self._data, qpos)
+        return self._data
+
+    def now(self) -> mujoco.MjData:
+        """Return the data with everything where it is in the PhysicsWorld; the next call overwrites it."""
+        return self.at(self._physics.data.qpos.copy())

@@ -9,6 +9,7 @@ stands still.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -102,92 +103,87 @@ def excitation(
     ``loaded``: a block stands over the car, behind the area. The drive then begins with lifting it, moves gently with
     it, puts it down and goes out from under it, straight on into the centre of the area.
     """
-    drive = _Drive(area, car, period_s, round(duration_s / period_s))
-    drive.rest(_STILL_S)
-    drive.board(1.0)
+    most = round(duration_s / period_s)
+    rest = _still(_REST_S, period_s)
+    rows = [_still(_STILL_S, period_s), _board(1.0, car, period_s), rest]
     if loaded:
-        drive.manoeuvres(int(_LOADED_SHARE * drive.most), _DIRECTIONS[:1] + _DIRECTIONS[2:3], _LOADED_SPEEDS)
-    drive.board(-0.5)
+        directions = (_DIRECTIONS[0], _DIRECTIONS[2])
+        rows += _manoeuvres(
+            int(_LOADED_SHARE * most) - sum(map(len, rows)), directions, True, area, car, period_s
+        )
+    rows += [_board(-0.5, car, period_s), rest]
     if loaded:
-        drive.out()
-    drive.manoeuvres(drive.most, _DIRECTIONS, _SPEEDS)
-    return drive.commands
+        rows += [_straight(_DIRECTIONS[0], 0.3, 0.5, area.from_load_m, car, period_s), rest]
+    rows += _manoeuvres(most - sum(map(len, rows)), _DIRECTIONS, False, area, car, period_s)
+    commands = np.vstack([*rows, np.zeros((max(0, most - sum(map(len, rows))), 6))])
+    return commands[:most]
 
 
-class _Drive:
-    """Commands that are put one after the other."""
+def _still(time_s: float, period_s: float) -> Floats:
+    return np.zeros((round(time_s / period_s), 6))
 
-    def __init__(self, area: Area, car: SmartcarParameters, period_s: float, most: int) -> None:
-        self.area, self.car, self.period_s, self.most = area, car, period_s, most
-        self._kinematics = Mecanum(car)
-        self._rows: list[Floats] = []
-        self._n = 0
-        self._top_m_s = car.wheel_speed_rad_s * car.wheel_radius_m
 
-    @property
-    def commands(self) -> Floats:
-        """All of them, with rest to the end."""
-        rows = np.vstack([*self._rows, np.zeros((max(0, self.most - self._n), 6))])
-        return rows[: self.most]
+def _board(share: float, car: SmartcarParameters, period_s: float) -> Floats:
+    """Return the commands that move the board to its end at a share of its speed, up positive."""
+    rows = _still(_BOARD_S / abs(share), period_s)
+    rows[:, 4] = share * car.board_speed_m_s
+    return rows
 
-    def rest(self, time_s: float) -> None:
-        self._add(np.zeros((round(time_s / self.period_s), 6)))
 
-    def board(self, share: float) -> None:
-        """Move the board to its end at a share of its speed, up positive."""
-        rows = np.zeros((round(_BOARD_S / abs(share) / self.period_s), 6))
-        rows[:, 4] = share * self.car.board_speed_m_s
-        self._add(rows)
-        self.rest(_REST_S)
+def _manoeuvres(
+    most: int,
+    directions: Sequence[Triple],
+    gentle: bool,
+    area: Area,
+    car: SmartcarParameters,
+    period_s: float,
+) -> list[Floats]:
+    """Return manoeuvres as long as they fit into ``most`` rows with rest at the end; ``gentle``: with a load."""
+    speeds = _LOADED_SPEEDS if gentle else _SPEEDS
+    rest, still = _still(_REST_S, period_s), round(_STILL_S / period_s)
+    rows: list[Floats] = []
+    for number in range(most):
+        round_number, which = divmod(number, len(directions))
+        direction = directions[which]
+        speed = speeds[(which + round_number) % len(speeds)] * (car.wheel_speed_rad_s * car.wheel_radius_m)
+        spot = direction[:2] == (0.0, 0.0)
+        accelerations = _LOADED_ACCELERATIONS if gentle else _TURNING if spot else _ACCELERATIONS
+        acceleration = accelerations[(which + 3 * round_number) % len(accelerations)]
+        if spot and speed < _STEP_M_S:
+            acceleration = math.inf
+        sign = 1.0 if gentle or number % 2 == 0 else -1.0
+        reach = min(area.reach_m(direction), speed * (speed / acceleration + _CRUISE_S))
+        out = _straight(direction, sign * speed, acceleration, reach, car, period_s)
+        if sum(map(len, rows)) + 2 * (len(out) + len(rest)) + still > most:
+            break
+        rows += [out, rest, -out, rest]
+    return rows
 
-    def out(self) -> None:
-        """Drive straight from under the load."""
-        self._add(self._straight((1.0, 0.0, 0.0), 0.3, 0.5, self.area.from_load_m))
-        self.rest(_REST_S)
 
-    def manoeuvres(self, until: int, directions: tuple[Triple, ...], speeds: tuple[float, ...]) -> None:
-        """Add manoeuvres as long as they fit in so many rows with rest at the end."""
-        still = round(_STILL_S / self.period_s)
-        gentle = speeds is _LOADED_SPEEDS
-        for number in range(until):
-            round_number, which = divmod(number, len(directions))
-            speed = speeds[(which + round_number) % len(speeds)] * self._top_m_s
-            spot = directions[which][:2] == (0.0, 0.0)
-            accelerations = _LOADED_ACCELERATIONS if gentle else _TURNING if spot else _ACCELERATIONS
-            acceleration = accelerations[(which + 3 * round_number) % len(accelerations)]
-            if spot and speed < _STEP_M_S:
-                acceleration = math.inf
-            sign = 1.0 if gentle or number % 2 == 0 else -1.0
-            ramp_s = abs(speed) / acceleration
-            reach = min(self.area.reach_m(directions[which]), abs(speed) * (ramp_s + _CRUISE_S))
-            out = self._straight(directions[which], sign * speed, acceleration, reach)
-            rest = np.zeros((round(_REST_S / self.period_s), 6))
-            if self._n + 2 * (len(out) + len(rest)) + still > until:
-                return
-            for rows in (out, rest, -out, rest):
-                self._add(rows)
-
-    def _straight(self, direction: Triple, speed: float, acceleration: float, way: float) -> Floats:
-        """Return the wheels' commands on a trapezoid of speed over a way in metres."""
+def _straight(
+    direction: Triple,
+    speed: float,
+    acceleration: float,
+    way: float,
+    car: SmartcarParameters,
+    period_s: float,
+) -> Floats:
+    """Return the wheels' commands on a trapezoid of speed over a way in metres."""
+    ramp_s = abs(speed) / acceleration
+    if way < abs(speed) * ramp_s:
+        speed = math.copysign(math.sqrt(way * acceleration), speed)
         ramp_s = abs(speed) / acceleration
-        if way < abs(speed) * ramp_s:
-            speed = math.copysign(math.sqrt(way * acceleration), speed)
-            ramp_s = abs(speed) / acceleration
-        cruise_s = way / abs(speed) - ramp_s
-        middle = self.period_s * (np.arange(math.ceil((2 * ramp_s + cruise_s) / self.period_s)) + 0.5)
-        share = np.ones(len(middle))
-        if ramp_s:
-            share = np.clip(np.minimum(middle, 2 * ramp_s + cruise_s - middle) / ramp_s, 0.0, 1.0)
-        along, across, turn = direction
-        wheels = self._kinematics.wheel_speeds((along, across, turn / self._kinematics.lever_m))
-        rows = np.zeros((len(middle), 6))
-        rows[:, :4] = np.outer(speed * share, wheels)
-        limit = self.car.wheel_speed_rad_s
-        return np.clip(rows, -limit, limit)
-
-    def _add(self, rows: Floats) -> None:
-        self._rows.append(rows)
-        self._n += len(rows)
+    cruise_s = way / abs(speed) - ramp_s
+    middle = period_s * (np.arange(math.ceil((2 * ramp_s + cruise_s) / period_s)) + 0.5)
+    share = np.ones(len(middle))
+    if ramp_s:
+        share = np.clip(np.minimum(middle, 2 * ramp_s + cruise_s - middle) / ramp_s, 0.0, 1.0)
+    along, across, turn = direction
+    kinematics = Mecanum(car)
+    rows = np.zeros((len(middle), 6))
+    wheels = kinematics.wheel_speeds((along, across, turn / kinematics.lever_m))
+    rows[:, :4] = np.outer(speed * share, wheels)
+    return np.clip(rows, -car.wheel_speed_rad_s, car.wheel_speed_rad_s)
 
 
 def free_area(area: Area, loaded: bool = False) -> Grid:

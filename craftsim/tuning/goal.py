@@ -1,7 +1,7 @@
-"""What a tuning wants: one weighted product of objectives, or a front of several and the choice on it.
+"""The goal of a tuning: a weighted product of objectives, or a Pareto front of several and the choice on it.
 
 All objectives are costs above 0, and ratios of them are what counts: their logarithms are added, each with its weight,
-so that no scale has to be chosen. An action that fails costs all of them: no speed makes up for it.
+so that no scale has to be chosen. A failed action raises all of them.
 """
 
 from __future__ import annotations
@@ -89,19 +89,22 @@ def undominated(costs: NDArray[np.float64]) -> list[int]:
     return found
 
 
+def _scaled(costs: NDArray[np.float64]) -> NDArray[np.float64]:
+    low, high = costs.min(axis=0), costs.max(axis=0)
+    return (costs - low) / np.where(high > low, high - low, 1.0)
+
+
 def knee(costs: NDArray[np.float64]) -> int:
     """Return the row of costs (n, k), logarithms, that is nearest to the best of each column, all scaled to a range
     of 1: beyond it a little of one objective costs much of another."""
-    low, high = costs.min(axis=0), costs.max(axis=0)
-    scaled = (costs - low) / np.where(high > low, high - low, 1.0)
+    scaled = _scaled(costs)
     return int(np.argmin((scaled * scaled).sum(axis=1)))
 
 
 def spread(costs: NDArray[np.float64], count: int) -> list[int]:
     """Return at most so many rows of costs (n, k) that lie far from each other: the best of each column, then always
     the one that is furthest from those that were taken."""
-    low, high = costs.min(axis=0), costs.max(axis=0)
-    scaled = (costs - low) / np.where(high > low, high - low, 1.0)
+    scaled = _scaled(costs)
     taken = list(dict.fromkeys(costs.argmin(axis=0).tolist()))[:count]
     while len(taken) < min(count, len(costs)):
         away = np.linalg.norm(scaled[:, None] - scaled[taken], axis=2).min(axis=1)

@@ -30,7 +30,7 @@ from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log
 from craftsim.mjcf.parameters import Machines
 from craftsim.tuning.prediction import CHANNELS, N_COLUMNS, Predictor
-from craftsim.tuning.unknowns import FitSpace, Unknown, unknowns_of
+from craftsim.tuning.unknowns import Unknown, machines_of, unknowns_of
 
 _ROUNDS: Final = (1e-2, 1e-3, 1e-5)
 """Fits, each with the noise that the one before has left: the share of its cost by which a last step lowers it."""
@@ -69,8 +69,6 @@ class Unidentified:
     """The key of the unknown that is held because of it."""
     members: tuple[str, ...]
     """Keys of all that take part in it, the largest part first."""
-    certainty: float
-    """Standard deviation of the direction, as a share of its common error; infinite where the log says nothing."""
     text: str
 
 
@@ -95,24 +93,20 @@ def unidentified_directions(jacobian: Floats, unknowns: Sequence[Unknown]) -> li
         members = [free[k] for k in np.argsort(-direction) if direction[k] > _MEMBER * direction.max()]
         # The largest part first where none is easier to measure.
         held = max(members, key=lambda k: unknowns[k].weighed)
-        certainty = 1 / float(singular[-1]) if singular[-1] > 1e-9 else float("inf")
-        found.append(_unidentified(unknowns, held, members, certainty))
+        keys = tuple(unknowns[k].key for k in members)
+        found.append(Unidentified(unknowns[held].key, keys, _words(unknowns, held, members)))
         free.remove(held)
     return found
 
 
-def _unidentified(
-    unknowns: Sequence[Unknown], held: int, members: Sequence[int], certainty: float
-) -> Unidentified:
-    names = [unknowns[k].words for k in members]
-    kept = unknowns[held].words
+def _words(unknowns: Sequence[Unknown], held: int, members: Sequence[int]) -> str:
+    """Return what is said of a direction with these members."""
+    names, kept = [unknowns[k].words for k in members], unknowns[held].words
     if len(members) == 1:
-        text = f"{kept}: the log does not tell it; it is held"
-    else:
-        ratio = all(unknowns[k].of_machine for k in members)
-        what = "only as ratios to each other" if ratio else "only together"
-        text = f"{', '.join(names[:-1])} and {names[-1]}: {what}; {kept} is held"
-    return Unidentified(unknowns[held].key, tuple(unknowns[k].key for k in members), certainty, text)
+        return f"{kept}: the log does not tell it; it is held"
+    ratio = all(unknowns[k].of_machine for k in members)
+    what = "only as ratios to each other" if ratio else "only together"
+    return f"{', '.join(names[:-1])} and {names[-1]}: {what}; {kept} is held"
 
 
 @dataclass(frozen=True)
@@ -181,14 +175,21 @@ def identify(
         raise InputError(
             "no wheel is ever commanded in this log; 'craftsim excite' makes a drive that tells much"
         )
-    return _Fit(predictor, FitSpace(machines, unknowns_of(machines, loaded)), tell).run()
+    return _Fit(predictor, machines, unknowns_of(machines, loaded), tell).run()
 
 
 class _Fit:
-    def __init__(self, predictor: Predictor, search: FitSpace, tell: Tell) -> None:
-        self.predictor, self.search, self.tell = predictor, search, tell
-        self.n = len(search.unknowns)
-        self.vector = np.zeros(self.n)
+    """The fits of one log, after each other: vectors are the unknowns less their starts, in terms of common errors."""
+
+    def __init__(
+        self, predictor: Predictor, machines: Machines, unknowns: Sequence[Unknown], tell: Tell
+    ) -> None:
+        self.predictor, self.machines, self.unknowns, self.tell = predictor, machines, unknowns, tell
+        self.starts = [one.start(machines) for one in unknowns]
+        self.low, self.high = np.array(
+            [one.bounds(start) for one, start in zip(unknowns, self.starts, strict=True)]
+        ).T
+        self.vector = np.zeros(len(unknowns))
         self.noise = np.empty(N_COLUMNS)
         for name, (_, columns) in CHANNELS.items():
             self.noise[columns] = _FIRST_NOISE[name]
@@ -202,15 +203,15 @@ class _Fit:
         outliers = 0
         for number, tolerance in enumerate(_ROUNDS):
             self.tell(number + 1, len(_ROUNDS))
-            looked_at = self._jacobian(self._with_assumed_forces(), range(self.n))
-            self.unidentified = unidentified_directions(looked_at, self.search.unknowns)
+            looked_at = self._jacobian(self._with_assumed_forces(), range(len(self.unknowns)))
+            self.unidentified = unidentified_directions(looked_at, self.unknowns)
             held = {one.held for one in self.unidentified}
             # What is held is held where it is assumed to be, wherever an earlier fit has taken it.
-            self.vector[[k for k, one in enumerate(self.search.unknowns) if one.key in held]] = 0.0
-            free = [k for k, one in enumerate(self.search.unknowns) if one.key not in held]
+            self.vector[[k for k, one in enumerate(self.unknowns) if one.key in held]] = 0.0
+            free = [k for k, one in enumerate(self.unknowns) if one.key not in held]
             if not free:
                 break
-            low, high = (bound[free] for bound in self.search.bounds)
+            low, high = self.low[free], self.high[free]
 
             def put(numbers: Floats, free: list[int] = free) -> Floats:
                 vector = self.vector.copy()
@@ -239,12 +240,17 @@ class _Fit:
         Where a search has gone astray, to servos so stiff that they ring, everything seems to be identified.
         """
         vector = self.vector.copy()
-        vector[[one.scales for one in self.search.unknowns]] = 0.0
+        vector[[one.scales for one in self.unknowns]] = 0.0
         return vector
 
+    def _values(self, vector: Floats) -> dict[str, float]:
+        """Return what a vector stands for, by key."""
+        each = zip(self.unknowns, self.starts, vector.tolist(), strict=True)
+        return {one.key: one.value(start, number) for one, start, number in each}
+
     def _errors(self, vector: Floats) -> Floats:
-        values = self.search.values(vector)
-        return self.predictor.errors(self.search.made(values), values)
+        values = self._values(vector)
+        return self.predictor.errors(machines_of(self.machines, values), values)
 
     def _residuals(self, vector: Floats) -> Floats:
         found: Floats = (self._errors(vector) / self.noise)[self.kept]
@@ -254,8 +260,9 @@ class _Fit:
         base = self._residuals(vector)
         found = np.empty((len(base), len(columns)))
         for place, column in enumerate(columns):
-            moved = vector.copy()
-            step = self.search.step(column, vector)
+            moved, step = vector.copy(), self.unknowns[column].step
+            if vector[column] + step > self.high[column]:
+                step = -step
             moved[column] += step
             found[:, place] = (self._residuals(moved) - base) / step
         return found
@@ -285,26 +292,24 @@ class _Fit:
         n_segments = len(np.unique(segment))
         sandwich = inverse @ (pulls.T @ pulls) @ inverse * n_segments / max(1, n_segments - 1)
         # What is held may be off by its common error, except for forces: the rest is known in proportion to those.
-        unsure = [k for k, one in enumerate(self.search.unknowns) if k not in free and not one.scales]
+        unsure = [k for k, one in enumerate(self.unknowns) if k not in free and not one.scales]
         elsewhere = self._jacobian(self._with_assumed_forces(), [*free, *unsure])
         known = np.linalg.inv(elsewhere.T @ elsewhere + np.eye(elsewhere.shape[1]))[: len(free), : len(free)]
         spread = np.sqrt(np.max([np.diag(independent), np.diag(sandwich), np.diag(known)], axis=0))
         wide = dict(zip(free, spread * t.ppf(0.5 + CONFIDENCE / 2, max(1, n_segments - 1)), strict=True))
-        values, starts = self.search.values(self.vector), self.search.values(np.zeros(self.n))
-        low, high = self.search.bounds
+        values = self._values(self.vector)
         estimates = []
-        for k, one in enumerate(self.search.unknowns):
+        for k, one in enumerate(self.unknowns):
             half = None
             if k in wide:
                 half = float(wide[k] * one.usual * (values[one.key] if one.of_machine else 1.0))
-            edge = k in wide and not low[k] + 1e-3 < self.vector[k] < high[k] - 1e-3
-            estimates.append(Identified(one, starts[one.key], values[one.key], half, edge))
+            edge = k in wide and not self.low[k] + 1e-3 < self.vector[k] < self.high[k] - 1e-3
+            estimates.append(Identified(one, self.starts[k], values[one.key], half, edge))
         noise = {
             name: float(self.noise[columns][0])
             for name, (_, columns) in CHANNELS.items()
             if self.kept[..., columns].any()
         }
-        machines = self.search.made(values)
         return Identification(
             tuple(estimates),
             tuple(self.unidentified),
@@ -312,5 +317,5 @@ class _Fit:
             outliers,
             int(self.kept.sum()),
             n_segments,
-            machines,
+            machines_of(self.machines, values),
         )

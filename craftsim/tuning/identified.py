@@ -1,4 +1,4 @@
-"""What an identification leaves: its report and figure, and files of parameters and noise to run with."""
+"""The results of an identification: report, figure, and files of parameters and noise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.sensing import SensorNoise
-from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN, paper
+from craftsim.rendering.plots.style import DPI, ROW_IN, WIDTH_IN, paper, save
 from craftsim.reports.report import (
     Cell,
     Column,
@@ -25,7 +25,7 @@ from craftsim.reports.report import (
     Tone,
     count,
 )
-from craftsim.storage.writing import whole, write_whole
+from craftsim.storage.writing import write_whole
 from craftsim.tuning.identification import Identification, Identified
 from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor
 from craftsim.tuning.unknowns import machines_of
@@ -100,7 +100,14 @@ def write_parameters(path: Path, found: Identification, assumed: Machines, sourc
         }
         for section in ("smartcar", "block")
     }
-    left_out = _drop_misfits(identified, assumed)
+    left_out = []
+    for name, own in list(identified["smartcar"].items()):
+        try:
+            kept: dict[str, Any] = {name: own.value}
+            replace(assumed, cars=(replace(assumed.car(0), **kept),))
+        except InputError as error:
+            del identified["smartcar"][name]
+            left_out.append(f"{name}: {own.value:.6g}; {error}".replace("\n", " "))
     lines = [f"# Identified from {source}; intervals are of 95 %."]
     lines += [f"# Unidentifiable: {one.text}." for one in found.unidentified]
     lines += [f"# Left out: {text}" for text in left_out]
@@ -116,22 +123,6 @@ def write_parameters(path: Path, found: Identification, assumed: Machines, sourc
                 rows.append(f"  {field.name}: {value:.9g}")
         lines += [f"{section}:", *rows] if rows else []
     write_whole(path, "\n".join(lines) + "\n")
-    return left_out
-
-
-def _drop_misfits(identified: dict[str, dict[str, Identified]], assumed: Machines) -> list[str]:
-    """Remove from what was identified what makes no car that fits together, and return why."""
-    left_out = []
-    for name in list(identified["smartcar"]):
-        try:
-            kept: dict[str, Any] = {
-                key: one.value for key, one in identified["smartcar"].items() if key == name
-            }
-            replace(assumed, cars=(replace(assumed.car(0), **kept),))
-        except InputError as error:
-            left_out.append(
-                f"{name}: {identified['smartcar'].pop(name).value:.6g}; {error}".replace("\n", " ")
-            )
     return left_out
 
 
@@ -170,8 +161,6 @@ _ROWS: Final = (
     ("front left wheel (rad/s)", 3, "error (rad/s)", 1.0),
     ("board force (N)", 8, "error (N)", 1.0),
 )
-_DPI: Final = 200
-_ENDINGS: Final = ("png", "pdf")
 
 
 def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -> list[Path]:
@@ -186,9 +175,8 @@ def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -
     time, measured = predictor.log.time_s[rows], predictor.measured[rows]
     left = errors.reshape(-1, errors.shape[-1])
     shown = [row for row in _ROWS if np.isfinite(measured[:, row[1]]).any()]
-    written = []
     with paper():
-        figure = Figure(figsize=(WIDTH_IN, (ROW_IN + 0.15) * len(shown)), dpi=_DPI, layout="constrained")
+        figure = Figure(figsize=(WIDTH_IN, (ROW_IN + 0.15) * len(shown)), dpi=DPI, layout="constrained")
         axes = figure.subplots(len(shown), 2, sharex=True, squeeze=False)
         for (name, column, unit, factor), (value, rest) in zip(shown, axes, strict=True):
             value.plot(time, measured[:, column], linewidth=1.2, color="0.65", label="measured")
@@ -201,13 +189,7 @@ def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -
         axes[0, 0].legend(loc="upper right")
         for axis in axes[-1]:
             axis.set_xlabel("time (s)")
-        for ending in _ENDINGS:
-            path = folder / f"prediction.{ending}"
-            metadata = {"Software": None} if ending == "png" else {"CreationDate": None, "Producer": None}
-            with whole(path) as partial:
-                figure.savefig(partial, dpi=_DPI, metadata=metadata)
-            written.append(path)
-    return written
+        return [save(figure, folder / f"prediction.{ending}") for ending in ("png", "pdf")]
 
 
 _LOGS = {"fitted_log": "the log that was fitted to", "held_out_log": "the held-out log"}

@@ -8,7 +8,7 @@ segment best: errors do not add up over minutes, and no state has to be guessed 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -39,17 +39,6 @@ _TILTED_RAD: Final = 0.05
 """A car that leans more stands on a ramp, of which the model knows nothing."""
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """What the model did at each row of the log."""
-
-    pose: Floats
-    """(n, 3), the heading unwrapped."""
-    wheel_speeds: Floats
-    board: Floats
-    """(n, 2) height and force."""
-
-
 class Predictor:
     """Predicts a log; it is resampled to a regular period that physics can be stepped at."""
 
@@ -69,8 +58,8 @@ class Predictor:
         steps = math.ceil(self.period_s / SimulationConfig().timestep_s - 1e-9)
         self._config = SimulationConfig(self.period_s / steps, self.period_s, sleep=False)
         self._grid = free_area(Area(), loaded)
-        self._kept: dict[tuple[Machines, float], Motion] = {}
-        self.measured = self._measured()
+        self._motion = lru_cache(64)(self._run)
+        self.measured = np.column_stack([self.log.pose, self.log.wheel_speeds, self.log.board])
         """(n, 9): position, heading, wheel speeds, board and its force; nan where not measured."""
         rows = max(2, round(SEGMENT_S / self.period_s))
         self.segments = [slice(k, k + rows) for k in range(0, len(self.log) - rows + 1, rows)]
@@ -80,16 +69,8 @@ class Predictor:
         self.segments = [s for s in self.segments if not tilted[s].any()]
         """Whole ones on level floor."""
 
-    def motion(self, machines: Machines, motor_lag_s: float) -> Motion:
-        """Return what a car with these figures does under the log's commands."""
-        key = machines, motor_lag_s
-        if key not in self._kept:
-            if len(self._kept) > 64:
-                self._kept.clear()
-            self._kept[key] = self._run(machines, motor_lag_s)
-        return self._kept[key]
-
-    def _run(self, machines: Machines, motor_lag_s: float) -> Motion:
+    def _run(self, machines: Machines, motor_lag_s: float) -> Floats:
+        """Return what a car does under the log's commands, (n, 9) as what is measured, its heading unwrapped."""
         physics = PhysicsWorld(self._grid, self._config, machines=machines)
         sensors, motors = Sensors(physics), Motors(physics, motor_lag_s)
         n = len(self.log)
@@ -103,7 +84,7 @@ class Predictor:
             physics.move_board(0, command[4])
             physics.advance()
         found[:, 2] = np.unwrap(found[:, 2])
-        return Motion(found[:, :3], found[:, 3:7], found[:, 7:])
+        return found
 
     def errors(self, machines: Machines, values: Values, lead: float = 1.0) -> Floats:
         """Return by how much each segment differs from what is predicted: (segments, rows, 9), nan where unknown.
@@ -113,22 +94,22 @@ class Predictor:
             values: what sensors and motors do, by key; what is missing does not.
             lead: share of each segment, from its start, to which the prediction is fitted.
         """
-        motion = self.motion(machines, values.get("noise.motor_lag_s", 0.0))
+        motion = self._motion(machines, values.get("noise.motor_lag_s", 0.0))
         bias = values.get("mounting.heading_bias_rad", 0.0)
-        c, s = np.cos(motion.pose[:, 2]), np.sin(motion.pose[:, 2])
+        c, s = np.cos(motion[:, 2]), np.sin(motion[:, 2])
         ahead, left = values.get("mounting.marker_x_m", 0.0), values.get("mounting.marker_y_m", 0.0)
-        pose = motion.pose.copy()
+        pose = motion[:, :3].copy()
         pose[:, 0] += c * ahead - s * left
         pose[:, 1] += s * ahead + c * left
         pose = self._late(pose, values.get("noise.delay_s", 0.0))
-        lagged = self._lagged(motion.wheel_speeds, values.get("noise.encoder_lag_s", 0.0))
+        lagged = self._lagged(motion[:, 3:7], values.get("noise.encoder_lag_s", 0.0))
         found = np.empty((len(self.segments), *self.measured[self.segments[0]].shape))
         for number, rows in enumerate(self.segments):
             measured = self.measured[rows]
             until = max(2, round(lead * len(measured)))
             found[number, :, :3] = _aligned(measured[:, :3], pose[rows], bias, until)
             found[number, :, 3:7] = measured[:, 3:7] - lagged[rows]
-            found[number, :, 7:] = measured[:, 7:] - motion.board[rows]
+            found[number, :, 7:] = measured[:, 7:] - motion[rows, 7:]
         return found
 
     def _late(self, pose: Floats, delay_s: float) -> Floats:
@@ -145,10 +126,6 @@ class Predictor:
         share = 1 - math.exp(-self.period_s / lag_s)
         filtered: Floats = lfilter([share], [1, share - 1], speeds, axis=0)
         return filtered
-
-    def _measured(self) -> Floats:
-        log = self.log
-        return np.column_stack([log.pose, log.wheel_speeds, log.board])
 
 
 def _aligned(measured: Floats, model: Floats, bias: float, until: int) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 import reprlib
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -55,6 +56,8 @@ SENSITIVITY_STEP: Final = 0.1
 _COMPARED: Final = ("start", "best", "shipped")
 Values = Mapping[str, float]
 """Tuned gains by name."""
+Candidate = tuple[Values, Score]
+"""Gains that were tried, and how they did."""
 
 
 @dataclass(frozen=True)
@@ -90,18 +93,9 @@ class _Extra:
 FORM: Final = Form(TriedAction, _Extra)
 
 
-@dataclass(frozen=True)
-class Job:
-    """A candidate to be tried."""
-
-    group: GainGroup
-    setup: Setup
-    """With its gains."""
-    values: tuple[tuple[str, float], ...]
-    """Those of them that are tuned, by name."""
-    seed: int
-    blocks: tuple[int, ...]
-    """Each is one trial of every situation: its own place on the map, physics and noise."""
+Job = tuple[GainGroup, Setup, int, Sequence[int]]
+"""A candidate to be tried: the group, its setup with its gains, the seed, and the blocks. A block is one trial of every
+situation: its own place on the map, physics and noise."""
 
 
 def try_gains(job: Job) -> Result:
@@ -109,32 +103,42 @@ def try_gains(job: Job) -> Result:
 
     Left out, for all candidates alike, are worlds that cannot be as they were drawn.
     """
-    wanted = product(job.blocks, range(len(situations(job.group))))
-    trials = [trial for block, number in wanted if (trial := _try(job, block, number))]
+    group, setup, seed, blocks = job
+    wanted = product(blocks, range(len(situations(group))))
+    trials = [trial for block, number in wanted if (trial := _try(group, setup, seed, block, number))]
     if not trials:
         raise CraftsimError("none of the worlds that were drawn can be")
-    return Result(all(trial.agrees for trial in trials), trials, extra={"gains": dict(job.values)})
+    gains = {gain.name: gain.of(setup.gains) for gain in tunable_gains(group, setup.gains)}
+    return Result(all(trial.agrees for trial in trials), trials, extra={"gains": gains})
 
 
-def _try(job: Job, block: int, number: int) -> TriedAction | None:
-    setup = job.setup
-    world, grid, action = _world(job.group, number, job.seed, block, replace(setup, gains=Setup().gains))
+def _try(group: GainGroup, setup: Setup, seed: int, block: int, number: int) -> TriedAction | None:
+    world, grid, action = _world(group, number, seed, block, replace(setup, gains=Setup().gains))
     try:
-        judge = set_up(grid, setup, Seed((job.seed, block, number)), reuse=world)
+        judge = set_up(grid, setup, Seed((seed, block, number)), reuse=world)
     except StartError:
         return None
-    work = _Work(judge.physics)
-    judge.executor.observers.append(work.add)
+    motors = [int(motor) for car in judge.physics.cars for motor in car.wheel_actuators]
+    motors += [car.board.actuator for car in judge.physics.cars]
+    motors += [slope.hinge.actuator for slope in judge.physics.slopes]
+    joules, period_s = 0.0, judge.physics.config.control_period_s
+
+    def add_work(physics: PhysicsWorld) -> None:
+        nonlocal joules
+        force, speed = physics.data.actuator_force[motors], physics.data.actuator_velocity[motors]
+        joules += float(np.abs(force * speed).sum()) * period_s
+
+    judge.executor.observers.append(add_work)
     attempt = judge.perform(0, action)
     own, with_bystanders = shares(attempt, setup.thresholds)
     return TriedAction(
-        str(situations(job.group)[number]),
+        str(situations(group)[number]),
         block,
         attempt.agrees,
         attempt.duration_s,
         own,
         with_bystanders,
-        work.joules,
+        joules,
         attempt.peak_force_n,
     )
 
@@ -165,22 +169,6 @@ def shares(attempt: Attempt, limits: Thresholds) -> tuple[float, float]:
 def _worst(measured: Iterable[tuple[float, float]]) -> float:
     found = [value / limit for value, limit in measured]
     return max(min(share, WORST) if math.isfinite(share) else WORST for share in found)
-
-
-class _Work:
-    """The work of all motors of a PhysicsWorld."""
-
-    def __init__(self, physics: PhysicsWorld) -> None:
-        motors = [int(motor) for car in physics.cars for motor in car.wheel_actuators]
-        motors += [car.board.actuator for car in physics.cars]
-        motors += [slope.hinge.actuator for slope in physics.slopes]
-        self._motors = np.array(motors, np.intp)
-        self._period_s = physics.config.control_period_s
-        self.joules = 0.0
-
-    def add(self, physics: PhysicsWorld) -> None:
-        force, speed = physics.data.actuator_force[self._motors], physics.data.actuator_velocity[self._motors]
-        self.joules += float(np.abs(force * speed).sum()) * self._period_s
 
 
 @dataclass(frozen=True)
@@ -251,23 +239,6 @@ def _ratio(
     return Ratio(math.exp(whole), math.exp(middle - half), math.exp(middle + half))
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """Gains that were tried."""
-
-    values: Values
-    score: Score
-
-
-@dataclass(frozen=True)
-class Effect:
-    """What moving a single gain does to the goal's product: factors."""
-
-    down: float
-    """By :data:`SENSITIVITY_STEP` towards smaller values."""
-    up: float
-
-
 def need_cma() -> None:
     """Raise InputError with the command that installs what is missing."""
     need("tune", "tuning needs", "cma")
@@ -298,7 +269,7 @@ def cma_es(
 
 
 class Tuning:
-    """What a tuning tries, known before it begins, and its phases; each goes by the results of those before."""
+    """The evaluations of a tuning, known before it begins, and its phases, each of which depends on those before."""
 
     def __init__(
         self, group: GainGroup, setup: Setup, goal: Goal, evaluations: int, trials: int, seed: int
@@ -333,17 +304,16 @@ class Tuning:
         found = self._candidates([self.start])
         means: list[Values] = []
         for number, weights in enumerate(self.goal.searches):
-            best = min(found, key=lambda one: one.score.log_cost(weights))
-            begin = [gain.position(best.values[gain.name]) for gain in self.gains]
+            best, _ = min(found, key=_cost(weights))
+            begin = [gain.position(best[gain.name]) for gain in self.gains]
             rng = np.random.default_rng([self.seed, number])
             bounds = [gain.bounds for gain in self.gains]
             strategy = cma_es(bounds, begin, NEXT_STEP if number else FIRST_STEP, rng)
             for _ in range(self.generations):
                 positions = strategy.ask()
                 tried = self._candidates([values_at(self.gains, x) for x in positions])
-                costs = [one.score.log_cost(weights) for one in tried]
                 prior = [PRIOR_WEIGHT * float(x @ x) for x in positions]
-                strategy.tell(positions, [cost + own for cost, own in zip(costs, prior, strict=True)])
+                strategy.tell(positions, [*map(operator.add, map(_cost(weights), tried), prior)])
                 found += tried
             means.append(values_at(self.gains, strategy.result.xfavorite))
         return found, means
@@ -355,23 +325,23 @@ class Tuning:
         """
         goal, blocks = self.goal, range(self.trials, self.trials + FINAL_BLOCKS)
         chosen = self._finalists(searched, means)
-        again = [Candidate(own, Score.of(_joined(self._try_apart(own, blocks)))) for own in chosen]
+        again = [(own, Score.of(_joined(self._try_apart(own, blocks)))) for own in chosen]
         if not goal.front:
-            return sorted(again, key=lambda one: one.score.log_cost(goal.weights))
+            return sorted(again, key=_cost(goal.weights))
         front = undominated(costs := _costs(again, goal))
         pick = front[goal.pick(costs[front])]
         return [again[pick], *(again[n] for n in front if n != pick)]
 
     def _finalists(self, searched: Sequence[Candidate], means: Sequence[Values]) -> list[Values]:
         goal = self.goal
-        ranked = sorted(searched, key=lambda one: one.score.log_cost(goal.weights))
+        ranked = sorted(searched, key=_cost(goal.weights))
         if not goal.front:
-            return [*means, *(one.values for one in ranked[: FINALISTS - 1])]
+            return [*means, *(values for values, _ in ranked[: FINALISTS - 1])]
         front = [searched[n] for n in undominated(_costs(searched, goal))]
         wide = [front[n] for n in spread(_costs(front, goal), FINALISTS)]
-        return [one.values for one in (*wide, *(one for one in ranked if one not in wide))][:FINALISTS]
+        return [values for values, _ in (*wide, *(one for one in ranked if one not in wide))][:FINALISTS]
 
-    def judge(self, best: Candidate) -> tuple[HeldOut, list[tuple[str, Mapping[str, Any]]]]:
+    def judge(self, best: Values) -> tuple[HeldOut, list[tuple[str, Mapping[str, Any]]]]:
         """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by.
 
         Returns the verdict, and each trial that failed, with the name of the gains that it was tried with.
@@ -379,7 +349,7 @@ class Tuning:
         nominal, first = load_gains(), self.trials + FINAL_BLOCKS
         shipped = {gain.name: gain.of(nominal) for gain in self.gains}
         blocks = range(first, first + HELD_OUT_BLOCKS)
-        start, found, usual = (self._try_apart(own, blocks) for own in (self.start, best.values, shipped))
+        start, found, usual = (self._try_apart(own, blocks) for own in (self.start, best, shipped))
         failures: list[tuple[str, Mapping[str, Any]]] = [
             (name, trial)
             for name, own in (("before", start), ("after", found), ("shipped", usual))
@@ -388,38 +358,37 @@ class Tuning:
         ]
         return _held_out(start, found, usual, self.goal), failures
 
-    def sensitivity(self, values: Values) -> dict[str, Effect]:
-        """Return what each gain does around some gains, on the search's seeds."""
+    def sensitivity(self, values: Values) -> dict[str, tuple[float, float]]:
+        """Return what moving each gain alone by :data:`SENSITIVITY_STEP` does to the goal's product, on the search's
+        seeds: factors, for smaller and for larger values."""
         moved = [values]
         for gain in self.gains:
             at = gain.position(values[gain.name])
             moved += [
                 {**values, gain.name: gain.value(at + way)} for way in (-SENSITIVITY_STEP, SENSITIVITY_STEP)
             ]
-        costs = np.array([one.score.log_cost(self.goal.weights) for one in self._candidates(moved)])
+        costs = np.array([*map(_cost(self.goal.weights), self._candidates(moved))])
         factors = np.exp(costs[1:] - costs[0]).reshape(-1, 2).tolist()
-        return {gain.name: Effect(*both) for gain, both in zip(self.gains, factors, strict=True)}
+        return {gain.name: (down, up) for gain, (down, up) in zip(self.gains, factors, strict=True)}
 
     def _candidates(self, values: Sequence[Values]) -> list[Candidate]:
         """Try gains on the search's seeds."""
         records = self._try([(own, range(self.trials)) for own in values])
-        return [
-            Candidate(own, Score.of(record["attempts"])) for own, record in zip(values, records, strict=True)
-        ]
+        return [(own, Score.of(record["attempts"])) for own, record in zip(values, records, strict=True)]
 
     def _try_apart(self, values: Values, blocks: Sequence[int]) -> list[TrialRecord]:
         """Try the same gains on several blocks, one at a time."""
         return self._try([(values, (block,)) for block in blocks])
 
     def _try(self, wanted: Sequence[tuple[Values, Sequence[int]]]) -> list[TrialRecord]:
-        jobs = {}
+        jobs: dict[int, Job] = {}
         for values, blocks in wanted:
             setup = replace(self.setup, gains=with_values(self.setup.gains, self.gains, values))
-            jobs[self._next] = Job(self.group, setup, tuple(values.items()), self.seed, tuple(blocks))
+            jobs[self._next] = self.group, setup, self.seed, tuple(blocks)
             self._next += 1
         records = self.run_some(jobs)
-        for job, record in zip(jobs.values(), records, strict=True):
-            if record["extra"]["gains"] != dict(job.values):
+        for (values, _), record in zip(wanted, records, strict=True):
+            if record["extra"]["gains"] != values:
                 raise InputError(
                     f"{reprlib.repr(record['key'])} tried other gains than it would now: the search takes another way "
                     "on this machine; choose another --out"
@@ -427,9 +396,14 @@ class Tuning:
         return records
 
 
+def _cost(weights: Mapping[Objective, float]) -> Callable[[Candidate], float]:
+    """Return what gives the logarithm of a candidate's weighted product."""
+    return lambda one: one[1].log_cost(weights)
+
+
 def _costs(candidates: Sequence[Candidate], goal: Goal) -> NDArray[np.float64]:
     """Return the logarithms of a goal's objectives, (n, k)."""
-    return np.array([one.score.log_costs(goal.objectives) for one in candidates])
+    return np.array([score.log_costs(goal.objectives) for _, score in candidates])
 
 
 @dataclass(frozen=True)
@@ -447,8 +421,8 @@ class Tuned:
     """On fresh seeds, first the chosen one; of a front those that are on it."""
     searched: Sequence[Candidate]
     """All that were tried, in order; first the start."""
-    sensitivity: Mapping[str, Effect]
-    """Of each gain, around the result."""
+    sensitivity: Mapping[str, tuple[float, float]]
+    """Of each gain, around the result: as of :meth:`Tuning.sensitivity`."""
     config: Mapping[str, Any]
     seed: int
     wall_s: float
@@ -504,23 +478,12 @@ def tune(
         tuning.run_some = partial(session.run_some, on_record=on_record)
         searched, means = tuning.search()
         finalists = tuning.finals(searched, means)
-        verdict, failures = tuning.judge(finalists[0])
-        values = finalists[0].values if verdict.improved else tuning.start
+        best, _ = finalists[0]
+        verdict, failures = tuning.judge(best)
+        values = best if verdict.improved else tuning.start
         sensitivity = tuning.sensitivity(values)
     gains = with_values(setup.gains, tuning.gains, values) if verdict.improved else setup.gains
     wall_s = time.perf_counter() - started
     return Tuned(
-        *(
-            goal,
-            tuning.gains,
-            gains,
-            verdict,
-            failures,
-            finalists,
-            searched,
-            sensitivity,
-            config,
-            seed,
-            wall_s,
-        )
+        goal, tuning.gains, gains, verdict, failures, finalists, searched, sensitivity, config, seed, wall_s
     )

@@ -1,4 +1,4 @@
-"""What a tuning leaves: its report, and the file of gains that says where it comes from."""
+"""The results of a tuning: its report, and the file of gains with its provenance."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import asdict
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,11 +83,11 @@ def figures(tuned: Tuned) -> dict[str, Any]:
                 "after": gain.of(tuned.gains),
                 "least": gain.least,
                 "most": gain.most,
-                "sensitivity": tuned.sensitivity[gain.name],
+                "sensitivity": dict(zip(("down", "up"), tuned.sensitivity[gain.name], strict=True)),
             }
             for gain in tuned.tunable
         },
-        "finalists": tuned.finalists,
+        "finalists": [{"values": values, "score": score} for values, score in tuned.finalists],
         "convergence": convergence(tuned),
         "kept": FIXED,
     }
@@ -94,12 +95,8 @@ def figures(tuned: Tuned) -> dict[str, Any]:
 
 def convergence(tuned: Tuned) -> list[float]:
     """Return the best product so far after each candidate, as a factor of the start's, on the search's seeds."""
-    start = tuned.searched[0].score.log_cost(tuned.goal.weights)
-    best, found = start, []
-    for candidate in tuned.searched:
-        best = min(best, candidate.score.log_cost(tuned.goal.weights))
-        found.append(math.exp(best - start))
-    return found
+    costs = [score.log_cost(tuned.goal.weights) for _, score in tuned.searched]
+    return [math.exp(best - costs[0]) for best in accumulate(costs, min)]
 
 
 def _change(factor: float) -> str:
@@ -194,7 +191,7 @@ def _gains(tuned: Tuned) -> Section:
             (
                 gain.name,
                 *(f"{value:.4g}" for value in (gain.start, gain.of(tuned.gains), gain.least, gain.most)),
-                *(_change(factor) for factor in (effect.down, effect.up)),
+                *map(_change, effect),
             )
             for gain, effect in zip(tuned.tunable, effects, strict=True)
         ],
@@ -203,8 +200,8 @@ def _gains(tuned: Tuned) -> Section:
     )
 
     def draw(axes: Axes) -> None:
-        for y, effect in enumerate(effects):
-            for value, offset, colour in ((effect.down, -0.16, SOFT), (effect.up, 0.16, ACCENT)):
+        for y, (down, up) in enumerate(effects):
+            for value, offset, colour in ((down, -0.16, SOFT), (up, 0.16, ACCENT)):
                 # A failure costs far more than all else that is drawn.
                 change = min(100 * (value - 1), 20.0)
                 axes.barh(y + offset, change, height=0.3, color=colour if value < 1.2 else BAD)
@@ -237,8 +234,8 @@ def _search(tuned: Tuned) -> Section:
         DataTable(
             (Column("finalist"), *(Column(name, "number") for name in (*OBJECTIVES, "failed"))),
             [
-                (str(number), *(f"{one.score.values[name]:.4g}" for name in OBJECTIVES), one.score.failed)
-                for number, one in enumerate(tuned.finalists, start=1)
+                (str(number), *(f"{score.values[name]:.4g}" for name in OBJECTIVES), score.failed)
+                for number, (_, score) in enumerate(tuned.finalists, start=1)
             ],
             "Finalists on fresh seeds, the chosen one first",
         )
@@ -250,8 +247,8 @@ def _search(tuned: Tuned) -> Section:
 def _converging(tuned: Tuned, axes: Axes) -> None:
     """Draw what each candidate cost, and the best so far, as factors of the start."""
     weights = tuned.goal.weights
-    start = tuned.searched[0].score.log_cost(weights)
-    each = [math.exp(one.score.log_cost(weights) - start) for one in tuned.searched]
+    costs = [score.log_cost(weights) for _, score in tuned.searched]
+    each = [math.exp(cost - costs[0]) for cost in costs]
     best = convergence(tuned)
     top = max(1.2, 2 - min(best))
     shown = [min(one, top) for one in each]
@@ -267,8 +264,8 @@ def _converging(tuned: Tuned, axes: Axes) -> None:
 def _front(tuned: Tuned, axes: Axes) -> None:
     """Draw the first two objectives of all candidates, and of the finalists on fresh seeds."""
     first, second = tuned.goal.objectives[:2]
-    good = [one.score.values for one in tuned.searched if not one.score.failed]
-    finals = [one.score.values for one in tuned.finalists]
+    good = [score.values for _, score in tuned.searched if not score.failed]
+    finals = [score.values for _, score in tuned.finalists]
     ordered = sorted((values[first], values[second]) for values in finals)
     axes.plot([v[first] for v in good], [v[second] for v in good], ".", color=MUTED, ms=3, label="candidate")
     axes.plot(*zip(*ordered, strict=True), "o-", color=ACCENT, ms=5, lw=1, label="front, fresh seeds")

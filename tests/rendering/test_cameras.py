@@ -15,7 +15,7 @@ from craftsim.errors import InputError
 from craftsim.models.framing import MARGIN, box_corners, overview, top
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import label_strip_m, make_view, reached_m
-from craftsim.rendering.playback import SeenWorld
+from craftsim.rendering.trajectory import SeenWorld
 
 AREAS = [(1, 1), (1, 8), (20, 10), (3, 12), (4, 4)]
 ASPECTS = [16 / 9, 4 / 3, 1.0, 9 / 16]

@@ -29,8 +29,7 @@ from craftsim.rendering.encode import VideoWriter
 from craftsim.rendering.film import IDLE, SPEEDS, FilmOptions, Frames, pace_of, predicted_worlds
 from craftsim.rendering.layout import arrange
 from craftsim.rendering.overlay import PAPER, caption_of
-from craftsim.rendering.plan_film import FPS, LONGEST_S, PlanFilm
-from craftsim.rendering.render import render
+from craftsim.rendering.render import LONGEST_S, PLAN_FPS, plan_frames, plan_moments, plan_worlds, render
 from craftsim.rendering.trajectory import Recorder
 
 SMALL = FilmOptions((192, 128), 5)
@@ -51,36 +50,36 @@ def trajectory() -> Trajectory:
 
 def test_a_film_begins_with_the_first_sample_and_ends_with_the_last(trajectory):
     for look in [FilmOptions(fps=fps, speed=speed) for fps in (1, 30) for speed in (2.0, None)]:
-        times = pace_of(trajectory, look).times
+        times, _ = pace_of(trajectory, look)
         assert (times[0], times[-1]) == pytest.approx((trajectory.time[0], trajectory.time[-1]))
         assert (np.diff(times) >= 0).all()
 
 
 def test_an_adapted_film_is_slow_where_something_is_lifted_and_fast_where_nobody_acts(trajectory):
-    pace = pace_of(trajectory, FilmOptions())
+    times, factors = pace_of(trajectory, FilmOptions())
     _, lift = trajectory.story.attempts
     ends_s = lift.start_s + lift.duration_s
-    lifting = (pace.times > lift.start_s + 0.5) & (pace.times < ends_s - 0.5)
-    assert pace.factors[lifting] == pytest.approx(SPEEDS["LIFT"])
-    assert pace.factors[pace.times > ends_s + 0.5] == pytest.approx(IDLE)
-    film_s = 2 * np.diff(pace.times) / (pace.factors[:-1] + pace.factors[1:])
+    lifting = (times > lift.start_s + 0.5) & (times < ends_s - 0.5)
+    assert factors[lifting] == pytest.approx(SPEEDS["LIFT"])
+    assert factors[times > ends_s + 0.5] == pytest.approx(IDLE)
+    film_s = 2 * np.diff(times) / (factors[:-1] + factors[1:])
     assert film_s[:-1].mean() == pytest.approx(1 / 30, rel=0.02), "the factor is the one that is shown"
     close = replace(trajectory, time=1e-300 * np.arange(len(trajectory)))
-    assert len(pace_of(close, FilmOptions()).times) == 1, "smoothing does not take all of the memory"
+    assert len(pace_of(close, FilmOptions())[0]) == 1, "smoothing does not take all of the memory"
 
 
 def test_an_adapted_film_shows_the_end_of_a_failed_action_in_slow_motion(trajectory):
     attempts = [replace(attempt, result="unsafe") for attempt in trajectory.story.attempts]
     failed = replace(trajectory, story=replace(trajectory.story, attempts=tuple(attempts)))
-    pace, plain = (pace_of(one, FilmOptions()) for one in (failed, trajectory))
+    (times, factors), (_, plain) = (pace_of(one, FilmOptions()) for one in (failed, trajectory))
     ends_s = [attempt.start_s + attempt.duration_s for attempt in attempts]
-    assert np.interp(ends_s, pace.times, pace.factors).max() < 1.0 < plain.factors.min()
+    assert np.interp(ends_s, times, factors).max() < 1.0 < plain.min()
 
 
 def test_a_fitted_film_has_its_length_and_is_never_slower_than_life(trajectory):
-    times = pace_of(trajectory, FilmOptions(length_s=2.0)).times
+    times, _ = pace_of(trajectory, FilmOptions(length_s=2.0))
     assert (len(times), times[-1] < trajectory.time[-1] + 1e-9) == (60, True)
-    assert pace_of(trajectory, FilmOptions(length_s=100.0)).factors[0] == 1.0
+    assert pace_of(trajectory, FilmOptions(length_s=100.0))[1][0] == 1.0
 
 
 def test_captions_say_what_a_car_does_and_then_what_came_of_it(trajectory):
@@ -148,7 +147,9 @@ def test_insets_hide_none_of_the_area_and_go_into_a_column_where_they_would(traj
     across = (x > inset.left) & (x < inset.left + inset.width)
     inside = across & (y > inset.top) & (y < inset.top + inset.height)
     assert inset.left >= first.left + first.width or not inside.any()
-    assert arrange(size, (1, 1), "inset", False, lambda first: lambda tile: 1)[0][1].left > size[0] / 2
+    assert (
+        arrange(size, (1, 1), "inset", False, lambda size: np.ones(size[::-1], bool))[0][1].left > size[0] / 2
+    )
 
 
 def test_the_captions_leave_the_picture_alone(trajectory, rendering):
@@ -280,24 +281,24 @@ def _frames(count: int, height: int = 48, width: int = 64) -> list[np.ndarray]:
     return list(frames)
 
 
-def _write(path: Path, frames: list[np.ndarray], repeat: int = 1) -> bytes:
+def _write(path: Path, frames: list[np.ndarray]) -> bytes:
     with VideoWriter(path, 25) as writer:
         for frame in frames:
-            writer.write(frame, repeat)
+            writer.write(frame)
     return path.read_bytes()
 
 
 def test_a_film_is_h264_yuv420p_with_its_index_first_all_frames_and_always_the_same_bytes(tmp_path):
     frames = _frames(10)
-    content = _write(tmp_path / "film.mp4", frames, repeat=2)
+    content = _write(tmp_path / "film.mp4", frames)
     assert content.index(b"moov") < content.index(b"mdat")
-    assert content == _write(tmp_path / "again.mp4", frames, repeat=2)
+    assert content == _write(tmp_path / "again.mp4", frames)
     with av.open(str(tmp_path / "film.mp4")) as container:
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.pix_fmt, stream.average_rate) == ("h264", "yuv420p", 25)
-        assert float(stream.duration * stream.time_base) == pytest.approx(20 / 25)
+        assert float(stream.duration * stream.time_base) == pytest.approx(10 / 25)
         decoded = [picture.to_ndarray(format="rgb24") for picture in container.decode(stream)]
-    for written, read in zip(frames, decoded[::2], strict=True):
+    for written, read in zip(frames, decoded, strict=True):
         assert np.abs(written.astype(int) - read).mean() < 12  # lossy, and colour at half resolution
 
 
@@ -325,23 +326,23 @@ def test_the_film_of_a_plan_shows_the_world_as_the_rules_predict_it_and_ends_wit
     grid = make_task("complex_two_story").draw(np.random.default_rng(0))
     ticks = read_plan(shipped_plan("complex_two_story"), grid.n_cars).ticks
     schedule = make_schedule(grid, ticks, RULES)
-    film = PlanFilm(schedule, RULES, "mine")
-    seen = list(film.worlds())
-    assert len(seen) == len(film)
-    assert seen[0][1].same_visible(schedule.steps[0].before)
-    assert seen[-1][1].same_visible(schedule.final)
-    assert seen[-1][2] == {}
+    moments, _ = plan_moments(schedule)
+    seen = list(plan_worlds(schedule, RULES, moments))
+    assert len(seen) == len(moments)
+    assert seen[0][0].same_visible(schedule.steps[0].before)
+    assert seen[-1][0].same_visible(schedule.final)
+    assert seen[-1][1] == {}
     times = schedule.times()
-    for moment, _, running in seen[::10]:
+    for moment, (_, running) in zip(moments[::10], seen[::10], strict=True):
         expected = {s.car: i for i, s in enumerate(schedule.steps) if times[i, 0] <= moment < times[i, 1]}
         assert running == expected
 
 
 def test_a_long_plan_makes_no_long_film_and_in_a_short_one_a_car_glides_between_its_cells():
     turns = make_schedule(Grid.empty((1, 1, 1), n_cars=1), [[(0, Action.ROTATE_LEFT)]] * 600, RULES)
-    assert len(PlanFilm(turns, RULES, "turns")) / FPS < LONGEST_S + 3
+    assert len(plan_moments(turns)[0]) / PLAN_FPS < LONGEST_S + 3
     move = make_schedule(Grid.empty((3, 1, 1), n_cars=1), [[(0, Action.MOVE_RIGHT)]], RULES)
-    frames = [frame for frame, _ in zip(PlanFilm(move, RULES, "a move").frames(), range(6), strict=False)]
+    frames = [frame for frame, _ in zip(plan_frames(move, RULES, "a move"), range(6), strict=False)]
     red = [np.argwhere((frame[100:, :900] == (204, 61, 56)).all(axis=2))[:, 1].mean() for frame in frames]
     assert (np.diff(red) >= 0).all()
     assert len({round(x) for x in red}) > 3
@@ -353,7 +354,7 @@ def test_show_says_what_a_plan_takes_writes_its_pictures_and_names_what_is_forbi
     assert "plan p: 2 actions in 1 ticks, makespan 1.9 s" in capsys.readouterr().out
     assert (tmp_path / "out" / "p-gantt.png").read_bytes()[:4] == b"\x89PNG"
     with av.open(tmp_path / "out" / "p-plan.mp4") as film:
-        assert sum(1 for _ in film.decode(video=0)) == 10 + 1 + round(1.5 * FPS)
+        assert sum(1 for _ in film.decode(video=0)) == 10 + 1 + round(1.5 * PLAN_FPS)
     (tmp_path / "p.plan").write_text("0 0 DROP\n1 1 ROTATE_LEFT\n")
     assert main(["show", "strip", "--plan", str(tmp_path / "p.plan")]) == 1
     assert "forbidden: car 0 DROP in tick 0: the car carries nothing" in capsys.readouterr().out

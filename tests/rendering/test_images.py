@@ -13,7 +13,7 @@ from craftsim.models.framing import overview
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import View
 from craftsim.rendering.images import FAR_M, LABELS, CameraImages, take_images
-from craftsim.rendering.playback import SeenWorld
+from craftsim.rendering.trajectory import SeenWorld
 
 SIZE = (64, 48)
 CAMERAS = ("overview", "top", "front:0")
@@ -118,7 +118,7 @@ def test_one_renderer_after_the_other_or_the_same_for_all_worlds_gives_the_same_
 def test_a_view_of_films_is_a_camera_too(physics):
     """The site's own overview, once as its camera and once as a view."""
     aim = overview(physics.size, 2 * LEVEL_HEIGHT_M, SIZE[0] / SIZE[1])
-    view = View("the same", aim.fovy_deg, lambda time_s: aim)
+    view = View(aim.fovy_deg, lambda time_s: aim)
     with CameraImages(["overview", view], SIZE, ("depth", "segmentation")) as images:
         taken = images.take(physics)
     assert (np.abs(np.diff(taken["depth"], axis=0)) > 1e-4).mean() < 0.01, "but for pixels at edges"

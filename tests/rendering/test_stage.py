@@ -14,11 +14,10 @@ from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.composition import machine_spec
 from craftsim.rendering.cameras import make_view
-from craftsim.rendering.grid_picture import CELL_PX, MARGIN_PX, Outline, level_shapes, levels_of, world_image
+from craftsim.rendering.grid_picture import CELL_PX, MARGIN_PX, level_shapes, levels_of, world_image
 from craftsim.rendering.offscreen import make_renderer
-from craftsim.rendering.playback import Posed
 from craftsim.rendering.stage import Stage
-from craftsim.rendering.trajectory import GoalCell
+from craftsim.rendering.trajectory import GoalCell, place
 
 SIZE = (160, 120)
 
@@ -108,7 +107,8 @@ def test_a_ghost_is_where_the_real_thing_will_be(standing):
 @pytest.mark.parametrize("quality", ["draft", "paper"])
 def test_what_stands_shades_a_light_floor_and_no_sky_is_seen(rendering, standing, quality):
     stage, view = Stage(standing, quality), make_view("overview", standing, SIZE[0] / SIZE[1])
-    renderer, data = make_renderer(stage.model, SIZE), Posed(stage.model).at(standing.qpos[-1])
+    renderer, data = make_renderer(stage.model, SIZE), mujoco.MjData(stage.model)
+    place(stage.model, data, standing.qpos[-1])
     stage.model.vis.global_.fovy = view.fovy_deg
     pictures = []
     for shadows in (False, True):
@@ -159,7 +159,7 @@ def test_levels_with_nothing_are_left_out():
 def test_a_design_is_dashed_and_a_goal_is_not():
     def framed(goal, design):
         shapes = level_shapes(Grid.empty((2, 2, 2), n_cars=1), 1, goal, design)
-        lines = [one.points for one in shapes if isinstance(one, Outline) and one.line == GOAL]
+        lines = [one.points for one in shapes if one.line == GOAL]
         return sum(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for points in lines)
 
     whole, dashed = framed((1, 1, 1), []), framed(None, [Piece(Kind.BODY, (1, 1, 1), 0)])

@@ -17,73 +17,76 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.errors import InputError
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import Recorder
-from craftsim.rendering.viewer.moment import car_html, list_html, live, recorded
-from craftsim.rendering.viewer.recorded import RecordedView, Transport
+from craftsim.rendering.viewer.page import car_html, list_html
 from craftsim.rendering.viewer.scene import shapes_of
+from craftsim.rendering.viewer.views import RecordedView, live, recorded
 
 pytestmark = pytest.mark.skipif(not find_spec("viser"), reason="needs the extra 'view'")
 
 SAMPLED = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
 
 
-def test_playing_goes_on_at_its_speed_pauses_at_the_end_and_starts_over():
-    playback = Transport.between(1.0, 5.0)
-    playback.advance(1.0, 1.0)
-    assert playback.time_s == 1.0, "it begins paused"
-    playback.toggle()
-    playback.advance(0.5, 4.0)
-    assert (playback.time_s, playback.playing) == (3.0, True)
-    playback.advance(10.0, 1.0)
-    assert (playback.time_s, playback.playing) == (5.0, False)
-    playback.toggle()
-    assert (playback.time_s, playback.playing) == (1.0, True), "it starts over"
+def test_playing_goes_on_at_its_speed_pauses_at_the_end_and_starts_over(run: Trajectory, opened: LiveView):
+    shown, (start_s, end_s) = RecordedView(opened.page, {"one": lambda: run}), run.time[[0, -1]]
+    opened.page.speed.value = "1/4 x"
+    shown.advance(1.0)
+    assert shown.time_s == start_s, "it begins paused"
+    shown.toggle()
+    shown.advance(2.0)
+    assert (shown.time_s, shown.playing) == (start_s + 0.5, True)
+    shown.advance(4 * run.duration_s)
+    assert (shown.time_s, shown.playing) == (end_s, False)
+    shown.toggle()
+    assert (shown.time_s, shown.playing) == (start_s, True), "it starts over"
 
 
-def test_steps_lead_from_action_to_action_and_pause():
-    playback = Transport.between(0.0, 5.0, (1.0, 3.0, 1.0, 9.0))
-    playback.toggle()
+def test_steps_lead_from_action_to_action_and_pause(run: Trajectory, opened: LiveView):
+    attempts = [replace(run.story.attempts[0], start_s=at_s) for at_s in (0.5, 1.0, 0.5, 99.0)]
+    acted = replace(run, story=replace(run.story, attempts=tuple(attempts)))
+    shown, (start_s, end_s) = RecordedView(opened.page, {"one": lambda: acted}), run.time[[0, -1]]
+    shown.toggle()
     seen = []
     for _ in range(4):
-        playback.step()
-        seen.append(playback.time_s)
-    assert (seen, playback.playing) == ([1.0, 3.0, 5.0, 5.0], False)
-    playback.seek(3.5)
+        shown.step()
+        seen.append(shown.time_s)
+    assert (seen, shown.playing) == ([0.5, 1.0, end_s, end_s], False)
+    shown.seek(1.2)
     for _ in range(4):
-        playback.step_back()
-        seen.append(playback.time_s)
-    assert seen[4:] == [3.0, 1.0, 0.0, 0.0]
+        shown.step_back()
+        seen.append(shown.time_s)
+    assert seen[4:] == [1.0, 0.5, start_s, start_s]
 
 
 def test_a_recorded_moment_has_the_action_the_poses_the_forces_and_the_verdict(run: Trajectory):
     turn, move = run.story.attempts
     sample = run.at(move.start_s + 0.3)
-    (car,) = recorded(run, sample).cars
+    car = recorded(run, sample, 0)
     assert (car.action, car.attempt) == ("MOVE_RIGHT", move)
-    assert car.pose == tuple(run.pose("car 0")[sample, :3])
+    assert car.pose == run.pose("car 0")[sample, :3].tolist()
     assert car.measured == pytest.approx(run.measured[sample, 0])
-    assert [motor.force for motor in car.motors] == pytest.approx(run.force[sample, :5])
-    assert [motor.limit for motor in car.motors] == [2.5, 2.5, 2.5, 2.5, 80.0]
-    (after,) = recorded(run, len(run) - 1).cars
+    assert [force for _, force, _ in car.motors] == pytest.approx(run.force[sample, :5])
+    assert [limit for _, _, limit in car.motors] == [2.5, 2.5, 2.5, 2.5, 80.0]
+    after = recorded(run, len(run) - 1, 0)
     assert (after.action, after.attempt) == ("", move)
-    assert recorded(run, run.at(turn.start_s)).cars[0].attempt == turn
+    assert recorded(run, run.at(turn.start_s), 0).attempt == turn
 
 
 def test_a_live_moment_is_what_the_recorder_writes_down():
     recipe = Recipe(blueprint_text(Grid.empty((3, 1, 1), n_cars=1)), (Step.single(0, 0, Action.MOVE_RIGHT),))
     judge, recorder, seen = start(recipe), Recorder(), []
-    judge.executor.observers.append(lambda physics: seen.append(live(physics, judge)))
+    judge.executor.observers.append(lambda physics: seen.append(live(physics, judge, {}, (), 0)))
     recorder.begin(judge)
     attempts = do(judge, recipe.steps[0])
     whole = recorder.trajectory("", recipe, attempts)
-    now, then = seen[19], recorded(whole, 20)
-    assert (now.time_s, now.cars[0].pose) == (then.time_s, then.cars[0].pose)
-    assert now.cars[0].measured == pytest.approx(then.cars[0].measured)
-    assert [m.force for m in now.cars[0].motors] == pytest.approx([m.force for m in then.cars[0].motors])
+    now, then = seen[19], recorded(whole, 20, 0)
+    assert (now.time_s, now.pose) == (then.time_s, then.pose)
+    assert now.measured == pytest.approx(then.measured)
+    assert [force for _, force, _ in now.motors] == pytest.approx([force for _, force, _ in then.motors])
     assert now.contact_n == pytest.approx(then.contact_n)
 
 
 def test_words_name_the_verdict_and_cannot_be_code(run: Trajectory):
-    text = car_html(recorded(run, len(run) - 1), 0)
+    text = car_html(recorded(run, len(run) - 1, 0))
     assert "last: MOVE_RIGHT" in text
     assert "as predicted" in text
     assert "2.5" in text

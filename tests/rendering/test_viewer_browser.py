@@ -13,7 +13,7 @@ from recorded import record
 from craftsim import Action, Grid, LiveView, Trajectory
 from craftsim.discrete.grid import CarField
 from craftsim.rendering.viewer.page import REAL_TIME
-from craftsim.rendering.viewer.recorded import RecordedView
+from craftsim.rendering.viewer.views import RecordedView
 
 BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
@@ -76,7 +76,7 @@ def _pixel(page, view: LiveView, point: np.ndarray) -> tuple[float, float]:
     """Return where on the page a point of the world is."""
     from viser.transforms import SO3
 
-    (client,) = view.page.clients
+    (client,) = view.page._server.get_clients().values()
     towards = SO3(client.camera.wxyz).inverse() @ (point - client.camera.position)
     box = page.locator("canvas").first.bounding_box()
     scale = box["height"] / 2 / np.tan(client.camera.fov / 2)
@@ -99,7 +99,7 @@ def test_the_page_opens_without_a_network_and_what_people_do_is_obeyed(shown, pa
     page.get_by_role("button", name="Pause").wait_for(timeout=60_000)
     page.get_by_role("button", name="Pause").click()
     page.get_by_role("button", name="Play").wait_for(timeout=60_000)
-    assert recorded.trajectory.time[0] < recorded.playback.time_s <= recorded.playback.end_s
+    assert recorded.trajectory.time[0] < recorded.time_s <= recorded.trajectory.time[-1]
     page.mouse.click(*_pixel(page, view, recorded.trajectory.pose("car 1")[0, :3] + [0, 0, 0.08]))
     page.get_by_text("0.806, 0.161").first.wait_for(timeout=60_000)
     assert view.page.car == 1, "a click on a car chooses it"

@@ -3,17 +3,24 @@
 from contextlib import contextmanager
 
 from craftsim.experiments.experiment import Result, make_record
+from craftsim.tuning.tunable import tunable_gains
 from craftsim.tuning.tune import Job
 
 BEST = {"board.gain": 40.0, "board.acceleration": 1.0}
 
 
+def values_of(job: Job) -> dict[str, float]:
+    """Return the tuned gains of a candidate, by name."""
+    group, setup, _, _ = job
+    return {gain.name: gain.of(setup.gains) for gain in tunable_gains(group, setup.gains)}
+
+
 def trials_of(job: Job) -> list[dict]:
     """Quickest where the gains are best; far from the limit where they are small."""
-    found = []
-    for block in job.blocks:
-        miss = sum((value / BEST[name] - 1) ** 2 for name, value in job.values)
-        size = sum(value / BEST[name] for name, value in job.values)
+    found, values = [], values_of(job).items()
+    for block in job[-1]:
+        miss = sum((value / BEST[name] - 1) ** 2 for name, value in values)
+        size = sum(value / BEST[name] for name, value in values)
         found.append(
             {
                 "situation": "LIFT",
@@ -44,7 +51,7 @@ class AnalyticSession:
             trials = trials_of(job)
             if self.lose(job):
                 trials = [{**trial, "agrees": False} for trial in trials]
-            done = Result(True, trials, extra={"gains": dict(job.values) | self.other})
+            done = Result(True, trials, extra={"gains": values_of(job) | self.other})
             records.append(make_record(self.items[number], number, done))
             on_record(records[-1])
         return records

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import yaml
 from sessions import cut_off
-from tuning.analytic import BEST, opener
+from tuning.analytic import BEST, opener, values_of
 
 from craftsim.checking.setup import setup_of
 from craftsim.cli import main
@@ -51,7 +51,7 @@ def test_seeds_of_search_finals_and_verdict_are_apart(monkeypatch, tmp_path):
     for number, job in rounds.jobs.items():
         phase = "finalist" if rounds.items[number].key.startswith("finalist") else "search"
         phase = "held out" if "held out" in rounds.items[number].key else phase
-        blocks.setdefault(phase, set()).update(job.blocks)
+        blocks.setdefault(phase, set()).update(job[-1])
     assert len(blocks["finalist"]) == FINAL_BLOCKS
     assert len(blocks["held out"]) == HELD_OUT_BLOCKS
     assert sum(map(len, blocks.values())) == len(set().union(*blocks.values()))
@@ -61,7 +61,7 @@ def test_what_fails_on_seeds_held_out_is_never_written(monkeypatch, tmp_path):
     start = load_gains()
 
     def lose(job):
-        return min(job.blocks) >= 2 + FINAL_BLOCKS and dict(job.values)["board.gain"] != start.board.gain
+        return min(job[-1]) >= 2 + FINAL_BLOCKS and values_of(job)["board.gain"] != start.board.gain
 
     tuned, _ = _tune(monkeypatch, tmp_path, lose=lose)
     assert not tuned.verdict.improved
@@ -75,7 +75,7 @@ def test_a_front_has_no_finalist_that_another_dominates_and_is_chosen_from(monke
     chosen = {}
     for choice in ("time", "margin", "knee"):
         tuned, _ = _tune(monkeypatch, tmp_path, Goal.of((), ["time", "margin"], choice))
-        values = [(one.score.values["time"], one.score.values["margin"]) for one in tuned.finalists]
+        values = [(score.values["time"], score.values["margin"]) for _, score in tuned.finalists]
         assert not [a for a in values for b in values if a != b and a[0] >= b[0] and a[1] >= b[1]]
         chosen[choice] = values[0]
         assert values[0] == (min(values) if choice == "time" else values[0])
@@ -107,7 +107,7 @@ def test_a_change_whose_interval_holds_none_is_not_called_better_and_each_failur
     monkeypatch, tmp_path
 ):
     def lose(job):
-        return min(job.blocks) == 2 + FINAL_BLOCKS
+        return min(job[-1]) == 2 + FINAL_BLOCKS
 
     tuned, _ = _tune(monkeypatch, tmp_path, lose=lose)
     ratio = replace(tuned.verdict.against_start, low=0.44, high=1.43, factor=0.69)

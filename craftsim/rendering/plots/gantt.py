@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,14 +13,12 @@ from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.drawing import Rgb
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.schedule import Schedule
-from craftsim.rendering.plots.style import WIDTH_IN, line_of, paper
-from craftsim.storage.writing import whole
+from craftsim.rendering.plots.style import DPI, WIDTH_IN, line_of, paper, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FORMATS: Final[Mapping[str, dict[str, Any]]] = {".png": {"Software": None}, ".svg": {"Date": None}}
-"""By the ending of a file's name what is not to be written into it: the same plan gives the same bytes."""
+FORMATS: Final = (".png", ".svg")
 VERB_COLOURS: Final[dict[str, Rgb]] = {
     "move": (0.55, 0.71, 0.85),
     "rotate": (0.80, 0.84, 0.88),
@@ -35,7 +32,6 @@ VERB_COLOURS: Final[dict[str, Rgb]] = {
 _REGISTERED: Final[Rgb] = (0.80, 0.47, 0.65)
 """Of actions that were registered, which have no such row."""
 _HATCH: Final = "////"
-_DPI: Final = 200
 _ROW_IN: Final = 0.22
 _FRAME_IN: Final = 1.15
 """For title, axis and legend."""
@@ -58,7 +54,7 @@ def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
         from matplotlib import rcParams
 
         rcParams["svg.hashsalt"], rcParams["hatch.linewidth"] = "craftsim", 0.5
-        figure = Figure(figsize=(WIDTH_IN, _FRAME_IN + _ROW_IN * n_cars), dpi=_DPI, layout="constrained")
+        figure = Figure(figsize=(WIDTH_IN, _FRAME_IN + _ROW_IN * n_cars), dpi=DPI, layout="constrained")
         took = f"{len(schedule.steps)} actions, makespan {schedule.makespan():.1f} s"
         figure.suptitle(line_of(f"{title}: {took}"), fontsize=9, weight="bold")
         axes = figure.add_subplot()
@@ -75,9 +71,7 @@ def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
         if loaded:
             handles.append(Patch(facecolor="1", hatch=_HATCH, edgecolor="0.3", label="loaded"))
         figure.legend(handles=handles, loc="outside lower center", **legend)
-        with whole(path) as partial:
-            figure.savefig(partial, format=path.suffix[1:], dpi=_DPI, metadata=FORMATS[path.suffix])
-    return path
+        return save(figure, path)
 
 
 def _draw_bars(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> tuple[set[str], bool]:

@@ -1,14 +1,18 @@
-"""How figures look on paper, and what tells cars apart where there are no colours."""
+"""How figures look on paper, what tells cars apart where there are no colours, and figures into files."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.discrete.drawing import INK
-from craftsim.storage.writing import writable
+from craftsim.storage.writing import whole, writable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 WIDTH_IN: Final = 7.2
 """Of a figure: two columns of a paper."""
@@ -51,6 +55,14 @@ _PAPER: Final[dict[str, Any]] = {
     "pdf.fonttype": 42,
 }
 
+DPI: Final = 200
+_LEFT_OUT: Final[dict[str, dict[str, Any]]] = {
+    ".png": {"Software": None},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None, "Producer": None},
+}
+"""By the ending of a file's name what is not to be written into it: the same figure gives the same bytes."""
+
 
 @contextmanager
 def paper() -> Iterator[None]:
@@ -61,6 +73,13 @@ def paper() -> Iterator[None]:
         # A name may have letters that the font lacks; boxes stand for them.
         warnings.filterwarnings("ignore", "Glyph .* missing")
         yield
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure into a PNG, SVG or PDF file and return its path; InputError where the disk does not take it."""
+    with whole(path) as partial:
+        figure.savefig(partial, dpi=DPI, metadata=_LEFT_OUT[path.suffix])
+    return path
 
 
 def line_of(text: str) -> str:

@@ -1,6 +1,6 @@
-"""The page of the viewer: the scene, what plays it, and what is known of the car that is looked at.
+"""The page of the viewer: the scene, the playback controls, and the state of the selected car.
 
-What people do in their browsers arrives in threads of the server; it waits in a queue until :meth:`ViewerPage.attend`.
+Events of browsers arrive in threads of the server; they wait in a queue until :meth:`ViewerPage.attend`.
 """
 
 from __future__ import annotations
@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 import queue
 import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,10 @@ from numpy.typing import NDArray
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.grid import Cell
 from craftsim.models.world import PhysicsWorld
-from craftsim.rendering.viewer.moment import Moment, car_html, list_html, title_html
 from craftsim.rendering.viewer.scene import BrowserScene
 
 if TYPE_CHECKING:
-    from viser import ClientHandle, GuiEvent, ViserServer
+    from viser import GuiEvent, ViserServer
 
 FRAMES_HZ: Final = 25.0
 """How often poses are sent at most."""
@@ -40,25 +40,29 @@ SPEEDS: Final = {
     AS_IT_GOES: math.inf,
 }
 """Simulated seconds in a second."""
+_SAME_S: Final = 1e-6
+_LISTED: Final = 9
+"""Actions in the list at one time."""
+_GOOD, _BAD, _QUIET = "#2b8a3e", "#c92a2a", "#868e96"
+_ROWS: Final = "<table style='width:100%;font-size:0.8em;border-spacing:0 0.15em'>"
 
 
-class Controls:
-    """What the buttons of a page do; each does nothing unless it is overridden."""
+class Moment(NamedTuple):
+    """What is known of a car at one moment of a run."""
 
-    def toggle(self) -> None:
-        """Play or pause."""
-
-    def step(self) -> None:
-        """Go to the next action."""
-
-    def step_back(self) -> None:
-        """Go to the action before."""
-
-    def seek(self, time_s: float) -> None:
-        """Go to a moment."""
-
-    def choose(self, run: str) -> None:
-        """Go to another run."""
+    time_s: float
+    action: str
+    """Name of the action that runs; empty where there is none."""
+    pose: Sequence[float]
+    """x, y and z in metres, where it is."""
+    measured: Sequence[float] | None
+    """x and y in metres and heading in radians, as it measures them; None where nobody knows."""
+    motors: tuple[tuple[str, float, float], ...]
+    """Of each wheel, then of the board: its name, what it gives and the most that it can give, in Nm and in N."""
+    attempt: Attempt | None
+    """The verdict on its action, where that is known, or else on its last one; None before its first."""
+    contact_n: float
+    """The largest force between any two machines; nan where nobody looks."""
 
 
 class ViewerPage:
@@ -69,11 +73,14 @@ class ViewerPage:
         from viser import Icon
 
         self._server, self._icons = server, {True: Icon.PLAYER_PAUSE, False: Icon.PLAYER_PLAY}
-        self.controls = Controls()
+        self.controls: Mapping[str, Callable[..., None]] = {}
+        """What buttons do: ``toggle``, ``step``, ``step_back``, ``seek`` (to a time), ``choose`` (a run); one that is
+        missing does nothing."""
         self._pending: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.scene: BrowserScene | None = None
         self.car = 0
         """The one that is looked at."""
+        self._n_cars = 0
         self._next_text_s = 0.0
         gui = server.gui
         server.scene.world_axes.visible = False
@@ -92,11 +99,11 @@ class ViewerPage:
             self._state = gui.add_html("")
         with gui.add_folder("Actions"):
             self._list = gui.add_html("")
-        self._when(self.run.on_update, lambda: self.controls.choose(self.run.value))
-        self._when(self.play.on_click, lambda: self.controls.toggle())
-        self._when(self.back.on_click, lambda: self.controls.step_back())
-        self._when(self.forward.on_click, lambda: self.controls.step())
-        self._when(self.slider.on_update, lambda: self.controls.seek(float(self.slider.value)))
+        self._when(self.run.on_update, lambda: self._control("choose", self.run.value))
+        self._when(self.play.on_click, lambda: self._control("toggle"))
+        self._when(self.back.on_click, lambda: self._control("step_back"))
+        self._when(self.forward.on_click, lambda: self._control("step"))
+        self._when(self.slider.on_update, lambda: self._control("seek", float(self.slider.value)))
         self._when(self._cars.on_update, lambda: self.look_at(int(self._cars.value)))
 
     def _when(
@@ -108,6 +115,10 @@ class ViewerPage:
                 self.ask(do)
 
         register(note)
+
+    def _control(self, name: str, *value: object) -> None:
+        if name in self.controls:
+            self.controls[name](*value)
 
     def offer(self, runs: Sequence[str], times_s: tuple[float, float] | None) -> None:
         """Offer runs to choose from, and moments between two times, where it is a recorded one."""
@@ -135,11 +146,12 @@ class ViewerPage:
 
     def show_world(self, title: str, physics: PhysicsWorld, marks: Mapping[Cell, float]) -> None:
         """Show another world; ``marks`` as of :class:`BrowserScene`."""
-        self._title.content = title_html(title)
+        self._title.content = _framed(f"<b>{escape(title)}</b>")
         self.scene = BrowserScene(
             self._server, physics, marks, lambda car: self.ask(lambda: self.look_at(car))
         )
-        self._cars.options = tuple(str(car) for car in range(len(physics.cars))) or ("0",)
+        self._n_cars = len(physics.cars)
+        self._cars.options = tuple(map(str, range(self._n_cars))) or ("0",)
         self.look_at(0)
 
     def look_at(self, car: int) -> None:
@@ -148,19 +160,31 @@ class ViewerPage:
         _put(self._cars, "value", str(car))
         self.hurry()
 
-    def show(self, qpos: NDArray[np.float64], found: Moment, attempts: Sequence[Attempt]) -> None:
-        """Show a moment: poses at once, words not more often than they can be read."""
+    def show(
+        self,
+        qpos: NDArray[np.float64],
+        time_s: float,
+        attempts: Sequence[Attempt],
+        moment: Callable[[int], Moment],
+    ) -> None:
+        """Show a moment: poses at once, words not more often than they can be read.
+
+        Args:
+            qpos: (nq,) MuJoCo's positions of everything.
+            time_s: simulated time.
+            attempts: those of the run, as far as they are known.
+            moment: returns what is known of a car, by its number.
+        """
         assert self.scene is not None, "show_world() comes first"
         self.scene.show(qpos)
         if (now := time.monotonic()) < self._next_text_s:
             return
         self._next_text_s = now + _TEXT_S
         with self._server.atomic():
-            time_s = min(max(found.time_s, self.slider.min), self.slider.max)
-            _put(self.slider, "value", round(time_s, 3))
-            if found.cars:
-                _put(self._state, "content", car_html(found, self.car))
-            _put(self._list, "content", list_html(attempts, found.time_s))
+            _put(self.slider, "value", round(min(max(time_s, self.slider.min), self.slider.max), 3))
+            if self._n_cars:
+                _put(self._state, "content", car_html(moment(self.car)))
+            _put(self._list, "content", list_html(attempts, time_s))
 
     def show_playing(self, playing: bool) -> None:
         """Let the button say what it does now."""
@@ -171,14 +195,9 @@ class ViewerPage:
         """Show words with the next moment, however short ago they were shown."""
         self._next_text_s = 0.0
 
-    @property
-    def clients(self) -> tuple[ClientHandle, ...]:
-        """The browsers that look on."""
-        return tuple(self._server.get_clients().values())
-
     def print_error(self, text: str) -> None:
         """Show what is wrong to everybody."""
-        for client in self.clients:
+        for client in self._server.get_clients().values():
             client.add_notification("This cannot be shown", text, color="red")
 
 
@@ -186,3 +205,60 @@ def _put(handle: Any, name: str, value: object) -> None:
     """Set a property of a part of the panel; the same value is not sent again."""
     if getattr(handle, name) != value:
         setattr(handle, name, value)
+
+
+def car_html(moment: Moment) -> str:
+    """Return what is known of a car as HTML."""
+    x, y, z = moment.pose
+    rows = [
+        ("time", f"{moment.time_s:.2f} s"),
+        ("action", escape(moment.action) or "waits"),
+        ("pose", f"{x:z.3f}, {y:z.3f}, {z:z.3f} m"),
+    ]
+    if moment.measured is not None:
+        x, y, heading = moment.measured
+        rows.append(("measured", f"{x:z.3f}, {y:z.3f} m, {math.degrees(heading):z.1f}°"))
+    *wheels, (_, force, limit) = moment.motors
+    rows.append(("wheels (Nm)", "".join(_bar(name[-2:], *rest) for name, *rest in wheels)))
+    rows.append(("board (N)", _bar("", force, limit)))
+    if not math.isnan(moment.contact_n):
+        rows.append(("largest contact", f"{moment.contact_n:.0f} N, of all machines"))
+    cells = "".join(f"<tr><td style='color:{_QUIET}'>{name}</td><td>{text}</td></tr>" for name, text in rows)
+    verdict, attempt = "", moment.attempt
+    if attempt is not None:
+        which = "" if attempt.action == moment.action else f"last: {escape(attempt.action)}, "
+        reason = f"<br>{escape(attempt.reason)}" if attempt.reason else ""
+        verdict = f"<div style='font-size:0.85em;margin-top:0.3em'>{which}{_verdict(attempt)}{reason}</div>"
+    return _framed(f"{_ROWS}{cells}</table>{verdict}")
+
+
+def list_html(attempts: Iterable[Attempt], time_s: float) -> str:
+    """Return the actions around a moment as HTML: when each began, of which car, and the verdict on it."""
+    ordered = sorted(attempts, key=lambda one: (one.start_s, one.car))
+    if not ordered:
+        return _framed(f"<span style='color:{_QUIET}'>no actions yet</span>")
+    begun = sum(one.start_s <= time_s + _SAME_S for one in ordered)
+    first = max(0, min(begun - _LISTED // 2 - 1, len(ordered) - _LISTED))
+    rows = []
+    for number, one in enumerate(ordered[first : first + _LISTED], first):
+        runs = one.start_s <= time_s < one.start_s + one.duration_s
+        style = "font-weight:600;background:#e7f5ff" if runs else f"color:{_QUIET}" if number >= begun else ""
+        texts = (f"{one.start_s:.1f} s", f"car {one.car}", escape(one.action), _verdict(one))
+        rows.append(f"<tr style='{style}'>{''.join(f'<td>{text}</td>' for text in texts)}</tr>")
+    return _framed(f"{_ROWS}{''.join(rows)}</table>")
+
+
+def _verdict(attempt: Attempt) -> str:
+    return f"<span style='color:{_GOOD if attempt.agrees else _BAD}'>{escape(attempt.result)}</span>"
+
+
+def _bar(name: str, force: float, limit: float) -> str:
+    """Return what a motor gives, over a bar that is full at its limit."""
+    share = min(1.0, abs(force) / limit) if limit else 0.0
+    bar = f"<span style='display:block;width:{100 * share:.0f}%;height:0.3em;background:#4dabf7'></span>"
+    style = "display:inline-block;width:24%;margin-right:1%;font-size:0.9em"
+    return f"<span style='{style}' title='of {limit:g}'>{name} {force:z.2f}{bar}</span>"
+
+
+def _framed(content: str) -> str:
+    return f"<div style='padding:0 0.75em'>{content}</div>"

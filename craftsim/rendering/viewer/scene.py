@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from craftsim.discrete.drawing import car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell
-from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.composition import ground_pose_and_size
 from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import label_strip_m
-from craftsim.rendering.playback import SeenWorld
 from craftsim.rendering.stage import FLOOR_RGB, dressed_rgb, floor, number_plate
+from craftsim.rendering.trajectory import SeenWorld
 
 if TYPE_CHECKING:
     import trimesh  # loaded where it is used: every worker in physics imports this file
@@ -43,18 +42,9 @@ _PLATE_SHARE: Final = 0.84
 _PLATE_PROUD_M: Final = 0.0012
 _SHOWN_GROUPS: Final = 3
 """MuJoCo's viewer and renderer show the groups of geoms below this one; the others are there to collide."""
-_BOX, _CYLINDER, _ELLIPSOID, _MESH = (
-    int(kind)
-    for kind in (
-        mujoco.mjtGeom.mjGEOM_BOX,
-        mujoco.mjtGeom.mjGEOM_CYLINDER,
-        mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-        mujoco.mjtGeom.mjGEOM_MESH,
-    )
-)
+_Geom = mujoco.mjtGeom
 _PROUD_M: Final = 0.001
 """So high the floor lies on the bare ground, so that the two do not flicker."""
-_HINGE: Final = int(mujoco.mjtJoint.mjJNT_HINGE)
 
 
 class BrowserScene:
@@ -75,8 +65,8 @@ class BrowserScene:
             marks: cells to mark, such as those of a building that is to be put up, and how high in levels.
             on_pick: called with the number of a car that is clicked.
         """
-        self._server, self._posed = server, SeenWorld(physics)
-        self._model = self._posed.model
+        self._server, self._seen = server, SeenWorld(physics)
+        self._model = self._seen.model
         self.nodes: dict[int, SceneNodeHandle] = {}
         """What moves, by the number of its body."""
         self.sent = 0
@@ -92,7 +82,7 @@ class BrowserScene:
 
     def show(self, qpos: NDArray[np.float64]) -> None:
         """Move everything to where it is at some positions, and send what has moved since the last call."""
-        data = self._posed.at(qpos)
+        data = self._seen.at(qpos)
         with self._server.atomic():
             for body, node in self.nodes.items():
                 position, quaternion = data.xpos[body], data.xquat[body]
@@ -132,8 +122,19 @@ class BrowserScene:
             if root not in car_of:
                 continue
             car = car_of[root]
-            if name.endswith("/board"):
-                self._add_plate(f"/machines/{name}/plate", car, physics.machines.car(car))
+            if name.endswith("/board"):  # its number lies on it, as in films
+                parameters = physics.machines.car(car)
+                side = _PLATE_SHARE * parameters.boss_top_side_m
+                self._server.scene.add_image(
+                    f"/machines/{name}/plate",
+                    number_plate(car, car_colour(car)),
+                    side,
+                    side,
+                    format="png",
+                    cast_shadow=False,
+                    wxyz=_FACE_UP_FORWARD,
+                    position=(0, 0, parameters.boss_height_m + _PLATE_PROUD_M),
+                )
             node.on_click(partial(lambda car, event: on_pick(car), car))
             if body == root:
                 self._server.scene.add_label(
@@ -142,20 +143,6 @@ class BrowserScene:
                     position=(0, 0, _LABEL_M),
                     anchor="bottom-center",
                 )
-
-    def _add_plate(self, name: str, car: int, figures: SmartcarParameters) -> None:
-        """Put a car's number on its board, as in films."""
-        side = _PLATE_SHARE * figures.boss_top_side_m
-        self._server.scene.add_image(
-            name,
-            number_plate(car, car_colour(car)),
-            side,
-            side,
-            format="png",
-            cast_shadow=False,
-            wxyz=_FACE_UP_FORWARD,
-            position=(0, 0, figures.boss_height_m + _PLATE_PROUD_M),
-        )
 
     def _add_marks(self, marks: Mapping[Cell, float]) -> None:
         for number, (cell, levels) in enumerate(marks.items()):
@@ -169,7 +156,7 @@ class BrowserScene:
     def _look_from_overview(self) -> None:
         """Let browsers look from where the world's camera of that name does, at the ground before it."""
         model = self._model
-        data = self._posed.at(model.qpos0)
+        data = self._seen.at(model.qpos0)
         number = model.camera("overview").id
         position, forward = data.cam_xpos[number].copy(), -data.cam_xmat[number].reshape(3, 3)[:, 2]
         target = position + forward * (position[2] / max(-forward[2], 0.1))
@@ -189,11 +176,9 @@ def shapes_of(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
     from trimesh.util import concatenate
 
     meshes: dict[int, list[trimesh.Trimesh]] = defaultdict(list)
-    for geom in range(model.ngeom):
-        kind = int(model.geom_type[geom])
-        if model.geom_group[geom] >= _SHOWN_GROUPS or kind not in (_BOX, _CYLINDER, _ELLIPSOID, _MESH):
+    for geom in np.flatnonzero(model.geom_group < _SHOWN_GROUPS).tolist():
+        if (mesh := _mesh(model, geom)) is None:
             continue
-        mesh = _mesh(model, geom, kind)
         body = int(model.geom_bodyid[geom])
         mesh.apply_transform(_transform(model.geom_pos[geom], model.geom_quat[geom]))
         while body and (model.body_jntnum[body] == 0 or _is_roller(model, body)):
@@ -231,52 +216,55 @@ def floor_mesh(size: Cell) -> trimesh.Trimesh:
 def _is_roller(model: mujoco.MjModel, body: int) -> bool:
     """Whether all that a body can do is to spin about an axis around which it is round."""
     joint, geom = int(model.body_jntadr[body]), int(model.body_geomadr[body])
-    if model.body_jntnum[body] != 1 or model.body_geomnum[body] != 1 or model.jnt_type[joint] != _HINGE:
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
+    if model.body_jntnum[body] != 1 or model.body_geomnum[body] != 1 or model.jnt_type[joint] != hinge:
         return False
     size = model.geom_size[geom]
     own = np.zeros(3)
     mujoco.mju_rotVecQuat(own, np.array([0.0, 0.0, 1.0]), model.geom_quat[geom])
     return bool(
-        model.geom_type[geom] == _ELLIPSOID
+        model.geom_type[geom] == _Geom.mjGEOM_ELLIPSOID
         and size[0] == size[1]
         and np.allclose(model.geom_pos[geom], model.jnt_pos[joint])
         and abs(own @ model.jnt_axis[joint]) > 1 - 1e-9
     )
 
 
-def _mesh(model: mujoco.MjModel, geom: int, kind: int) -> trimesh.Trimesh:
+def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+    """Return a geom's mesh in its colour; None for a floor, which is drawn otherwise."""
     import trimesh
 
     size = model.geom_size[geom]
-    if kind == _MESH:
-        mesh = _asset(model, int(model.geom_dataid[geom]))
-    elif kind in (_BOX, _CYLINDER):
-        solid = (
-            trimesh.creation.box(extents=2 * size)
-            if kind == _BOX
-            else trimesh.creation.cylinder(size[0], 2 * size[1])
-        )
-        mesh = _faceted(solid.triangles.reshape(-1, 3), np.repeat(solid.face_normals, 3, axis=0))
-    else:
-        ball = trimesh.creation.icosphere(subdivisions=2)
-        normals = ball.vertices / size
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        mesh = trimesh.Trimesh(ball.vertices * size, ball.faces, vertex_normals=normals, process=False)
-    name, group = model.geom(geom).name, int(model.geom_group[geom])
+    match _Geom(model.geom_type[geom]):
+        case _Geom.mjGEOM_MESH:
+            # With MuJoCo's own normals, so that edges that are sharp there are sharp here.
+            number = int(model.geom_dataid[geom])
+            first, count = model.mesh_faceadr[number], model.mesh_facenum[number]
+            faces, face_normals = (
+                array[first : first + count].ravel() for array in (model.mesh_face, model.mesh_facenormal)
+            )
+            points = model.mesh_vert[model.mesh_vertadr[number] + faces]
+            mesh = _faceted(points, model.mesh_normal[model.mesh_normaladr[number] + face_normals])
+        case _Geom.mjGEOM_BOX | _Geom.mjGEOM_CYLINDER as kind:
+            solid = (
+                trimesh.creation.box(extents=2 * size)
+                if kind == _Geom.mjGEOM_BOX
+                else trimesh.creation.cylinder(size[0], 2 * size[1])
+            )
+            mesh = _faceted(solid.triangles.reshape(-1, 3), np.repeat(solid.face_normals, 3, axis=0))
+        case _Geom.mjGEOM_ELLIPSOID:
+            ball = trimesh.creation.icosphere(subdivisions=2)
+            normals = ball.vertices / size
+            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            mesh = trimesh.Trimesh(ball.vertices * size, ball.faces, vertex_normals=normals, process=False)
+        case _:
+            return None
     rgba = np.array(model.geom_rgba[geom])
-    if (rgb := dressed_rgb(name, group)) is not None:
+    if (rgb := dressed_rgb(model.geom(geom).name, int(model.geom_group[geom]))) is not None:
         rgba[:3] = rgb
     colour = (255 * rgba).astype(np.uint8)
     mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=np.tile(colour, (len(mesh.vertices), 1)))
     return mesh
-
-
-def _asset(model: mujoco.MjModel, number: int) -> trimesh.Trimesh:
-    """Return a mesh with MuJoCo's own normals, so that edges that are sharp there are sharp here."""
-    corners = slice(model.mesh_faceadr[number], model.mesh_faceadr[number] + model.mesh_facenum[number])
-    points = model.mesh_vert[model.mesh_vertadr[number] + model.mesh_face[corners].ravel()]
-    normals = model.mesh_normal[model.mesh_normaladr[number] + model.mesh_facenormal[corners].ravel()]
-    return _faceted(points, normals)
 
 
 def _faceted(points: NDArray[np.floating], normals: NDArray[np.floating]) -> trimesh.Trimesh:

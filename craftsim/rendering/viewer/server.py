@@ -1,8 +1,8 @@
-"""The web server of the viewer: viser, open where it was asked for or not at all, and only to its own page.
+"""The web server of the viewer: viser, on the given address only, and for its own page only.
 
-A page of another site cannot read what a server on this machine answers, but it may open a websocket to it; what it
-cannot do is to hide its own Origin. One that gives its own name this machine's address afterwards (DNS rebinding) is of
-the same origin as the viewer then, and betrayed by that name in Host.
+A page of another site cannot read the answers of a server on this machine, but it may open a websocket to it: its
+Origin header tells. A page whose host name is pointed to this machine afterwards (DNS rebinding) has the viewer's own
+origin: that name in its Host header tells.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Handler = Callable[[ServerConnection], Awaitable[None]]
 _QUIET: Final = logging.getLogger(__name__)
 _QUIET.addHandler(logging.NullHandler())
 _QUIET.propagate = False
-"""What strangers send is nothing to say on this terminal."""
+"""Invalid requests are not reported on the terminal."""
 
 
 class LocalServer(ViserServer):
@@ -159,7 +159,7 @@ def _place(origin: str) -> str:
 
 @contextmanager
 def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[None]:
-    """Let the server that viser starts meanwhile refuse strangers.
+    """Let the server that viser starts within the block refuse other pages.
 
     Args:
         host: address on which it listens.
@@ -170,7 +170,7 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
     started = []
 
     class Screened(ServerConnection):
-        """viser believes what pages send: it sets any property of any part of the panel to any value."""
+        """Drops messages that viser would accept: it sets any property of any part of the panel to any value."""
 
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
             """Take up a connection, and let the one go that came first where there are too many.
@@ -191,7 +191,7 @@ def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[Non
                         return data
 
     class Guarded(websockets.asyncio.server.serve):
-        """viser offers no place for this but the class that it takes from websockets."""
+        """Checks requests; viser has no hook for this but the class that it takes from websockets."""
 
         def __init__(self, handler: Handler, *places: Any, process_request: Any, **rest: Any) -> None:
             def first(connection: ServerConnection, request: Request) -> Response | None:

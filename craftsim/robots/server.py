@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import heapq
 import math
-import secrets
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from craftsim.robots.messages import (
     Ack,
     Bye,
     Commands,
-    Follow,
     Hello,
     Measurements,
     Message,
@@ -31,6 +29,7 @@ from craftsim.robots.messages import (
     pack,
     unpack,
 )
+from craftsim.robots.sockets import Host
 from craftsim.skills.skill import Command
 
 WATCHDOG_S: Final = 0.1
@@ -46,8 +45,6 @@ _KEPT: Final = 64
 _AHEAD_S: Final = 1.0
 """How far ahead of its time a command may come."""
 _EPSILON_S: Final = 1e-6
-_WATCHERS: Final = 8
-"""Who look on at most; one more takes the place of the first."""
 _TOLD: Final = 10
 """Of what becomes of messages, so much is said within _LATELY_S: whoever sends them, they fill no disk."""
 _LATELY_S: Final = 60.0
@@ -201,8 +198,6 @@ class Service:
         """Whether the driver has gone without a word: the watchdog will stop the robots, and somebody else may come."""
         self._driver_s = 0.0
         """When it was heard last."""
-        self._ticket = ""
-        """Of the driver: who looks on with it is the driver's."""
         self.stopped_at_s: list[float] = []
         """When the robots stopped because no command came."""
         self.heard_at_s: list[float] = []
@@ -214,11 +209,6 @@ class Service:
         """When something was said of what became of messages."""
         self.malformed = 0
         """Messages that were none, or out of place."""
-        self._watchers: deque[bytes] = deque(maxlen=_WATCHERS)
-        self._witness: bytes | None = None
-        """Who looks on for the driver."""
-        self._poses: bytes | None = None
-        """Those published last."""
         self.farewells = 0
         """How many have driven the robots and said goodbye, or are gone."""
         self.unseen: set[int] = set()
@@ -233,19 +223,10 @@ class Service:
     def _period_end_s(self) -> float:
         return round(self.periods * self.period_s, 9)
 
-    @property
-    def clients(self) -> frozenset[bytes]:
-        """Who drive the robots or look on."""
-        known = (*self._watchers, self._witness, self.driver)
-        return frozenset(client for client in known if client is not None)
-
     def arrive(self, sender: bytes, data: bytes, now_s: float) -> None:
         """Take what has come; a command is then on its way, all else is there at once."""
         try:
             message = unpack(data)
-            if isinstance(message, Follow) and self._referee is not None:
-                self._show(sender, message)
-                return
             self.check(sender, message)
         except MessageError as error:
             self.malformed += 1
@@ -267,25 +248,12 @@ class Service:
         if isinstance(message, Commands) and len(message.cars) != len(self.robots):
             raise MessageError(f"commands for {len(message.cars)} cars; there are {len(self.robots)}")
 
-    def _show(self, sender: bytes, message: Follow) -> None:
-        """Let somebody look on from now."""
-        if message.ticket and message.ticket == self._ticket:
-            self._witness = sender
-        elif sender not in self._watchers:
-            self._watchers.append(sender)
-        if self._poses is not None:
-            self._send(sender, self._poses)
-
     def depart(self, sender: bytes) -> None:
         """Go on without somebody whose connection is closed."""
         if sender == self.driver:
             self.abandoned = True
             self.farewells += 1
             self.unseen.clear()
-        if sender == self._witness:
-            self._witness = None
-        if sender in self._watchers:
-            self._watchers.remove(sender)
 
     def _receive(self, sender: bytes, message: Message, now_s: float) -> None:
         if isinstance(message, Hello):
@@ -315,16 +283,14 @@ class Service:
             return Refused("the robots stand in another world; start both with the same task and files")
         self.inbox.begin()
         self.driver, self._driver_s = sender, now_s
-        self.abandoned, self._ticket = False, secrets.token_hex(16)
+        self.abandoned = False
         self.unseen.clear()
-        return Welcome(
-            *(len(self.robots), self._n_slopes, self.period_s, WATCHDOG_S),
-            *(self._referee is not None, self.waits, self._ticket),
-        )
+        referee = self._referee is not None
+        return Welcome(len(self.robots), self._n_slopes, self.period_s, WATCHDOG_S, referee, self.waits)
 
     def leave(self) -> None:
         """Let the driver go; the robots stop."""
-        self.driver, self.abandoned, self._ticket = None, False, ""
+        self.driver, self.abandoned = None, False
         self.inbox.begin()
 
     def step(self) -> None:
@@ -348,11 +314,9 @@ class Service:
         self.number += 1
         inbox, cars = self.inbox, tuple(robot.measure() for robot in self.robots)
         measured = Measurements(self.number, now_s, inbox.heard, inbox.late_s, inbox.stops, cars)
-        if self._referee is not None:
-            self._poses = pack(self._referee(measured))
-            for client in self.clients - {self.driver}:
-                self._send(client, self._poses)
         if self.driver is not None:
+            if self._referee is not None:
+                self._send(self.driver, pack(self._referee(measured)))
             for _ in range(COPIES):
                 self._down.send(now_s, measured)
             self._deliver(now_s)
@@ -384,23 +348,13 @@ class Service:
                     self.unseen.add(message.number)
 
 
-class Sockets(Protocol):
-    """Where messages come and go, such as :class:`~craftsim.robots.sockets.Host`."""
-
-    def send(self, receiver: bytes, data: bytes) -> None:
-        """Send a message."""
-
-    def receive(self, timeout_s: float, kept: Collection[bytes]) -> tuple[bytes, bytes | None] | None:
-        """Return (from whom, what) comes next; None in place of what comes from one who is gone, or of both in time."""
-
-
 class Server:
     """Lets the time of robots pass as the clock of this machine does, and messages come and go."""
 
     def __init__(
         self,
         service: Service,
-        sockets: Sockets,
+        sockets: Host,
         pace: float = 1.0,
         patience_s: float = PATIENCE_S,
         now: Callable[[], float] = time.monotonic,
@@ -466,7 +420,7 @@ class Server:
     def _take(self, timeout_s: float) -> bool:
         """Take the next message that comes in time; return whether one does."""
         service = self._service
-        found = self._sockets.receive(timeout_s, service.clients)
+        found = self._sockets.receive(timeout_s, service.driver)
         if found is None:
             return False
         sender, data = found

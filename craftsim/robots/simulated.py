@@ -13,8 +13,8 @@ from craftsim.checking.setup import Seed, SetUp, Setup, set_up
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.models.measuring import CarMeasurement, PoseReader
 from craftsim.models.world import PhysicsWorld
-from craftsim.robots.connecting import Connection, world_digest
 from craftsim.robots.fleet import Robot
+from craftsim.robots.link import connect, world_digest
 from craftsim.robots.messages import Measurements, TruePoses
 from craftsim.robots.server import Channel, Network, Service
 from craftsim.skills.fleet import PhysicsFleet
@@ -153,9 +153,6 @@ def simulated_network(network: Network) -> SetUp:
         service = serve_simulated(
             world, world_digest(grid), lambda name, data: inboxes[name].append(data), network, rngs, True
         )
-        connection = Connection(
-            lambda: Memory(service, inboxes), grid, setup.machines, setup.simulation, goals
-        )
-        return connection.judge(setup)
+        return connect(Memory(service, inboxes), grid, setup, goals)
 
     return begin

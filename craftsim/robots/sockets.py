@@ -11,7 +11,6 @@ import itertools
 import selectors
 import socket
 import time
-from collections.abc import Collection
 from types import TracebackType
 from typing import Final, Self
 
@@ -122,7 +121,8 @@ class Caller:
                 raise ValueError("not tcp://HOST:PORT")
             if not (port.isascii() and port.isdecimal() and 1 <= int(port[:6]) <= 65_535):
                 raise ValueError("the port should be 1 to 65535")
-            self._places = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)
+            self._place = host, int(port)
+            socket.getaddrinfo(*self._place, type=socket.SOCK_STREAM)
         except (OSError, TypeError, ValueError) as error:
             why = getattr(error, "strerror", None) or error
             raise InputError(
@@ -165,16 +165,9 @@ class Caller:
     def _call(self, deadline: float) -> Line | None:
         """Call until somebody listens, or the time is over."""
         while True:
-            for family, kind, protocol, _, place in self._places:
-                left_s = max(_AGAIN_S, min(_CONNECTED_S, deadline - time.monotonic()))
-                called = socket.socket(family, kind, protocol)
-                called.settimeout(left_s)
-                try:
-                    called.connect(place)
-                except OSError:
-                    called.close()
-                    continue
-                self._line = Line(called)
+            left_s = max(_AGAIN_S, min(_CONNECTED_S, deadline - time.monotonic()))
+            with contextlib.suppress(OSError):
+                self._line = Line(socket.create_connection(self._place, left_s))
                 for data in self._first:
                     self._line.send(data)
                 return self._line
@@ -237,11 +230,11 @@ class Host:
             line.send(data)
             self._selector.modify(line.socket, _events(line), receiver)
 
-    def receive(self, timeout_s: float, kept: Collection[bytes] = ()) -> tuple[bytes, bytes | None] | None:
+    def receive(self, timeout_s: float, kept: bytes | None = None) -> tuple[bytes, bytes | None] | None:
         """Return (from whom, what) comes next, or None where nothing does in time.
 
         Who are connected have one turn after the other. No message is of one who has closed the connection. Where
-        there are too many, the one who came first of those that are not ``kept`` is let go.
+        there are too many, the one who came first of those but ``kept`` is let go.
         """
         deadline = time.monotonic() + timeout_s
         left_s = 0.0
@@ -261,7 +254,7 @@ class Host:
             if left_s <= 0:
                 return None
 
-    def _attend(self, timeout_s: float, kept: Collection[bytes]) -> None:
+    def _attend(self, timeout_s: float, kept: bytes | None) -> None:
         """Wait until something comes or can leave, and take part of it up."""
         for key, mask in self._selector.select(timeout_s):
             if key.fileobj is self._listens:
@@ -272,7 +265,7 @@ class Host:
                 line.read()
                 self._selector.modify(line.socket, _events(line), key.data)
 
-    def _admit(self, kept: Collection[bytes]) -> None:
+    def _admit(self, kept: bytes | None) -> None:
         for _ in range(_ADMITTED):
             try:
                 connected, _ = self._listens.accept()
@@ -280,7 +273,7 @@ class Host:
                 return
             name = str(next(self._names)).encode()
             if len(self._lines) >= ROBOT_CONNECTIONS:
-                self._let_go(min((name for name in self._lines if name not in kept), key=int))
+                self._let_go(min((name for name in self._lines if name != kept), key=int))
             try:
                 self._lines[name] = Line(connected)
             except OSError:  # it is closed already

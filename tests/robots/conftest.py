@@ -9,8 +9,7 @@ from drawn import draw
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import judge_on, set_up, setup_of
 from craftsim.models.world import PhysicsWorld
-from craftsim.robots.connecting import Mirror
-from craftsim.robots.link import Link
+from craftsim.robots.link import Link, Mirror
 from craftsim.robots.server import Network, Service
 from craftsim.robots.simulated import Memory, serve_simulated
 
@@ -60,11 +59,10 @@ def make_robots():
         service = serve_simulated(
             *(fleet, "", lambda name, data: inboxes[name].append(data), network or Network(), rngs, True)
         )
-        driver, looker = Caller(service, inboxes), Caller(service, inboxes)
-        link = Link(driver, len(cars), setup.machines)
+        driver = Caller(service, inboxes)
         seen = PhysicsWorld(grid, setup.simulation, reset=False, machines=setup.machines)
-        mirror = Mirror(seen, looker)
-        link.let_follow(mirror.follow)
+        mirror = Mirror(seen)
+        link = Link(driver, len(cars), setup.machines, mirror=mirror)
         judge = judge_on(seen, setup, None, False, link)
         return Robots(physics, service, link, mirror, driver, judge)
 

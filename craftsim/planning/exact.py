@@ -8,7 +8,6 @@ bytes of its cells and cars; marks follow from these, so that only rules that de
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from heapq import heappop, heappush
 from typing import Final
 
@@ -63,18 +62,6 @@ _MOVE: Final = int(Action.MOVE_FORWARD)
 Steps = tuple[tuple[int, Action], ...]
 
 
-@dataclass(frozen=True)
-class Exact:
-    """What a search through a small world came to."""
-
-    steps: Steps | None
-    """The (car, action) pairs of a plan of least work; None where none was found."""
-    n_worlds: int
-    """How many worlds were met."""
-    complete: bool
-    """Whether the search finished: without a plan, that proves that there is none."""
-
-
 def is_small(start: Grid, rules: Rules) -> bool:
     """Return whether a world is small enough for :func:`least_work` to find a building's plan as a rule."""
     n_things = sum(1 for _ in start.pieces()) + int((start.cars[:, CarField.LOAD] != Kind.AIR).sum())
@@ -86,8 +73,13 @@ def is_small(start: Grid, rules: Rules) -> bool:
     )
 
 
-def least_work(start: Grid, goal: BuildingGoal, rules: Rules, most_worlds: int = MOST_WORLDS) -> Exact:
-    """Return a plan whose actions take the least time in sum, or that there is none, or that it was not found.
+def least_work(
+    start: Grid, goal: BuildingGoal, rules: Rules, most_worlds: int = MOST_WORLDS
+) -> tuple[Steps | None, int, bool]:
+    """Search for a plan whose actions take the least time in sum.
+
+    Returns the (car, action) pairs of one, None where none was found; how many worlds were met; and whether the search
+    finished, so that there is no plan where none was found.
 
     Args:
         start: any world; the rules must be of those that derive the marks, as ``physical`` does.
@@ -109,7 +101,7 @@ def least_work(start: Grid, goal: BuildingGoal, rules: Rules, most_worlds: int =
         if -past != found[world][0]:
             continue
         if (goal.building is None or estimate == -past) and goal.reached(search.grid(world)):
-            return Exact(_way(found, world), len(found), True)
+            return _way(found, world), len(found), True
         for following, cost, rest, step in search.after(world):
             work = cost - past
             known = found.get(following)
@@ -117,8 +109,8 @@ def least_work(start: Grid, goal: BuildingGoal, rules: Rules, most_worlds: int =
                 found[following] = work, world, step
                 heappush(queue, (work + rest, -work, following))
         if len(found) > most_worlds:
-            return Exact(None, len(found), False)
-    return Exact(None, len(found), True)
+            return None, len(found), False
+    return None, len(found), True
 
 
 def _way(found: dict[bytes, tuple[int, bytes, int]], world: bytes) -> Steps:

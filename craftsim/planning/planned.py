@@ -16,8 +16,7 @@ from craftsim.discrete.schedule import Schedule, nominal_durations
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import State
-
-Ticks = tuple[tuple[tuple[int, Action], ...], ...]
+from craftsim.planning.joint_plan import Ticks
 
 
 class NoPlanError(InputError):

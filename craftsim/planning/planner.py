@@ -20,14 +20,13 @@ from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import Assembly, Order, State, without_things
-from craftsim.planning.building import Construction, Style, Turn
+from craftsim.planning.building import Construction, Style
 from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
-from craftsim.planning.joint_plan import Saved
+from craftsim.planning.joint_plan import Saved, Ticks, Turn
 from craftsim.planning.planned import (
     BuildingGoal,
     NoPlanError,
     Planned,
-    Ticks,
     check_supplies,
     make_goal,
     makespan_bound,
@@ -206,16 +205,16 @@ class _Search:
         """Look for the plan of least work among so many worlds; raise NoPlanError where that proves there is none."""
         if self.goal.building is not None:
             check_supplies(self.start, self.goal.building)
-        exact = least_work(self.start, self.goal, self.rules, most)
-        if exact.steps is not None:
-            planned = self._judge(tuple((step,) for step in exact.steps), 0)
+        steps, n_worlds, complete = least_work(self.start, self.goal, self.rules, most)
+        if steps is not None:
+            planned = self._judge(tuple((step,) for step in steps), 0)
             if planned is not None:
                 self.best = replace(planned, optimal=planned.optimal or self.objective == "work")
-        elif exact.complete:
-            raise NoPlanError(f"no plan: none of the {exact.n_worlds} worlds that can be reached will do")
+        elif complete:
+            raise NoPlanError(f"no plan: none of the {n_worlds} worlds that can be reached will do")
         elif self.goal.building is None:
             raise NoPlanError(
-                f"no plan found: the goal has no drawing, and none of the first {exact.n_worlds} worlds that cost "
+                f"no plan found: the goal has no drawing, and none of the first {n_worlds} worlds that cost "
                 "least will do; try a smaller area, fewer cars or a design"
             )
 
@@ -287,9 +286,9 @@ class _Search:
         building = Construction(self.start, self.assembly, *approach, self.rng, last_tick, past, script)
         if not building.run():
             return None
-        n_ticks, timeline = building.n_ticks, building.plan.timeline
-        timeline.trim(self.goal.reached)
-        planned = self._judge(timeline.ticks(), number)
+        n_ticks = building.n_ticks
+        building.plan.trim(self.goal.reached)
+        planned = self._judge(building.plan.ticks(), number)
         return None if planned is None else _Made(approach, tuple(building.turns), n_ticks, planned)
 
     def _judge(self, ticks: Ticks, number: int) -> Planned | None:
@@ -403,12 +402,12 @@ def _change(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.
         turns.pop(i)
     elif way == 4:  # whatever seems best
         turns[i] = None
-    elif way == 5 and turn and (mine := turn.delivery.source):  # with another thing of the same kind
+    elif way == 5 and turn and (mine := turn.source):  # with another thing of the same kind
         others = [thing for thing in things if thing.load == mine.load and thing != mine]
         if not others:
             return
         source = others[int(rng.integers(len(others)))]
         for j, one in enumerate(turns):
-            if one and one.delivery.source == source:
-                turns[j] = one._replace(delivery=replace(one.delivery, source=mine))
-        turns[i] = turn._replace(delivery=replace(turn.delivery, source=source))
+            if one and one.source == source:
+                turns[j] = one._replace(source=mine)
+        turns[i] = turn._replace(source=source)

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.designs.starts import MARGIN, Column, DesignStart, Mask, Stock, pieces_of, spread
+from craftsim.designs.starts import MARGIN, Column, DesignStart, Mask, pieces_of, spread
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
@@ -145,18 +145,21 @@ def random_structure(size: Sequence[int], rng: np.random.Generator) -> Design:
 
 def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart | None:
     """Return a start of a size, or None where the building, or its things beside it, found no room."""
-    growth = next(filter(None, (_grow(size, rng) for _ in range(_GROWTHS))), None)
-    if growth is None:
+    for _ in range(_GROWTHS):
+        growth = Growth.on(*size.area[:2], rng)
+        if growth.grow(_split(size, rng), size.ramps - (size.levels - 1), rng):
+            break
+    else:
         return None
     kept = [(ramp.cell, ramp.yaw) for ramp in growth.ramps if rng.random() < _KEPT]
     design = Design.of("random", [step.cell for step in growth.steps if step.kind == Kind.BLOCK], kept)
-    stock = Stock.of(design, n_cars, spare_slopes=len(growth.ramps) - len(kept))
+    spare = len(growth.ramps) - len(kept)
     taken = {column for ramp in growth.ramps for column in _columns(ramp, 0, 1)}
     clear = {_column(ramp, 2) for ramp in growth.ramps if ramp.cell[2] == 1}
     clear |= {(x, y) for x, y, z in growth.lanes if z == 1} | growth.approaches(rng)
     fits = (lambda grid: _slopes_get_there(growth.steps, grid)) if growth.ramps else None
     try:
-        grid = spread(design, size.area, stock, rng, taken, clear, fits=fits)
+        grid = spread(design, size.area, n_cars, rng, spare_slopes=spare, taken=taken, clear=clear, fits=fits)
     except InputError:
         return None
     return DesignStart(grid, design, tuple(growth.steps))
@@ -200,12 +203,6 @@ def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:
     if size.blocks > 1:
         return replace(size, blocks=size.blocks - 1)
     raise InputError(f"{n_cars} cars have no room in a random design of {size.area}; try fewer")
-
-
-def _grow(size: Size, rng: np.random.Generator) -> Growth | None:
-    """Return a building of a size, or None where it has come to a dead end."""
-    growth = Growth.on(*size.area[:2], rng)
-    return growth if growth.grow(_split(size, rng), size.ramps - (size.levels - 1), rng) else None
 
 
 def _split(size: Size, rng: np.random.Generator) -> list[int]:

@@ -87,7 +87,6 @@ def serve(
         "simulated_s": round(service.now_s, 6),
         "commands_dropped": service.inbox.dropped,
         "messages_malformed": service.malformed,
-        "heard_at_s": service.heard_at_s,
         "stopped_at_s": service.stopped_at_s,
     }
     config: dict[str, Any] = {"setup": setup, "network": network, "pace": pace, "lockstep": lockstep}

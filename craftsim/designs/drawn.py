@@ -27,27 +27,27 @@ from craftsim.storage.limits import SHARE
 _PHYSICAL: Final = Rules("physical")
 _MAX_LEVELS: Final = 3
 _SIDE: Final = 8
-"""Of the largest area."""
+"""Side of the largest area."""
 _TRIES: Final = 12
-"""At one size."""
+"""Attempts at one size."""
 _GROWTHS: Final = 10
-"""Beginnings of a building until one comes to no dead end."""
+"""Attempts to grow a building without a dead end."""
 _COMPACT: Final = {1: 0.2, 2: 0.5, 3: 0.9}
-"""How often a block goes where most blocks are, by the levels of the building: an upper ramp needs a platform."""
+"""Probability that a block goes where most blocks are, by levels of the building: an upper ramp needs a platform."""
 _SPREAD: Final = 0.15
-"""How often a block of the floor begins a piece of its own."""
+"""Probability that a block on the floor may go anywhere."""
 _KEPT: Final = 0.5
-"""How often a ramp belongs to the design; the others serve for building alone."""
+"""Probability that a ramp belongs to the design; the others serve for building alone."""
 _SHARE: Final = 0.62
-"""Of the floor that a building, and its things before, take at most."""
+"""Largest share of the floor that a building and its material take."""
 _BLOCKS_OF_THREE_LEVELS: Final = 9
-"""A landing, and what a ramp to it and a way around that take."""
+"""Smallest number of blocks of a building of three levels."""
 _FILL: Final = 0.1, 0.25
-"""Which share of its box a solid building takes."""
+"""Share of its box that a solid building takes."""
 _STRUCTURE: Final[tuple[Cell, Cell]] = ((5, 5, 1), (16, 16, 4))
-"""The smallest and the largest box of one."""
+"""Smallest and largest box of a solid building."""
 _STRUCTURES: Final = 200
-"""So many are begun until one comes to no dead end."""
+"""Attempts to grow a solid building without a dead end."""
 
 
 @dataclass(frozen=True)

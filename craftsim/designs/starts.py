@@ -28,7 +28,7 @@ MARGIN: Final = 3
 """Free cells around a building, unless said otherwise: a ramp takes two, and a car comes from the third."""
 _TRIES: Final = 4
 _SHARE: Final = 0.4
-"""Of the free floor that things take at most where the size is to be found."""
+"""Largest share of the free floor that objects take where the area is not given."""
 _AROUND: Final = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 """The eight neighbours in a circle; those with an edge in common are the even ones."""
 

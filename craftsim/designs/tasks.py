@@ -34,7 +34,7 @@ from craftsim.storage.limits import SHARE
 
 CARS: Final = 2
 BLOCKS: Final = 6
-"""Of a design at most."""
+"""Largest number of blocks of a design."""
 SLOPES: Final = 1
 AREA: Final[Cell] = (6, 6, 2)
 MAX_STEPS: Final = 89
@@ -46,7 +46,7 @@ _TARGET: Final = (1, 2, 4)
 _TRIES: Final = 200
 _LEAST: Final = 6
 _RAMPS: Final = 0.25
-"""How often a building of one level has a ramp."""
+"""Probability that a building of one level has a ramp."""
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,13 @@ from craftsim.planning.assembly import Assembly, Order, State, rebuilt
 from craftsim.planning.joint_plan import FLAP_TICKS, JointPlan, Saved, Turn, cells_on_path
 
 _FAILURES: Final = 40
-"""So many turns in vain end an attempt."""
+"""Number of failed turns that ends an attempt."""
 _TRIES: Final = 6
-"""So many turns are tried for a step."""
+"""Turns that are tried before something is cleared away."""
 _AHEAD: Final = 3
-"""So many more steps than there are cars are looked at in a turn."""
+"""Steps that are considered next, beyond one for each car."""
 _PLACES: Final = 24
-"""So many places where something could be put aside are looked at."""
+"""Places that are considered for an object that is put aside."""
 
 
 @dataclass(frozen=True)

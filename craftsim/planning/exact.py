@@ -44,15 +44,15 @@ from craftsim.discrete.schedule import nominal_durations
 from craftsim.planning.planned import BuildingGoal
 
 MOST_WORLDS: Final = 400_000
-"""How many worlds are looked at unless given."""
+"""Default limit of the number of worlds."""
 
 _MOST_BYTES: Final = 1 << 28
-"""Worlds that are kept take no more than that; only large ones come to it before their number counts."""
+"""Memory limit of the worlds that are kept; it matters for large ones only."""
 _MOST_CELLS: Final = 64
 _MOST_THINGS: Final = 3
 _MOST_CARS: Final = 2
 _MOST_SORTED: Final = 8
-"""So many things are told apart by the heuristic; where there are more, it is 0."""
+"""Largest number of objects that the heuristic assigns to places; it is 0 beyond that."""
 _YAW_SHIFT: Final = 4
 _KIND_BITS: Final = 15
 
@@ -101,7 +101,12 @@ def least_work(
         if -past != found[world][0]:
             continue
         if (goal.building is None or estimate == -past) and goal.reached(search.grid(world)):
-            return _way(found, world), len(found), True
+            steps = []
+            while found[world][2] >= 0:
+                _, world, step = found[world]
+                car, action = divmod(step, len(Action))
+                steps.append((car, Action(action)))
+            return tuple(reversed(steps)), len(found), True
         for following, cost, rest, step in search.after(world):
             work = cost - past
             known = found.get(following)
@@ -111,16 +116,6 @@ def least_work(
         if len(found) > most_worlds:
             return None, len(found), False
     return None, len(found), True
-
-
-def _way(found: dict[bytes, tuple[int, bytes, int]], world: bytes) -> Steps:
-    steps = []
-    while found[world][2] >= 0:
-        _, before, step = found[world]
-        car, action = divmod(step, len(Action))
-        steps.append((car, Action(action)))
-        world = before
-    return tuple(reversed(steps))
 
 
 class _Worlds:
@@ -159,10 +154,9 @@ class _Worlds:
     def after(self, world: bytes) -> list[tuple[bytes, int, int, int]]:
         """Return what can be made of a world: it as bytes, the cost, the least work that is left, and the step."""
         count = self._expand(world, self._actions)
-        raw, size = self._rows[:count].tobytes(), self._rows.shape[1]
+        rows, steps = self._rows[:count], self._steps[:count].tolist()
         return [
-            (raw[i * size : (i + 1) * size], cost, rest, step)
-            for i, (cost, rest, step) in enumerate(self._steps[:count].tolist())
+            (row.tobytes(), cost, rest, step) for row, (cost, rest, step) in zip(rows, steps, strict=True)
         ]
 
     def _expand(self, world: bytes, actions: NDArray[np.int64]) -> int:

@@ -39,18 +39,18 @@ from craftsim.discrete.move_graph import (
 from craftsim.planning.assembly import rebuilt
 
 WAIT: Final = -1
-"""In place of an action: nothing is done."""
+"""Stands in place of an action where a car does nothing."""
 FLAP_TICKS: Final = 10
-"""FOLD and UNFOLD take so many ticks longer than other actions."""
+"""Ticks that FOLD and UNFOLD take beyond the one of other actions."""
 _DETOURS: Final = 24
-"""So often a path is searched again with one more place to avoid."""
+"""Searches for one path, each with one more place to avoid."""
 _DELAYS: Final = 6
-"""So often a turn is tried later before all others are let end first."""
+"""Attempts to begin a turn later; the last one begins when all others have ended."""
 _LEFT_OUT: Final = (-9, -9, -9, 0, Kind.AIR, 0, 0)
 """A car that is left out, fields as CarField: far from all cells, so that no rule sees it."""
 _FIRST_TICKS: Final = 64
 _MAX_TICKS: Final = 320
-"""A path is no longer than this."""
+"""Longest path."""
 
 Ticks = tuple[tuple[tuple[int, Action], ...], ...]
 """For each tick the (car, action) pairs in acting order."""

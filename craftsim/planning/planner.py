@@ -34,36 +34,36 @@ from craftsim.planning.planned import (
 )
 
 _EQUAL_S: Final = 1e-9
-"""By which equal times may differ."""
+"""Tolerance for equal times."""
 _ORDERS: Final = 100
-"""So many orders of assembly are kept to choose from."""
+"""Number of orders of assembly that are kept to choose from."""
 _FRESH: Final = 8
-"""So many attempts are made anew before the search goes on from the best of them."""
+"""Number of attempts from scratch before the search continues from the best of them."""
 _ANEW: Final = 0.4
-"""Where it is open what is to be built, such attempts go on so often between neighbours: each may build another."""
+"""Probability of an attempt from scratch between neighbours where the goal leaves open what is built."""
 _PATIENCE: Final = 25
-"""After so many neighbours none of which is better the search goes on elsewhere..."""
+"""Number of neighbours without improvement after which the search continues elsewhere."""
 _BACK: Final = 0.5
-"""...so often from the best plan, else from attempts made anew."""
+"""Probability that it continues from the best plan; otherwise from attempts from scratch."""
 _WORSE: Final = 0.02
-"""By about this share a neighbour may be worse for the search to go on from it."""
+"""Mean relative increase of the cost at which a neighbour is accepted."""
 _RESTYLED: Final = 0.3
-"""So often a neighbour is made in another style."""
+"""Probability that a neighbour is made in another style."""
 _LONGER: Final = 1.1
-"""An attempt is given up when it takes so many times the ticks of its neighbour..."""
+"""Limit of an attempt's ticks, relative to those of its neighbour."""
 _LONGER_FRESH: Final = 1.3
-"""...or, made anew, of the best one. Ticks are not seconds, so it may be a little longer."""
+"""The same for the first attempts from scratch, relative to the best plan."""
 _FIRST_WORLDS: Final = 20_000
-"""Where the makespan counts, the plan of least work is one to begin with if so many worlds are enough for it."""
+"""Limit of the search for a plan of least work where the makespan is minimized."""
 
 _CUT: Final = 0.25
-"""So often all of a neighbour is decided anew from some turn on."""
+"""Probability that all of a neighbour is decided anew from some turn on."""
 _CRITICAL: Final = 0.7
-"""So often it is a turn on which the makespan depends that changes."""
+"""Probability that a turn changes on which the makespan depends."""
 _ONE: Final = 0.7
-"""So often one change is enough, and so often one more is..."""
+"""Probability that no further change follows a change."""
 _CHANGES: Final = 8
-"""...up to so many."""
+"""Largest number of changes."""
 
 Turns = list[Turn | None]
 """What is tried turn after turn; None: whatever seems best then."""
@@ -126,8 +126,13 @@ class _Made:
 
     approach: tuple[Order, State, Style]
     turns: tuple[tuple[Turn, Saved], ...]
-    n_ticks: int
     planned: Planned
+
+    @property
+    def n_ticks(self) -> int:
+        """How many ticks its turns take."""
+        _, (_, ready) = self.turns[-1]
+        return max(ready)
 
     @cached_property
     def critical(self) -> list[int]:
@@ -247,7 +252,16 @@ class _Search:
         """Make an attempt, anew or close to what the search stands at, and look what has come of it."""
         here = None if self._n_fresh else self._here
         anew = here is None or (bool(self.goal.platform) and self.rng.random() < _ANEW)
-        made = self._fresh(number) if anew or here is None else self._neighbour(here, number)
+        if anew or here is None:
+            made = self._fresh(number)
+        else:
+            turns = [turn for turn, _ in here.turns]
+            order, kept, style = here.approach
+            style = self._style(number) if self.rng.random() < _RESTYLED else style
+            critical = here.critical if self.objective == "makespan" else ()
+            n_kept, others = vary(turns, critical, self._things, self.start.n_cars, self.rng)
+            most = _LONGER * here.n_ticks
+            made = self._build((order, kept, style), number, most, here.turns[:n_kept], others)
         if made is not None and self._cost(made) < self._cost(self._best):
             self._best = made
             if self.best is None or self._cost(made) < self.best.cost(self.objective):
@@ -265,15 +279,6 @@ class _Search:
         most = math.inf if self._best is None else longer * self._best.n_ticks
         return self._build((*drawn, self._style(number)), number, most)
 
-    def _neighbour(self, here: _Made, number: int) -> _Made | None:
-        approach = here.approach
-        if self.rng.random() < _RESTYLED:
-            approach = (*approach[:2], self._style(number))
-        turns = [turn for turn, _ in here.turns]
-        critical = here.critical if self.objective == "makespan" else ()
-        n_kept, others = vary(turns, critical, self._things, self.start.n_cars, self.rng)
-        return self._build(approach, number, _LONGER * here.n_ticks, here.turns[:n_kept], others)
-
     def _build(
         self,
         approach: tuple[Order, State, Style],
@@ -286,10 +291,9 @@ class _Search:
         building = Construction(self.start, self.assembly, *approach, self.rng, last_tick, past, script)
         if not building.run():
             return None
-        n_ticks = building.n_ticks
         building.plan.trim(self.goal.reached)
         planned = self._judge(building.plan.ticks(), number)
-        return None if planned is None else _Made(approach, tuple(building.turns), n_ticks, planned)
+        return None if planned is None else _Made(approach, tuple(building.turns), planned)
 
     def _judge(self, ticks: Ticks, number: int) -> Planned | None:
         """Return a plan with its times, or None if the rules forbid some of it or it does not reach the goal."""

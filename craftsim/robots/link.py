@@ -46,29 +46,29 @@ from craftsim.robots.messages import (
 from craftsim.skills.skill import Command
 
 TIMEOUT_S: Final = 1.0
-"""Without a message from the robots for so long they count as lost; by this machine's clock."""
+"""Time without a message after which robots are lost, by this machine's clock."""
 _GREETED_S: Final = 5.0
 """How long robots may take to answer the first message: they may be about to start."""
 _AGAIN_S: Final = 0.2
-"""After so long one asks robots again that obey somebody else."""
+"""Time after which robots that obey another driver are asked again."""
 _LISTENED: Final = 25
-"""Control periods in which one first listens to how long commands take."""
+"""Control periods in which the delay of commands is measured at first."""
 _REMEMBERED: Final = 50
-"""Control periods of which that is remembered."""
+"""Control periods whose delays are remembered."""
 _SPARE_S: Final = 0.01
-"""That commands are given beyond the longest that any of these took."""
+"""Margin beyond the longest of these delays."""
 _MOST_LEAD_S: Final = 0.5
 _MOST_BEHIND_S: Final = 1.0
-"""By how much the robots' clock may be ahead of who drives them during an action: their watchdog is quicker."""
+"""Largest lead of the robots' clock over the driver during an action."""
 _AT_ONCE: Final = 4096
 """Messages that are taken at once: more than wait in a connection."""
 _EPSILON_S: Final = 1e-6
 _AROUND_M: Final = 10.0
-"""Around a world: what is further off was not measured there, however badly."""
+"""Measured positions may be so far outside the world."""
 _KEPT: Final = 64
-"""TruePoses that are kept: those of a measurement are there before it has come."""
+"""TruePoses that are kept: those of a measurement arrive before it."""
 _AHEAD_S: Final = 12.0
-"""By how much what a referee shows may be younger than what was measured: by as much as a network can delay that."""
+"""Largest difference of the clocks of referee and robots: as much as a network can delay."""
 
 
 class Messenger(Protocol):

@@ -18,17 +18,17 @@ from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS, 
 from craftsim.storage.records import adapter, first_mistake
 
 VERSION: Final = 3
-"""Of the protocol; raised whenever something changes its meaning or goes away."""
+"""Version of the protocol; raised whenever something changes its meaning or goes away."""
 COPIES: Final = 2
-"""Of all commands and measurements, so that few are lost: the first that comes counts."""
+"""Copies of all commands and measurements that are sent; the first that arrives counts."""
 _MOST_TEXT: Final = 1000
 
 _MOST_THINGS: Final = max(PHYSICS_CARS, PHYSICS_PARTS)
-"""In a list. What is too much is not looked at, and no list after its first mistake: else 64 KiB take seconds."""
+"""Entries of a list. Longer ones, and all after the first mistake, are not read: else 64 KiB take seconds."""
 _MOST_FIELDS: Final = 32
-"""In a map; no message has as many."""
+"""Entries of a map; no message has as many."""
 _UNIT: Final = 1e-3
-"""By how much the length of a quaternion may be off."""
+"""Tolerance for the length of a quaternion."""
 
 # What can be, whatever the machines.
 Number = Annotated[int, Range(0, 2**53)]
@@ -141,8 +141,6 @@ class TruePoses:
     """From the referee, before the measurements of the same time: where everything is. The skills never see it."""
 
     kind = "poses"
-    number: Number
-    """Of the measurements of the same time."""
     time_s: Seconds
     cars: Annotated[tuple[Pose, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
     things: Annotated[tuple[Pose, ...], FailFast(), Field(max_length=PHYSICS_PARTS)]

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.robots.fleet import Clock, Robot
+from craftsim.robots.fleet import Robot
 from craftsim.robots.messages import (
     COPIES,
     Ack,
@@ -33,25 +33,25 @@ from craftsim.robots.sockets import Host
 from craftsim.skills.skill import Command
 
 WATCHDOG_S: Final = 0.1
-"""Without a command for so long robots stop by themselves: five control periods."""
+"""Time without a command after which robots stop by themselves: five control periods."""
 LEASE_S: Final = 2.0
-"""After so long without a message from its driver somebody else may drive the robots."""
+"""Time without a message from the driver after which another one may drive the robots."""
 PATIENCE_S: Final = 60.0
-"""How long robots in lock-step wait for an answer, by this machine's clock; then their time goes on without."""
+"""Time limit of an answer in lock-step, by this machine's clock; after it the robots' time goes on without."""
 _MOST: Final = 10_000
-"""Messages on their way; more are lost."""
+"""Largest number of messages under way; more are lost."""
 _KEPT: Final = 64
-"""Commands that wait for their time; more is no driver but a mistake."""
+"""Largest number of commands that wait for their time."""
 _AHEAD_S: Final = 1.0
-"""How far ahead of its time a command may come."""
+"""Longest time that a command may arrive before it is due."""
 _EPSILON_S: Final = 1e-6
 _TOLD: Final = 10
-"""Of what becomes of messages, so much is said within _LATELY_S: whoever sends them, they fill no disk."""
+"""Lines about messages that are printed within _LATELY_S, so that no sender fills a disk."""
 _LATELY_S: Final = 60.0
 """By the robots' clock."""
 _LOOK_S: Final = 0.1
 _AT_ONCE: Final = 128
-"""Messages that are taken before the robots' time goes on, however many wait."""
+"""Messages that are read before the robots' time goes on, however many wait."""
 
 
 @dataclass(frozen=True)
@@ -164,13 +164,13 @@ class Service:
     def __init__(
         self,
         robots: Sequence[Robot],
-        clock: Clock,
+        wait: Callable[[], None],
         channels: tuple[Channel, Channel],
         send: Callable[[bytes, bytes], None],
         period_s: float,
         n_slopes: int = 0,
         world: str = "",
-        referee: Callable[[Measurements], TruePoses] | None = None,
+        referee: Callable[[float], TruePoses] | None = None,
         waits: bool = False,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
@@ -178,17 +178,17 @@ class Service:
 
         Args:
             robots: in the order of their cars' ids.
-            clock: lets their control periods pass.
+            wait: lets a control period pass.
             channels: what commands go through, and what measurements go through.
             send: sends (to whom, what).
             period_s: control period.
             n_slopes: in their world.
             world: digest of the world, which a driver's must equal; empty for any.
-            referee: knows where everything truly is, at the time of some measurements.
+            referee: knows where everything truly is, now; it is given the time.
             waits: whether their time stands still until each measurement has been answered.
             tell: says who comes, when the robots stop, and why a message was dropped.
         """
-        self.robots, self._clock, (self._up, self._down) = tuple(robots), clock, channels
+        self.robots, self._wait, (self._up, self._down) = tuple(robots), wait, channels
         self._send, self._referee, self._tell = send, referee, tell
         self.period_s, self._n_slopes, self.world, self.waits = period_s, n_slopes, world, waits
         self.inbox = Inbox()
@@ -200,8 +200,6 @@ class Service:
         """When it was heard last."""
         self.stopped_at_s: list[float] = []
         """When the robots stopped because no command came."""
-        self.heard_at_s: list[float] = []
-        """When the last command before each of these came."""
         self.now_s = 0.0
         self.periods = self.number = 0
         """Control periods that are over, and measurements that were made."""
@@ -308,7 +306,7 @@ class Service:
         else:
             self._act(now_s)
             self.periods += 1
-            self._clock.wait()
+            self._wait()
 
     def _measure(self, now_s: float) -> None:
         self.number += 1
@@ -316,7 +314,7 @@ class Service:
         measured = Measurements(self.number, now_s, inbox.heard, inbox.late_s, inbox.stops, cars)
         if self.driver is not None:
             if self._referee is not None:
-                self._send(self.driver, pack(self._referee(measured)))
+                self._send(self.driver, pack(self._referee(now_s)))
             for _ in range(COPIES):
                 self._down.send(now_s, measured)
             self._deliver(now_s)
@@ -327,7 +325,6 @@ class Service:
         commands = self.inbox.obey(now_s)
         if self.inbox.stops > before:
             self.stopped_at_s.append(now_s)
-            self.heard_at_s.append(self.inbox.heard_s)
             self._tell(f"{now_s:.2f} s: no command since {self.inbox.heard_s:.2f} s, the robots stop")
         for car, robot in enumerate(self.robots):
             robot.command(Command() if commands is None else commands.cars[car])

@@ -15,13 +15,13 @@ from craftsim.models.measuring import CarMeasurement, PoseReader
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.fleet import Robot
 from craftsim.robots.link import connect, world_digest
-from craftsim.robots.messages import Measurements, TruePoses
+from craftsim.robots.messages import TruePoses
 from craftsim.robots.server import Channel, Network, Service
 from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.skill import Command
 
 _AWAITED: Final = 1000
-"""Events of the robots' time in which a message should come."""
+"""Events of the robots' time within which a message should arrive."""
 
 
 class SimulatedRobot:
@@ -49,34 +49,21 @@ class SimulatedRobot:
         self._slope = slope
 
 
-class SimulatedClock:
-    """The time of a PhysicsWorld, which passes in its physics alone."""
-
-    def __init__(self, world: PhysicsFleet) -> None:
-        """Let the time of these cars pass."""
-        self._world = world
-
-    def wait(self) -> None:
-        """Simulate one control period."""
-        self._world.advance()
-
-
 def simulated_robots(world: PhysicsFleet) -> tuple[Robot, ...]:
     """Return a robot for each car of a PhysicsWorld."""
     return tuple(SimulatedRobot(world, car) for car in range(len(world.physics.cars)))
 
 
-def simulated_referee(physics: PhysicsWorld) -> Callable[[Measurements], TruePoses]:
-    """Return what says where everything in a PhysicsWorld truly is, at the time of some measurements."""
+def simulated_referee(physics: PhysicsWorld) -> Callable[[float], TruePoses]:
+    """Return what says where everything in a PhysicsWorld truly is, now, with the time that it is given."""
     reader, n_slopes = PoseReader(physics), len(physics.slopes)
 
-    def see(measured: Measurements) -> TruePoses:
+    def see(time_s: float) -> TruePoses:
         poses = reader.read()
         cars = np.hstack([poses.car_positions, poses.car_quaternions])
         things = np.hstack([poses.positions, poses.quaternions])
         return TruePoses(
-            measured.number,
-            measured.time_s,
+            time_s,
             tuple(map(tuple, cars.tolist())),
             tuple(map(tuple, things.tolist())),
             tuple(poses.hinges[len(poses.hinges) - n_slopes :].tolist()),
@@ -102,7 +89,7 @@ def serve_simulated(
     physics, (up, down) = world.physics, rngs
     return Service(
         simulated_robots(world),
-        SimulatedClock(world),
+        world.advance,
         (Channel(network, up), Channel(network, down)),
         send,
         physics.config.control_period_s,

@@ -20,15 +20,15 @@ from craftsim.storage.limits import MESSAGE_BYTES, ROBOT_CONNECTIONS
 
 _HEAD_BYTES: Final = 4
 _LEAVING_BYTES: Final = 4 * MESSAGE_BYTES
-"""That wait to leave; messages beyond it are dropped."""
+"""Limit of what waits to be sent; messages beyond it are dropped."""
 _SYSTEM_BYTES: Final = MESSAGE_BYTES
-"""That the system holds in each direction: what is old is of no use."""
+"""Buffer of the system in each direction: old messages are of no use."""
 _AGAIN_S: Final = 0.05
-"""After so long one calls again where nobody listens yet."""
+"""Time between attempts to connect where nobody listens yet."""
 _CONNECTED_S: Final = 1.0
-"""How long the other side may take to accept a connection."""
+"""Time limit of accepting a connection."""
 _ADMITTED: Final = 4
-"""Connections that are accepted before those that there are get their turn."""
+"""Connections that are accepted before the existing ones are read again."""
 
 
 class Line:

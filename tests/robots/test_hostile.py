@@ -20,7 +20,7 @@ from craftsim.models.measuring import CarMeasurement
 from craftsim.robots.link import Link
 from craftsim.robots.messages import Ack, Bye, Commands, Hello, Measurements, Welcome, pack, unpack
 from craftsim.robots.server import Channel, Network, Server, Service
-from craftsim.robots.simulated import SimulatedClock, simulated_referee, simulated_robots
+from craftsim.robots.simulated import simulated_referee, simulated_robots
 from craftsim.robots.sockets import Host
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command
@@ -204,7 +204,7 @@ def serve(waits: bool, patience_s: float = 60.0):
     wire, told = Wire(), []
     up, down = (Channel(Network(), np.random.default_rng(0)) for _ in range(2))
     service = Service(
-        *(simulated_robots(fleet), SimulatedClock(fleet), (up, down), wire.send, 0.02),
+        *(simulated_robots(fleet), fleet.advance, (up, down), wire.send, 0.02),
         referee=simulated_referee(fleet.physics),
         waits=waits,
         tell=told.append,

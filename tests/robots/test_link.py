@@ -22,7 +22,7 @@ from craftsim.robots.messages import (
     pack,
 )
 from craftsim.robots.server import LEASE_S, Network
-from craftsim.robots.simulated import SimulatedClock, simulated_robots
+from craftsim.robots.simulated import simulated_robots
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command
@@ -51,7 +51,7 @@ def on_site():
 def test_robots_of_ones_own_class_do_what_a_sites_cars_do(on_site):
     setup = setup_of(drive="reduced")
     fleet = set_up(draw(SIZE, OBJECTS, CARS), setup, watch_contacts=False).executor.fleet
-    physics, robots = fleet.physics, RobotFleet(simulated_robots(fleet), SimulatedClock(fleet))
+    physics, robots = fleet.physics, RobotFleet(simulated_robots(fleet), fleet.advance)
     assert perform(Executor(physics, setup.gains, assumed=setup.assumed, fleet=robots)) == on_site[0]
     np.testing.assert_array_equal(physics.data.qpos, on_site[1])
 
@@ -78,7 +78,7 @@ def test_the_skills_see_nothing_of_what_the_referee_says(make_robots):
 
     def lie(poses: TruePoses) -> None:
         cars = tuple((x + 0.05, *rest) for x, *rest in poses.cars)
-        take(TruePoses(poses.number, poses.time_s, cars, poses.things, poses.hinges))
+        take(TruePoses(poses.time_s, cars, poses.things, poses.hinges))
 
     robots.mirror.take = lie
     attempt = robots.judge.perform(0, Action.MOVE_RIGHT)

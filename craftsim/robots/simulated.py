@@ -104,10 +104,11 @@ def serve_simulated(
 class Memory:
     """A connection to simulated robots of this process: their time passes while something is awaited from them."""
 
-    def __init__(self, service: Service, inboxes: dict[bytes, deque[bytes]]) -> None:
-        """Add one more to the connections of a service, whose messages go to ``inboxes``."""
-        self.service, self.name = service, str(len(inboxes)).encode()
-        self.inbox = inboxes.setdefault(self.name, deque())
+    name: Final = b"memory"
+
+    def __init__(self, service: Service, inbox: deque[bytes]) -> None:
+        """Connect to a service that puts what it sends into an inbox."""
+        self.service, self.inbox = service, inbox
 
     def send(self, data: bytes) -> None:
         """Send a message."""
@@ -136,10 +137,10 @@ def simulated_network(network: Network) -> SetUp:
         world = set_up(grid, setup, seed, watch_contacts=False).executor.fleet
         assert isinstance(world, PhysicsFleet)
         rngs = [np.random.default_rng(s) for s in seed.sequence().spawn(5)[3:]]  # others are those of set_up
-        inboxes: dict[bytes, deque[bytes]] = {}
+        inbox = deque[bytes]()
         service = serve_simulated(
-            world, world_digest(grid), lambda name, data: inboxes[name].append(data), network, rngs, True
+            world, world_digest(grid), lambda name, data: inbox.append(data), network, rngs, True
         )
-        return connect(Memory(service, inboxes), grid, setup, goals)
+        return connect(Memory(service, inbox), grid, setup, goals)
 
     return begin

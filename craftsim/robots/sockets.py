@@ -46,9 +46,9 @@ class Line:
         """Whether nothing more comes than what :meth:`take` returns."""
 
     @property
-    def leaves(self) -> bool:
-        """Whether something waits to leave."""
-        return bool(self._leaving)
+    def events(self) -> int:
+        """What a selector should wait for: that something comes, and that what waits can leave."""
+        return selectors.EVENT_READ | (selectors.EVENT_WRITE if self._leaving else 0)
 
     def read(self) -> None:
         """Read what has come, up to a message and its length."""
@@ -158,7 +158,7 @@ class Caller:
             if left_s <= 0:
                 return None
             with selectors.DefaultSelector() as selector:
-                selector.register(line.socket, _events(line))
+                selector.register(line.socket, line.events)
                 selector.select(left_s)
             line.flush()
 
@@ -228,7 +228,7 @@ class Host:
         """Send a message, or drop it where too many wait."""
         if (line := self._lines.get(receiver)) is not None:
             line.send(data)
-            self._selector.modify(line.socket, _events(line), receiver)
+            self._selector.modify(line.socket, line.events, receiver)
 
     def receive(self, timeout_s: float, kept: bytes | None = None) -> tuple[bytes, bytes | None] | None:
         """Return (from whom, what) comes next, or None where nothing does in time.
@@ -263,7 +263,7 @@ class Host:
                 if mask & selectors.EVENT_WRITE:
                     line.flush()
                 line.read()
-                self._selector.modify(line.socket, _events(line), key.data)
+                self._selector.modify(line.socket, line.events, key.data)
 
     def _admit(self, kept: bytes | None) -> None:
         for _ in range(_ADMITTED):
@@ -286,7 +286,3 @@ class Host:
         with contextlib.suppress(KeyError, ValueError):
             self._selector.unregister(line.socket)
         line.close()
-
-
-def _events(line: Line) -> int:
-    return selectors.EVENT_READ | (selectors.EVENT_WRITE if line.leaves else 0)

@@ -166,28 +166,24 @@ def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart |
 
 
 def _slopes_get_there(steps: Sequence[Piece], grid: Grid) -> bool:
-    """Return whether each slope of a start can be carried to each ramp, in the order of steps, past all else."""
+    """Return whether each slope on the floor of a start can be carried to each ramp, in the order of steps."""
     growth = Growth(np.zeros(grid.size[:2], np.int64), np.ones(grid.size[:2], np.bool_))
     obstacles = grid.kind[:, :, 1] != Kind.AIR
     slopes = [slope for slope in grid.pieces(Kind.FSLOPE) if slope.cell[2] == 1]
     for step in steps:
-        if step.kind == Kind.BODY:
-            world = growth.world(obstacles)
-            if not all(_gets_there(slope, step, world) for slope in slopes):
-                return False
-            growth.ramps.append(step)
-        else:
+        if step.kind == Kind.BLOCK:
             growth.heights[step.cell[:2]] += 1
+            continue
+        world = growth.world(obstacles)
+        for slope in slopes:
+            rest = world.copy()
+            for cell in slope.cells:
+                rest.kind[cell] = Kind.AIR
+            graph = MoveGraph(rest, _PHYSICAL, Kind.FSLOPE)
+            if graph.nearest(graph.distances_from(graph.nodes(slope)), step) >= UNREACHABLE:
+                return False
+        growth.ramps.append(step)
     return True
-
-
-def _gets_there(slope: Piece, ramp: Piece, world: Grid) -> bool:
-    """Return whether a slope of the floor, an obstacle in a world, can be carried to where a ramp is to be."""
-    rest = world.copy()
-    for cell in slope.cells:
-        rest.kind[cell] = Kind.AIR
-    graph = MoveGraph(rest, _PHYSICAL, Kind.FSLOPE)
-    return graph.nearest(graph.distances_from(graph.nodes(slope)), ramp) < UNREACHABLE
 
 
 def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:

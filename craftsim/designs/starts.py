@@ -287,17 +287,16 @@ class FreeFloor:
 
     def take(self, *columns: Column) -> bool:
         """Take cells for one thing, the first of which a car must get at; return whether that was possible."""
-        taken: list[Column] = []
-        for column in columns:
-            if not self._can_go(column):
+        before = self._free.copy()
+        for x, y in columns:
+            if not self._can_go((x, y)):
                 break
-            self._free[column[0] + 1, column[1] + 1] = False
-            taken.append(column)
-        if len(taken) == len(columns) and self._touched(columns[0]) and all(map(self._leaves_touched, taken)):
-            self._things[columns[0][0] + 1, columns[0][1] + 1] = True
-            return True
-        for x, y in taken:
-            self._free[x + 1, y + 1] = True
+            self._free[x + 1, y + 1] = False
+        else:
+            if self._touched(columns[0]) and all(map(self._leaves_touched, columns)):
+                self._things[columns[0][0] + 1, columns[0][1] + 1] = True
+                return True
+        self._free = before
         return False
 
     def give_back(self, *columns: Column) -> None:

@@ -100,8 +100,8 @@ gallery: $(VENV)/installed libraries  ## Make the films of docs/gallery and docs
 machines: $(VENV)/installed  ## Write the MJCF of the nominal machines in craftsim/mjcf again
 	$(BIN)/python -m craftsim.models.exporting
 
-results: $(VENV)/installed-dev  ## Write tables and plots of docs/results from stored reports (ARGS=--measure runs their commands first, half an hour)
-	$(BIN)/python scripts/results.py $(ARGS)
+results: $(VENV)/installed-dev  ## Write tables and plots of docs/results from stored reports
+	$(BIN)/python scripts/results.py
 
 engines: $(VENV)/installed  ## Judge the same trials with several releases of MuJoCo and compare the verdicts (an hour; ARGS='3.17.0 4.0.0 --rows 5')
 	$(BIN)/python scripts/engines.py $(ARGS)

@@ -1,27 +1,20 @@
 """Write the tables and plots of docs/results from the reports that are stored there.
 
-    python scripts/results.py                       # from the stored reports
-    python scripts/results.py --measure [NAME ...]  # run the commands again first, all of them or some
-
-Everything that a page says in numbers comes from here. ``docs/results/earlier.yaml`` has what earlier versions came to,
-whose reports were not kept.
+Everything that a page says in numbers comes from here, but for ``docs/results/earlier.md``: what earlier versions came
+to, whose reports were not kept.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
-import resource
-import subprocess
-import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from statistics import mean, median
 from typing import Any, Final
 
 import engines
-import yaml
+from measure_results import MEASURED
 from scipy.stats import ttest_1samp
 
 from craftsim.experiments.intervals import Proportion
@@ -35,32 +28,7 @@ SIX: Final = re.compile(r"(<!-- results: [^\n]* -->\n)\n.*?(<!-- end of results 
 RESULTS: Final = ROOT / "docs" / "results"
 RUNS: Final = RESULTS / "runs"
 TRAINING: Final = RESULTS / "training"
-OUT: Final = ROOT / "out" / "results"
 
-LATE, BIASED, LAGGING = "docs/results/late.yaml", "docs/results/biased.yaml", "docs/results/lagging.yaml"
-BUILT: Final = "--plan auto --attempts 8 --drive reduced --trials 5 --seed 1"
-MEASURED: Final = {
-    "demo": "demo --randomize none --no-video",
-    "heavier_car": "demo --randomize none --machines examples/heavier_car.yaml --no-video",
-    "conformance": "conformance tests/data/traces.jsonl.gz",
-    "late": f"validate --randomize none --noise {LATE} --trials 2",
-    "biased": f"validate --randomize none --noise {BIASED} --trials 2",
-    "lagging": f"validate --randomize none --noise {LAGGING} --trials 2",
-    "strong": "validate --order concurrent --randomize strong --trials 4",
-    "lab_floor": "validate simple_two_story --randomize lab_floor --trials 8",
-    "workshop_floor": "validate simple_two_story --randomize workshop_floor --trials 8",
-    "random": "validate random --randomize none --trials 20 --seed 3232",
-    "large_tower_4": f"validate large_tower_4 --randomize none {BUILT}",
-    "large_tower_4_mild": f"validate large_tower_4 --randomize mild {BUILT}",
-    "large_tower_8_mild": f"validate large_tower_8 --randomize mild {BUILT}",
-    "audit_physical": "audit --quick --rules physical --drive reduced",
-    "audit_published": "audit --quick --drive reduced",
-    "margins": "audit margins --quick",
-    "execution_plans": "bench execution --worlds 100",
-    "execution_policies": "bench execution random_strip random_block random_simple_two_story random_breaking_barrier",
-    "builders": "bench builders",
-}
-"""What is measured, each in less than four minutes of CPU time but for execution."""
 STUDIES: Final = {
     "paper_ippo": (),
     "paper": ("curves.png", "profiles.png"),
@@ -75,12 +43,7 @@ EVALUATIONS: Final = ("designs_greedy", "designs_cars3", "designs_cars4", "desig
 
 
 def main() -> None:
-    """Write all tables; measure before if asked to."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--measure", nargs="*", choices=MEASURED, metavar="NAME")
-    asked = parser.parse_args().measure
-    for name in MEASURED if asked == [] else asked or ():
-        measure(name)
+    """Write all tables and plots."""
     for name, text in tables().items():
         (RESULTS / f"{name}.md").write_text(text, encoding="utf-8")
     readme = README.read_text(encoding="utf-8")
@@ -90,55 +53,9 @@ def main() -> None:
     plot()
 
 
-def measure(name: str) -> None:
-    """Run a command, and store what its report says."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    out = OUT / name
-    command = [sys.executable, "-P", "-m", "craftsim", *MEASURED[name].split(), "--out", str(out)]
-    print(" ".join(command[3:]), flush=True)
-    subprocess.run(command, cwd=ROOT, check=False)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    store(name, out, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-
-
-def store(name: str, out: Path, cpu_s: float | None) -> None:
-    """Store of a report what a table says, with command and revision; a resumed run has no CPU time."""
-    revision = subprocess.run(
-        ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
-    kept = {
-        "command": MEASURED[name],
-        "revision": revision.stdout.strip(),
-        "cpu_s": None if cpu_s is None else round(cpu_s, 1),
-        "versions": report["versions"],
-        "figures": {key: _without_lists(value) for key, value in report["figures"].items()},
-    }
-    RUNS.mkdir(parents=True, exist_ok=True)
-    (RUNS / f"{name}.json").write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-
-
-def _without_lists(value: Any) -> Any:
-    """Leave out what is listed by row, group or action: a table has none of it."""
-    if isinstance(value, dict):
-        left_out = (
-            "by_group",
-            "by_verb",
-            "durations",
-            "survival",
-            "drift",
-            "coverage",
-            "rows",
-            "suspects",
-            "hypotheses",
-            "at_once",
-        )
-        return {key: _without_lists(one) for key, one in value.items() if key not in left_out}
-    return [] if isinstance(value, list) and len(value) > 8 and isinstance(value[0], dict) else value
-
-
 def tables() -> dict[str, str]:
     """Return all tables in Markdown, by the name of their file."""
+    in_physics, strongly = sorted(TRAINING.glob("physics_*.json")), TRAINING / "physics_strong.json"
     return {
         "physics": physics_table(),
         "margins": margins_table(),
@@ -147,7 +64,6 @@ def tables() -> dict[str, str]:
         "builders": builders_table(),
         "engines": table(*engines.table_of(_read(engines.STORED))),
         "floors": floors_table(_read(engines.STORED)),
-        "earlier": earlier_table(),
         **{
             f"speed_{what}": rates_table(_read(RESULTS / f"speed_{what}.json"))
             for what in ("rules", "env", "physics")
@@ -159,8 +75,8 @@ def tables() -> dict[str, str]:
         "qmix": qmix_table(),
         "studies": studies_table(),
         "evaluations": evaluations_table(),
-        "policies_in_physics": policies_table(),
-        "training_in_physics": training_in_physics_table(),
+        "policies_in_physics": policies_table(path for path in in_physics if path != strongly),
+        "training_in_physics": policies_table([strongly]),
         "shipped_policies": shipped_table(),
     }
 
@@ -177,35 +93,18 @@ def table(*rows: Iterable[object]) -> str:
 
 
 def physics_table() -> str:
-    """Return what the commands of :data:`MEASURED` came to."""
-    rows: list[tuple[str, ...]] = []
-    for name in MEASURED:
-        if (path := RUNS / f"{name}.json").exists():
-            run = _read(path)
-            rows.append(
-                (
-                    f"`craftsim {run['command']}`",
-                    _said(run["figures"]),
-                    "" if run["cpu_s"] is None else f"{run['cpu_s']:.0f} s",
-                    run["revision"],
-                )
-            )
+    """Return what the commands of :data:`measure_results.MEASURED` came to."""
+    runs = [_read(path) for name in MEASURED if (path := RUNS / f"{name}.json").exists()]
+    rows = [
+        (
+            f"`craftsim {run['command']}`",
+            next(say(run["figures"]) for key, say in SAYINGS.items() if run["figures"].get(key) is not None),
+            "" if run["cpu_s"] is None else f"{run['cpu_s']:.0f} s",
+            run["revision"],
+        )
+        for run in runs
+    ]
     return table(("command", "result", "CPU time", "revision"), *rows)
-
-
-def _said(figures: dict[str, Any]) -> str:
-    """Return in words what a report holds."""
-    sayings: dict[str, Callable[[dict[str, Any]], str]] = {
-        "total_checks": _conformance,
-        "margins": _margins,
-        "audit": _audit,
-        "validation": _validation,
-        "agree": _demo,
-        "concurrent_by": _orders,
-        "modes": lambda figures: f"{len(figures['modes'])} policies, below",
-        "builders": _builders,
-    }
-    return next(say(figures) for key, say in sayings.items() if figures.get(key) is not None)
 
 
 def _demo(figures: dict[str, Any]) -> str:
@@ -221,8 +120,8 @@ def _validation(figures: dict[str, Any]) -> str:
     found = figures["validation"]
     actions, runs, errors = found["all"]["actions"], found["all"]["runs"], found["precision"]["car_error_mm"]
     return (
-        f"{actions['successes']:,} of {actions['trials']:,} actions as predicted ({_interval(actions)}), "
-        f"{runs['successes']} of {runs['trials']} runs; 99 % of cars within {errors['p99']:.2f} mm"
+        f"{_counts(actions)} actions as predicted ({_interval(actions)}), {_counts(runs)} runs; "
+        f"99 % of cars within {errors['p99']:.2f} mm"
     )
 
 
@@ -285,7 +184,7 @@ def _over_seeds(rates: list[float]) -> str:
 
 def _builders(figures: dict[str, Any]) -> str:
     built = {name: found["physics"]["all"]["built"] for name, found in figures["builders"].items()}
-    return "; ".join(f"{name} built {one['successes']} of {one['trials']}" for name, one in built.items())
+    return "; ".join(f"{name} built {_counts(one)}" for name, one in built.items())
 
 
 def builders_table() -> str:
@@ -295,10 +194,10 @@ def builders_table() -> str:
         (
             f"`{builder}`",
             backend,
-            *(f"{parts[name]['built']['successes']} of {parts[name]['built']['trials']}" for name in designs),
+            *(_counts(parts[name]["built"]) for name in designs),
             "{wilson_low:.2f}-{wilson_high:.2f}".format(**parts["all"]["built"]),
             f"{100 * parts['all']['in_place']['value']:.0f} %",
-            f"{parts['all']['as_predicted']['successes']} of {parts['all']['as_predicted']['trials']}",
+            _counts(parts["all"]["as_predicted"]),
             parts["all"]["forbidden"],
         )
         for builder, of in _read(RUNS / "builders.json")["figures"]["builders"].items()
@@ -317,6 +216,10 @@ def floors_table(stored: dict[str, Any]) -> str:
         most = "" if share.wilson_low is None else f"{100 * (1 - share.wilson_low):.1f} %"
         rows.append((f"`{task}`", f"{share.successes}/{share.trials}", most))
     return table(("task", "actions as predicted", "failures, at most (95 %)"), *rows)
+
+
+def _limits(share: dict[str, float]) -> str:
+    return f"{share['wilson_low']:.3f}-{share['wilson_high']:.3f}"
 
 
 def _interval(share: dict[str, float]) -> str:
@@ -338,9 +241,17 @@ def _conformance(figures: dict[str, Any]) -> str:
     return f"{figures['records']:,} records, {checks}"
 
 
-def _margins(figures: dict[str, Any]) -> str:
-    weakest = figures["margins"]["weakest"]
-    return f"margins of {len(weakest)} actions, below"
+SAYINGS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
+    "total_checks": _conformance,
+    "margins": lambda figures: f"margins of {len(figures['margins']['weakest'])} actions, below",
+    "audit": _audit,
+    "validation": _validation,
+    "agree": _demo,
+    "concurrent_by": _orders,
+    "modes": lambda figures: f"{len(figures['modes'])} policies, below",
+    "builders": _builders,
+}
+"""What is said of a report, by the first key that it has."""
 
 
 def margins_table() -> str:
@@ -360,7 +271,7 @@ def six_results() -> str:
         _read(RUNS / f"{name}.json")["figures"]
         for name in ("late", "strong", "workshop_floor", "audit_published", "conformance")
     )
-    delayed, drawn, floor = (_counts(one) for one in (late, strong, workshop))
+    delayed, drawn, floor = (_counts(one["validation"]["all"]["actions"]) for one in (late, strong, workshop))
     verdicts = published["audit"]["verdicts"]
     legal = verdicts["sound"] + verdicts["unsound"]
     shipped = next(row for row in _policy_rows([TRAINING / "physics_random_strip.json"]) if row[1] == "mild")
@@ -390,18 +301,8 @@ def six_results() -> str:
     )
 
 
-def _counts(figures: dict[str, Any]) -> str:
-    actions = figures["validation"]["all"]["actions"]
-    return f"{actions['successes']:,} of {actions['trials']:,}"
-
-
-def earlier_table() -> str:
-    """Return what earlier versions came to."""
-    kept = yaml.safe_load((RESULTS / "earlier.yaml").read_text(encoding="utf-8"))
-    return table(
-        ("command", "result", "version"),
-        *((f"`{one['command']}`", one["result"], one["version"]) for one in kept),
-    )
+def _counts(share: dict[str, Any]) -> str:
+    return f"{share['successes']:,} of {share['trials']:,}"
 
 
 def rates_table(report: dict[str, Any]) -> str:
@@ -498,11 +399,7 @@ def structures_table(stored: dict[str, Any]) -> str:
     """Return what scripts/structures.py found of each set: planned, and built in physics on a drive."""
 
     def share(one: dict[str, Any] | None) -> str:
-        return (
-            ""
-            if one is None
-            else "{successes:,} of {trials:,} ({wilson_low:.3f}-{wilson_high:.3f})".format(**one)
-        )
+        return "" if one is None else f"{_counts(one)} ({_limits(one)})"
 
     def spread(values: list[float]) -> str:
         return "-".join(f"{value:.1f}" if value < 10 else f"{value:.0f}" for value in dict.fromkeys(values))
@@ -551,15 +448,12 @@ def algorithms_table(report: dict[str, Any]) -> str:
 
 def qmix_table() -> str:
     """Return the runs of QMIX on strip with the corrected mixer."""
-    reports = [_read(path) for path in sorted(TRAINING.glob("qmix_strip_*.json"))]
-    rows = [
-        (
-            one["config"]["seed"],
-            f"{one['figures']['success']['rate']:.3f}",
-            f"{one['figures']['steps'] // 1000} k",
-        )
-        for one in reports
-    ]
+    rows = []
+    for path in sorted(TRAINING.glob("qmix_strip_*.json")):
+        report = _read(path)
+        figures = report["figures"]
+        success = f"{figures['success']['rate']:.3f}"
+        rows.append((report["config"]["seed"], success, f"{figures['steps'] // 1000} k"))
     return table(("seed", "success", "steps"), *rows)
 
 
@@ -610,16 +504,8 @@ def evaluations_table() -> str:
         report = _read(TRAINING / f"{name}.json")
         for row in report["figures"]["evaluations"]:
             found = row["success"]
-            success = f"{found['rate']:.3f} ({found['wilson_low']:.3f}-{found['wilson_high']:.3f})"
-            rows.append(
-                (
-                    row["task"],
-                    report["config"]["cars"] or "its own",
-                    row["acting"],
-                    success,
-                    row["starts"]["distinct"],
-                )
-            )
+            success, cars = f"{found['rate']:.3f} ({_limits(found)})", report["config"]["cars"] or "its own"
+            rows.append((row["task"], cars, row["acting"], success, row["starts"]["distinct"]))
     return table(("task", "cars", "actions", "success (95 %)", "distinct starts"), *rows)
 
 
@@ -631,32 +517,22 @@ def _policy_rows(paths: Iterable[Path]) -> list[tuple[str, ...]]:
         for policy in found["policies"]:
             actions = found["by_group"][policy["policy"]]["actions"]
             built = [str(round(policy[where] * policy["episodes"])) for where in ("grid", "physics")]
-            good = f"{actions['successes']:,} of {actions['trials']:,}"
-            rows.append(
-                (policy["policy"], report["config"]["randomize"], str(policy["episodes"]), *built, good)
-            )
+            drawn, episodes = report["config"]["randomize"], str(policy["episodes"])
+            rows.append((policy["policy"], drawn, episodes, *built, _counts(actions)))
     return rows
 
 
-_POLICY_HEAD: Final = (
-    "policy",
-    "randomization",
-    "episodes",
-    "built by the rules",
-    "built in physics",
-    "actions as predicted",
-)
-
-
-def policies_table() -> str:
-    """Return how the shipped policies do in physics."""
-    paths = sorted(path for path in TRAINING.glob("physics_*.json") if path.stem != "physics_strong")
-    return table(_POLICY_HEAD, *_policy_rows(paths))
-
-
-def training_in_physics_table() -> str:
-    """Return how policies do in strongly randomized physics that were trained there, or on the grid."""
-    return table(_POLICY_HEAD, *_policy_rows([TRAINING / "physics_strong.json"]))
+def policies_table(paths: Iterable[Path]) -> str:
+    """Return how policies do in physics."""
+    head = (
+        "policy",
+        "randomization",
+        "episodes",
+        "built by the rules",
+        "built in physics",
+        "actions as predicted",
+    )
+    return table(head, *_policy_rows(paths))
 
 
 def shipped_table() -> str:

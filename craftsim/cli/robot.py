@@ -57,7 +57,7 @@ def serve(
     from craftsim.checking.setup import Seed, set_up
     from craftsim.discrete.tasks import as_task
     from craftsim.reports.json_file import write_report
-    from craftsim.robots.connecting import world_digest
+    from craftsim.robots.link import world_digest
     from craftsim.robots.server import Network, Server
     from craftsim.robots.simulated import serve_simulated
     from craftsim.robots.sockets import Host
@@ -87,7 +87,6 @@ def serve(
         "simulated_s": round(service.now_s, 6),
         "commands_dropped": service.inbox.dropped,
         "messages_malformed": service.malformed,
-        "heard_at_s": service.heard_at_s,
         "stopped_at_s": service.stopped_at_s,
     }
     config: dict[str, Any] = {"setup": setup, "network": network, "pace": pace, "lockstep": lockstep}

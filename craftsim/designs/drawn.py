@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.designs.starts import MARGIN, Column, DesignStart, Mask, Stock, pieces_of, spread
+from craftsim.designs.starts import MARGIN, Column, DesignStart, Mask, pieces_of, spread
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
@@ -27,27 +27,27 @@ from craftsim.storage.limits import SHARE
 _PHYSICAL: Final = Rules("physical")
 _MAX_LEVELS: Final = 3
 _SIDE: Final = 8
-"""Of the largest area."""
+"""Side of the largest area."""
 _TRIES: Final = 12
-"""At one size."""
+"""Attempts at one size."""
 _GROWTHS: Final = 10
-"""Beginnings of a building until one comes to no dead end."""
+"""Attempts to grow a building without a dead end."""
 _COMPACT: Final = {1: 0.2, 2: 0.5, 3: 0.9}
-"""How often a block goes where most blocks are, by the levels of the building: an upper ramp needs a platform."""
+"""Probability that a block goes where most blocks are, by levels of the building: an upper ramp needs a platform."""
 _SPREAD: Final = 0.15
-"""How often a block of the floor begins a piece of its own."""
+"""Probability that a block on the floor may go anywhere."""
 _KEPT: Final = 0.5
-"""How often a ramp belongs to the design; the others serve for building alone."""
+"""Probability that a ramp belongs to the design; the others serve for building alone."""
 _SHARE: Final = 0.62
-"""Of the floor that a building, and its things before, take at most."""
+"""Largest share of the floor that a building and its material take."""
 _BLOCKS_OF_THREE_LEVELS: Final = 9
-"""A landing, and what a ramp to it and a way around that take."""
+"""Smallest number of blocks of a building of three levels."""
 _FILL: Final = 0.1, 0.25
-"""Which share of its box a solid building takes."""
+"""Share of its box that a solid building takes."""
 _STRUCTURE: Final[tuple[Cell, Cell]] = ((5, 5, 1), (16, 16, 4))
-"""The smallest and the largest box of one."""
+"""Smallest and largest box of a solid building."""
 _STRUCTURES: Final = 200
-"""So many are begun until one comes to no dead end."""
+"""Attempts to grow a solid building without a dead end."""
 
 
 @dataclass(frozen=True)
@@ -145,46 +145,45 @@ def random_structure(size: Sequence[int], rng: np.random.Generator) -> Design:
 
 def start_of(size: Size, n_cars: int, rng: np.random.Generator) -> DesignStart | None:
     """Return a start of a size, or None where the building, or its things beside it, found no room."""
-    growth = next(filter(None, (_grow(size, rng) for _ in range(_GROWTHS))), None)
-    if growth is None:
+    for _ in range(_GROWTHS):
+        growth = Growth.on(*size.area[:2], rng)
+        if growth.grow(_split(size, rng), size.ramps - (size.levels - 1), rng):
+            break
+    else:
         return None
     kept = [(ramp.cell, ramp.yaw) for ramp in growth.ramps if rng.random() < _KEPT]
     design = Design.of("random", [step.cell for step in growth.steps if step.kind == Kind.BLOCK], kept)
-    stock = Stock.of(design, n_cars, spare_slopes=len(growth.ramps) - len(kept))
+    spare = len(growth.ramps) - len(kept)
     taken = {column for ramp in growth.ramps for column in _columns(ramp, 0, 1)}
     clear = {_column(ramp, 2) for ramp in growth.ramps if ramp.cell[2] == 1}
     clear |= {(x, y) for x, y, z in growth.lanes if z == 1} | growth.approaches(rng)
     fits = (lambda grid: _slopes_get_there(growth.steps, grid)) if growth.ramps else None
     try:
-        grid = spread(design, size.area, stock, rng, taken, clear, fits=fits)
+        grid = spread(design, size.area, n_cars, rng, spare_slopes=spare, taken=taken, clear=clear, fits=fits)
     except InputError:
         return None
     return DesignStart(grid, design, tuple(growth.steps))
 
 
 def _slopes_get_there(steps: Sequence[Piece], grid: Grid) -> bool:
-    """Return whether each slope of a start can be carried to each ramp, in the order of steps, past all else."""
+    """Return whether each slope on the floor of a start can be carried to each ramp, in the order of steps."""
     growth = Growth(np.zeros(grid.size[:2], np.int64), np.ones(grid.size[:2], np.bool_))
     obstacles = grid.kind[:, :, 1] != Kind.AIR
     slopes = [slope for slope in grid.pieces(Kind.FSLOPE) if slope.cell[2] == 1]
     for step in steps:
-        if step.kind == Kind.BODY:
-            world = growth.world(obstacles)
-            if not all(_gets_there(slope, step, world) for slope in slopes):
-                return False
-            growth.ramps.append(step)
-        else:
+        if step.kind == Kind.BLOCK:
             growth.heights[step.cell[:2]] += 1
+            continue
+        world = growth.world(obstacles)
+        for slope in slopes:
+            rest = world.copy()
+            for cell in slope.cells:
+                rest.kind[cell] = Kind.AIR
+            graph = MoveGraph(rest, _PHYSICAL, Kind.FSLOPE)
+            if graph.nearest(graph.distances_from(graph.nodes(slope)), step) >= UNREACHABLE:
+                return False
+        growth.ramps.append(step)
     return True
-
-
-def _gets_there(slope: Piece, ramp: Piece, world: Grid) -> bool:
-    """Return whether a slope of the floor, an obstacle in a world, can be carried to where a ramp is to be."""
-    rest = world.copy()
-    for cell in slope.cells:
-        rest.kind[cell] = Kind.AIR
-    graph = MoveGraph(rest, _PHYSICAL, Kind.FSLOPE)
-    return graph.nearest(graph.distances_from(graph.nodes(slope)), ramp) < UNREACHABLE
 
 
 def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:
@@ -200,12 +199,6 @@ def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:
     if size.blocks > 1:
         return replace(size, blocks=size.blocks - 1)
     raise InputError(f"{n_cars} cars have no room in a random design of {size.area}; try fewer")
-
-
-def _grow(size: Size, rng: np.random.Generator) -> Growth | None:
-    """Return a building of a size, or None where it has come to a dead end."""
-    growth = Growth.on(*size.area[:2], rng)
-    return growth if growth.grow(_split(size, rng), size.ramps - (size.levels - 1), rng) else None
 
 
 def _split(size: Size, rng: np.random.Generator) -> list[int]:

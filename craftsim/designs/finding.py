@@ -26,17 +26,17 @@ from craftsim.storage.reading import read_bytes
 RANDOM: Final = "random"
 """The name of a design that is drawn."""
 SUFFIXES: Final = (".obj", ".stl")
-"""Of meshes."""
+"""Suffixes of meshes."""
 
 _HEAD: Final = struct.Struct(">8s4x4sII")
 """Signature, name of the first chunk, width and height."""
 _SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 _DEEP_WHITE: Final = 0xFFFF
 _NAMED: Final = 8
-"""Floating cells that an error names."""
+"""Number of floating cells that an error names."""
 _CELL_M: Final = np.array([CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M])
 _EDGE: Final = 1e-6
-"""Of a cell: what lies on the border of two counts to the inner one."""
+"""Tolerance, in cells: what lies on the border of two cells counts to the inner one."""
 
 
 def find_design(what: Sequence[str], size: Sequence[int] = (), text: str | None = None) -> Design:

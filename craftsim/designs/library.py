@@ -18,7 +18,7 @@ from craftsim.storage.limits import DESIGN_CELLS, DESIGN_SIDE
 AWAY: Final = 2
 """Yaw of a ramp that is driven up towards +x: downhill is -x."""
 _WIDTH: Final = 3
-"""Of a letter, in cells; it is five high."""
+"""Width of a letter in cells; it is five high."""
 _FONT: Final = {
     "ABCDEFGHIJKLMNOPQRS": """
 ### ##. ### ##. ### ### ### #.# ### ..# #.# #.. #.# ##. ### ### ### ### ###
@@ -37,7 +37,7 @@ _FONT: Final = {
 }
 """The rows of some letters beside each other, from the top."""
 SIGNS: Final = frozenset("".join(_FONT))
-"""What can be written."""
+"""Characters that can be written."""
 
 
 def wall(length: int = 6, height: int = 2, thickness: int = 1) -> Design:

@@ -26,29 +26,9 @@ MARGIN: Final = 3
 """Free cells around a building, unless said otherwise: a ramp takes two, and a car comes from the third."""
 _TRIES: Final = 4
 _SHARE: Final = 0.4
-"""Of the free floor that things take at most where the size is to be found."""
+"""Largest share of the free floor that objects take where the area is not given."""
 _AROUND: Final = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 """The eight neighbours in a circle; those with an edge in common are the even ones."""
-
-
-@dataclass(frozen=True)
-class Stock:
-    """How many things a start has."""
-
-    blocks: int
-    slopes: int
-    cars: int
-
-    @classmethod
-    def of(cls, design: Design, n_cars: int, spare_blocks: int = 0, spare_slopes: int = 0) -> Stock:
-        """Return what a design takes, and more."""
-        slopes = len(design.of_kind(Kind.BODY)) + len(design.of_kind(Kind.FSLOPE))
-        return cls(len(design.of_kind(Kind.BLOCK)) + spare_blocks, slopes + spare_slopes, n_cars)
-
-    @property
-    def cells(self) -> int:
-        """Cells of the floor that it takes."""
-        return self.blocks + 2 * self.slopes + self.cars
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +72,10 @@ def make_start(
     Raises InputError, with what would do, where there is no room.
     """
     extent = design.size
-    stock = Stock.of(design, n_cars, spare_blocks, _needed(design) if spare_slopes is None else spare_slopes)
+    spare_slopes = _needed(design) if spare_slopes is None else spare_slopes
     if size is None:
-        size = _roomy(extent, margin, stock)
+        n_blocks, n_slopes = _things(design, spare_blocks, spare_slopes)
+        size = _roomy(extent, margin, n_blocks + 2 * n_slopes + n_cars)
     check_size(size, n_cars)
     least = (extent[0] + 2 * margin, extent[1] + 2 * margin, extent[2])
     if any(side < needed for side, needed in zip(size, least, strict=True)):
@@ -104,14 +85,17 @@ def make_start(
         )
     placed = design.moved((size[0] - extent[0]) // 2, (size[1] - extent[1]) // 2)
     walls = _barrier(placed, size) if barrier else ()
-    return DesignStart(spread(placed, size, stock, rng, walls=walls), placed)
+    grid = spread(placed, size, n_cars, rng, spare_blocks, spare_slopes, walls=walls)
+    return DesignStart(grid, placed)
 
 
 def spread(
     design: Design,
     size: Cell,
-    stock: Stock,
+    n_cars: int,
     rng: np.random.Generator,
+    spare_blocks: int = 0,
+    spare_slopes: int = 0,
     taken: Collection[Column] = (),
     clear: Collection[Column] = (),
     walls: Collection[Cell] = (),
@@ -122,8 +106,10 @@ def spread(
     Args:
         design: what is to be built, in its place.
         size: (L, W, H) of the area.
-        stock: how many things.
+        n_cars: number of cars.
         rng: draws the places.
+        spare_blocks: blocks beyond those of the design.
+        spare_slopes: slopes beyond those of the design.
         taken: columns that are left to other parts of the building, such as ramps that serve for building alone.
         clear: columns of the free floor that nothing is put on.
         walls: cells of walls.
@@ -132,27 +118,28 @@ def spread(
 
     Raises InputError where there is no room.
     """
-    if stock.blocks + stock.slopes > DESIGN_CELLS:
+    n_blocks, n_slopes = _things(design, spare_blocks, spare_slopes)
+    if n_blocks + n_slopes > DESIGN_CELLS:
         raise InputError(
-            f"{design.path}: {stock.blocks} blocks and {stock.slopes} slopes; allowed: {DESIGN_CELLS} together"
+            f"{design.path}: {n_blocks} blocks and {n_slopes} slopes; allowed: {DESIGN_CELLS} together"
         )
     free = np.ones(size[:2], np.bool_)
     for column in [*(target.cell[:2] for target in design.targets), *taken, *(wall[:2] for wall in walls)]:
         free[column] = False
     for i in range(_TRIES):
-        grid, floor = Grid.empty(size, stock.cars), FreeFloor(_outside(free))
+        grid, floor = Grid.empty(size, n_cars), FreeFloor(_outside(free))
         for cell in walls:
             grid.kind[cell] = Kind.WALL
         for column in clear:
             floor.keep(column)
         # At random as long as there is room for it, then close together.
-        if stock.slopes and fits is None and not floor.keep_turning_place(rng):
+        if n_slopes and fits is None and not floor.keep_turning_place(rng):
             break
-        if _put(grid, floor, stock, rng, dense=i >= _TRIES // 2, fits=fits):
+        if _put(grid, floor, n_blocks, n_slopes, rng, dense=i >= _TRIES // 2, fits=fits):
             grid.derive_marks()
             return grid
     raise InputError(
-        f"{design.path}: no room for {stock.blocks} blocks, {stock.slopes} slopes and {stock.cars} cars beside the "
+        f"{design.path}: no room for {n_blocks} blocks, {n_slopes} slopes and {n_cars} cars beside the "
         f"design in an area of {size} cells; try a larger one, or fewer of them"
     )
 
@@ -177,13 +164,13 @@ def _outside(free: Mask) -> Mask:
 def _put(
     grid: Grid,
     floor: FreeFloor,
-    stock: Stock,
+    blocks: int,
+    slopes: int,
     rng: np.random.Generator,
     dense: bool,
     fits: Callable[[Grid], bool] | None,
 ) -> bool:
     """Put things on a floor, slopes first; return whether all found room."""
-    slopes, blocks = stock.slopes, stock.blocks
     while slopes + blocks:
         before = slopes + blocks
         order = rng.permutation(floor.free.size)
@@ -199,7 +186,7 @@ def _put(
         if slopes + blocks == before:
             return False
     places = rng.permutation(np.argwhere(floor.free))
-    if len(places) < stock.cars:
+    if len(places) < grid.n_cars:
         return False
     for car, (x, y) in zip(grid.cars, places.tolist(), strict=False):
         car[CarField.X], car[CarField.Y], car[CarField.YAW] = x, y, rng.integers(4)
@@ -228,16 +215,22 @@ def _put_thing(
     return True
 
 
+def _things(design: Design, spare_blocks: int, spare_slopes: int) -> tuple[int, int]:
+    """Return how many blocks and slopes a start has: those that a design takes, and more."""
+    n_slopes = len(design.of_kind(Kind.BODY)) + len(design.of_kind(Kind.FSLOPE))
+    return len(design.of_kind(Kind.BLOCK)) + spare_blocks, n_slopes + spare_slopes
+
+
 def _needed(design: Design) -> int:
     """Return on how many upper levels a design has blocks, but no slope of its own to them."""
     ramps = {cell[2] + 1 for cell in design.of_kind(Kind.BODY)}
     return len({cell[2] for cell in design.of_kind(Kind.BLOCK) if cell[2] > 1} - ramps)
 
 
-def _roomy(extent: Cell, margin: int, stock: Stock) -> Cell:
-    """Return the size of the smallest area with a margin in which things do not take too much of the floor."""
+def _roomy(extent: Cell, margin: int, cells: int) -> Cell:
+    """Return the size of the smallest area with a margin in which so many cells do not take too much of the floor."""
     length, width = extent[0] + 2 * margin, extent[1] + 2 * margin
-    while stock.cells > _SHARE * (length * width - extent[0] * extent[1]) and max(length, width) < MAX_SIDE:
+    while cells > _SHARE * (length * width - extent[0] * extent[1]) and max(length, width) < MAX_SIDE:
         length, width = length + 1, width + 1
     height = min(extent[2] + 1, MAX_CELLS // (length * width))
     return length, width, max(height, extent[2])
@@ -292,17 +285,16 @@ class FreeFloor:
 
     def take(self, *columns: Column) -> bool:
         """Take cells for one thing, the first of which a car must get at; return whether that was possible."""
-        taken: list[Column] = []
-        for column in columns:
-            if not self._can_go(column):
+        before = self._free.copy()
+        for x, y in columns:
+            if not self._can_go((x, y)):
                 break
-            self._free[column[0] + 1, column[1] + 1] = False
-            taken.append(column)
-        if len(taken) == len(columns) and self._touched(columns[0]) and all(map(self._leaves_touched, taken)):
-            self._things[columns[0][0] + 1, columns[0][1] + 1] = True
-            return True
-        for x, y in taken:
-            self._free[x + 1, y + 1] = True
+            self._free[x + 1, y + 1] = False
+        else:
+            if self._touched(columns[0]) and all(map(self._leaves_touched, columns)):
+                self._things[columns[0][0] + 1, columns[0][1] + 1] = True
+                return True
+        self._free = before
         return False
 
     def give_back(self, *columns: Column) -> None:

@@ -33,17 +33,19 @@ from craftsim.storage.limits import SHARE
 
 CARS: Final = 2
 BLOCKS: Final = 6
-"""Of a design at most."""
+"""Largest number of blocks of a design."""
 SLOPES: Final = 1
 AREA: Final[Cell] = (6, 6, 2)
 MAX_STEPS: Final = 89
 """1.5 times what 95 % of the planner's plans take (docs/reference/tasks.md)."""
 POOL: Final = 1024
 """Designs that are drawn at the first use, unless they are shipped; each is used in all its reflections."""
+_TARGET: Final = (1, 2, 4)
+"""Columns of Targets: x, y and yaw."""
 _TRIES: Final = 200
 _LEAST: Final = 6
 _RAMPS: Final = 0.25
-"""How often a building of one level has a ramp."""
+"""Probability that a building of one level has a ramp."""
 
 
 @dataclass(frozen=True)
@@ -172,31 +174,35 @@ def _moved(starts: Starts, reflected: bool) -> Starts:
     cells, width = starts.grids.cells, starts.grids.size[1]
     cells = cells[:, :, ::-1] if reflected else cells.swapaxes(1, 2)[:, ::-1]
     grids, designs = Grid(cells.copy(), starts.grids.cars.copy()), starts.designs.copy()
-
-    def move(rows: NDArray[Any], columns: tuple[int, int, int], there: NDArray[np.bool_]) -> None:
-        x, y, yaw = (rows[..., column].copy() for column in columns)
-        moved = (x, width - 1 - y, -yaw % 4) if reflected else (width - 1 - y, x, (yaw + 1) % 4)
-        for column, value, change in zip(columns, moved, (there, there, there & (yaw >= 0)), strict=True):
-            rows[..., column][change] = value[change]
-
-    yaw = grids.yaw[np.isin(grids.kind, KINDS_WITH_YAW)]
-    grids.yaw[np.isin(grids.kind, KINDS_WITH_YAW)] = -yaw % 4 if reflected else (yaw + 1) % 4
-    move(grids.cars, (CarField.X, CarField.Y, CarField.YAW), np.ones(grids.cars.shape[:-1], np.bool_))
-    move(designs, (1, 2, 4), designs[..., 0] != 0)
+    turned = np.isin(grids.kind, KINDS_WITH_YAW)
+    grids.yaw[turned] = -grids.yaw[turned] % 4 if reflected else (grids.yaw[turned] + 1) % 4
+    every_car = np.ones(grids.cars.shape[:-1], np.bool_)
+    _move(grids.cars, (CarField.X, CarField.Y, CarField.YAW), every_car, width, reflected)
+    _move(designs, _TARGET, designs[..., 0] != 0, width, reflected)
     return Starts(grids, designs)
+
+
+def _move(
+    rows: NDArray[Any],
+    columns: tuple[int, int, int],
+    there: NDArray[np.bool_],
+    width: int,
+    reflected: bool,
+) -> None:
+    """Move x, y and yaw of those rows that are there, in place, in an area of a width; a yaw of -1 stays."""
+    x, y, yaw = (rows[..., column].copy() for column in columns)
+    moved = (x, width - 1 - y, -yaw % 4) if reflected else (width - 1 - y, x, (yaw + 1) % 4)
+    for column, value, change in zip(columns, moved, (there, there, there & (yaw >= 0)), strict=True):
+        rows[..., column][change] = value[change]
 
 
 def shape_digest(targets: Targets) -> bytes:
     """Return a digest (SHA-256) of a design, (T, 5), that is the same wherever it stands, turned or reflected."""
-    forms = []
+    rows = targets[targets[:, 0] != 0].copy()
+    every_row, forms = np.ones(len(rows), np.bool_), []
     for turn in range(8):
-        rows = targets[targets[:, 0] != 0].copy()
-        if turn >= 4:
-            rows[:, 2] = -rows[:, 2]
-            rows[:, 4] = np.where(rows[:, 4] < 0, -1, -rows[:, 4] % 4)
-        for _ in range(turn % 4):
-            rows[:, 1], rows[:, 2] = -rows[:, 2], rows[:, 1].copy()
-            rows[:, 4] = np.where(rows[:, 4] < 0, -1, (rows[:, 4] + 1) % 4)
-        rows[:, 1:3] -= rows[:, 1:3].min(axis=0)
-        forms.append(rows[np.lexsort(rows.T)].tobytes())
+        _move(rows, _TARGET, every_row, 1, reflected=turn == 4)
+        form = rows.copy()
+        form[:, 1:3] -= form[:, 1:3].min(axis=0)
+        forms.append(form[np.lexsort(form.T)].tobytes())
     return hashlib.sha256(min(forms)).digest()

@@ -92,7 +92,7 @@ class Options:
     """Skills of one's own in place of built-in ones, ``{Action.LIFT: MyLift}`` or ``{0: {Action.LIFT: MyLift}}``;
     physics only."""
     robots: Callable[..., Any] | None = None
-    """Sets up a world whose cars are robots elsewhere, such as :func:`craftsim.robots.connecting.robots_at`; physics
+    """Sets up a world whose cars are robots elsewhere, such as :func:`craftsim.robots.robots_at`; physics
     only."""
     check_contacts: bool = False
     """Whether the judge logs contacts, 3 % of the time; what is unsafe then ends at once. Physics only."""

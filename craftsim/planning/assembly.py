@@ -25,9 +25,9 @@ State = frozenset[Piece]
 """What stands of a building."""
 
 _TRIES: Final = 200
-"""Steps backwards that a search for an order may take beyond six for each thing..."""
+"""Steps of one backward search for an order, beyond six for each object."""
 _SEARCHES: Final = 12
-"""...before it begins anew, in another order, so many times."""
+"""Searches for an order, each of which tries equally good steps in another order."""
 
 
 class Placing(NamedTuple):
@@ -152,25 +152,26 @@ class Assembly:
 
     def _without_needless(self, order: Order, state: State) -> Order:
         """Return an order without those of its ramps without which all other steps are possible, too."""
+
+        def all_possible(steps: Order) -> bool:
+            standing = state
+            for step in steps:
+                if not self.possible(standing, step):
+                    return False
+                standing = step.after(standing)
+            return True
+
         i = 0
         while i < len(order):
             step = order[i]
             if (gone := step._replace(taken=True)) in order[i + 1 :] and not step.taken:
                 j = order.index(gone, i)
-                rest = order[i + 1 : j]
-                if self._all_possible(state, rest):
-                    order = (*order[:i], *rest, *order[j + 1 :])
+                if all_possible(order[i + 1 : j]):
+                    order = (*order[:i], *order[i + 1 : j], *order[j + 1 :])
                     continue
             state = step.after(state)
             i += 1
         return order
-
-    def _all_possible(self, state: State, steps: Order) -> bool:
-        for step in steps:
-            if not self.possible(state, step):
-                return False
-            state = step.after(state)
-        return True
 
     def _search(
         self, goal: State, fixed: State, n_slopes: int, rng: np.random.Generator, from_below: bool
@@ -216,7 +217,9 @@ class Assembly:
             here = [thing for thing in upper if thing.cell[2] == level]
             yield from self._last(state, here)
             if ramps_left > 0 and here:
-                for step in self._ramps(state, rng):
+                places = list(self._ramp_places(self.grid(state)))
+                for i in rng.permutation(len(places)):
+                    step = Placing(places[i], taken=True)
                     if self._serves(state, step, here):
                         yield step
                     else:
@@ -232,11 +235,6 @@ class Assembly:
         for thing in things:
             if self.possible(state - {thing}, step := Placing(thing)):
                 yield step
-
-    def _ramps(self, state: State, rng: np.random.Generator) -> list[Placing]:
-        """Return the ramps for which there is room, as they may have been taken away last."""
-        places = list(self._ramp_places(self.grid(state)))
-        return [Placing(places[i], taken=True) for i in rng.permutation(len(places))]
 
     def _serves(self, state: State, step: Placing, upper: list[Piece]) -> bool:
         """Return whether a ramp may have been taken away last, and before it some thing of a level been put there."""

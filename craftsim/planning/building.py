@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,25 +16,16 @@ from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph
 from craftsim.planning.assembly import Assembly, Order, State, rebuilt
-from craftsim.planning.joint_plan import FLAP_TICKS, Delivery, JointPlan, Saved, cells_on_path
+from craftsim.planning.joint_plan import FLAP_TICKS, JointPlan, Saved, Turn, cells_on_path
 
 _FAILURES: Final = 40
-"""So many deliveries in vain end an attempt."""
+"""Number of failed turns that ends an attempt."""
 _TRIES: Final = 6
-"""So many deliveries are tried in a turn."""
+"""Turns that are tried before something is cleared away."""
 _AHEAD: Final = 3
-"""So many more steps than there are cars are looked at in a turn."""
+"""Steps that are considered next, beyond one for each car."""
 _PLACES: Final = 24
-"""So many places where something could be put aside are looked at."""
-
-
-class Turn(NamedTuple):
-    """A delivery and the car that has taken it over."""
-
-    car: int
-    delivery: Delivery
-    step: int | None
-    """Which step of the order it makes; None where it clears the way."""
+"""Places that are considered for an object that is put aside."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +41,7 @@ class Style:
     early: float = 0.0
     """How often things in the way are cleared before that has to be."""
     haste: float = 0.0
-    """By how many of its ticks a slope's turn of the flap makes a delivery seem cheaper, so that it begins early."""
+    """By how many of its ticks a slope's turn of the flap makes a turn seem cheaper, so that it begins early."""
     hold: bool = False
     """Whether cars keep what they clear, if it can be used later."""
 
@@ -111,7 +102,7 @@ class Construction:
             if turn is None:
                 self._place()
             elif self._fits(turn):
-                self._take_turn(*turn)
+                self._take(turn)
             if self.n_ticks > self._last_tick:
                 return False
         failures = 0
@@ -127,32 +118,30 @@ class Construction:
 
     def _fits(self, turn: Turn) -> bool:
         """Return whether a turn of another attempt can still be tried."""
-        car, delivery, k = turn
-        if k is not None and not (
-            k not in self._done
-            and self.assembly.possible(self._standing, self.order[k])
-            and self._bars_nothing(k)
+        k, source = turn.step, turn.source
+        if k is not None and (
+            k in self._done
+            or not self.assembly.possible(self._standing, self.order[k])
+            or not self._bars_nothing(k)
         ):
             return False
-        source = delivery.source
-        if source is None:
-            return self.plan.load(car) == delivery.target.load
-        if self.plan.load(car) != Kind.AIR:
-            return False
+        load = self.plan.load(turn.car)
+        if source is None or load != Kind.AIR:
+            return source is None and load == turn.target.load
         grid = self.plan.end
         taken = k is not None and self.order[k].taken
         here = grid.pieces() if taken else self._loose(grid).get(source.load, [])
-        return source in here and self.assembly.has_room(rebuilt(grid, [source]), delivery.target)
+        return source in here and self.assembly.has_room(rebuilt(grid, [source]), turn.target)
 
-    def _take_turn(self, car: int, delivery: Delivery, k: int | None) -> bool:
-        """Let a car take over a delivery; return whether it could. Cars that wait in its way are sent aside once."""
-        parking = self._parking(car)
-        if not self.plan.take_over(car, delivery, parking) and not (
-            self._send_aside(car, delivery) and self.plan.take_over(car, delivery, parking)
+    def _take(self, turn: Turn) -> bool:
+        """Plan a turn; return whether there is a way. Cars that wait in its way are sent aside once."""
+        parking = partial(self._parking, turn.car)
+        if not self.plan.take_over(turn, parking) and not (
+            self._send_aside(turn) and self.plan.take_over(turn, parking)
         ):
             return False
-        self._note(k)
-        self.turns.append((Turn(car, delivery, k), self.plan.saved()))
+        self._note(turn.step)
+        self.turns.append((turn, self.plan.saved()))
         return True
 
     def _note(self, k: int | None) -> None:
@@ -164,12 +153,13 @@ class Construction:
         """Make the step that is made first, by whom it is made first; return whether one could be made."""
         tries = 0
         safe: dict[int, bool] = {}
-        for car, k, delivery in self._options():
-            if k not in safe:
-                safe[k] = self._bars_nothing(k)
-            if not safe[k]:
+        for turn in self._options():
+            assert turn.step is not None
+            if turn.step not in safe:
+                safe[turn.step] = self._bars_nothing(turn.step)
+            if not safe[turn.step]:
                 continue
-            if self._take_turn(car, delivery, k):
+            if self._take(turn):
                 return True
             tries += 1
             if tries == _TRIES:
@@ -212,8 +202,8 @@ class Construction:
                 found.setdefault(thing.load, []).append(thing)
         return found
 
-    def _options(self) -> Iterator[tuple[int, int, Delivery]]:
-        """Yield what can be done next: car, step and delivery, the cheapest first."""
+    def _options(self) -> Iterator[Turn]:
+        """Yield the turns that could make a step next, the cheapest first."""
         grid, graphs, cars = self.plan.end, self.assembly.graphs, self._cars
         walking, loose = graphs.graph(grid), self._loose(grid)
         loads = [self.plan.load(car) for car in cars]
@@ -260,7 +250,7 @@ class Construction:
             group = int(np.searchsorted(starts, number, "right")) - 1
             k, target, sources_of, pairs = groups[group]
             source, car = pairs[number - starts[group]].tolist()
-            yield cars[car], k, Delivery(sources_of[source], target)
+            yield Turn(cars[car], sources_of[source], target, k)
 
     def _far(
         self, grid: Grid, sources: Sequence[Piece], target: Piece, onward: Distances
@@ -269,16 +259,7 @@ class Construction:
         if target.load == Kind.FSLOPE:
             # It stands in two cells, and can only be driven out of in one direction: so exactly.
             return np.array([self._far_exactly(grid, one, target) for one in sources])
-        length, width, height = grid.size
-        best = onward.reshape(length, width, height + 2, 4).min(axis=-1)[:, :, : height + 1]
-        # What has been taken up goes on from there, or from the next cell that is free.
-        free = np.isin(grid.kind, (Kind.AIR, Kind.GEAR))
-        beyond = np.pad(
-            np.where(free, best, UNREACHABLE), ((1, 1), (1, 1), (0, 0)), constant_values=UNREACHABLE
-        )
-        x, y, z = np.array([one.cell for one in sources]).T
-        around = [beyond[x + 1 + dx, y + 1 + dy, z] for dx, dy in DIRECTIONS.tolist()]
-        far = np.minimum(best[x, y, z], np.min(around, axis=0) + 1).astype(np.int64)
+        far = _onward_from(onward, grid, sources)
         room = self.assembly.has_room(grid, target)
         for i, one in enumerate(sources):
             # A thing in the place's own column bears it, or is in its way.
@@ -296,23 +277,23 @@ class Construction:
     def _costs(self, begun: NDArray[np.int64], work: NDArray[np.int64]) -> NDArray[np.float64]:
         return (begun + work) * (1 + self.style.noise * self.rng.random(len(work)))
 
-    def _send_aside(self, car: int, delivery: Delivery) -> bool:
-        """Move cars aside that wait in the way of a delivery; return whether one was."""
-        way = self._way(car, delivery)
+    def _send_aside(self, turn: Turn) -> bool:
+        """Move cars aside that wait in the way of a turn; return whether one was."""
+        way = self._way(turn)
         # A load needs room beside its way, too.
         near = way | {beside(cell, yaw) for cell in way for yaw in range(4)}
         grid, sent = self.plan.end, False
         for other in range(self.plan.n_cars):
             here = tuple(grid.cars[other, :3].tolist())
-            if other != car and here in near and self.plan.load(other) == Kind.AIR:
+            if other != turn.car and here in near and self.plan.load(other) == Kind.AIR:
                 sent |= any(self.plan.move_aside(other, near | kept) for kept in (self._around, self._cells))
         return sent
 
-    def _way(self, car: int, delivery: Delivery) -> set[Cell]:
+    def _way(self, turn: Turn) -> set[Cell]:
         """Return the cells of the straight way to a thing and on to its place, as if there were no other cars."""
         grid, graphs = self.plan.end, self.assembly.graphs
-        source, target = delivery.source, delivery.target
-        node, cells = self.plan.node(car), {target.cell}
+        source, target = turn.source, turn.target
+        node, cells = self.plan.node(turn.car), {target.cell}
         if source is not None:
             graph = graphs.graph(grid)
             cells |= cells_on_path(graph, node, graph.distances_to(graph.nodes(source)))
@@ -323,19 +304,15 @@ class Construction:
             node = min(graph.nodes(source), key=lambda node: int(distances[node]))
         return cells | cells_on_path(graph, node, distances)
 
-    def _parking(self, car: int) -> Callable[[MoveGraph, Grid], list[int]]:
-        """Return what says where a car may wait: on free floor, best two cells away from what is being built."""
-
-        def places(graph: MoveGraph, grid: Grid) -> list[int]:
-            taken = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
-            free = {(x, y, 1) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()} - taken
-            for kept in (self._around, self._keep_free):
-                cells = sorted(free - kept)
-                if cells:
-                    return [graph.node(cell, yaw) for cell in cells for yaw in range(4)]
-            return []
-
-        return places
+    def _parking(self, car: int, graph: MoveGraph, grid: Grid) -> list[int]:
+        """Return where a car may wait: on free floor, best two cells away from what is being built."""
+        taken = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
+        free = {(x, y, 1) for x, y in np.argwhere(grid.kind[:, :, 1] == Kind.AIR).tolist()} - taken
+        for kept in (self._around, self._keep_free):
+            cells = sorted(free - kept)
+            if cells:
+                return [graph.node(cell, yaw) for cell in cells for yaw in range(4)]
+        return []
 
     def _aside(self, grid: Grid, thing: Piece, fits: Callable[[Grid], bool]) -> Piece | None:
         """Return where a thing could stand out of the way: the nearest such place with which a world will do."""
@@ -375,7 +352,7 @@ class Construction:
                 free = [car for car in self._cars if self.plan.load(car) == Kind.AIR]
                 hold = self.style.hold and len(free) > 1 and self._is_wanted(thing.load)
                 for car in sorted(free, key=lambda car: self.plan.ready[car]):
-                    if self._take_turn(car, Delivery(thing, aside, hold), None):
+                    if self._take(Turn(car, thing, aside, hold=hold)):
                         return True
         return False
 
@@ -393,7 +370,9 @@ class Construction:
         gone = list(loose)
         if not self._reaches(grid, nodes, gone, target):
             return []
-        for thing in sorted(loose, key=lambda thing: -_manhattan(thing.cell, target.cell)):
+        for thing in sorted(
+            loose, key=lambda thing: -int(np.abs(np.subtract(thing.cell, target.cell)).sum())
+        ):
             fewer = [other for other in gone if other != thing]
             if self._reaches(grid, nodes, fewer, target):
                 gone = fewer
@@ -411,7 +390,7 @@ class Construction:
             if thing in self._standing or thing.load != target.load:
                 continue
             if thing in gone:
-                if _onward_from(distances, graph, rest, thing) < UNREACHABLE:
+                if _onward_from(distances, rest, [thing])[0] < UNREACHABLE:
                     return True
             else:
                 carrying = graphs.graph(rebuilt(rest, [thing]), target.load)
@@ -427,15 +406,13 @@ def _nearest(graph: MoveGraph, distances: Distances, things: Sequence[Piece]) ->
     return distances[:, nodes].min(axis=-1).T.astype(np.int64)
 
 
-def _onward_from(distances: Distances, graph: MoveGraph, grid: Grid, thing: Piece) -> int:
-    """Return the distance from a thing that has been taken up: from there, or from the next cell that is free."""
-    far = graph.nearest(distances, thing)
-    for direction in range(4):
-        cell = beside(thing.cell, direction)
-        if grid.inside(cell) and grid.kind[cell] in (Kind.AIR, Kind.GEAR):
-            far = min(far, 1 + graph.nearest(distances, thing._replace(cell=cell)))
-    return far
-
-
-def _manhattan(a: Cell, b: Cell) -> int:
-    return sum(abs(i - j) for i, j in zip(a, b, strict=True))
+def _onward_from(distances: Distances, grid: Grid, things: Sequence[Piece]) -> NDArray[np.int64]:
+    """Return (n,): the distances of things of equal yaws once taken up, from there or from the next free cell."""
+    length, width, height = grid.size
+    by_yaw = distances.reshape(length, width, height + 2, 4)[:, :, : height + 1, list(things[0].yaws)]
+    best = by_yaw.min(axis=-1)
+    free = np.isin(grid.kind, (Kind.AIR, Kind.GEAR))
+    beyond = np.pad(np.where(free, best, UNREACHABLE), ((1, 1), (1, 1), (0, 0)), constant_values=UNREACHABLE)
+    x, y, z = np.array([one.cell for one in things]).T
+    around = [beyond[x + 1 + dx, y + 1 + dy, z] for dx, dy in DIRECTIONS.tolist()]
+    return np.minimum(best[x, y, z], np.min(around, axis=0) + 1).astype(np.int64)

@@ -8,7 +8,6 @@ bytes of its cells and cars; marks follow from these, so that only rules that de
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from heapq import heappop, heappush
 from typing import Final
 
@@ -45,15 +44,15 @@ from craftsim.discrete.schedule import nominal_durations
 from craftsim.planning.planned import BuildingGoal
 
 MOST_WORLDS: Final = 400_000
-"""How many worlds are looked at unless given."""
+"""Default limit of the number of worlds."""
 
 _MOST_BYTES: Final = 1 << 28
-"""Worlds that are kept take no more than that; only large ones come to it before their number counts."""
+"""Memory limit of the worlds that are kept; it matters for large ones only."""
 _MOST_CELLS: Final = 64
 _MOST_THINGS: Final = 3
 _MOST_CARS: Final = 2
 _MOST_SORTED: Final = 8
-"""So many things are told apart by the heuristic; where there are more, it is 0."""
+"""Largest number of objects that the heuristic assigns to places; it is 0 beyond that."""
 _YAW_SHIFT: Final = 4
 _KIND_BITS: Final = 15
 
@@ -61,18 +60,6 @@ _UNKNOWN: Final = 1 << 40
 _MOVE: Final = int(Action.MOVE_FORWARD)
 
 Steps = tuple[tuple[int, Action], ...]
-
-
-@dataclass(frozen=True)
-class Exact:
-    """What a search through a small world came to."""
-
-    steps: Steps | None
-    """The (car, action) pairs of a plan of least work; None where none was found."""
-    n_worlds: int
-    """How many worlds were met."""
-    complete: bool
-    """Whether the search finished: without a plan, that proves that there is none."""
 
 
 def is_small(start: Grid, rules: Rules) -> bool:
@@ -86,8 +73,13 @@ def is_small(start: Grid, rules: Rules) -> bool:
     )
 
 
-def least_work(start: Grid, goal: BuildingGoal, rules: Rules, most_worlds: int = MOST_WORLDS) -> Exact:
-    """Return a plan whose actions take the least time in sum, or that there is none, or that it was not found.
+def least_work(
+    start: Grid, goal: BuildingGoal, rules: Rules, most_worlds: int = MOST_WORLDS
+) -> tuple[Steps | None, int, bool]:
+    """Search for a plan whose actions take the least time in sum.
+
+    Returns the (car, action) pairs of one, None where none was found; how many worlds were met; and whether the search
+    finished, so that there is no plan where none was found.
 
     Args:
         start: any world; the rules must be of those that derive the marks, as ``physical`` does.
@@ -109,7 +101,12 @@ def least_work(start: Grid, goal: BuildingGoal, rules: Rules, most_worlds: int =
         if -past != found[world][0]:
             continue
         if (goal.building is None or estimate == -past) and goal.reached(search.grid(world)):
-            return Exact(_way(found, world), len(found), True)
+            steps = []
+            while found[world][2] >= 0:
+                _, world, step = found[world]
+                car, action = divmod(step, len(Action))
+                steps.append((car, Action(action)))
+            return tuple(reversed(steps)), len(found), True
         for following, cost, rest, step in search.after(world):
             work = cost - past
             known = found.get(following)
@@ -117,18 +114,8 @@ def least_work(start: Grid, goal: BuildingGoal, rules: Rules, most_worlds: int =
                 found[following] = work, world, step
                 heappush(queue, (work + rest, -work, following))
         if len(found) > most_worlds:
-            return Exact(None, len(found), False)
-    return Exact(None, len(found), True)
-
-
-def _way(found: dict[bytes, tuple[int, bytes, int]], world: bytes) -> Steps:
-    steps = []
-    while found[world][2] >= 0:
-        _, before, step = found[world]
-        car, action = divmod(step, len(Action))
-        steps.append((car, Action(action)))
-        world = before
-    return tuple(reversed(steps))
+            return None, len(found), False
+    return None, len(found), True
 
 
 class _Worlds:
@@ -167,10 +154,9 @@ class _Worlds:
     def after(self, world: bytes) -> list[tuple[bytes, int, int, int]]:
         """Return what can be made of a world: it as bytes, the cost, the least work that is left, and the step."""
         count = self._expand(world, self._actions)
-        raw, size = self._rows[:count].tobytes(), self._rows.shape[1]
+        rows, steps = self._rows[:count], self._steps[:count].tolist()
         return [
-            (raw[i * size : (i + 1) * size], cost, rest, step)
-            for i, (cost, rest, step) in enumerate(self._steps[:count].tolist())
+            (row.tobytes(), cost, rest, step) for row, (cost, rest, step) in zip(rows, steps, strict=True)
         ]
 
     def _expand(self, world: bytes, actions: NDArray[np.int64]) -> int:

@@ -1,43 +1,75 @@
-"""The joint plan of all cars: each takes over one delivery after the other, planned as a whole before it is taken over.
+"""The joint plan of all cars: each makes one turn after the other, planned as a whole before the next one is.
 
-A delivery's path avoids what all deliveries before it do. Then everything is played again by the rules: where
-somebody's action has become forbidden the new path avoids that place at that time, or the delivery begins later; after
-all others have ended it disturbs nobody. What a car does after its delivery, out of the others' way, is given up for
-its next one.
+A turn's path avoids what all turns before it do. Then everything is played again by the rules: where somebody's action
+has become forbidden the new path avoids that place at that time, or the turn begins later; after all others have ended
+it disturbs nobody. What a car does after its turn, out of the others' way, is given up for its next one.
+
+The path of one car among others is found by A* over its states and ticks. A step counts as possible in a tick if the
+rules allow it both before and after what the others do in that tick, so that the order in which they act does not
+matter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
+from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
+from craftsim.discrete.kernel.effects import after
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import act, legal_actions
+from craftsim.discrete.kernel.search import SUCCESSORS, node_of
+from craftsim.discrete.kernel.state import DERIVED_MARKS, World, car_in, derive_marks
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph, MoveGraphs, cell_of_node
+from craftsim.discrete.move_graph import (
+    N_STEPS,
+    UNREACHABLE,
+    Distances,
+    MoveGraph,
+    MoveGraphs,
+    cell_of_node,
+    node_number,
+    pose_at_node,
+)
 from craftsim.planning.assembly import rebuilt
-from craftsim.planning.timeline import WAIT, Timeline
 
+WAIT: Final = -1
+"""Stands in place of an action where a car does nothing."""
 FLAP_TICKS: Final = 10
-"""FOLD and UNFOLD take so many ticks longer than other actions."""
+"""Ticks that FOLD and UNFOLD take beyond the one of other actions."""
 _DETOURS: Final = 24
-"""So often a path is searched again with one more place to avoid."""
+"""Searches for one path, each with one more place to avoid."""
 _DELAYS: Final = 6
-"""So often a delivery is tried later before all others are let end first."""
+"""Attempts to begin a turn later; the last one begins when all others have ended."""
+_LEFT_OUT: Final = (-9, -9, -9, 0, Kind.AIR, 0, 0)
+"""A car that is left out, fields as CarField: far from all cells, so that no rule sees it."""
+_FIRST_TICKS: Final = 64
+_MAX_TICKS: Final = 320
+"""Longest path."""
+
+Ticks = tuple[tuple[tuple[int, Action], ...], ...]
+"""For each tick the (car, action) pairs in acting order."""
+Parking = Callable[[MoveGraph, Grid], list[int]]
+"""Returns the states in which a car may stay when its turn is done."""
+Saved = tuple[NDArray[np.int8], tuple[int, ...]]
+"""A plan that has grown so far: its actions, and when each car's last turn ends."""
 
 
-@dataclass(frozen=True)
-class Delivery:
-    """A thing brought from where it stands, or from the car that carries it, to where it is to stand."""
+class Turn(NamedTuple):
+    """What a car takes over: a thing is brought from where it stands, or from the car, to where it is to stand."""
 
+    car: int
     source: Piece | None
     """None: the car carries it."""
     target: Piece
+    step: int | None = None
+    """Which step of the order of assembly it makes; None where it clears the way."""
     hold: bool = False
-    """Whether the car keeps it there, and waits."""
+    """Whether the car keeps the thing there, and waits."""
 
     @property
     def stays(self) -> bool:
@@ -47,59 +79,110 @@ class Delivery:
         return (self.source.cell, self.source.yaw) == (self.target.cell, self.target.yaw)
 
 
-Parking = Callable[[MoveGraph, Grid], list[int]]
-"""Returns the states in which a car may stay when its delivery is done."""
-Saved = tuple[NDArray[np.int8], tuple[int, ...]]
-"""A plan that has grown so far: its actions, and when each car's last delivery ends."""
-
-
 class JointPlan:
-    """The cars of a plan that grows."""
+    """The actions of all cars by tick, (T, n), and the worlds that follow from them by the rules."""
 
     def __init__(self, grid: Grid, graphs: MoveGraphs) -> None:
-        self.size, self.n_cars = grid.size, grid.n_cars
-        self.timeline = Timeline(grid, graphs.rules)
-        self._graphs = graphs
+        self.size, self.n_cars, self.rules, self._graphs = grid.size, grid.n_cars, graphs.rules, graphs
+        self.actions = np.full((_FIRST_TICKS, grid.n_cars), WAIT, np.int8)
+        self.n_ticks = 0
+        """The first tick in which nothing is done any more."""
         self.ready = [0] * grid.n_cars
-        """The tick in which each car's last delivery ends; what it does after that is given up for the next."""
+        """The tick in which each car's last turn ends; what it does after that is given up for the next."""
+        self._grids = Grid.stack([grid] * _FIRST_TICKS)
+        self._others = self._grids.copy()
+        self._n_nodes = node_number(grid.size, (grid.size[0], 0, 0), 0)
+        self._searches = 0
+        self._heads = np.empty(2 * _MAX_TICKS + 2, np.int32)
+        self._make_states(0)
+
+    @property
+    def worlds(self) -> World:
+        """Those before tick 0, 1, 2, ...; arrays have a leading dimension over ticks."""
+        return self._grids.world(self.rules.corrections)
 
     @property
     def end(self) -> Grid:
         """The world when everything planned so far is done."""
-        return self.timeline.grid(self.timeline.end)
+        return self.grid(self.n_ticks)
+
+    def grid(self, tick: int) -> Grid:
+        """Return the world before a tick."""
+        return self._grids[tick].copy()
+
+    def node(self, car: int, tick: int | None = None) -> int:
+        """Return a car's state before a tick; unless given, when its last turn has ended."""
+        x, y, z, yaw = self._grids.cars[self.ready[car] if tick is None else tick, car, :4].tolist()
+        return node_number(self.size, (x, y, z), yaw)
+
+    def load(self, car: int) -> Kind:
+        """Return what a car carries once its last turn has ended."""
+        return Kind(int(self._grids.cars[self.ready[car], car, CarField.LOAD]))
+
+    def ticks(self) -> Ticks:
+        """Return the plan."""
+        return tuple(
+            tuple((car, Action(action)) for car, action in enumerate(joint) if action != WAIT)
+            for joint in self.actions[: self.n_ticks].tolist()
+        )
 
     def saved(self) -> Saved:
         """Return what is planned, for :meth:`restore`."""
-        return self.timeline.actions[: self.timeline.end].copy(), tuple(self.ready)
+        return self.actions[: self.n_ticks].copy(), tuple(self.ready)
 
     def restore(self, saved: Saved) -> None:
         """Plan again what was saved."""
         actions, ready = saved
-        self.timeline.reserve(len(actions))
-        self.timeline.actions[:] = WAIT
-        self.timeline.actions[: len(actions)] = actions
-        self.timeline.shorten()
-        self.timeline.replay(0)
+        self._reserve(len(actions))
+        self.actions[:] = WAIT
+        self.actions[: len(actions)] = actions
+        self._shorten()
+        self.replay(0)
         self.ready[:] = ready
 
-    def node(self, car: int) -> int:
-        """Return a car's state once its last delivery has ended."""
-        return self.timeline.node(car, self.ready[car])
+    def write(self, car: int, tick: int, actions: list[int]) -> int | None:
+        """Let a car do these actions from a tick on, and nothing after them; return as :meth:`replay` does."""
+        self._reserve(max(self.n_ticks, tick + len(actions)))
+        self.actions[tick:, car] = WAIT
+        self.actions[tick : tick + len(actions), car] = actions
+        self._shorten()
+        return self.replay(max(0, tick - 1))
 
-    def load(self, car: int) -> Kind:
-        """Return what a car carries once its last delivery has ended."""
-        return Kind(int(self.timeline.worlds.cars[self.ready[car], car, CarField.LOAD]))
+    def replay(self, tick: int) -> int | None:
+        """Work out the worlds after a tick; return the first tick with an action that is forbidden, or None."""
+        bad = int(_replay(self.worlds, self.actions, tick, self.n_ticks, -1))
+        return None if bad < 0 else bad
 
-    def take_over(self, car: int, delivery: Delivery, parking: Parking) -> bool:
-        """Plan a delivery of a car as early as it can be; return whether there was a way."""
-        saved, ready = self.saved(), self.ready[car]
+    def without(self, car: int, tick: int) -> World:
+        """Return the worlds as they are from a tick on if a car does not exist any more; valid until the next call."""
+        self._others.cells[tick], self._others.cars[tick] = self._grids.cells[tick], self._grids.cars[tick]
+        self._others.cars[tick, car] = _LEFT_OUT
+        others = self._others.world(self.rules.corrections)
+        _replay(others, self.actions, tick, self.n_ticks, car)
+        return others
+
+    def trim(self, reached: Callable[[Grid], bool]) -> None:
+        """Take the last actions of each car away as long as a goal is reached without them."""
+        for car in range(self.n_cars):
+            for tick in np.flatnonzero(self.actions[:, car] != WAIT)[::-1].tolist():
+                action = self.actions[tick, car]
+                self.actions[tick, car] = WAIT
+                if self.replay(tick) is None and reached(self.end):
+                    continue
+                self.actions[tick, car] = action
+                self.replay(tick)
+                break
+        self._shorten()
+
+    def take_over(self, turn: Turn, parking: Parking) -> bool:
+        """Plan a turn as early as it can be; return whether there was a way."""
+        saved, ready = self.saved(), self.ready[turn.car]
         not_before = 0
         for attempt in range(_DELAYS + 1):
-            last = attempt == _DELAYS or not_before >= self.timeline.end > 0
+            last = attempt == _DELAYS or not_before >= self.n_ticks > 0
             # To wait where one would have stayed anyway disturbs nobody.
-            begin = max(ready, self._last_of(car)) if last else ready
-            self.timeline.write(car, begin, [])
-            conflict = self._plan(car, delivery, begin, not_before, parking)
+            begin = max(ready, self._last_of(turn.car)) if last else ready
+            conflict = self._plan(turn, begin, not_before, parking)
             if conflict is None:
                 return True
             self.restore(saved)
@@ -107,13 +190,13 @@ class JointPlan:
                 break
             # Where there is no way now there may be one when all others have ended.
             late = conflict < 0 or attempt == _DELAYS - 1
-            not_before = self.timeline.end if late else max(conflict, not_before) + 1
+            not_before = self.n_ticks if late else max(conflict, not_before) + 1
         return False
 
     def move_aside(self, car: int, keep_free: Collection[Cell]) -> bool:
         """Let a car that waits go to the nearest cell of the floor outside of some; return whether it could."""
         saved, ready = self.saved(), self.ready[car]
-        self.timeline.write(car, ready, [])
+        self.write(car, ready, [])
         grid = self.end
         graph = self._graphs.graph(grid)
         reached = graph.distances_from([self.node(car)]) < UNREACHABLE
@@ -126,121 +209,187 @@ class JointPlan:
             and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK)
             and cell not in others
         ]
-        moved = bool(goals) and self._go(car, ready, Kind.AIR, graph.distances_to(goals), -1, 0) is not None
+        moved = bool(goals) and self._go(car, ready, graph.distances_to(goals)) is not None
         if moved:
             self.ready[car] = self._last_of(car)
-        if not moved or self.timeline.replay(0) is not None:
+        if not moved or self.replay(0) is not None:
             self.restore(saved)
             return False
         return True
 
     def _last_of(self, car: int) -> int:
-        acting = np.flatnonzero(self.timeline.actions[:, car] != WAIT)
+        acting = np.flatnonzero(self.actions[:, car] != WAIT)
         return int(acting[-1]) + 1 if len(acting) else 0
 
-    def _plan(self, car: int, delivery: Delivery, tick: int, not_before: int, parking: Parking) -> int | None:
-        """Plan a delivery from a tick on; return None if all is well, the tick of a conflict, or -1 without a path."""
-        bring = self._turn_over if delivery.stays else self._carry
-        tick = bring(car, delivery, tick, not_before)
-        if tick < 0:
+    def _plan(self, turn: Turn, tick: int, not_before: int, parking: Parking) -> int | None:
+        """Plan a turn from a tick on; return None if all is well, the tick of a conflict, or -1 without a path."""
+        car = turn.car
+        self.write(car, tick, [])
+        if turn.stays:
+            action = Action.UNFOLD if turn.target.kind == Kind.BODY else Action.FOLD
+            after = self._act_at(car, tick, turn.target, action, not_before)
+        else:
+            after = self._carry(turn, tick, not_before)
+        if after is None:
             return -1
-        self.ready[car] = tick
-        self.timeline.replay(0)
+        self.ready[car] = after
+        self.replay(0)
         grid = self.end
         graph = self._graphs.graph(grid)
-        goals = [] if delivery.hold else parking(graph, grid)
-        left = not goals or self._go(car, tick, Kind.AIR, graph.distances_to(goals), -1, 0) is not None
-        if not left and delivery.target.cell[2] > 1:
-            # Whoever stays up there is in the way of all others.
-            return tick
-        bad = self.timeline.replay(0)
-        return None if bad is None else bad[0]
+        goals = [] if turn.hold else parking(graph, grid)
+        left = not goals or self._go(car, after, graph.distances_to(goals)) is not None
+        # Whoever stays above the floor is in the way of all others.
+        return after if not left and turn.target.cell[2] > 1 else self.replay(0)
 
-    def _turn_over(self, car: int, delivery: Delivery, tick: int, not_before: int) -> int:
-        """Fold or unfold a slope where it stands; return the tick after, or -1."""
-        graph = self._graphs.graph(self.end)
-        action = Action.UNFOLD if delivery.target.kind == Kind.BODY else Action.FOLD
-        nodes = graph.nodes(delivery.target)
-        after = self._go(car, tick, Kind.AIR, graph.distances_to(nodes), action, not_before)
-        if after is None:
-            return -1
-        self.timeline.actions[after - 1, car] = WAIT
+    def _carry(self, turn: Turn, tick: int, not_before: int) -> int | None:
+        """Bring a thing to its place; return the tick after, or None if there is no way."""
+        car, source, target = turn.car, turn.source, turn.target
+        if source is not None:
+            nodes = self._pick_up(source, target, self.node(car, tick))
+            action = Action.FOLD if source.kind == Kind.BODY else Action.LIFT
+            taken = self._act_at(car, tick, source, action, not_before, nodes) if nodes else None
+            if taken is None:
+                return None
+            if source.kind == Kind.BODY:
+                self.write(car, taken, [Action.LIFT])
+                taken += 1
+            tick, not_before = taken, 0
+        last = None if turn.hold else Action.DROP
+        after = self._act_at(car, tick, target, last, not_before, load=target.load)
+        if after is None or turn.hold or target.kind != Kind.BODY:
+            return after
+        return self._swing(car, after, Action.UNFOLD)
+
+    def _act_at(
+        self,
+        car: int,
+        tick: int,
+        place: Piece,
+        action: Action | None,
+        not_before: int,
+        nodes: list[int] | None = None,
+        load: Kind = Kind.AIR,
+    ) -> int | None:
+        """Drive to the place of a thing, or to some states there, and act; return the tick after, or None."""
+        graph = self._graphs.graph(self.end, load)
+        distances = graph.distances_to(graph.nodes(place) if nodes is None else nodes)
+        after = self._go(car, tick, distances, load, action, not_before)
+        if after is None or action not in (Action.FOLD, Action.UNFOLD):
+            return after
+        # It has been written for the moment at which it can begin; it ends much later.
         return self._swing(car, after - 1, action)
 
-    def _carry(self, car: int, delivery: Delivery, tick: int, not_before: int) -> int:
-        """Bring a thing to its place; return the tick after, or -1."""
-        if delivery.source is not None:
-            tick = self._fetch(car, delivery.source, delivery.target, tick, not_before)
-            if tick < 0:
-                return -1
-        load = delivery.target.load
-        graph = self._graphs.graph(self.end, load)
-        goals = graph.nodes(delivery.target)
-        not_before = 0 if delivery.source is not None else not_before
-        last = -1 if delivery.hold else int(Action.DROP)
-        after = self._go(car, tick, load, graph.distances_to(goals), last, not_before)
-        if after is None or delivery.hold:
-            return -1 if after is None else after
-        return self._swing(car, after, Action.UNFOLD) if delivery.target.kind == Kind.BODY else after
-
-    def _fetch(self, car: int, source: Piece, target: Piece, tick: int, not_before: int) -> int:
-        """Drive to a thing and take it up; return the tick after, or -1."""
-        graph = self._graphs.graph(self.end)
-        nodes = self._pick_up(graph, source, target, self.timeline.node(car, tick))
-        first = Action.FOLD if source.kind == Kind.BODY else Action.LIFT
-        after = self._go(car, tick, Kind.AIR, graph.distances_to(nodes), first, not_before) if nodes else None
-        if after is None:
-            return -1
-        if source.kind == Kind.BODY:
-            # FOLD has been written for the moment at which it can begin; it ends much later.
-            self.timeline.actions[after - 1, car] = WAIT
-            after = self._swing(car, after - 1, Action.FOLD)
-            self._append(car, after, [Action.LIFT])
-            after += 1
-        return after
-
     def _swing(self, car: int, tick: int, action: Action) -> int:
-        self._append(car, tick, [*[WAIT] * FLAP_TICKS, action])
+        self.write(car, tick, [*[WAIT] * FLAP_TICKS, action])
         return tick + FLAP_TICKS + 1
 
-    def _append(self, car: int, tick: int, actions: list[int]) -> None:
-        self.timeline.write(car, tick, actions)
-        self.timeline.replay(max(0, tick - 1))
-
-    def _pick_up(self, graph: MoveGraph, source: Piece, target: Piece, start: int) -> list[int]:
+    def _pick_up(self, source: Piece, target: Piece, start: int) -> list[int]:
         """Return the states in which to take up a thing so that the way there and on to its place is short."""
-        loaded = self._graphs.graph(rebuilt(self.end, [source]), source.load)
-        there = graph.distances_from([start])
-        onward = loaded.distances_to(loaded.nodes(target))
-        nodes = graph.nodes(source)
+        grid = self.end
+        graph = self._graphs.graph(grid)
+        loaded = self._graphs.graph(rebuilt(grid, [source]), source.load)
+        there, onward = graph.distances_from([start]), loaded.distances_to(loaded.nodes(target))
         costs = {
-            n: int(there[n]) + int(onward[n])
-            for n in nodes
-            if there[n] < UNREACHABLE and onward[n] < UNREACHABLE
+            node: int(there[node]) + int(onward[node])
+            for node in graph.nodes(source)
+            if there[node] < UNREACHABLE and onward[node] < UNREACHABLE
         }
         return [node for node, cost in costs.items() if cost == min(costs.values())]
 
     def _go(
-        self, car: int, tick: int, load: Kind, distances: Distances, last: int, not_before: int
+        self,
+        car: int,
+        tick: int,
+        distances: Distances,
+        load: Kind = Kind.AIR,
+        last: Action | None = None,
+        not_before: int = 0,
     ) -> int | None:
-        """Write a path to the goals and the last action; return the tick after it, or None if there is no way."""
+        """Write a path to the goals and the last action; return the tick after it, or None if there is no way.
+
+        Args:
+            car: its number.
+            tick: in which it begins; it does nothing from there on as yet.
+            distances: (nodes,) to the goals, where they are 0; states with UNREACHABLE are not looked at.
+            load: that it carries.
+            last: the action that must be legal at the goal in the tick after.
+            not_before: the first tick in which that may be.
+        """
         avoid: list[tuple[int, Cell]] = []
         for _ in range(_DETOURS):
-            self.timeline.write(car, tick, [])
-            self.timeline.replay(max(0, tick - 1))
-            path = self.timeline.find_path(car, tick, load, distances, last, not_before, avoid)
+            self.write(car, tick, [])
+            path = self._path(car, tick, distances, load, last, not_before, avoid)
             if path is None:
                 return None
-            actions = [*path, last] if last >= 0 else path
-            self.timeline.write(car, tick, actions)
-            bad = self.timeline.replay(max(0, tick - 1))
+            actions = path if last is None else [*path, last]
+            bad = self.write(car, tick, actions)
             after = tick + len(actions)
-            if bad is None or bad[0] >= after:
+            if bad is None or bad >= after:
                 return after
-            for at in (bad[0], bad[0] + 1):
-                x, y, z = self.timeline.worlds.cars[at, car, :3].tolist()
+            for at in (bad, bad + 1):
+                x, y, z = self._grids.cars[at, car, :3].tolist()
                 avoid.append((at, (x, y, z)))
         return None
+
+    def _path(
+        self,
+        car: int,
+        tick: int,
+        distances: Distances,
+        load: Kind,
+        last: Action | None,
+        not_before: int,
+        avoid: list[tuple[int, Cell]],
+    ) -> list[int] | None:
+        """Return the actions, WAIT among them, that bring a car to a goal, or None.
+
+        ``avoid`` has ticks before which the car must not be in a cell.
+        """
+        worlds, start, end = self.without(car, tick), self.node(car, tick), max(self.n_ticks, tick)
+        nearest = int(distances[start])
+        if nearest >= UNREACHABLE:
+            return None
+        span = min(_MAX_TICKS, max(end, not_before) - tick + nearest + 24)
+        if len(self._parents) < span * self._n_nodes:
+            self._make_states(span * self._n_nodes)
+        self._searches += 1
+        self._heads[:] = -1
+        for at, cell in avoid:
+            state = (at - tick) * self._n_nodes + node_number(self.size, cell, 0)
+            if tick < at < tick + span:
+                # What counts as seen is not looked at.
+                self._seen[state : state + 4] = self._searches
+        action = -1 if last is None else int(last)
+        state = _find(
+            *(worlds, car, start, tick, end, int(load), distances, action, not_before, span),
+            *(self._searches, self._parents, self._steps, self._seen, self._next, self._heads),
+        )
+        if state < 0:
+            return None
+        actions = []
+        while self._parents[state] >= 0:
+            actions.append(int(self._steps[state]))
+            state = self._parents[state]
+        return actions[::-1]
+
+    def _make_states(self, n: int) -> None:
+        """Make scratch arrays for a search through so many states, a node in a tick each."""
+        self._parents, self._steps = np.empty(n, np.int32), np.empty(n, np.int8)
+        self._seen, self._next = np.zeros(n, np.int32), np.empty(n, np.int32)
+
+    def _reserve(self, n_ticks: int) -> None:
+        """Make room for actions in the ticks before this one."""
+        while len(self.actions) <= n_ticks:
+            self.actions = np.concatenate([self.actions, np.full_like(self.actions, WAIT)])
+        while len(self._grids) <= n_ticks + 1:
+            self._grids, self._others = (
+                Grid(np.concatenate([some.cells] * 2), np.concatenate([some.cars] * 2))
+                for some in (self._grids, self._others)
+            )
+
+    def _shorten(self) -> None:
+        acting = np.flatnonzero((self.actions != WAIT).any(1))
+        self.n_ticks = int(acting[-1]) + 1 if len(acting) else 0
 
 
 def cells_on_path(graph: MoveGraph, node: int, distances: Distances) -> set[Cell]:
@@ -255,3 +404,103 @@ def cells_on_path(graph: MoveGraph, node: int, distances: Distances) -> set[Cell
         node = closer[0]
         cells.add(cell_of_node(graph.size, node))
     return cells
+
+
+@compiled
+def _replay(worlds: World, actions: NDArray[np.int8], first: int, end: int, left_out: int) -> int:
+    """Write the worlds after each tick; return the first tick with an action that is forbidden, or -1.
+
+    A car that is left out does nothing; -1 for none.
+    """
+    _, length, width, layers, cell_fields = worlds.cells.shape
+    _, n_cars, car_fields = worlds.cars.shape
+    bad = -1
+    for tick in range(first, end):
+        for x in range(length):
+            for y in range(width):
+                for z in range(layers):
+                    for field in range(cell_fields):
+                        worlds.cells[tick + 1, x, y, z, field] = worlds.cells[tick, x, y, z, field]
+        for car in range(n_cars):
+            for field in range(car_fields):
+                worlds.cars[tick + 1, car, field] = worlds.cars[tick, car, field]
+        w = World(worlds.cells[tick + 1], worlds.cars[tick + 1], worlds.corrections)
+        for car in range(n_cars):
+            if car == left_out or actions[tick, car] < 0:
+                continue
+            if not act(w, car, int(np.int64(actions[tick, car]))) and bad < 0:
+                bad = tick
+        if w.corrections & DERIVED_MARKS:
+            derive_marks(w)
+    return bad
+
+
+@compiled
+def _find(
+    worlds: World,
+    me: int,
+    start: int,
+    first: int,
+    end: int,
+    load: int,
+    distances: Distances,
+    last: int,
+    not_before: int,
+    span: int,
+    number: int,
+    parents: NDArray[np.int32],
+    steps: NDArray[np.int8],
+    seen: NDArray[np.int32],
+    following: NDArray[np.int32],
+    heads: NDArray[np.int32],
+) -> int:
+    """Return the last state of a path, or -1; a state is a node in a tick. Buckets hold states of equal rank."""
+    n_nodes = distances.shape[0]
+    parents[start] = -1
+    seen[start] = number
+    following[start] = -1
+    rank = distances[start]
+    heads[rank] = start
+    while rank < heads.shape[0]:
+        state = heads[rank]
+        if state < 0:
+            rank += 1
+            continue
+        heads[rank] = following[state]
+        since, node = state // n_nodes, state % n_nodes
+        tick = first + since
+        before, behind = min(tick, end), min(tick + 1, end)
+        now = World(worlds.cells[before], worlds.cars[before], worlds.corrections)
+        then = World(worlds.cells[behind], worlds.cars[behind], worlds.corrections)
+        car = pose_at_node(now, node, load)
+        arrived = distances[node] == 0 and tick >= not_before
+        if arrived and last < 0:
+            return int(state)
+        if since + 1 >= span:
+            continue
+        # The action at the goal comes first, then staying, then the steps.
+        if arrived:
+            legal = legal_actions(now, me, car, last, last) & legal_actions(then, me, car, last, last)
+            if legal & (1 << last):
+                return int(state)
+        legal = legal_actions(now, me, car, ROTATE_LEFT, LAST_MOVE)
+        legal &= legal_actions(then, me, car, ROTATE_LEFT, LAST_MOVE)
+        for i in range(-1, N_STEPS):
+            action = WAIT if i == -1 else SUCCESSORS[i]
+            if i >= 0 and not legal & (1 << action):
+                continue
+            new = car if i == -1 else after(now, car, action)
+            new_node = node if i == -1 else node_of(now, new)
+            if distances[new_node] >= UNREACHABLE or car_in(then, me, new.x, new.y, new.z, False) >= 0:
+                continue
+            new_state = (since + 1) * n_nodes + new_node
+            new_rank = since + 1 + distances[new_node]
+            if seen[new_state] == number or new_rank >= heads.shape[0]:
+                continue
+            seen[new_state] = number
+            parents[new_state] = state
+            steps[new_state] = action
+            following[new_state] = heads[new_rank]
+            heads[new_rank] = new_state
+            rank = min(rank, new_rank)
+    return -1

@@ -16,8 +16,7 @@ from craftsim.discrete.schedule import Schedule, nominal_durations
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import State
-
-Ticks = tuple[tuple[tuple[int, Action], ...], ...]
+from craftsim.planning.joint_plan import Ticks
 
 
 class NoPlanError(InputError):
@@ -159,26 +158,23 @@ def makespan_bound(start: Grid, building: State) -> float:
     move = table[Action.MOVE_FORWARD, 1]
     there = list(start.pieces())
     carried = set(start.cars[:, CarField.LOAD].tolist())
-    work = []
+    work = [0.0]
     for thing in building:
-        if thing.load in carried:
-            # It may be above its place already.
-            work.append(0.0)
+        # What is carried may be above its place already.
+        if thing.load in carried or any((one.kind, one.cell) == (thing.kind, thing.cell) for one in there):
             continue
-        if any((other.kind, other.cell) == (thing.kind, thing.cell) for other in there):
-            continue
-        steps = (
-            sum(abs(a - b) for a, b in zip(other.cell[:2], thing.cell[:2], strict=True))
-            for other in there
-            if other.load == thing.load
+        ways = (
+            abs(one.cell[0] - thing.cell[0]) + abs(one.cell[1] - thing.cell[1])
+            for one in there
+            if one.load == thing.load
         )
-        least = float(move * min(steps, default=0))
+        least = float(move * min(ways, default=0))
         if thing.kind == Kind.FLAG:
             work.append(least + lift)
             continue
         if thing.kind == Kind.BODY:
-            least += 0.0 if any(other.kind == Kind.BODY for other in there) else unfold
+            least += 0.0 if any(one.kind == Kind.BODY for one in there) else unfold
         if least > unfold or thing.kind != Kind.BODY:
             least += lift + drop
         work.append(least)
-    return float(max([sum(work) / max(start.n_cars, 1), *work], default=0.0))
+    return float(max(sum(work) / max(start.n_cars, 1), *work))

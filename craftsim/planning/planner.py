@@ -20,14 +20,13 @@ from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
 from craftsim.planning.assembly import Assembly, Order, State, without_things
-from craftsim.planning.building import Construction, Style, Turn
+from craftsim.planning.building import Construction, Style
 from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
-from craftsim.planning.joint_plan import Saved
+from craftsim.planning.joint_plan import Saved, Ticks, Turn
 from craftsim.planning.planned import (
     BuildingGoal,
     NoPlanError,
     Planned,
-    Ticks,
     check_supplies,
     make_goal,
     makespan_bound,
@@ -35,36 +34,36 @@ from craftsim.planning.planned import (
 )
 
 _EQUAL_S: Final = 1e-9
-"""By which equal times may differ."""
+"""Tolerance for equal times."""
 _ORDERS: Final = 100
-"""So many orders of assembly are kept to choose from."""
+"""Number of orders of assembly that are kept to choose from."""
 _FRESH: Final = 8
-"""So many attempts are made anew before the search goes on from the best of them."""
+"""Number of attempts from scratch before the search continues from the best of them."""
 _ANEW: Final = 0.4
-"""Where it is open what is to be built, such attempts go on so often between neighbours: each may build another."""
+"""Probability of an attempt from scratch between neighbours where the goal leaves open what is built."""
 _PATIENCE: Final = 25
-"""After so many neighbours none of which is better the search goes on elsewhere..."""
+"""Number of neighbours without improvement after which the search continues elsewhere."""
 _BACK: Final = 0.5
-"""...so often from the best plan, else from attempts made anew."""
+"""Probability that it continues from the best plan; otherwise from attempts from scratch."""
 _WORSE: Final = 0.02
-"""By about this share a neighbour may be worse for the search to go on from it."""
+"""Mean relative increase of the cost at which a neighbour is accepted."""
 _RESTYLED: Final = 0.3
-"""So often a neighbour is made in another style."""
+"""Probability that a neighbour is made in another style."""
 _LONGER: Final = 1.1
-"""An attempt is given up when it takes so many times the ticks of its neighbour..."""
+"""Limit of an attempt's ticks, relative to those of its neighbour."""
 _LONGER_FRESH: Final = 1.3
-"""...or, made anew, of the best one. Ticks are not seconds, so it may be a little longer."""
+"""The same for the first attempts from scratch, relative to the best plan."""
 _FIRST_WORLDS: Final = 20_000
-"""Where the makespan counts, the plan of least work is one to begin with if so many worlds are enough for it."""
+"""Limit of the search for a plan of least work where the makespan is minimized."""
 
 _CUT: Final = 0.25
-"""So often all of a neighbour is decided anew from some turn on."""
+"""Probability that all of a neighbour is decided anew from some turn on."""
 _CRITICAL: Final = 0.7
-"""So often it is a turn on which the makespan depends that changes."""
+"""Probability that a turn changes on which the makespan depends."""
 _ONE: Final = 0.7
-"""So often one change is enough, and so often one more is..."""
+"""Probability that no further change follows a change."""
 _CHANGES: Final = 8
-"""...up to so many."""
+"""Largest number of changes."""
 
 Turns = list[Turn | None]
 """What is tried turn after turn; None: whatever seems best then."""
@@ -127,8 +126,13 @@ class _Made:
 
     approach: tuple[Order, State, Style]
     turns: tuple[tuple[Turn, Saved], ...]
-    n_ticks: int
     planned: Planned
+
+    @property
+    def n_ticks(self) -> int:
+        """How many ticks its turns take."""
+        _, (_, ready) = self.turns[-1]
+        return max(ready)
 
     @cached_property
     def critical(self) -> list[int]:
@@ -206,16 +210,16 @@ class _Search:
         """Look for the plan of least work among so many worlds; raise NoPlanError where that proves there is none."""
         if self.goal.building is not None:
             check_supplies(self.start, self.goal.building)
-        exact = least_work(self.start, self.goal, self.rules, most)
-        if exact.steps is not None:
-            planned = self._judge(tuple((step,) for step in exact.steps), 0)
+        steps, n_worlds, complete = least_work(self.start, self.goal, self.rules, most)
+        if steps is not None:
+            planned = self._judge(tuple((step,) for step in steps), 0)
             if planned is not None:
                 self.best = replace(planned, optimal=planned.optimal or self.objective == "work")
-        elif exact.complete:
-            raise NoPlanError(f"no plan: none of the {exact.n_worlds} worlds that can be reached will do")
+        elif complete:
+            raise NoPlanError(f"no plan: none of the {n_worlds} worlds that can be reached will do")
         elif self.goal.building is None:
             raise NoPlanError(
-                f"no plan found: the goal has no drawing, and none of the first {exact.n_worlds} worlds that cost "
+                f"no plan found: the goal has no drawing, and none of the first {n_worlds} worlds that cost "
                 "least will do; try a smaller area, fewer cars or a design"
             )
 
@@ -248,7 +252,16 @@ class _Search:
         """Make an attempt, anew or close to what the search stands at, and look what has come of it."""
         here = None if self._n_fresh else self._here
         anew = here is None or (bool(self.goal.platform) and self.rng.random() < _ANEW)
-        made = self._fresh(number) if anew or here is None else self._neighbour(here, number)
+        if anew or here is None:
+            made = self._fresh(number)
+        else:
+            turns = [turn for turn, _ in here.turns]
+            order, kept, style = here.approach
+            style = self._style(number) if self.rng.random() < _RESTYLED else style
+            critical = here.critical if self.objective == "makespan" else ()
+            n_kept, others = vary(turns, critical, self._things, self.start.n_cars, self.rng)
+            most = _LONGER * here.n_ticks
+            made = self._build((order, kept, style), number, most, here.turns[:n_kept], others)
         if made is not None and self._cost(made) < self._cost(self._best):
             self._best = made
             if self.best is None or self._cost(made) < self.best.cost(self.objective):
@@ -266,15 +279,6 @@ class _Search:
         most = math.inf if self._best is None else longer * self._best.n_ticks
         return self._build((*drawn, self._style(number)), number, most)
 
-    def _neighbour(self, here: _Made, number: int) -> _Made | None:
-        approach = here.approach
-        if self.rng.random() < _RESTYLED:
-            approach = (*approach[:2], self._style(number))
-        turns = [turn for turn, _ in here.turns]
-        critical = here.critical if self.objective == "makespan" else ()
-        n_kept, others = vary(turns, critical, self._things, self.start.n_cars, self.rng)
-        return self._build(approach, number, _LONGER * here.n_ticks, here.turns[:n_kept], others)
-
     def _build(
         self,
         approach: tuple[Order, State, Style],
@@ -287,10 +291,9 @@ class _Search:
         building = Construction(self.start, self.assembly, *approach, self.rng, last_tick, past, script)
         if not building.run():
             return None
-        n_ticks, timeline = building.n_ticks, building.plan.timeline
-        timeline.trim(self.goal.reached)
-        planned = self._judge(timeline.ticks(), number)
-        return None if planned is None else _Made(approach, tuple(building.turns), n_ticks, planned)
+        building.plan.trim(self.goal.reached)
+        planned = self._judge(building.plan.ticks(), number)
+        return None if planned is None else _Made(approach, tuple(building.turns), planned)
 
     def _judge(self, ticks: Ticks, number: int) -> Planned | None:
         """Return a plan with its times, or None if the rules forbid some of it or it does not reach the goal."""
@@ -403,12 +406,12 @@ def _change(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.
         turns.pop(i)
     elif way == 4:  # whatever seems best
         turns[i] = None
-    elif way == 5 and turn and (mine := turn.delivery.source):  # with another thing of the same kind
+    elif way == 5 and turn and (mine := turn.source):  # with another thing of the same kind
         others = [thing for thing in things if thing.load == mine.load and thing != mine]
         if not others:
             return
         source = others[int(rng.integers(len(others)))]
         for j, one in enumerate(turns):
-            if one and one.delivery.source == source:
-                turns[j] = one._replace(delivery=replace(one.delivery, source=mine))
-        turns[i] = turn._replace(delivery=replace(turn.delivery, source=source))
+            if one and one.source == source:
+                turns[j] = one._replace(source=mine)
+        turns[i] = turn._replace(source=source)

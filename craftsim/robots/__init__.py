@@ -41,7 +41,7 @@ def robots_at(address: str, timeout_s: float = 1.0) -> Iterator[SetUp]:
     from craftsim.discrete.kinds import Action
     from craftsim.models.sensing import NOISY
     from craftsim.models.world import PhysicsWorld
-    from craftsim.robots.connecting import Connection
+    from craftsim.robots.link import Link, connect
     from craftsim.robots.sockets import Caller
 
     # What is compiled at its first use is compiled now: robots do not wait for it.
@@ -50,10 +50,12 @@ def robots_at(address: str, timeout_s: float = 1.0) -> Iterator[SetUp]:
     judge.perform(0, Action.MOVE_RIGHT)
     with ExitStack() as connected:
 
-        def connect(grid: Grid, setup: Setup, seed: Seed, goals: Sequence[Cell]) -> Judge:
+        def set_up(grid: Grid, setup: Setup, seed: Seed, goals: Sequence[Cell]) -> Judge:
             connected.close()
-            world = grid, setup.machines, setup.simulation, goals, timeout_s
-            connection = connected.enter_context(Connection(lambda: Caller(address), *world))
-            return connection.judge(setup)
+            judge = connect(Caller(address), grid, setup, goals, timeout_s)
+            link = judge.executor.fleet
+            assert isinstance(link, Link)
+            connected.callback(link.close)
+            return judge
 
-        yield connect
+        yield set_up

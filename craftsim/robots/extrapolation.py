@@ -66,26 +66,20 @@ class Extrapolation:
                 hinge = min(max(hinge + command.hinge * period_s, 0.0), self._slope.hinge_range_rad)
         fl, fr, rl, rr = (self._seen + (ahead - self._ahead)).tolist()
         self._seen, self._ahead = np.zeros(4), ahead
-        now = now._replace(
+        # The lines above are left behind.
+        along, across = self._car.board_length_m / 2, self._car.board_width_m / 2
+        forward, left, turn = way.tolist()
+        ahead_m = left + along * turn, left - along * turn, forward - across * turn, forward + across * turn
+        a, b, c, d = (line - passed for line, passed in zip(now.lines, ahead_m, strict=True))
+        return now._replace(
             x=x,
             y=y,
             heading=math.remainder(heading, math.tau),
             wheel_speeds=(fl, fr, rl, rr),
             board_m=board,
             hinge_rad=hinge,
+            lines=(a, b, c, d),
         )
-        return self._with_lines(now, way)
-
-    def _with_lines(self, now: CarMeasurement, way: NDArray[np.float64]) -> CarMeasurement:
-        """Return a measurement in which the lines above are left behind.
-
-        ``way`` is (forward, to the left, turn) in metres and radians.
-        """
-        along, across = self._car.board_length_m / 2, self._car.board_width_m / 2
-        forward, left, turn = way.tolist()
-        ahead = left + along * turn, left - along * turn, forward - across * turn, forward + across * turn
-        a, b, c, d = (line - passed for line, passed in zip(now.lines, ahead, strict=True))
-        return now._replace(lines=(a, b, c, d))
 
     def _free(self, told: Wheels) -> NDArray[np.float64]:
         """Return at what speeds wheels turn freely whose servos are commanded some, (4,) in rad/s."""

@@ -1,4 +1,4 @@
-"""Robots of this process as a fleet that an executor drives. Whoever has a machine implements Robot and Clock."""
+"""Robots of this process as a fleet that an executor drives. Whoever has a machine implements Robot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from craftsim.skills.skill import Command
 PATIENCE: Final = 50
 """Control periods, 1 s of the usual ones, after which a car that does not answer is lost."""
 _MOTORS: Final = 5
-"""Of a car: four wheels and the board."""
+"""Motors of a car: four wheels and the board."""
 
 
 class Robot(Protocol):
@@ -30,13 +30,6 @@ class Robot(Protocol):
 
     def command(self, command: Command) -> None:
         """Give its motors these speeds, until the next command comes; ``Command()`` stops them, and they hold."""
-
-
-class Clock(Protocol):
-    """The time of all robots of a fleet."""
-
-    def wait(self) -> None:
-        """Return when one more control period has passed."""
 
 
 class RealClock:
@@ -119,11 +112,14 @@ class RobotFleet(Harness):
     late_periods = 0
 
     def __init__(
-        self, robots: Sequence[Robot], clock: Clock, n_slopes: int = 0, patience: int = PATIENCE
+        self, robots: Sequence[Robot], wait: Callable[[], None], n_slopes: int = 0, patience: int = PATIENCE
     ) -> None:
-        """Drive these robots, in the order of their cars' ids, in a world with so many slopes."""
+        """Drive these robots, in the order of their cars' ids, in a world with so many slopes.
+
+        ``wait`` returns when one more control period has passed, such as that of a :class:`RealClock`.
+        """
         super().__init__(len(robots), n_slopes, patience)
-        self._robots, self._clock = tuple(robots), clock
+        self._robots, self._wait = tuple(robots), wait
         self.attend()
 
     def read(self) -> Records:
@@ -138,5 +134,5 @@ class RobotFleet(Harness):
         """Command the robots, wait until the control period is over, and measure; there are no physics steps."""
         for robot, command in zip(self._robots, self.commands(), strict=True):
             robot.command(command)
-        self._clock.wait()
+        self._wait()
         self.attend()

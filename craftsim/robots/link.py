@@ -1,4 +1,4 @@
-"""Robots on a network as a fleet that an executor drives.
+"""Robots on a network as a fleet that an executor drives, and their world as a judge sees it.
 
 One control period is that of the robots' clock: it is over when a measurement has come that is younger by a period.
 Commands say when they are to begin, late enough for all but a few to be there by then, so that a delay that varies
@@ -7,17 +7,25 @@ does no harm; and the skills are given what the robots will measure at that time
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
+import numpy as np
+
+from craftsim.checking.judge import Judge
+from craftsim.checking.setup import Setup, judge_on
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
-from craftsim.discrete.grid import Cell
+from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.measuring import Records
+from craftsim.models.parts import Joint
+from craftsim.models.world import PhysicsWorld
 from craftsim.robots.extrapolation import Extrapolation
 from craftsim.robots.fleet import Harness
 from craftsim.robots.messages import (
@@ -30,6 +38,7 @@ from craftsim.robots.messages import (
     Message,
     MessageError,
     Refused,
+    TruePoses,
     Welcome,
     pack,
     unpack,
@@ -37,25 +46,29 @@ from craftsim.robots.messages import (
 from craftsim.skills.skill import Command
 
 TIMEOUT_S: Final = 1.0
-"""Without a message from the robots for so long they count as lost; by this machine's clock."""
+"""Time without a message after which robots are lost, by this machine's clock."""
 _GREETED_S: Final = 5.0
 """How long robots may take to answer the first message: they may be about to start."""
 _AGAIN_S: Final = 0.2
-"""After so long one asks robots again that obey somebody else."""
+"""Time after which robots that obey another driver are asked again."""
 _LISTENED: Final = 25
-"""Control periods in which one first listens to how long commands take."""
+"""Control periods in which the delay of commands is measured at first."""
 _REMEMBERED: Final = 50
-"""Control periods of which that is remembered."""
+"""Control periods whose delays are remembered."""
 _SPARE_S: Final = 0.01
-"""That commands are given beyond the longest that any of these took."""
+"""Margin beyond the longest of these delays."""
 _MOST_LEAD_S: Final = 0.5
 _MOST_BEHIND_S: Final = 1.0
-"""By how much the robots' clock may be ahead of who drives them during an action: their watchdog is quicker."""
+"""Largest lead of the robots' clock over the driver during an action."""
 _AT_ONCE: Final = 4096
 """Messages that are taken at once: more than wait in a connection."""
-EPSILON_S: Final = 1e-6
+_EPSILON_S: Final = 1e-6
 _AROUND_M: Final = 10.0
-"""Around a world: what is further off was not measured there, however badly."""
+"""Measured positions may be so far outside the world."""
+_KEPT: Final = 64
+"""TruePoses that are kept: those of a measurement arrive before it."""
+_AHEAD_S: Final = 12.0
+"""Largest difference of the clocks of referee and robots: as much as a network can delay."""
 
 
 class Messenger(Protocol):
@@ -74,16 +87,97 @@ class Messenger(Protocol):
         """Close the connection."""
 
 
-def inside(size: Cell, x: float, y: float, z: float) -> bool:
-    """Return whether a car, or what it handles, can be at a position in metres in a world of a size in cells.
+def world_digest(grid: Grid) -> str:
+    """Return the SHA-256 of a world, by which robots and who drives them know that they mean the same."""
+    return hashlib.sha256(blueprint_text(grid).encode()).hexdigest()
 
-    Example:
-        >>> inside((3, 1, 1), 0.2, -5.0, 0.1), inside((3, 1, 1), 40.0, 0.0, 0.1)
-        (True, False)
+
+def connect(
+    transport: Messenger, grid: Grid, setup: Setup, goals: Sequence[Cell] = (), timeout_s: float = TIMEOUT_S
+) -> Judge:
+    """Return the judge of robots in a world; its executor drives them until the fleet is closed.
+
+    Contacts are not seen from outside.
+
+    Args:
+        transport: reaches them; it is closed with the fleet.
+        grid: the world in which they should stand.
+        setup: the parameters of machines and physics, and of skills and judge.
+        goals: cells to mark on the world that the judge sees.
+        timeout_s: without a message for so long they count as lost.
+
+    Raises InputError where they do not answer or refuse, or where no referee shows their world.
     """
-    nx, ny, nz = size
-    ends = zip((x, y, z), (nx * CELL_PITCH_M, ny * CELL_PITCH_M, nz * LEVEL_HEIGHT_M), strict=True)
-    return all(-_AROUND_M <= place <= end + _AROUND_M for place, end in ends)
+    try:
+        physics = PhysicsWorld(grid, setup.simulation, goals, reset=False, machines=setup.machines)
+        link = Link(
+            transport, grid.n_cars, setup.machines, world_digest(grid), timeout_s, mirror=Mirror(physics)
+        )
+    except BaseException:
+        transport.close()
+        raise
+    return judge_on(physics, setup, watch_contacts=False, fleet=link)
+
+
+class Mirror:
+    """Shows on a PhysicsWorld, which is never stepped, where everything truly is, for a judge to look at.
+
+    Wheels stand still; boards stand where they were measured; velocities are what changed since what was shown before.
+    """
+
+    def __init__(self, physics: PhysicsWorld) -> None:
+        self.physics = physics
+        self._seen: deque[TruePoses] = deque(maxlen=_KEPT)
+        handles = [*(car.base for car in physics.cars), *physics.tables]
+        self._bodies: tuple[Joint, ...] = (*handles, *(slope.base for slope in physics.slopes))
+
+    def take(self, poses: TruePoses) -> None:
+        """Keep poses that are newer; raise MessageError for what cannot be of this world."""
+        n_cars, n_slopes = len(self.physics.cars), len(self.physics.slopes)
+        came = len(poses.cars), len(poses.things), len(poses.hinges)
+        there = n_cars, len(self._bodies) - n_cars, n_slopes
+        if came != there:
+            raise MessageError(
+                f"{came[0]} cars, {came[1]} things and {came[2]} hinges; there are {there[0]}, {there[1]} "
+                f"and {there[2]}"
+            )
+        if not all(_is_inside(self.physics.size, pose) for pose in (*poses.cars, *poses.things)):
+            raise MessageError("poses outside the world")
+        if not self._seen or poses.time_s > self._seen[-1].time_s + _EPSILON_S:
+            self._seen.append(poses)
+
+    def knows(self, time_s: float) -> bool:
+        """Return whether the poses of a time, or later ones, have come."""
+        return bool(self._seen) and self._seen[-1].time_s >= time_s - _EPSILON_S
+
+    def show(self, measured: Measurements) -> str:
+        """Show how things stood when that was measured; return why that cannot be, or nothing."""
+        poses = next(poses for poses in self._seen if poses.time_s >= measured.time_s - _EPSILON_S)
+        if poses.time_s > measured.time_s + _AHEAD_S:
+            return (
+                f"the referee's clock shows {poses.time_s:g} s where the robots measure {measured.time_s:g} s"
+            )
+        physics, data = self.physics, self.physics.data
+        passed_s = poses.time_s - data.time
+        for body, pose in zip(self._bodies, (*poses.cars, *poses.things), strict=True):
+            if passed_s > 0:
+                way = np.array(pose[:3]) - data.qpos[body.qpos : body.qpos + 3]
+                data.qvel[body.dof : body.dof + 3] = way / passed_s
+            data.qpos[body.qpos : body.qpos + 7] = pose
+        for slope, hinge in zip(physics.slopes, poses.hinges, strict=True):
+            data.qpos[slope.hinge.qpos] = hinge
+        for car, now in zip(physics.cars, measured.cars, strict=True):
+            data.qpos[car.board.qpos] = now.board_m
+        data.time = poses.time_s
+        physics.capped_steps = poses.capped_steps
+        return ""
+
+
+def _is_inside(size: Cell, place: Sequence[float]) -> bool:
+    """Return whether a car, or what it handles, can be at (x, y, z) in metres in a world of a size in cells."""
+    pitches = CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M
+    ends = [cells * pitch for cells, pitch in zip(size, pitches, strict=True)]
+    return all(-_AROUND_M <= at <= end + _AROUND_M for at, end in zip(place[:3], ends, strict=True))
 
 
 class Link(Harness):
@@ -96,7 +190,7 @@ class Link(Harness):
         machines: Machines,
         world: str = "",
         timeout_s: float = TIMEOUT_S,
-        size: Cell | None = None,
+        mirror: Mirror | None = None,
     ) -> None:
         """Say hello to the robots, and listen for half a second how long messages take.
 
@@ -106,18 +200,16 @@ class Link(Harness):
             machines: their parameters.
             world: digest of the world in which they should stand.
             timeout_s: without a message of use for so long they are lost, and so is a car whose clock stands so long.
-            size: of the world in cells, if that is known: no car is far outside.
+            mirror: shows what their referee says.
 
         Raises InputError where nobody answers, or they refuse.
         """
-        self._transport, self._timeout_s = transport, timeout_s
-        self._follow: Callable[[Measurements, float], str] = lambda measured, timeout_s: ""
+        self._transport, self._timeout_s, self._mirror = transport, timeout_s, mirror
         self.lost, self._dead = "", False
         self.dropped = 0
         """Messages that were none, or said what cannot be."""
         self._why_dropped = ""
         """Of the last of these, in brackets."""
-        self._size = size
         self.welcome = self._greet(n_cars, world)
         period_s = self.period_s = self.welcome.period_s
         super().__init__(n_cars, self.welcome.slopes, math.ceil(timeout_s / period_s))
@@ -131,8 +223,11 @@ class Link(Harness):
         """How long after the measurement that they answer commands are to begin."""
         self._number, self._first = 0, 1
         self._owed: list[int] = []
-        self._newest = self._first_measurements()
-        self._due_s, self._stops = self._newest.time_s, self._newest.stops
+        self._newest = Measurements(0, -math.inf, 0, 0.0, 0, ())
+        self._wait_until(lambda: bool(self._newest.cars), "the robots measure nothing")
+        if not self.lost:
+            self.measured(self._newest.cars)
+            self._due_s, self._stops = self._newest.time_s, self._newest.stops
         for _ in range(_LISTENED):
             self.advance()
         if self.lost:
@@ -153,9 +248,9 @@ class Link(Harness):
             return
         self.lost, self._first = "", self._number + 1
         takes_s = max(self._takes, default=0.0)
-        if takes_s > EPSILON_S:
+        if takes_s > _EPSILON_S:
             takes_s += _SPARE_S
-        lead_s = math.ceil(takes_s / self.period_s - EPSILON_S) * self.period_s
+        lead_s = math.ceil(takes_s / self.period_s - _EPSILON_S) * self.period_s
         self._lead_s = min(max(lead_s, 0.0), _MOST_LEAD_S)
         self._take_all()
         self._listen_until(self._newest.time_s + self.period_s)
@@ -183,7 +278,7 @@ class Link(Harness):
         elif ahead_s > _MOST_BEHIND_S and not self.lost:
             self.lost = f"the clock of the robots was {ahead_s:.4g} s ahead of what they were commanded"
         self._predict()
-        self._look_on()
+        self._show()
 
     def stop(self, car: int, slope: int) -> None:
         """Command a car's motors to zero, and the hinge of a slope; tell the robots at once, unless it is lost."""
@@ -194,26 +289,13 @@ class Link(Harness):
         self._transport.send(pack(Commands(self._number, 0.0, self.commands())))
 
     def close(self) -> None:
-        """Let go of the robots."""
+        """Let go of the robots, and close the connection."""
         self._transport.send(pack(Bye()))
-
-    def let_follow(self, follow: Callable[[Measurements, float], str]) -> None:
-        """Let somebody look on from now on, such as a mirror. Raises InputError where it sees nothing.
-
-        It is called with measurements and a time limit in seconds, and returns why it did not see in time how things
-        stood when they were made, or nothing.
-        """
-        self._follow = follow
-        self._look_on()
-        if self.lost:
-            raise InputError(self.lost)
-
-    def _look_on(self) -> None:
-        if not self.lost and (why := self._follow(self._newest, self._timeout_s)):
-            self._lose(why)
+        self._transport.close()
 
     def _greet(self, n_cars: int, world: str) -> Welcome:
-        self._transport.send(pack(Hello(n_cars, world)))
+        hello = pack(Hello(n_cars, world))
+        self._transport.send(hello)
         deadline = time.monotonic() + max(_GREETED_S, self._timeout_s)
         while (left_s := deadline - time.monotonic()) > 0:
             message = self._message(left_s)
@@ -223,40 +305,58 @@ class Link(Harness):
                 if not message.busy or left_s < 2 * _AGAIN_S:
                     raise InputError(message.why)
                 time.sleep(_AGAIN_S)
-                self._transport.send(pack(Hello(n_cars, world)))
+                self._transport.send(hello)
             if isinstance(message, Welcome):
-                if message.cars != n_cars:
-                    raise InputError(f"{message.cars} robots answer, and there should be {n_cars}")
+                self._check(message, n_cars)
                 return message
         raise InputError(
             f"no robots answer within {max(_GREETED_S, self._timeout_s):g} s{self._why_dropped}; "
             "start some with: craftsim robot"
         )
 
-    def _first_measurements(self) -> Measurements:
-        """Return the first measurements that come; raise InputError where none do."""
-        deadline = time.monotonic() + self._timeout_s
-        while (left_s := deadline - time.monotonic()) > 0:
-            message = self._message(left_s)
-            if self.lost:
-                raise InputError(self.lost)
-            if isinstance(message, Measurements) and self._fits(message, -math.inf):
-                self._owed.append(message.number)
-                self.measured(message.cars)
-                return message
-        raise InputError(f"the robots measure nothing for {self._timeout_s:g} s{self._why_dropped}")
+    def _check(self, welcome: Welcome, n_cars: int) -> None:
+        """Raise InputError where the robots differ from what the driver takes them to be."""
+        if welcome.cars != n_cars:
+            raise InputError(f"{welcome.cars} robots answer, and there should be {n_cars}")
+        if self._mirror is None:
+            return
+        n_slopes = len(self._mirror.physics.slopes)
+        period_s = self._mirror.physics.config.control_period_s
+        if welcome.slopes != n_slopes:
+            raise InputError(f"the robots know of {welcome.slopes} slopes, and there are {n_slopes}")
+        if abs(welcome.period_s - period_s) > 1e-9:
+            raise InputError(
+                f"the robots' control period is {welcome.period_s:g} s, and that of the skills {period_s:g} s"
+            )
+        if not welcome.referee:
+            raise InputError("nobody shows the world of these robots: there is no referee")
+
+    def _show(self) -> None:
+        """Let the mirror show how things stood when the newest measurements were made."""
+        if self._mirror is None or self.lost:
+            return
+        mirror, measured = self._mirror, self._newest
+        self._wait_until(lambda: mirror.knows(measured.time_s), "the referee has shown nothing of use")
+        if not self.lost and (why := mirror.show(measured)):
+            self._lose(why)
 
     def _listen_until(self, time_s: float) -> None:
         """Take messages until there is a measurement of a time, or later, by the robots' clock; or lose them."""
+        self._wait_until(
+            lambda: self._newest.time_s >= time_s - _EPSILON_S, "nothing has come from the robots"
+        )
+
+    def _wait_until(self, is_there: Callable[[], bool], why: str) -> None:
+        """Take messages until something is there; the robots are lost, with a reason, where it is not in time."""
         deadline = time.monotonic() + self._timeout_s
-        while not self.lost and self._newest.time_s < time_s - EPSILON_S:
+        while not self.lost and not is_there():
             for number in self._owed:
                 self._transport.send(pack(Ack(number)))
             self._owed.clear()
             left_s = deadline - time.monotonic()
-            # What is no measurement does not count, however much of it comes.
-            if left_s <= 0 or not self._take(left_s):
-                self._lose(f"nothing has come from the robots for {self._timeout_s:g} s{self._why_dropped}")
+            # What is of no use does not count, however much of it comes.
+            if (left_s <= 0 or not self._take(left_s)) and not self.lost:
+                self._lose(f"{why} for {self._timeout_s:g} s{self._why_dropped}")
 
     def _take_all(self) -> None:
         """Take the messages that have come already."""
@@ -273,21 +373,27 @@ class Link(Harness):
         elif isinstance(message, Measurements):
             if self.welcome.waits:
                 self._owed.append(message.number)
-            if message.number > self._newest.number and self._fits(message, self._newest.time_s):
+            if message.number > self._newest.number and self._fits(message):
                 self._note(message)
+        elif isinstance(message, TruePoses) and self._mirror is not None:
+            try:
+                self._mirror.take(message)
+            except MessageError as error:
+                self._drop(str(error))
         return message is not None or self.dropped > before
 
-    def _fits(self, message: Measurements, before_s: float) -> bool:
+    def _fits(self, message: Measurements) -> bool:
         """Return whether measurements are newer, of these cars where they can be, and of slopes that there are."""
-        why = ""
+        why, before_s = "", self._newest.time_s
         if len(message.cars) != self.welcome.cars:
             why = f"measurements of {len(message.cars)} cars; there are {self.welcome.cars}"
         elif message.time_s <= before_s:
             why = f"a clock that went from {before_s:g} s to {message.time_s:g} s"
         for car, now in enumerate(message.cars):
+            place = now.x, now.y, now.z
             if now.slope is not None and now.slope >= self.welcome.slopes:
                 why = f"car {car} docked to slope {now.slope}; there are {self.welcome.slopes}"
-            elif self._size is not None and not inside(self._size, now.x, now.y, now.z):
+            elif self._mirror is not None and not _is_inside(self._mirror.physics.size, place):
                 why = f"car {car} at ({now.x:g}, {now.y:g}, {now.z:g}) m, outside the world"
         if why:
             self._drop(why)
@@ -298,6 +404,12 @@ class Link(Harness):
         self._why_dropped = f" (dropped: {why})"
 
     def _note(self, message: Measurements) -> None:
+        if self._newest.cars:
+            self._learn(message)
+        self._newest = message
+
+    def _learn(self, message: Measurements) -> None:
+        """Learn from measurements how long commands take, and how fast wheels turn."""
         if message.heard > self._newest.heard:
             leads = (lead_s for lead_s, sent in self._sent if sent.number == message.heard)
             self._takes.extend(lead_s + message.late_s for lead_s in leads)
@@ -307,7 +419,6 @@ class Link(Harness):
         periods = round(gap_s / self.period_s)
         for car, now, command in zip(self._cars, message.cars, acted, strict=True):
             car.note(now, command, periods)
-        self._newest = message
 
     def _message(self, timeout_s: float) -> Message | None:
         """Return the next message that comes in time, if it is one; the robots are lost where none can come."""
@@ -339,6 +450,6 @@ class Link(Harness):
     def _acting(self, time_s: float) -> tuple[Command, ...]:
         """Return what the cars do, or have done, in the control period that begins at a time."""
         for _, message in reversed(self._sent):
-            if message.at_s <= time_s + EPSILON_S:
+            if message.at_s <= time_s + _EPSILON_S:
                 return message.cars
         return (Command(),) * self.welcome.cars

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable
 from dataclasses import asdict, dataclass, fields
-from typing import Annotated, Any, ClassVar, Final, cast
+from typing import Annotated, Any, Final, cast, get_args
 
 import msgpack
 from pydantic import AfterValidator, FailFast, Field, ValidationError
@@ -17,18 +17,18 @@ from craftsim.skills.skill import Command
 from craftsim.storage.limits import MESSAGE_BYTES, PHYSICS_CARS, PHYSICS_PARTS, Range
 from craftsim.storage.records import adapter, first_mistake
 
-VERSION: Final = 2
-"""Of the protocol; raised whenever something changes its meaning or goes away."""
+VERSION: Final = 3
+"""Version of the protocol; raised whenever something changes its meaning or goes away."""
 COPIES: Final = 2
-"""Of all commands and measurements, so that few are lost: the first that comes counts."""
+"""Copies of all commands and measurements that are sent; the first that arrives counts."""
 _MOST_TEXT: Final = 1000
 
 _MOST_THINGS: Final = max(PHYSICS_CARS, PHYSICS_PARTS)
-"""In a list. What is too much is not looked at, and no list after its first mistake: else 64 KiB take seconds."""
+"""Entries of a list. Longer ones, and all after the first mistake, are not read: else 64 KiB take seconds."""
 _MOST_FIELDS: Final = 32
-"""In a map; no message has as many."""
+"""Entries of a map; no message has as many."""
 _UNIT: Final = 1e-3
-"""By how much the length of a quaternion may be off."""
+"""Tolerance for the length of a quaternion."""
 
 # What can be, whatever the machines.
 Number = Annotated[int, Range(0, 2**53)]
@@ -52,14 +52,8 @@ class MessageError(CraftsimError):
     """What came is no message of this protocol."""
 
 
-class Message:
-    """One of the messages below."""
-
-    kind: ClassVar[str]
-
-
 @dataclass(frozen=True)
-class Hello(Message):
+class Hello:
     """To the robots: somebody wants to drive them."""
 
     kind = "hello"
@@ -70,7 +64,7 @@ class Hello(Message):
 
 
 @dataclass(frozen=True)
-class Welcome(Message):
+class Welcome:
     """From the robots: they obey whoever said hello."""
 
     kind = "welcome"
@@ -81,15 +75,13 @@ class Welcome(Message):
     watchdog_s: Annotated[float, Range(0.001, 10.0)]
     """Without a command for so long they stop by themselves."""
     referee: bool = False
-    """Whether a referee answers at the same address."""
+    """Whether a referee's poses come with the measurements."""
     waits: bool = False
     """Whether their time stands still until each measurement has been answered by Ack."""
-    ticket: Text = ""
-    """What the driver shows the referee, so that it is served before all others who look on."""
 
 
 @dataclass(frozen=True)
-class Refused(Message):
+class Refused:
     """From the robots: they do not obey."""
 
     kind = "refused"
@@ -99,7 +91,7 @@ class Refused(Message):
 
 
 @dataclass(frozen=True)
-class Measurements(Message):
+class Measurements:
     """From the robots, each control period: what they measure."""
 
     kind = "measurements"
@@ -117,7 +109,7 @@ class Measurements(Message):
 
 
 @dataclass(frozen=True)
-class Commands(Message):
+class Commands:
     """To the robots, each control period: what their motors are to do."""
 
     kind = "commands"
@@ -129,7 +121,7 @@ class Commands(Message):
 
 
 @dataclass(frozen=True)
-class Ack(Message):
+class Ack:
     """To robots that wait: a measurement has been dealt with."""
 
     kind = "ack"
@@ -137,7 +129,7 @@ class Ack(Message):
 
 
 @dataclass(frozen=True)
-class Bye(Message):
+class Bye:
     """To the robots: they may obey somebody else. From the robots: they end."""
 
     kind = "bye"
@@ -145,21 +137,10 @@ class Bye(Message):
 
 
 @dataclass(frozen=True)
-class Follow(Message):
-    """To the referee: somebody looks on, over a connection of its own."""
-
-    kind = "follow"
-    ticket: Text = ""
-    """That of the driver's Welcome, if it is the driver who looks on."""
-
-
-@dataclass(frozen=True)
-class TruePoses(Message):
-    """From the referee, at once and then each control period: where everything truly is; the skills never see it."""
+class TruePoses:
+    """From the referee, before the measurements of the same time: where everything is. The skills never see it."""
 
     kind = "poses"
-    number: Number
-    """Of the measurements of the same time."""
     time_s: Seconds
     cars: Annotated[tuple[Pose, ...], FailFast(), Field(max_length=PHYSICS_CARS)]
     things: Annotated[tuple[Pose, ...], FailFast(), Field(max_length=PHYSICS_PARTS)]
@@ -170,14 +151,13 @@ class TruePoses(Message):
     """Of a simulation: physics steps in which the solver gave up."""
 
 
-_KINDS: Final[dict[str, type[Message]]] = {
-    kind.kind: kind for kind in (Hello, Welcome, Refused, Measurements, Commands, Ack, Bye, Follow, TruePoses)
-}
+Message = Hello | Welcome | Refused | Measurements | Commands | Ack | Bye | TruePoses
+_KINDS: Final[dict[str, type[Message]]] = {kind.kind: kind for kind in get_args(Message)}
 
 
 def pack(message: Message) -> bytes:
     """Return a message as it is sent."""
-    content = {field.name: getattr(message, field.name) for field in fields(message)}  # type: ignore[arg-type]
+    content = {field.name: getattr(message, field.name) for field in fields(message)}
     packed: bytes = msgpack.packb(
         {"v": VERSION, "kind": message.kind, **content}, default=_plain, strict_types=True
     )

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import heapq
 import math
-import secrets
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.robots.fleet import Clock, Robot
+from craftsim.robots.fleet import Robot
 from craftsim.robots.messages import (
     COPIES,
     Ack,
     Bye,
     Commands,
-    Follow,
     Hello,
     Measurements,
     Message,
@@ -31,30 +29,29 @@ from craftsim.robots.messages import (
     pack,
     unpack,
 )
+from craftsim.robots.sockets import Host
 from craftsim.skills.skill import Command
 
 WATCHDOG_S: Final = 0.1
-"""Without a command for so long robots stop by themselves: five control periods."""
+"""Time without a command after which robots stop by themselves: five control periods."""
 LEASE_S: Final = 2.0
-"""After so long without a message from its driver somebody else may drive the robots."""
+"""Time without a message from the driver after which another one may drive the robots."""
 PATIENCE_S: Final = 60.0
-"""How long robots in lock-step wait for an answer, by this machine's clock; then their time goes on without."""
+"""Time limit of an answer in lock-step, by this machine's clock; after it the robots' time goes on without."""
 _MOST: Final = 10_000
-"""Messages on their way; more are lost."""
+"""Largest number of messages under way; more are lost."""
 _KEPT: Final = 64
-"""Commands that wait for their time; more is no driver but a mistake."""
+"""Largest number of commands that wait for their time."""
 _AHEAD_S: Final = 1.0
-"""How far ahead of its time a command may come."""
+"""Longest time that a command may arrive before it is due."""
 _EPSILON_S: Final = 1e-6
-_WATCHERS: Final = 8
-"""Who look on at most; one more takes the place of the first."""
 _TOLD: Final = 10
-"""Of what becomes of messages, so much is said within _LATELY_S: whoever sends them, they fill no disk."""
+"""Lines about messages that are printed within _LATELY_S, so that no sender fills a disk."""
 _LATELY_S: Final = 60.0
 """By the robots' clock."""
 _LOOK_S: Final = 0.1
 _AT_ONCE: Final = 128
-"""Messages that are taken before the robots' time goes on, however many wait."""
+"""Messages that are read before the robots' time goes on, however many wait."""
 
 
 @dataclass(frozen=True)
@@ -167,13 +164,13 @@ class Service:
     def __init__(
         self,
         robots: Sequence[Robot],
-        clock: Clock,
+        wait: Callable[[], None],
         channels: tuple[Channel, Channel],
         send: Callable[[bytes, bytes], None],
         period_s: float,
         n_slopes: int = 0,
         world: str = "",
-        referee: Callable[[Measurements], TruePoses] | None = None,
+        referee: Callable[[float], TruePoses] | None = None,
         waits: bool = False,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
@@ -181,17 +178,17 @@ class Service:
 
         Args:
             robots: in the order of their cars' ids.
-            clock: lets their control periods pass.
+            wait: lets a control period pass.
             channels: what commands go through, and what measurements go through.
             send: sends (to whom, what).
             period_s: control period.
             n_slopes: in their world.
             world: digest of the world, which a driver's must equal; empty for any.
-            referee: knows where everything truly is, at the time of some measurements.
+            referee: knows where everything truly is, now; it is given the time.
             waits: whether their time stands still until each measurement has been answered.
             tell: says who comes, when the robots stop, and why a message was dropped.
         """
-        self.robots, self._clock, (self._up, self._down) = tuple(robots), clock, channels
+        self.robots, self._wait, (self._up, self._down) = tuple(robots), wait, channels
         self._send, self._referee, self._tell = send, referee, tell
         self.period_s, self._n_slopes, self.world, self.waits = period_s, n_slopes, world, waits
         self.inbox = Inbox()
@@ -201,12 +198,8 @@ class Service:
         """Whether the driver has gone without a word: the watchdog will stop the robots, and somebody else may come."""
         self._driver_s = 0.0
         """When it was heard last."""
-        self._ticket = ""
-        """Of the driver: who looks on with it is the driver's."""
         self.stopped_at_s: list[float] = []
         """When the robots stopped because no command came."""
-        self.heard_at_s: list[float] = []
-        """When the last command before each of these came."""
         self.now_s = 0.0
         self.periods = self.number = 0
         """Control periods that are over, and measurements that were made."""
@@ -214,11 +207,6 @@ class Service:
         """When something was said of what became of messages."""
         self.malformed = 0
         """Messages that were none, or out of place."""
-        self._watchers: deque[bytes] = deque(maxlen=_WATCHERS)
-        self._witness: bytes | None = None
-        """Who looks on for the driver."""
-        self._poses: bytes | None = None
-        """Those published last."""
         self.farewells = 0
         """How many have driven the robots and said goodbye, or are gone."""
         self.unseen: set[int] = set()
@@ -233,19 +221,10 @@ class Service:
     def _period_end_s(self) -> float:
         return round(self.periods * self.period_s, 9)
 
-    @property
-    def clients(self) -> frozenset[bytes]:
-        """Who drive the robots or look on."""
-        known = (*self._watchers, self._witness, self.driver)
-        return frozenset(client for client in known if client is not None)
-
     def arrive(self, sender: bytes, data: bytes, now_s: float) -> None:
         """Take what has come; a command is then on its way, all else is there at once."""
         try:
             message = unpack(data)
-            if isinstance(message, Follow) and self._referee is not None:
-                self._show(sender, message)
-                return
             self.check(sender, message)
         except MessageError as error:
             self.malformed += 1
@@ -267,25 +246,12 @@ class Service:
         if isinstance(message, Commands) and len(message.cars) != len(self.robots):
             raise MessageError(f"commands for {len(message.cars)} cars; there are {len(self.robots)}")
 
-    def _show(self, sender: bytes, message: Follow) -> None:
-        """Let somebody look on from now."""
-        if message.ticket and message.ticket == self._ticket:
-            self._witness = sender
-        elif sender not in self._watchers:
-            self._watchers.append(sender)
-        if self._poses is not None:
-            self._send(sender, self._poses)
-
     def depart(self, sender: bytes) -> None:
         """Go on without somebody whose connection is closed."""
         if sender == self.driver:
             self.abandoned = True
             self.farewells += 1
             self.unseen.clear()
-        if sender == self._witness:
-            self._witness = None
-        if sender in self._watchers:
-            self._watchers.remove(sender)
 
     def _receive(self, sender: bytes, message: Message, now_s: float) -> None:
         if isinstance(message, Hello):
@@ -315,16 +281,14 @@ class Service:
             return Refused("the robots stand in another world; start both with the same task and files")
         self.inbox.begin()
         self.driver, self._driver_s = sender, now_s
-        self.abandoned, self._ticket = False, secrets.token_hex(16)
+        self.abandoned = False
         self.unseen.clear()
-        return Welcome(
-            *(len(self.robots), self._n_slopes, self.period_s, WATCHDOG_S),
-            *(self._referee is not None, self.waits, self._ticket),
-        )
+        referee = self._referee is not None
+        return Welcome(len(self.robots), self._n_slopes, self.period_s, WATCHDOG_S, referee, self.waits)
 
     def leave(self) -> None:
         """Let the driver go; the robots stop."""
-        self.driver, self.abandoned, self._ticket = None, False, ""
+        self.driver, self.abandoned = None, False
         self.inbox.begin()
 
     def step(self) -> None:
@@ -342,17 +306,15 @@ class Service:
         else:
             self._act(now_s)
             self.periods += 1
-            self._clock.wait()
+            self._wait()
 
     def _measure(self, now_s: float) -> None:
         self.number += 1
         inbox, cars = self.inbox, tuple(robot.measure() for robot in self.robots)
         measured = Measurements(self.number, now_s, inbox.heard, inbox.late_s, inbox.stops, cars)
-        if self._referee is not None:
-            self._poses = pack(self._referee(measured))
-            for client in self.clients - {self.driver}:
-                self._send(client, self._poses)
         if self.driver is not None:
+            if self._referee is not None:
+                self._send(self.driver, pack(self._referee(now_s)))
             for _ in range(COPIES):
                 self._down.send(now_s, measured)
             self._deliver(now_s)
@@ -363,7 +325,6 @@ class Service:
         commands = self.inbox.obey(now_s)
         if self.inbox.stops > before:
             self.stopped_at_s.append(now_s)
-            self.heard_at_s.append(self.inbox.heard_s)
             self._tell(f"{now_s:.2f} s: no command since {self.inbox.heard_s:.2f} s, the robots stop")
         for car, robot in enumerate(self.robots):
             robot.command(Command() if commands is None else commands.cars[car])
@@ -384,23 +345,13 @@ class Service:
                     self.unseen.add(message.number)
 
 
-class Sockets(Protocol):
-    """Where messages come and go, such as :class:`~craftsim.robots.sockets.Host`."""
-
-    def send(self, receiver: bytes, data: bytes) -> None:
-        """Send a message."""
-
-    def receive(self, timeout_s: float, kept: Collection[bytes]) -> tuple[bytes, bytes | None] | None:
-        """Return (from whom, what) comes next; None in place of what comes from one who is gone, or of both in time."""
-
-
 class Server:
     """Lets the time of robots pass as the clock of this machine does, and messages come and go."""
 
     def __init__(
         self,
         service: Service,
-        sockets: Sockets,
+        sockets: Host,
         pace: float = 1.0,
         patience_s: float = PATIENCE_S,
         now: Callable[[], float] = time.monotonic,
@@ -466,7 +417,7 @@ class Server:
     def _take(self, timeout_s: float) -> bool:
         """Take the next message that comes in time; return whether one does."""
         service = self._service
-        found = self._sockets.receive(timeout_s, service.clients)
+        found = self._sockets.receive(timeout_s, service.driver)
         if found is None:
             return False
         sender, data = found

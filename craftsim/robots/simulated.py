@@ -13,15 +13,15 @@ from craftsim.checking.setup import Seed, SetUp, Setup, set_up
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.models.measuring import CarMeasurement
 from craftsim.models.world import PhysicsWorld
-from craftsim.robots.connecting import Connection, world_digest
 from craftsim.robots.fleet import Robot
-from craftsim.robots.messages import Measurements, TruePoses
+from craftsim.robots.link import connect, world_digest
+from craftsim.robots.messages import TruePoses
 from craftsim.robots.server import Channel, Network, Service
 from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.skill import Command
 
 _AWAITED: Final = 1000
-"""Events of the robots' time in which a message should come."""
+"""Events of the robots' time within which a message should arrive."""
 
 
 class SimulatedRobot:
@@ -49,34 +49,21 @@ class SimulatedRobot:
         self._slope = slope
 
 
-class SimulatedClock:
-    """The time of a PhysicsWorld, which passes in its physics alone."""
-
-    def __init__(self, world: PhysicsFleet) -> None:
-        """Let the time of these cars pass."""
-        self._world = world
-
-    def wait(self) -> None:
-        """Simulate one control period."""
-        self._world.advance()
-
-
 def simulated_robots(world: PhysicsFleet) -> tuple[Robot, ...]:
     """Return a robot for each car of a PhysicsWorld."""
     return tuple(SimulatedRobot(world, car) for car in range(len(world.physics.cars)))
 
 
-def simulated_referee(physics: PhysicsWorld) -> Callable[[Measurements], TruePoses]:
-    """Return what says where everything in a PhysicsWorld truly is, at the time of some measurements."""
+def simulated_referee(physics: PhysicsWorld) -> Callable[[float], TruePoses]:
+    """Return what says where everything in a PhysicsWorld truly is, now, with the time that it is given."""
     n_slopes = len(physics.slopes)
 
-    def see(measured: Measurements) -> TruePoses:
+    def see(time_s: float) -> TruePoses:
         poses = physics.poses()
         cars = np.hstack([poses.car_positions, poses.car_quaternions])
         things = np.hstack([poses.positions, poses.quaternions])
         return TruePoses(
-            measured.number,
-            measured.time_s,
+            time_s,
             tuple(map(tuple, cars.tolist())),
             tuple(map(tuple, things.tolist())),
             tuple(poses.hinges[len(poses.hinges) - n_slopes :].tolist()),
@@ -102,7 +89,7 @@ def serve_simulated(
     physics, (up, down) = world.physics, rngs
     return Service(
         simulated_robots(world),
-        SimulatedClock(world),
+        world.advance,
         (Channel(network, up), Channel(network, down)),
         send,
         physics.config.control_period_s,
@@ -117,10 +104,11 @@ def serve_simulated(
 class Memory:
     """A connection to simulated robots of this process: their time passes while something is awaited from them."""
 
-    def __init__(self, service: Service, inboxes: dict[bytes, deque[bytes]]) -> None:
-        """Add one more to the connections of a service, whose messages go to ``inboxes``."""
-        self.service, self.name = service, str(len(inboxes)).encode()
-        self.inbox = inboxes.setdefault(self.name, deque())
+    name: Final = b"memory"
+
+    def __init__(self, service: Service, inbox: deque[bytes]) -> None:
+        """Connect to a service that puts what it sends into an inbox."""
+        self.service, self.inbox = service, inbox
 
     def send(self, data: bytes) -> None:
         """Send a message."""
@@ -149,13 +137,10 @@ def simulated_network(network: Network) -> SetUp:
         world = set_up(grid, setup, seed, watch_contacts=False).executor.fleet
         assert isinstance(world, PhysicsFleet)
         rngs = [np.random.default_rng(s) for s in seed.sequence().spawn(5)[3:]]  # others are those of set_up
-        inboxes: dict[bytes, deque[bytes]] = {}
+        inbox = deque[bytes]()
         service = serve_simulated(
-            world, world_digest(grid), lambda name, data: inboxes[name].append(data), network, rngs, True
+            world, world_digest(grid), lambda name, data: inbox.append(data), network, rngs, True
         )
-        connection = Connection(
-            lambda: Memory(service, inboxes), grid, setup.machines, setup.simulation, goals
-        )
-        return connection.judge(setup)
+        return connect(Memory(service, inbox), grid, setup, goals)
 
     return begin

@@ -11,7 +11,6 @@ import itertools
 import selectors
 import socket
 import time
-from collections.abc import Collection
 from types import TracebackType
 from typing import Final, Self
 
@@ -21,15 +20,15 @@ from craftsim.storage.limits import MESSAGE_BYTES, ROBOT_CONNECTIONS
 
 _HEAD_BYTES: Final = 4
 _LEAVING_BYTES: Final = 4 * MESSAGE_BYTES
-"""That wait to leave; messages beyond it are dropped."""
+"""Limit of what waits to be sent; messages beyond it are dropped."""
 _SYSTEM_BYTES: Final = MESSAGE_BYTES
-"""That the system holds in each direction: what is old is of no use."""
+"""Buffer of the system in each direction: old messages are of no use."""
 _AGAIN_S: Final = 0.05
-"""After so long one calls again where nobody listens yet."""
+"""Time between attempts to connect where nobody listens yet."""
 _CONNECTED_S: Final = 1.0
-"""How long the other side may take to accept a connection."""
+"""Time limit of accepting a connection."""
 _ADMITTED: Final = 4
-"""Connections that are accepted before those that there are get their turn."""
+"""Connections that are accepted before the existing ones are read again."""
 
 
 class Line:
@@ -47,9 +46,9 @@ class Line:
         """Whether nothing more comes than what :meth:`take` returns."""
 
     @property
-    def leaves(self) -> bool:
-        """Whether something waits to leave."""
-        return bool(self._leaving)
+    def events(self) -> int:
+        """What a selector should wait for: that something comes, and that what waits can leave."""
+        return selectors.EVENT_READ | (selectors.EVENT_WRITE if self._leaving else 0)
 
     def read(self) -> None:
         """Read what has come, up to a message and its length."""
@@ -122,7 +121,8 @@ class Caller:
                 raise ValueError("not tcp://HOST:PORT")
             if not (port.isascii() and port.isdecimal() and 1 <= int(port[:6]) <= 65_535):
                 raise ValueError("the port should be 1 to 65535")
-            self._places = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)
+            self._place = host, int(port)
+            socket.getaddrinfo(*self._place, type=socket.SOCK_STREAM)
         except (OSError, TypeError, ValueError) as error:
             why = getattr(error, "strerror", None) or error
             raise InputError(
@@ -158,23 +158,16 @@ class Caller:
             if left_s <= 0:
                 return None
             with selectors.DefaultSelector() as selector:
-                selector.register(line.socket, _events(line))
+                selector.register(line.socket, line.events)
                 selector.select(left_s)
             line.flush()
 
     def _call(self, deadline: float) -> Line | None:
         """Call until somebody listens, or the time is over."""
         while True:
-            for family, kind, protocol, _, place in self._places:
-                left_s = max(_AGAIN_S, min(_CONNECTED_S, deadline - time.monotonic()))
-                called = socket.socket(family, kind, protocol)
-                called.settimeout(left_s)
-                try:
-                    called.connect(place)
-                except OSError:
-                    called.close()
-                    continue
-                self._line = Line(called)
+            left_s = max(_AGAIN_S, min(_CONNECTED_S, deadline - time.monotonic()))
+            with contextlib.suppress(OSError):
+                self._line = Line(socket.create_connection(self._place, left_s))
                 for data in self._first:
                     self._line.send(data)
                 return self._line
@@ -235,13 +228,13 @@ class Host:
         """Send a message, or drop it where too many wait."""
         if (line := self._lines.get(receiver)) is not None:
             line.send(data)
-            self._selector.modify(line.socket, _events(line), receiver)
+            self._selector.modify(line.socket, line.events, receiver)
 
-    def receive(self, timeout_s: float, kept: Collection[bytes] = ()) -> tuple[bytes, bytes | None] | None:
+    def receive(self, timeout_s: float, kept: bytes | None = None) -> tuple[bytes, bytes | None] | None:
         """Return (from whom, what) comes next, or None where nothing does in time.
 
         Who are connected have one turn after the other. No message is of one who has closed the connection. Where
-        there are too many, the one who came first of those that are not ``kept`` is let go.
+        there are too many, the one who came first of those but ``kept`` is let go.
         """
         deadline = time.monotonic() + timeout_s
         left_s = 0.0
@@ -261,7 +254,7 @@ class Host:
             if left_s <= 0:
                 return None
 
-    def _attend(self, timeout_s: float, kept: Collection[bytes]) -> None:
+    def _attend(self, timeout_s: float, kept: bytes | None) -> None:
         """Wait until something comes or can leave, and take part of it up."""
         for key, mask in self._selector.select(timeout_s):
             if key.fileobj is self._listens:
@@ -270,9 +263,9 @@ class Host:
                 if mask & selectors.EVENT_WRITE:
                     line.flush()
                 line.read()
-                self._selector.modify(line.socket, _events(line), key.data)
+                self._selector.modify(line.socket, line.events, key.data)
 
-    def _admit(self, kept: Collection[bytes]) -> None:
+    def _admit(self, kept: bytes | None) -> None:
         for _ in range(_ADMITTED):
             try:
                 connected, _ = self._listens.accept()
@@ -280,7 +273,7 @@ class Host:
                 return
             name = str(next(self._names)).encode()
             if len(self._lines) >= ROBOT_CONNECTIONS:
-                self._let_go(min((name for name in self._lines if name not in kept), key=int))
+                self._let_go(min((name for name in self._lines if name != kept), key=int))
             try:
                 self._lines[name] = Line(connected)
             except OSError:  # it is closed already
@@ -293,7 +286,3 @@ class Host:
         with contextlib.suppress(KeyError, ValueError):
             self._selector.unregister(line.socket)
         line.close()
-
-
-def _events(line: Line) -> int:
-    return selectors.EVENT_READ | (selectors.EVENT_WRITE if line.leaves else 0)

@@ -18,7 +18,7 @@ from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import Starts
 from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
-from craftsim.planning.planned import Ticks
+from craftsim.planning.joint_plan import Ticks
 
 Progress = Callable[[int], AbstractContextManager[Callable[[bool], None]]]
 """Given how many plans are to be made, a context in which a call says of each whether there is one."""

@@ -21,7 +21,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.planning.planned import Ticks
+from craftsim.planning.joint_plan import Ticks
 
 WORLDS: Final = 500
 """How many are stepped side by side."""

@@ -139,7 +139,7 @@ def _messages() -> list[Files]:
     sent = (
         Measurements(7, 0.5, 3, -0.01, 0, (car, car)),
         Commands(3, 0.6, (Command((1.0, 2.0, 3.0, 4.0), 0.05, -0.3),)),
-        TruePoses(7, 0.5, (pose,), (pose, pose), (3.1,), 2),
+        TruePoses(0.5, (pose,), (pose, pose), (3.1,), 2),
     )
     return [{"message.msgpack": pack(message)} for message in sent]
 

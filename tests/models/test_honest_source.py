@@ -27,7 +27,7 @@ ARRAY_WRITERS = {"copyto", "put", "place", "putmask", "put_along_axis", "fill_di
 ALLOWED = {
     "craftsim/models/world.py": {"PhysicsWorld.reset", "PhysicsWorld.restore", "PhysicsWorld.awake_copy"},
     "craftsim/rendering/trajectory.py": {"place"},
-    "craftsim/robots/connecting.py": {"Mirror._show"},
+    "craftsim/robots/link.py": {"Mirror.show"},
 }
 """PhysicsWorld.awake_copy writes a copy, and leaves the world as it is (tests/checking/test_contact_log.py); what is
 posed has data of its own, to be drawn; a mirror shows robots elsewhere, and is never stepped."""

@@ -7,14 +7,13 @@ from craftsim.discrete.grid import Kind, Piece
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.planning import plan_building
-from craftsim.planning.building import Turn
-from craftsim.planning.joint_plan import Delivery
+from craftsim.planning.joint_plan import Turn
 from craftsim.planning.planned import Planned
 from craftsim.planning.planner import vary
 
 RULES = Rules("physical")
 BLOCKS = tuple(Piece(Kind.BLOCK, (x, 0, 1)) for x in range(5))
-TURNS = [Turn(x % 2, Delivery(BLOCKS[x], Piece(Kind.BLOCK, (x, 3, 1))), x) for x in range(4)]
+TURNS = [Turn(x % 2, BLOCKS[x], Piece(Kind.BLOCK, (x, 3, 1)), x) for x in range(4)]
 
 
 def neighbours(n=300, critical=()):
@@ -28,15 +27,15 @@ def test_what_is_kept_is_the_beginning_and_what_follows_differs_from_it():
 
 
 def test_each_turn_still_brings_a_thing_to_a_place_of_the_plan():
-    places = {turn.delivery.target for turn in TURNS}
+    places = {turn.target for turn in TURNS}
     for _, others in neighbours():
-        deliveries = [turn.delivery for turn in others if turn]
-        assert {delivery.target for delivery in deliveries} <= places
-        assert len({delivery.source for delivery in deliveries}) == len(deliveries)
+        turns = [turn for turn in others if turn]
+        assert {turn.target for turn in turns} <= places
+        assert len({turn.source for turn in turns}) == len(turns)
 
 
 def test_a_thing_that_nobody_used_may_be_used():
-    assert any(turn.delivery.source == BLOCKS[4] for _, others in neighbours() for turn in others if turn)
+    assert any(turn.source == BLOCKS[4] for _, others in neighbours() for turn in others if turn)
 
 
 def test_what_the_makespan_depends_on_changes_more_often():

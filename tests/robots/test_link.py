@@ -20,10 +20,9 @@ from craftsim.robots.messages import (
     TruePoses,
     Welcome,
     pack,
-    unpack,
 )
 from craftsim.robots.server import LEASE_S, Network
-from craftsim.robots.simulated import SimulatedClock, simulated_robots
+from craftsim.robots.simulated import simulated_robots
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command
@@ -52,7 +51,7 @@ def on_site():
 def test_robots_of_ones_own_class_do_what_a_sites_cars_do(on_site):
     setup = setup_of(drive="reduced")
     fleet = set_up(draw(SIZE, OBJECTS, CARS), setup, watch_contacts=False).executor.fleet
-    physics, robots = fleet.physics, RobotFleet(simulated_robots(fleet), SimulatedClock(fleet))
+    physics, robots = fleet.physics, RobotFleet(simulated_robots(fleet), fleet.advance)
     assert perform(Executor(physics, setup.gains, assumed=setup.assumed, fleet=robots)) == on_site[0]
     np.testing.assert_array_equal(physics.data.qpos, on_site[1])
 
@@ -75,15 +74,13 @@ def test_actions_agree_through_delay_jitter_and_loss_and_are_the_same_again(make
 
 def test_the_skills_see_nothing_of_what_the_referee_says(make_robots):
     robots = make_robots(SIZE, CARS, OBJECTS)
-    mirror = robots.mirror
-    take = mirror._take
+    take = robots.mirror.take
 
-    def lie(data: bytes) -> None:
-        poses = unpack(data)
+    def lie(poses: TruePoses) -> None:
         cars = tuple((x + 0.05, *rest) for x, *rest in poses.cars)
-        take(pack(TruePoses(poses.number, poses.time_s, cars, poses.things, poses.hinges)))
+        take(TruePoses(poses.time_s, cars, poses.things, poses.hinges))
 
-    mirror._take = lie
+    robots.mirror.take = lie
     attempt = robots.judge.perform(0, Action.MOVE_RIGHT)
     assert attempt.skill == "succeeded"
     assert not attempt.agrees

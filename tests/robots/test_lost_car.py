@@ -13,7 +13,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.robots import simulated
 from craftsim.robots.fleet import RobotFleet
 from craftsim.robots.server import Network
-from craftsim.robots.simulated import SimulatedClock, simulated_network, simulated_robots
+from craftsim.robots.simulated import simulated_network, simulated_robots
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command
 from craftsim.validation.replanning import Replanning
@@ -115,7 +115,7 @@ def test_robots_of_this_process_are_lost_one_by_one_too():
     judge = set_up(grid, setup_of(drive="reduced"))
     world = judge.executor.fleet
     first, second = simulated_robots(world)
-    fleet = RobotFleet((Silent(first, 0.3), second), SimulatedClock(world), patience=10)
+    fleet = RobotFleet((Silent(first, 0.3), second), world.advance, patience=10)
     executor = craftsim.Executor(judge.physics, fleet=fleet)
     ended = executor.run({0: Action.MOVE_FORWARD, 1: Action.ROTATE_LEFT})
     assert ended[0].reason is Reason.DISCONNECTED

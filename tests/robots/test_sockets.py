@@ -114,15 +114,15 @@ def test_idle_connections_shut_nobody_out(host):
         kept, _ = host.receive(WAIT_S)
         for _ in range(300):
             stack.enter_context(connected(host))
-            host.receive(0.0, [kept])
+            host.receive(0.0, kept)
         late = stack.enter_context(calling(host))
         late.send(b"late")
         late.receive(0.0)
-        found = [host.receive(WAIT_S, [kept])]
+        found = [host.receive(WAIT_S, kept)]
         assert found[0][1] == b"late"
         assert len(host._lines) <= ROBOT_CONNECTIONS
         driver.send(b"still here")
-        assert host.receive(WAIT_S, [kept]) == (kept, b"still here")
+        assert host.receive(WAIT_S, kept) == (kept, b"still here")
 
 
 def test_one_who_sends_much_starves_nobody(host):

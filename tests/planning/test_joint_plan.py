@@ -4,10 +4,11 @@ import numpy as np
 
 from craftsim.discrete.grid import Kind, Piece
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.move_graph import MoveGraphs
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.planning.assembly import Assembly, Placing, without_things
-from craftsim.planning.timeline import Timeline
+from craftsim.planning.joint_plan import JointPlan
 
 RULES = Rules("physical")
 
@@ -18,7 +19,7 @@ def start():
 
 def test_the_worlds_are_those_of_the_rules():
     grid = start()
-    timeline = Timeline(grid, RULES)
+    plan = JointPlan(grid, MoveGraphs(RULES))
     rng = np.random.default_rng(1)
     for tick in range(90):
         joint = []
@@ -27,26 +28,26 @@ def test_the_worlds_are_those_of_the_rules():
             action = int(rng.choice(legal[legal != Action.STOP]))
             if RULES.tick(grid, [*joint, (car, action)])[1].all():
                 joint.append((car, action))
-                timeline.write(car, tick, [action])
+                plan.write(car, tick, [action])
         grid, _ = RULES.tick(grid, joint)
-    assert timeline.replay(0) is None
-    assert timeline.grid(90).same_visible(grid)
-    assert [len(joint) for joint in timeline.ticks()] == [2] * 90
+    assert plan.replay(0) is None
+    assert plan.grid(90).same_visible(grid)
+    assert [len(joint) for joint in plan.ticks()] == [2] * 90
 
 
 def test_what_is_forbidden_is_found():
-    timeline = Timeline(start(), RULES)
-    timeline.write(0, 0, [Action.MOVE_RIGHT, Action.DROP])
-    assert timeline.replay(0) == (1, 0)
+    plan = JointPlan(start(), MoveGraphs(RULES))
+    plan.write(0, 0, [Action.MOVE_RIGHT, Action.DROP])
+    assert plan.replay(0) == 1
 
 
 def test_without_a_car_the_others_do_as_before():
     grid = start()
-    timeline = Timeline(grid, RULES)
-    timeline.write(1, 0, [Action.MOVE_RIGHT, Action.LIFT])
-    timeline.replay(0)
-    others = timeline.without(0, 0)
-    assert (others.cars[2, 1] == timeline.grid(2).cars[1]).all()
+    plan = JointPlan(grid, MoveGraphs(RULES))
+    plan.write(1, 0, [Action.MOVE_RIGHT, Action.LIFT])
+    plan.replay(0)
+    others = plan.without(0, 0)
+    assert (others.cars[2, 1] == plan.grid(2).cars[1]).all()
     assert (others.cars[2, 0, :3] < 0).all()
 
 

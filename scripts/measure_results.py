@@ -1,0 +1,107 @@
+"""Run the commands whose results the documentation shows, and store of each report what a table says.
+
+python scripts/measure_results.py             # all of them: half an hour
+python scripts/measure_results.py demo large_tower_4
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+ROOT: Final = Path(__file__).parents[1]
+RUNS: Final = ROOT / "docs" / "results" / "runs"
+OUT: Final = ROOT / "out" / "results"
+
+LATE, BIASED, LAGGING = "docs/results/late.yaml", "docs/results/biased.yaml", "docs/results/lagging.yaml"
+BUILT: Final = "--plan auto --attempts 8 --drive reduced --trials 5 --seed 1"
+MEASURED: Final = {
+    "demo": "demo --randomize none --no-video",
+    "heavier_car": "demo --randomize none --machines examples/heavier_car.yaml --no-video",
+    "conformance": "conformance tests/data/traces.jsonl.gz",
+    "late": f"validate --randomize none --noise {LATE} --trials 2",
+    "biased": f"validate --randomize none --noise {BIASED} --trials 2",
+    "lagging": f"validate --randomize none --noise {LAGGING} --trials 2",
+    "strong": "validate --order concurrent --randomize strong --trials 4",
+    "lab_floor": "validate simple_two_story --randomize lab_floor --trials 8",
+    "workshop_floor": "validate simple_two_story --randomize workshop_floor --trials 8",
+    "random": "validate random --randomize none --trials 20 --seed 3232",
+    "large_tower_4": f"validate large_tower_4 --randomize none {BUILT}",
+    "large_tower_4_mild": f"validate large_tower_4 --randomize mild {BUILT}",
+    "large_tower_8_mild": f"validate large_tower_8 --randomize mild {BUILT}",
+    "audit_physical": "audit --quick --rules physical --drive reduced",
+    "audit_published": "audit --quick --drive reduced",
+    "margins": "audit margins --quick",
+    "execution_plans": "bench execution --worlds 100",
+    "execution_policies": "bench execution random_strip random_block random_simple_two_story random_breaking_barrier",
+    "builders": "bench builders",
+}
+"""What is measured, each in less than four minutes of CPU time but for execution."""
+LISTS: Final = (
+    "by_group",
+    "by_verb",
+    "durations",
+    "survival",
+    "drift",
+    "coverage",
+    "rows",
+    "suspects",
+    "hypotheses",
+    "at_once",
+)
+"""What reports list by row, group or action: no table has it."""
+
+
+def main() -> None:
+    """Measure all, or what is named."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(MEASURED)}")
+    names = parser.parse_args().names
+    if unknown := set(names) - MEASURED.keys():
+        parser.error(f"no measurement {', '.join(sorted(unknown))}; there are {', '.join(MEASURED)}")
+    for name in names or MEASURED:
+        measure(name)
+
+
+def measure(name: str) -> None:
+    """Run a command, and store what its report says."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    out = OUT / name
+    command = [sys.executable, "-P", "-m", "craftsim", *MEASURED[name].split(), "--out", str(out)]
+    print(" ".join(command[3:]), flush=True)
+    subprocess.run(command, cwd=ROOT, check=False)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    store(name, out, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+
+
+def store(name: str, out: Path, cpu_s: float | None) -> None:
+    """Store of a report what a table says, with command and revision; a resumed run has no CPU time."""
+    revision = subprocess.run(
+        ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    kept = {
+        "command": MEASURED[name],
+        "revision": revision.stdout.strip(),
+        "cpu_s": None if cpu_s is None else round(cpu_s, 1),
+        "versions": report["versions"],
+        "figures": {key: _without_lists(value) for key, value in report["figures"].items()},
+    }
+    RUNS.mkdir(parents=True, exist_ok=True)
+    (RUNS / f"{name}.json").write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def _without_lists(value: Any) -> Any:
+    """Leave out LISTS, and other long lists of records."""
+    if isinstance(value, dict):
+        return {key: _without_lists(one) for key, one in value.items() if key not in LISTS}
+    return [] if isinstance(value, list) and len(value) > 8 and isinstance(value[0], dict) else value
+
+
+if __name__ == "__main__":
+    main()

@@ -14,6 +14,8 @@ from statistics import mean, median
 from typing import Any, Final
 
 import engines
+import numpy as np
+from matplotlib.figure import Figure
 from measure_results import MEASURED
 from scipy.stats import ttest_1samp
 
@@ -31,7 +33,6 @@ TRAINING: Final = RESULTS / "training"
 
 STUDIES: Final = {
     "paper_ippo": (),
-    "paper": ("curves.png", "profiles.png"),
     "random": ("curves.png",),
     "random_complex": ("curves.png",),
     "designs": ("curves.png",),
@@ -71,8 +72,7 @@ def tables() -> dict[str, str]:
         "benchmarks": benchmark_tables(_read(RESULTS / "benchmarks.json")),
         "large": large_table(_read(RESULTS / "large.json")),
         "structures": structures_table(_read(RESULTS / "structures.json")),
-        "paper": algorithms_table(_read(TRAINING / "paper.json")),
-        "qmix": qmix_table(),
+        "paper": paper_table(),
         "studies": studies_table(),
         "evaluations": evaluations_table(),
         "policies_in_physics": policies_table(path for path in in_physics if path != strongly),
@@ -155,19 +155,26 @@ def execution_table() -> str:
 
 def trained_table() -> str:
     """Return the success of policies trained in ticks and asynchronously, over seeds of training, in each mode."""
-    rates: dict[tuple[str, str], dict[str, list[float]]] = {}
-    starts = 0
+    found: dict[tuple[str, str], dict[str, list[dict[str, Any]]]] = {}
     for path in sorted(RUNS.glob("execution_trained_*.json")):
-        for policy, modes in _read(path)["figures"]["modes"].items():
+        for policy, by_mode in _read(path)["figures"]["modes"].items():
             task, how, _ = policy.rsplit("-", 2)
-            for mode, one in modes.items():
-                rates.setdefault((task, how), {}).setdefault(mode, []).append(one["success"]["rate"])
-                starts = one["success"]["trials"]
-    modes = list(next(iter(rates.values())))
+            for mode, one in by_mode.items():
+                found.setdefault((task, how), {}).setdefault(mode, []).append(one["success"])
+    modes = [*dict.fromkeys(mode for by_mode in found.values() for mode in by_mode)]
+    most = max(len(some) for by_mode in found.values() for some in by_mode.values())
+
+    def cell(some: list[dict[str, Any]]) -> str:
+        """Return the mean over seeds, or, where few were played, how many episodes of how many succeeded."""
+        if len(some) == most:
+            return _over_seeds([one["rate"] for one in some])
+        return f"{sum(one['successes'] for one in some)} of {sum(one['trials'] for one in some)}"
+
     rows = [
-        (f"`{task}`", how, len(found[modes[0]]), *(_over_seeds(found[mode]) for mode in modes))
-        for (task, how), found in sorted(rates.items())
+        (f"`{task}`", how, len(by_mode[modes[0]]), *(cell(by_mode[mode]) for mode in modes))
+        for (task, how), by_mode in sorted(found.items())
     ]
+    starts = found[min(found)][modes[0]][0]["trials"]
     return f"{starts} starts a policy, the same for all.\n\n" + table(
         ("task", "trained", "seeds", *modes), *rows
     )
@@ -433,28 +440,31 @@ def structures_table(stored: dict[str, Any]) -> str:
     return table((*head, "blocks an hour", "1e6 mm³ a minute per car"), *rows)
 
 
-def algorithms_table(report: dict[str, Any]) -> str:
-    """Return the interquartile mean of success by task and algorithm, with its interval where there is one."""
-    algos = [*dict.fromkeys(row["algo"] for row in report["figures"]["rows"])]
-    tasks: dict[str, dict[str, str]] = {}
-    for row in report["figures"]["rows"]:
-        iqm, low, high = row["success"]["iqm"]
-        cells = tasks.setdefault(row["task"], {"published": f"{row['published']:.2f}"})
-        cells[row["algo"]] = f"{iqm:.2f}" if low == high else f"{iqm:.2f} ({low:.2f}-{high:.2f})"
-    overall = {algo: f"{found['iqm'][0]:.2f}" for algo, found in report["figures"]["overall"].items()}
-    rows = [(task, *(cells[key] for key in (*algos, "published"))) for task, cells in tasks.items()]
-    return table(("task", *algos, "published"), *rows, ("all tasks", *(overall[algo] for algo in algos), ""))
-
-
-def qmix_table() -> str:
-    """Return the runs of QMIX on strip with the corrected mixer."""
+def paper_table() -> str:
+    """Return for each task and algorithm the mean success of the last fifth of evaluations, over seeds."""
+    runs = _read(TRAINING / "paper_runs.json")["runs"]
+    published = read_study("paper").reference
     rows = []
-    for path in sorted(TRAINING.glob("qmix_strip_*.json")):
-        report = _read(path)
-        figures = report["figures"]
-        success = f"{figures['success']['rate']:.3f}"
-        rows.append((report["config"]["seed"], success, f"{figures['steps'] // 1000} k"))
-    return table(("seed", "success", "steps"), *rows)
+    for task, algo in sorted(dict.fromkeys((run["task"], run["algo"]) for run in runs)):
+        some = [run for run in runs if (run["task"], run["algo"]) == (task, algo)]
+        lasts = [run["last_fifth"] for run in some]
+        firsts = [next((steps for steps, success in run["curve"] if success == 1), None) for run in some]
+        shown = " ".join("-" if steps is None else f"{steps // 1000}" for steps in firsts)
+        by_seed = " ".join(f"{last:.2f}" for last in lasts)
+        length = f"{some[0]['steps'] // 1000} k"
+        rows.append(
+            (f"`{task}`", f"`{algo}`", length, _over_seeds(lasts), by_seed, shown, f"{published[task]:.2f}")
+        )
+    head = (
+        "task",
+        "algorithm",
+        "steps",
+        "success (95 %)",
+        "by seed",
+        "first success, 1000 steps",
+        "published",
+    )
+    return table(head, *rows)
 
 
 def studies_table() -> str:
@@ -462,8 +472,6 @@ def studies_table() -> str:
     rows = []
     for name in STUDIES:
         report = _read(TRAINING / f"{name}.json")
-        if name == "paper":
-            continue
         cpu = {key: seconds for key, seconds in report["wall"]["cpu_s"].items() if seconds is not None}
         for row in report["figures"]["rows"]:
             iqm, low, high = row["success"]["iqm"]
@@ -561,6 +569,25 @@ def plot() -> None:
         for path in plot_results(folder, read_study(name), _read(TRAINING / f"{name}.json")["figures"]):
             if path.name not in shown:
                 path.unlink()
+    plot_paper(_read(TRAINING / "paper_runs.json")["runs"])
+
+
+def plot_paper(runs: list[dict[str, Any]]) -> None:
+    """Draw the learning curves of all algorithms, the mean over seeds, a panel a task."""
+    tasks, algos = (sorted({run[key] for run in runs}) for key in ("task", "algo"))
+    figure = Figure((4.2 * len(tasks), 3.2), layout="constrained")
+    panels = figure.subplots(1, len(tasks), sharey=True, squeeze=False)[0]
+    for panel, task in zip(panels, tasks, strict=True):
+        for number, algo in enumerate(algos):
+            curves = [run["curve"] for run in runs if (run["task"], run["algo"]) == (task, algo)]
+            if curves:
+                steps, success = np.mean(curves, axis=0).T
+                panel.plot(steps / 1000, success, color=f"C{number}", label=algo)
+        panel.set_title(task)
+        panel.set_xlabel("1000 steps")
+    panels[0].set_ylabel("success of greedy evaluations")
+    panels[-1].legend(fontsize="small")
+    figure.savefig(TRAINING / "paper_curves.png", dpi=110)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from pathlib import Path
 from craftsim.studies.study import read_study
 
 TRAINING = Path(__file__).parents[2] / "docs" / "results" / "training"
-STUDIES = ("paper_ippo", "paper", "random", "random_complex", "designs")
+STUDIES = ("paper_ippo", "random", "random_complex", "designs")
 PHYSICS = sorted(path.stem for path in TRAINING.glob("physics_*.json"))
 
 

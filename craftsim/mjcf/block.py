@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from craftsim.discrete.kinds import CARRIED, Kind
-from craftsim.mjcf.building import BEVEL, CORNERS, MachineBuilder, Pose, digits, surface, touching, volume
+from craftsim.mjcf.building import BEVEL, CORNERS, TOUCHES, MachineBuilder, Pose, digits, surface, volume
 from craftsim.mjcf.parameters import BlockParameters, Machines
 from craftsim.mjcf.solids import ClosedSolid, Interval, box, loft, square, turned
 
@@ -65,7 +65,7 @@ def add_block(
     ``name`` is which of :data:`TABLE_NAMES`; the other arguments are as of :func:`craftsim.mjcf.car.add_car`.
     """
     block, contact, table = machines.block, machines.contact, TABLES[TABLE_NAMES[name]]
-    of_solid = {**touching("things"), **surface(contact, block.friction), "rgba": [*table.rgb, 0.4]}
+    of_solid = {**TOUCHES["things"], **surface(contact, block.friction), "rgba": [*table.rgb, 0.4]}
     builder = MachineBuilder(
         spec, prefix, name, visual, looks, block, type=mujoco.mjtGeom.mjGEOM_BOX, **of_solid
     )

@@ -17,13 +17,13 @@ from craftsim.mjcf.solids import ClosedSolid, Interval, add_mesh, meshes
 Point = tuple[float, float, float]
 
 TOUCHES: Final = {
-    "things": (1, 7),
-    "wheels": (2, 0),
-    "hulls": (4, 13),
-    "guards": (8, 12),
-    "seen": (0, 0),
+    "things": {"contype": 1, "conaffinity": 7},
+    "wheels": {"contype": 2, "conaffinity": 0},
+    "hulls": {"contype": 4, "conaffinity": 13},
+    "guards": {"contype": 8, "conaffinity": 12},
+    "seen": {"contype": 0, "conaffinity": 0},
 }
-"""What touches what: the bits (contype, conaffinity) of each kind of surface. Things are the floor and all that stands
+"""What touches what: the bits of each kind of surface. Things are the floor and all that stands
 on it. Wheels, and the rollers of wheels, touch things; hulls touch things, other cars' hulls and guards; guards, the
 envelopes of wheels, stand in for wheels between cars. What is only seen touches nothing."""
 SOLID_GROUP, SEEN_GROUP = 3, 2
@@ -77,13 +77,7 @@ def surface(contact: ContactParameters, sliding: float, stiffness: float = 1.0) 
     }
 
 
-def touching(kind: str) -> dict[str, int]:
-    """Return the attributes of a geom that touches what its kind in TOUCHES does."""
-    contype, conaffinity = TOUCHES[kind]
-    return {"contype": contype, "conaffinity": conaffinity}
-
-
-SEEN: Final = {**touching("seen"), "mass": 0, "group": SEEN_GROUP}
+SEEN: Final = {**TOUCHES["seen"], "mass": 0, "group": SEEN_GROUP}
 """The attributes of a geom that is only seen."""
 
 
@@ -233,7 +227,7 @@ def new_world(
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=size,
         pos=middle,
-        **touching("things"),
+        **TOUCHES["things"],
         **surface(contact, contact.ground_friction),
     )
     if visual:

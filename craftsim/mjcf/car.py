@@ -19,6 +19,7 @@ from craftsim.discrete.drawing import car_colour
 from craftsim.mjcf.building import (
     CORNERS,
     SEEN_GROUP,
+    TOUCHES,
     MachineBuilder,
     Point,
     Pose,
@@ -28,7 +29,6 @@ from craftsim.mjcf.building import (
     friction,
     set_inertia,
     surface,
-    touching,
 )
 from craftsim.mjcf.parameters import ContactParameters, Machines, SmartcarParameters
 from craftsim.mjcf.solids import (
@@ -137,7 +137,7 @@ def add_car(
         visual: whether it has what is only seen, and its camera.
     """
     car, contact = machines.car(number), machines.contact
-    of_solid = {**touching("hulls"), **surface(contact, car.chassis_friction)}
+    of_solid = {**TOUCHES["hulls"], **surface(contact, car.chassis_friction)}
     builder = MachineBuilder(
         spec, prefix, "smartcar", visual, looks, car, rgba=[0.75, 0.25, 0.25, 0.4], **of_solid
     )
@@ -175,7 +175,7 @@ def _add_guard(
     """Add a wheel's envelope, by which cars touch each other's wheels."""
     size = [*digits((car.wheel_radius_m, car.wheel_width_m / 2)), 0]
     kind = mujoco.mjtGeom.mjGEOM_CYLINDER
-    guard = builder.geoms("guard", type=kind, size=size, mass=0, **touching("guards"))
+    guard = builder.geoms("guard", type=kind, size=size, mass=0, **TOUCHES["guards"])
     builder.add(body, guard, f"guard_{corner}", zaxis=[0, 1, 0], **where)
 
 
@@ -194,7 +194,7 @@ def _add_rollers(
         gap=_ROLLER_GAP_M,
         friction=friction(contact, car.roller_friction),
         rgba=_BLACK,
-        **touching("wheels"),
+        **TOUCHES["wheels"],
     )
     dry, out = dry_friction(contact), digits(car.roller_radius_m - car.wheel_radius_m)
     for corner, side, place in _places(car):
@@ -252,7 +252,7 @@ def _add_spheres(
         condim=1,
         priority=1,
         friction=friction(contact, car.roller_friction),
-        **touching("wheels"),
+        **TOUCHES["wheels"],
     )
     tyre = {
         "type": mujoco.mjtGeom.mjGEOM_CYLINDER,

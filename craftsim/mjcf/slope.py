@@ -17,13 +17,13 @@ from craftsim.mjcf.building import (
     BEVEL,
     SEAT,
     SEEN_GROUP,
+    TOUCHES,
     MachineBuilder,
     Point,
     Pose,
     digits,
     micro,
     surface,
-    touching,
     volume,
 )
 from craftsim.mjcf.parameters import Machines, SlopeParameters
@@ -43,7 +43,7 @@ _DARK: Final = [0.25, 0.27, 0.30, 1.0]
 def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, visual: bool = True) -> None:
     """Add a slope to a spec; the arguments are as of :func:`craftsim.mjcf.car.add_car`."""
     slope = machines.slope
-    of_solid = {**touching("things"), **surface(machines.contact, slope.friction)}
+    of_solid = {**TOUCHES["things"], **surface(machines.contact, slope.friction)}
     builder = MachineBuilder(
         spec, prefix, "slope", visual, looks, slope, rgba=[0.35, 0.55, 0.75, 0.4], **of_solid
     )

@@ -23,7 +23,7 @@ from craftsim.storage.records import record
 if TYPE_CHECKING:
     from craftsim.models.world import PhysicsWorld
 
-ROLLERS: Final = TOUCHES["wheels"][0]
+ROLLERS: Final = TOUCHES["wheels"]["contype"]
 """The bit by which a roller collides: its contype."""
 _TINY_NM: Final = 1e-9
 _SLOW_RAD_S: Final = 0.1

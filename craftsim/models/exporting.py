@@ -8,6 +8,7 @@ reduced drive also what pushes it is left out.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -45,6 +46,8 @@ LACKS: Final = (
 )
 _ROOT: Final = "world"
 _UNLIMITED: Final = "1e6"
+MeshFile = Callable[[str, ArrayLike, ArrayLike], str]
+"""Takes the name, points and faces of a mesh into the files, and returns the name of its file."""
 
 
 def text_of(spec: mujoco.MjSpec) -> str:
@@ -84,131 +87,113 @@ def write_urdf(path: Path, spec: mujoco.MjSpec) -> Path:
 
     Raises InputError where the disk does not take a file.
     """
-    path = new_file(path)
-    writer = _Writer(spec.compile(), f"{path.stem}_meshes")
-    if exists(path.parent / writer.folder) and not is_folder(path.parent / writer.folder):
-        raise InputError(f"{path.parent / writer.folder}: is no folder; the meshes of {path.name} need one")
-    robot = writer.robot(spec.modelname)
-    for name, text in writer.meshes.items():
-        write_whole(directory_within(path.parent, writer.folder) / f"{name}.obj", text)
+    path, model = new_file(path), spec.compile()
+    folder, meshes = f"{path.stem}_meshes", dict[str, str]()
+    if exists(path.parent / folder) and not is_folder(path.parent / folder):
+        raise InputError(f"{path.parent / folder}: is no folder; the meshes of {path.name} need one")
+
+    def mesh_file(name: str, points: ArrayLike, faces: ArrayLike) -> str:
+        lines = [f"v {_numbers(point)}" for point in np.asarray(points, float)]
+        lines += [f"f {a} {b} {c}" for a, b, c in (np.asarray(faces) + 1).tolist()]
+        meshes[name] = "\n".join([*lines, ""])
+        return f"{folder}/{name}.obj"
+
+    robot = Xml.Element("robot", name=spec.modelname)
+    robot.append(Xml.Comment(f" {LACKS} "))
+    # Other readers pass over this: MuJoCo's drops what has no mass of its own otherwise, and the paths of meshes.
+    own = Xml.SubElement(robot, "mujoco")
+    off = dict.fromkeys(("strippath", "fusestatic", "balanceinertia"), "false")
+    Xml.SubElement(own, "compiler", off | {"discardvisual": "true"})
+    Xml.SubElement(robot, "link", name=_ROOT)
+    for body in range(1, model.nbody):
+        _add_link(robot, model, body, mesh_file)
+        _add_joint(robot, model, body)
+    Xml.indent(robot)
+    for name, text in meshes.items():
+        write_whole(directory_within(path.parent, folder) / f"{name}.obj", text)
     return write_whole(path, Xml.tostring(robot, encoding="unicode") + "\n")
 
 
-class _Writer:
-    """Writes a compiled model; bodies become links, their only joints the joints to their parents."""
+def _link(model: mujoco.MjModel, body: int) -> str:
+    return _plain(model.body(body).name) if body else _ROOT
 
-    def __init__(self, model: mujoco.MjModel, folder: str) -> None:
-        self._model, self.folder = model, folder
-        self.meshes: dict[str, str] = {}
-        """The OBJ text of each mesh by name."""
 
-    def robot(self, name: str) -> Xml.Element:
-        """Return the whole file."""
-        robot = Xml.Element("robot", name=name)
-        robot.append(Xml.Comment(f" {LACKS} "))
-        # Other readers pass over this: MuJoCo's drops what has no mass of its own otherwise, and the paths of meshes.
-        own = Xml.SubElement(robot, "mujoco")
-        off = dict.fromkeys(("strippath", "fusestatic", "balanceinertia"), "false")
-        Xml.SubElement(own, "compiler", off | {"discardvisual": "true"})
-        Xml.SubElement(robot, "link", name=_ROOT)
-        for body in range(1, self._model.nbody):
-            self._add_link(robot, body)
-            self._add_joint(robot, body)
-        Xml.indent(robot)
-        return robot
+def _add_link(robot: Xml.Element, model: mujoco.MjModel, body: int, mesh_file: MeshFile) -> None:
+    """Add a body as a link, with its shapes."""
+    link = Xml.SubElement(robot, "link", name=_link(model, body))
+    if model.body_mass[body]:
+        inertial = Xml.SubElement(link, "inertial")
+        _add_origin(inertial, model.body_ipos[body], model.body_iquat[body])
+        Xml.SubElement(inertial, "mass", value=_number(model.body_mass[body]))
+        x, y, z = map(_number, model.body_inertia[body])
+        Xml.SubElement(inertial, "inertia", ixx=x, iyy=y, izz=z, ixy="0", ixz="0", iyz="0")
+    for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
+        if model.geom_contype[geom] or model.geom_conaffinity[geom]:
+            _add_shape(Xml.SubElement(link, "collision"), model, geom, mesh_file)
+        if model.geom_group[geom] < SOLID_GROUP:
+            visual = Xml.SubElement(link, "visual")
+            _add_shape(visual, model, geom, mesh_file)
+            material = Xml.SubElement(visual, "material", name=_plain(model.geom(geom).name))
+            Xml.SubElement(material, "color", rgba=_numbers(model.geom_rgba[geom]))
 
-    def _link(self, body: int) -> str:
-        return _plain(self._model.body(body).name) if body else _ROOT
 
-    def _add_link(self, robot: Xml.Element, body: int) -> None:
-        model = self._model
-        link = Xml.SubElement(robot, "link", name=self._link(body))
-        if model.body_mass[body]:
-            inertial = Xml.SubElement(link, "inertial")
-            _add_origin(inertial, model.body_ipos[body], model.body_iquat[body])
-            Xml.SubElement(inertial, "mass", value=_number(model.body_mass[body]))
-            x, y, z = map(_number, model.body_inertia[body])
-            Xml.SubElement(inertial, "inertia", ixx=x, iyy=y, izz=z, ixy="0", ixz="0", iyz="0")
-        for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
-            if model.geom_contype[geom] or model.geom_conaffinity[geom]:
-                self._add_shape(Xml.SubElement(link, "collision"), geom)
-            if model.geom_group[geom] < SOLID_GROUP:
-                visual = Xml.SubElement(link, "visual")
-                self._add_shape(visual, geom)
-                material = Xml.SubElement(visual, "material", name=_plain(model.geom(geom).name))
-                Xml.SubElement(material, "color", rgba=_numbers(model.geom_rgba[geom]))
-
-    def _add_shape(self, parent: Xml.Element, geom: int) -> None:
-        model, size = self._model, self._model.geom_size[geom]
-        position, turn = model.geom_pos[geom], model.geom_quat[geom]
-        kind = mujoco.mjtGeom(model.geom_type[geom])
-        parent.set("name", _plain(model.geom(geom).name))
-        _add_origin(parent, position, turn)
-        shape = Xml.SubElement(parent, "geometry")
-        match kind:
-            case mujoco.mjtGeom.mjGEOM_BOX:
-                Xml.SubElement(shape, "box", size=_numbers(2 * size))
-            case mujoco.mjtGeom.mjGEOM_SPHERE:
-                Xml.SubElement(shape, "sphere", radius=_number(size[0]))
-            case mujoco.mjtGeom.mjGEOM_CYLINDER:
-                Xml.SubElement(shape, "cylinder", radius=_number(size[0]), length=_number(2 * size[1]))
-            case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-                Xml.SubElement(shape, "mesh", filename=self._ellipsoid(size))
-            case _:
-                Xml.SubElement(shape, "mesh", filename=self._mesh(int(model.geom_dataid[geom])))
-
-    def _ellipsoid(self, size: NDArray[np.float64]) -> str:
-        """Return the file of an ellipsoid, which URDF does not have, as a convex mesh."""
+def _add_shape(parent: Xml.Element, model: mujoco.MjModel, geom: int, mesh_file: MeshFile) -> None:
+    """Add the shape of a geom; an ellipsoid, which URDF does not have, becomes a convex mesh."""
+    size, kind = model.geom_size[geom], model.geom_type[geom]
+    parent.set("name", _plain(model.geom(geom).name))
+    _add_origin(parent, model.geom_pos[geom], model.geom_quat[geom])
+    shape = Xml.SubElement(parent, "geometry")
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        Xml.SubElement(shape, "box", size=_numbers(2 * size))
+    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        Xml.SubElement(shape, "sphere", radius=_number(size[0]))
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        Xml.SubElement(shape, "cylinder", radius=_number(size[0]), length=_number(2 * size[1]))
+    elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
         import trimesh
 
         ball = trimesh.creation.icosphere(subdivisions=2)
         name = "_".join(["ellipsoid", *(f"{1e6 * half:.0f}" for half in size)])
-        return self._file(name, ball.vertices * size, ball.faces)
-
-    def _mesh(self, number: int) -> str:
-        """Return the file of a mesh, whose points are in the frame of the geom that shows it."""
-        model, mesh = self._model, self._model.mesh(number)
+        Xml.SubElement(shape, "mesh", filename=mesh_file(name, ball.vertices * size, ball.faces))
+    else:
+        # Its points are in the frame of the geom that shows it.
+        mesh = model.mesh(int(model.geom_dataid[geom]))
         points = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
         faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
-        return self._file(_plain(mesh.name), points, faces)
+        Xml.SubElement(shape, "mesh", filename=mesh_file(_plain(mesh.name), points, faces))
 
-    def _file(self, name: str, points: ArrayLike, faces: ArrayLike) -> str:
-        lines = [f"v {_numbers(point)}" for point in np.asarray(points, float)]
-        lines += [f"f {a} {b} {c}" for a, b, c in (np.asarray(faces) + 1).tolist()]
-        self.meshes[name] = "\n".join([*lines, ""])
-        return f"{self.folder}/{name}.obj"
 
-    def _add_joint(self, robot: Xml.Element, body: int) -> None:
-        """Add the joint of a body to its parent, with its range and the force and speed of its motor."""
-        model, number = self._model, int(self._model.body_jntadr[body])
-        name, kind = f"{self._link(body)}_fixed", "fixed"
-        if number >= 0:
-            name, limited = _plain(model.joint(number).name), bool(model.jnt_limited[number])
-            kind = {
-                mujoco.mjtJoint.mjJNT_FREE: "floating",
-                mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
-                mujoco.mjtJoint.mjJNT_HINGE: "revolute" if limited else "continuous",
-            }[mujoco.mjtJoint(model.jnt_type[number])]
-        joint = Xml.SubElement(robot, "joint", name=name, type=kind)
-        _add_origin(joint, model.body_pos[body], model.body_quat[body])
-        Xml.SubElement(joint, "parent", link=self._link(int(model.body_parentid[body])))
-        Xml.SubElement(joint, "child", link=self._link(body))
-        if kind in ("fixed", "floating"):
-            return
-        Xml.SubElement(joint, "axis", xyz=_numbers(model.jnt_axis[number]))
-        dof = model.jnt_dofadr[number]
-        grease, dry = _number(model.dof_damping[dof]), _number(model.dof_frictionloss[dof])
-        Xml.SubElement(joint, "dynamics", damping=grease, friction=dry)
-        on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
-        motors = np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == number))
-        effort, velocity = (
-            _number(limits[motors[0], 1]) if len(motors) else _UNLIMITED
-            for limits in (model.actuator_forcerange, model.actuator_ctrlrange)
-        )
-        limit = Xml.SubElement(joint, "limit", effort=effort, velocity=velocity)
-        if limited:
-            low, high = map(_number, model.jnt_range[number])
-            limit.attrib.update(lower=low, upper=high)
+def _add_joint(robot: Xml.Element, model: mujoco.MjModel, body: int) -> None:
+    """Add the joint of a body to its parent, with its range and the force and speed of its motor."""
+    number, limited = int(model.body_jntadr[body]), False
+    name, kind = f"{_link(model, body)}_fixed", "fixed"
+    if number >= 0:
+        name, limited = _plain(model.joint(number).name), bool(model.jnt_limited[number])
+        kind = {
+            mujoco.mjtJoint.mjJNT_FREE: "floating",
+            mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
+            mujoco.mjtJoint.mjJNT_HINGE: "revolute" if limited else "continuous",
+        }[mujoco.mjtJoint(model.jnt_type[number])]
+    joint = Xml.SubElement(robot, "joint", name=name, type=kind)
+    _add_origin(joint, model.body_pos[body], model.body_quat[body])
+    Xml.SubElement(joint, "parent", link=_link(model, int(model.body_parentid[body])))
+    Xml.SubElement(joint, "child", link=_link(model, body))
+    if kind in ("fixed", "floating"):
+        return
+    Xml.SubElement(joint, "axis", xyz=_numbers(model.jnt_axis[number]))
+    dof = model.jnt_dofadr[number]
+    grease, dry = _number(model.dof_damping[dof]), _number(model.dof_frictionloss[dof])
+    Xml.SubElement(joint, "dynamics", damping=grease, friction=dry)
+    on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    motors = np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == number))
+    effort, velocity = (
+        _number(limits[motors[0], 1]) if len(motors) else _UNLIMITED
+        for limits in (model.actuator_forcerange, model.actuator_ctrlrange)
+    )
+    limit = Xml.SubElement(joint, "limit", effort=effort, velocity=velocity)
+    if limited:
+        low, high = map(_number, model.jnt_range[number])
+        limit.attrib.update(lower=low, upper=high)
 
 
 def _plain(name: str) -> str:

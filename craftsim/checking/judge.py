@@ -345,10 +345,9 @@ class Judge:
 
     def _look(self) -> None:
         self._looked_s = self.physics.time_s
-        last = getattr(self, "reading", None)
         self.poses: Poses = self._poses.read()
         self._rows = self._drift.poses()
-        self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls, last)
+        self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls)
 
     def _settle(self) -> bool:
         """Wait for what still moves, unless it is unsafe, and return whether it has come to rest."""

@@ -337,10 +337,9 @@ class Judge:
 
     def _look(self) -> None:
         self._looked_s = self.physics.time_s
-        last = getattr(self, "reading", None)
         self.poses: Poses = self.physics.poses()
         self._rows: Floats = self.physics.data.qpos[self.physics.pose_places]
-        self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls, last)
+        self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls)
 
     def _settle(self) -> bool:
         """Wait for what still moves, unless it is unsafe, and return whether it has come to rest."""

@@ -44,8 +44,6 @@ Vector = Sequence[float]
 Axes = tuple[Vector, Vector, Vector]
 """Of a turned body: forward, left and up, (x, y, z) each in the world frame."""
 _axes_of: Final[Callable[..., Axes]] = plain(body_axes)
-_Fit = tuple["CellFit", tuple[int, ...], tuple[str, ...]]
-"""How a car fits with its row of the grid, or an object with its yaw; and what is wrong with it, in words."""
 _Seat = tuple[int, Axes, float, float]
 """What a carried object sits on: the car, its axes, how far off its centre line and how high above it."""
 
@@ -65,16 +63,6 @@ class Poses:
     quaternions: Floats
     hinges: Floats
     """(n,) hinge angle of each object in radians: 0 unfolded, pi folded; nan for what has no hinge."""
-
-    @cached_property
-    def bits(self) -> NDArray[np.int64]:
-        """(n, 8): the bits of position, quaternion and hinge of each car, which has none, and then of each object."""
-        n_cars = len(self.car_positions)
-        rows = np.zeros((n_cars + len(self.kinds), 8))
-        rows[:n_cars, :3], rows[:n_cars, 3:7] = self.car_positions, self.car_quaternions
-        rows[n_cars:, :3], rows[n_cars:, 3:7] = self.positions, self.quaternions
-        rows[n_cars:, 7] = self.hinges
-        return rows.view(np.int64)
 
     def name(self, index: int) -> str:
         """Return the name of an object for people, counted by kind: ``block 0``, ``flag 0``, ``slope 1``."""
@@ -116,10 +104,6 @@ class Reading:
     """In the order of the poses."""
     problems: tuple[str, ...] = ()
     """What could not be read as a grid, in words; empty when everything stands in a cell."""
-    poses: Poses | None = None
-    """What it was read from."""
-    fits: tuple[_Fit, ...] = ()
-    """Of the cars and the objects, before they were put into the grid; what has not moved is taken from here again."""
 
     @cached_property
     def standing(self) -> tuple[tuple[int, Cell, Cell | None], ...]:
@@ -151,53 +135,36 @@ def nearest_yaw(heading: float) -> tuple[int, float]:
     return yaw, math.remainder(heading - yaw_angle(yaw), math.tau)
 
 
-def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer], last: Reading | None = None) -> Reading:
+def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
     """Return the Grid that the poses show.
 
     Args:
         poses: what was measured.
         size: (L, W, H) of the map.
         walls: (n, 3) cells of fixed obstacles, in the Grid's own coordinates (level 1 is z = 1).
-        last: an earlier reading of the same machines on the same map, which saves reading again what has not moved.
     """
-    n_cars = len(poses.car_positions)
-    still = [False] * (n_cars + len(poses.kinds))
-    if last is not None and last.poses is not None:
-        still = (poses.bits == last.poses.bits).all(axis=1).tolist()
-        if all(still):
-            return last
-    grid = Grid.empty(size, n_cars)
+    grid = Grid.empty(size, len(poses.car_positions))
     grid.kind[tuple(walls.T)] = Kind.WALL
-    positions = poses.positions.tolist()
-    car_axes = [_axes_of(*quaternion) for quaternion in poses.car_quaternions.tolist()]
-    fits: list[_Fit] = []
     cars, objects, problems = [], [], []
+    car_axes = [_axes_of(*quaternion) for quaternion in poses.car_quaternions.tolist()]
     for car, position in enumerate(poses.car_positions.tolist()):
-        if last is not None and still[car]:
-            fits.append(last.fits[car])
-        else:
-            fits.append(_read_car(grid.size, position, car_axes[car]))
-        fit, row, notes = fits[car]
-        grid.cars[car] = row
+        fit, grid.cars[car], notes = _read_car(size, position, car_axes[car])
         cars.append(fit)
         problems += [f"car {car} {note}" for note in notes]
     seats = _seats(poses, car_axes)
-    quaternions, hinges = poses.quaternions.tolist(), poses.hinges.tolist()
-    for index, kind in enumerate(map(int, poses.kinds)):
-        seat, hinge = seats.get(index), hinges[index]
-        resting = last is not None and last.objects[index].carrier is None and seat is None
-        if last is not None and resting and still[n_cars + index]:
-            fits.append(last.fits[n_cars + index])
-        else:
-            axes = _axes_of(*quaternions[index])
-            fits.append(_read_object(grid, kind, positions[index], axes, hinge, seat))
-        fit, (yaw,), notes = fits[-1]
+    measured = zip(
+        poses.kinds, poses.positions.tolist(), poses.quaternions.tolist(), poses.hinges, strict=True
+    )
+    for index, (kind, position, quaternion, hinge) in enumerate(measured):
+        fit, yaw, notes = _read_object(
+            grid, int(kind), position, _axes_of(*quaternion), float(hinge), seats.get(index)
+        )
         objects.append(fit)
-        if seat is None:
-            notes = (*notes, *_stand(grid, kind, fit.cell, yaw, hinge))
+        if index not in seats:
+            notes += _stand(grid, int(kind), fit.cell, yaw, float(hinge))
         problems += [f"{poses.name(index)} {note}" for note in notes]
     grid.derive_marks()
-    return Reading(grid, tuple(cars), tuple(objects), tuple(problems), poses, tuple(fits))
+    return Reading(grid, tuple(cars), tuple(objects), tuple(problems))
 
 
 def _dot(a: Vector, b: Vector) -> float:
@@ -232,7 +199,7 @@ def _level(height: float, top: int, notes: list[str]) -> tuple[int, float]:
     return min(max(level, 1), top), excess
 
 
-def _read_car(size: Cell, position: Vector, axes: Axes) -> _Fit:
+def _read_car(size: Cell, position: Vector, axes: Axes) -> tuple[CellFit, tuple[int, ...], list[str]]:
     """Return how a car fits into a map of a size, its row of the grid, and what is wrong with it."""
     forward, left, up = axes
     notes: list[str] = []
@@ -252,7 +219,7 @@ def _read_car(size: Cell, position: Vector, axes: Axes) -> _Fit:
     z, excess = _level(height, size[2] + 1, notes)  # a car may be above the top level
     tilt = math.sqrt(off_incline * off_incline + roll * roll)
     fit = CellFit((x, y, z), offset, turned, None, excess, tilt, 0.0, 0.0)
-    return fit, (x, y, z, yaw, AIR, 0, slope), tuple(notes)
+    return fit, (x, y, z, yaw, AIR, 0, slope), notes
 
 
 def _seats(poses: Poses, car_axes: list[Axes]) -> dict[int, _Seat]:
@@ -270,7 +237,7 @@ def _seats(poses: Poses, car_axes: list[Axes]) -> dict[int, _Seat]:
 
 def _read_object(
     grid: Grid, kind: int, position: Vector, axes: Axes, hinge: float, seat: _Seat | None
-) -> _Fit:
+) -> tuple[CellFit, int, list[str]]:
     """Return how an object fits into a world that has its cars, its yaw, and what is wrong with it; load its car."""
     forward, _, up = axes
     notes: list[str] = []
@@ -295,7 +262,7 @@ def _read_object(
         nose_up = math.copysign(INCLINE_RAD, car_axes[0][2]) if slope else 0.0
         lean = [-math.sin(nose_up) * step for step in DIRECTIONS[car_yaw].tolist()]
         reach = _reach(position, (x, y, z), turned, up, height, lean)
-        return CellFit((x, y, z), offset, heading, car, height, tilt, ajar, reach), (yaw,), tuple(notes)
+        return CellFit((x, y, z), offset, heading, car, height, tilt, ajar, reach), yaw, notes
     x, y, offset = _column(grid.size, position, notes)
     z, height = _level(position[2], grid.size[2], notes)
     tilt = _arc(math.acos, up[2])
@@ -304,7 +271,7 @@ def _read_object(
     if abs(turned) > HEADING_TOLERANCE_RAD:
         notes.append(f"is turned by {turned:+.2f} rad")
     reach = _reach(position, (x, y, z), turned, up, 0.0, [0.0, 0.0])
-    return CellFit((x, y, z), offset, turned, None, height, tilt, ajar, reach), (yaw,), tuple(notes)
+    return CellFit((x, y, z), offset, turned, None, height, tilt, ajar, reach), yaw, notes
 
 
 def _stand(grid: Grid, kind: int, cell: Cell, yaw: int, hinge: float) -> list[str]:

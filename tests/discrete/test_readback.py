@@ -170,14 +170,3 @@ def test_heights_are_told_above_the_floor_or_the_incline_and_things_are_counted_
     assert [thing.height_m for thing in reading.objects] == pytest.approx([-0.001, 0, 0])
     poses = _poses([], things)
     assert [poses.name(i) for i in range(3)] == ["block 0", "slope 0", "block 1"]
-
-
-def test_reading_on_from_an_earlier_reading_is_reading_afresh():
-    still = [_thing(Kind.BLOCK, (2, 2, 1), off=0.3), _slope((1, 2, 1), hinge=0.0)]
-    first = _read([_car((0, 0, 1))], [*still, _thing(Kind.FLAG, (2, 0, 1))])
-    assert read_grid(first.poses, SIZE, NO_WALLS, first) is first
-    for car, flag in (((1, 0, 1), (2, 0, 1)), ((0, 0, 1), (2, 1, 1))):
-        poses = _poses([_car(car)], [*still, _thing(Kind.FLAG, flag)])
-        on, afresh = read_grid(poses, SIZE, NO_WALLS, first), read_grid(poses, SIZE, NO_WALLS)
-        assert on.grid.same_visible(afresh.grid)
-        assert (on.cars, on.objects, on.problems) == (afresh.cars, afresh.objects, afresh.problems)

@@ -83,14 +83,8 @@ class Recorded:
 
     folder: Path
     bundle: Bundle
-    physics: Arrays
-    before: Arrays
-    after: Arrays
-
-    @property
-    def arrays(self) -> dict[str, Arrays]:
-        """The arrays by file name."""
-        return {PHYSICS: self.physics, BEFORE: self.before, AFTER: self.after}
+    arrays: dict[str, Arrays]
+    """By file name: the drawn physics, and the state before and after the last step."""
 
 
 def state_of(physics: PhysicsWorld) -> Arrays:
@@ -141,8 +135,8 @@ class ReplayError(RuntimeError):
 def _write(folder: Path, bundle: Bundle, judge: Judge, before: Arrays) -> None:
     for name in (TEXT, FILM, TRAJECTORY):
         (folder / name).unlink(missing_ok=True)
-    now = Recorded(folder, bundle, physics_of(judge.physics), before, state_of(judge.physics))
-    for name, arrays in now.arrays.items():
+    physics = judge.physics
+    for name, arrays in ((PHYSICS, physics_of(physics)), (BEFORE, before), (AFTER, state_of(physics))):
         # In memory first, for a zip archive cannot be closed on a full disk.
         archive = io.BytesIO()
         np.savez_compressed(archive, allow_pickle=False, **arrays)
@@ -173,8 +167,8 @@ def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
             check_known(bundle.recipe.setup.skills)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    arrays = [read_arrays(folder / name, limits.ARRAYS) for name in (PHYSICS, BEFORE, AFTER)]
-    return Recorded(folder, bundle, *arrays)
+    arrays = {name: read_arrays(folder / name, limits.ARRAYS) for name in (PHYSICS, BEFORE, AFTER)}
+    return Recorded(folder, bundle, arrays)
 
 
 def _check_text(bundle: Bundle) -> None:

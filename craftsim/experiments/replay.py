@@ -16,7 +16,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import do, limit_time, start
 from craftsim.checking.judge import Judge
 from craftsim.errors import InputError
-from craftsim.experiments.bundle import TEXT, Recorded, physics_of, state_of
+from craftsim.experiments.bundle import AFTER, BEFORE, PHYSICS, TEXT, Recorded, physics_of, state_of
 from craftsim.reports.json_file import versions
 from craftsim.skills.executor import Observer
 from craftsim.storage.reading import Arrays
@@ -73,7 +73,7 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
     physics = judge.physics
     drawn = physics_of(physics)
     begun = state_of(physics)
-    for file, arrays in Recorded(recorded.folder, bundle, drawn, begun, begun).arrays.items():
+    for file, arrays in ((PHYSICS, drawn), (BEFORE, begun), (AFTER, begun)):
         _check_shapes(recorded.folder / file, recorded.arrays[file], arrays)
     limit_time(
         judge,
@@ -90,7 +90,7 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
         after = state_of(physics)  # who watches may let it go on
     differing = [
         f"{file}: {name}"
-        for file, arrays in Recorded(recorded.folder, bundle, drawn, before, after).arrays.items()
+        for file, arrays in ((PHYSICS, drawn), (BEFORE, before), (AFTER, after))
         for name, array in arrays.items()
         if recorded.arrays[file][name].tobytes() != array.tobytes()
     ]
@@ -98,7 +98,7 @@ def replay(recorded: Recorded, watch: Watch = unwatched) -> Replay:
         differing.append("start_s and end_s")
     if bundle.attempts != attempts:
         differing.append("the attempts")
-    position_m, angle_rad = _apart(physics.model, recorded.after["qpos"], after["qpos"])
+    position_m, angle_rad = _apart(physics.model, recorded.arrays[AFTER]["qpos"], after["qpos"])
     return Replay(
         changed=_changed(bundle.versions),
         differing=tuple(differing),

@@ -36,9 +36,16 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, StartError
 from craftsim.experiments.bundle import write_bundles
-from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
+from craftsim.experiments.experiment import (
+    STRICT,
+    Experiment,
+    Form,
+    Result,
+    RunOptions,
+    Trial,
+    TrialRecord,
+)
 from craftsim.experiments.records import read_finished
-from craftsim.experiments.schema import STRICT, Form
 from craftsim.experiments.session import Session, open_session
 from craftsim.models.floor import Floor
 from craftsim.models.randomization import Making

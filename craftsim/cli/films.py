@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 from craftsim.cli.progress import counting
 from craftsim.cli.text import print_safe
-from craftsim.experiments.bundle import FILM, TRAJECTORY, Recorded, read_bundle
+from craftsim.experiments.bundle import FILM, TRAJECTORY, Recorded, Replay, read_bundle
 from craftsim.experiments.experiment import TrialRecord
-from craftsim.experiments.replay import Replay
 from craftsim.rendering.film import FilmOptions
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
 from craftsim.rendering.render import render

@@ -19,8 +19,7 @@ from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
     from craftsim.checking.judge import Judge
-    from craftsim.experiments.bundle import Recorded
-    from craftsim.experiments.replay import Replay
+    from craftsim.experiments.bundle import Recorded, Replay
     from craftsim.models.world import PhysicsWorld
     from craftsim.skills.executor import Observer
 
@@ -60,15 +59,15 @@ def replay(
     if view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError("--view needs a display, and there is none here; try --video")
     from craftsim.cli.films import film_bundle, rendering_works
-    from craftsim.experiments import replay as again
     from craftsim.experiments.bundle import read_bundle
+    from craftsim.experiments.bundle import replay as run_again
     from craftsim.reports.json_file import document
 
     filming = video and rendering_works()
     recorded = read_bundle(bundle)
     film = out / f"{resolved(bundle).name}.mp4"
-    watch = _viewer if view else again.unwatched
-    result = film_bundle(recorded, film) if filming else again.replay(recorded, watch)
+    watch = {"watch": _viewer} if view else {}
+    result = film_bundle(recorded, film) if filming else run_again(recorded, **watch)
     figures = {"bundle": bundle.name, **_figures(recorded, result)}
     written = document(figures, command="replay", config={"view": view})
     files = {"Film": film} if filming else {}

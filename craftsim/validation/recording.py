@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from typing import Final
 
 from craftsim.checking.judge import Judge
-from craftsim.experiments.bundle import Recorded
-from craftsim.experiments.replay import Replay, replay
+from craftsim.experiments.bundle import Recorded, Replay, replay
 from craftsim.rendering.trajectory import Recorder, Trajectory
 
 CLIP_S: Final = 3.0

@@ -17,7 +17,7 @@ from typing import Any, Final, Self, TypeAlias, TypeVar
 
 from craftsim.choices import Engine as Engine
 from craftsim.errors import CraftsimError
-from craftsim.workers.actor import Actor, WorkerDiedError, defer_sigint
+from craftsim.workers.actor import Actor, Handler, WorkerDiedError, defer_sigint
 from craftsim.workers.ray_actor import RayActor, processors
 
 Job = TypeVar("Job")
@@ -146,7 +146,7 @@ class Pool:
     def _begin(self, function: object, batch: _Batch, timeout_s: float) -> None:
         # Interrupted in between, a process would be left of which nobody knows.
         with defer_sigint():
-            worker = self._idle.pop() if self._idle else _Worker(self._kind(partial(_Server, self._n)))
+            worker = self._idle.pop() if self._idle else _Worker(self._kind(partial(_server, self._n)))
             self._running[worker.actor] = worker
         worker.batch = batch
         if worker.function is function:
@@ -183,25 +183,23 @@ class Pool:
         self.close()
 
 
-class _Server:
-    """Handler in a worker: applies the last function that it received."""
+def _server(n_workers: int) -> Handler:
+    """Return the handler in a worker, which applies the last function that it received."""
+    # Mesa's software renderer takes all processors otherwise, and the workers would be in each other's way.
+    os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // n_workers)))
+    function, done = None, 0
 
-    def __init__(self, n_workers: int) -> None:
-        # Mesa's software renderer takes all processors otherwise, and the workers would be in each other's way.
-        os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // n_workers)))
-        self._done = 0
-
-    def __call__(self, request: tuple[Callable[[Any], Any] | None, Sequence[Any]]) -> list[Any]:
-        function, jobs = request
-        if function is not None:
-            self._function = function
-        answers = []
-        for job in jobs:
-            answers.append(self._function(job))
-            self._done += 1
-            if self._done % RELEASE_EVERY == 0:
+    def answers(request: tuple[Callable[[Any], Any] | None, Sequence[Any]]) -> Iterator[Any]:
+        nonlocal function, done
+        function = request[0] or function
+        for job in request[1]:
+            assert function is not None
+            yield function(job)
+            done += 1
+            if done % RELEASE_EVERY == 0:
                 release_memory()
-        return answers
+
+    return lambda request: list(answers(request))
 
 
 def release_memory() -> None:

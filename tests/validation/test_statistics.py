@@ -142,9 +142,9 @@ def test_figures_of_nothing_are_none_and_no_zero():
     assert errors.pop("peak_force_n") is not None
     assert set(errors.values()) == {None}
     assert found.durations == []
-    assert found.by_group["plan"].actions.rate == 0.0
+    assert found.by_group["plan"]["actions"].rate == 0.0
     nothing = campaign_figures([], seed=0)
-    assert nothing.all.actions.rate is None
+    assert nothing.all["actions"].rate is None
     assert nothing.matrix["legal"].success.rate is None
 
 

@@ -20,7 +20,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
-from craftsim.experiments import replay as replaying
+from craftsim.experiments import bundle as replaying
 from craftsim.experiments.bundle import (
     AFTER,
     BEFORE,
@@ -28,9 +28,9 @@ from craftsim.experiments.bundle import (
     TEXT,
     ReplayError,
     read_bundle,
+    replay,
     write_bundle,
 )
-from craftsim.experiments.replay import replay
 from craftsim.validation.audit import AuditTrial, recipe_of, try_it
 from craftsim.validation.recording import record_bundle
 

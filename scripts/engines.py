@@ -24,8 +24,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.audit.plan import audit_plan
-from craftsim.audit.quick import quick_rows
+from craftsim.audit.plan import audit_plan, quick_rows
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import setup_of
 from craftsim.experiments.compare import alike, compare_paired
@@ -171,7 +170,7 @@ def _difference(first: Path, other: Path) -> dict[str, Any]:
         "p_value": trials.p_value,
         "least_detectable": least_detectable(trials.difference.low or 0.0, trials.difference.high or 0.0),
         "kinds": [
-            f"{found.actions} {found.kind}: such as {found.example}" for found in alike(one, two).differences
+            "{actions} {kind}: such as {example}".format(**found) for found in alike(one, two).differences
         ],
     }
 

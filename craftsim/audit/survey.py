@@ -114,12 +114,9 @@ def survey(rule_set: RuleSet = "physical", of: tuple[str, ...] = ()) -> tuple[tu
 
     Those in which it is forbidden are all with room.
     """
-    allowed, illegal = zip(
-        *(_survey(rule_set, verb) for verb in verbs() if not of or verb in of), strict=True
-    )
-    return tuple(
-        [(one, True) for part in allowed for one in part] + [(one, False) for part in illegal for one in part]
-    )
+    parts = [_survey(rule_set, verb) for verb in verbs() if not of or verb in of]
+    allowed = [(one, True) for part, _ in parts for one in part]
+    return tuple(allowed + [(one, False) for _, part in parts for one in part])
 
 
 @cache
@@ -127,17 +124,17 @@ def _survey(rule_set: RuleSet, verb: str) -> tuple[list[Situation], list[Situati
     """Return the situations of a verb that are allowed, and those with room that are not."""
     rules = Rules(rule_set)
     allowed, illegal = list[Situation](), list[Situation]()
-    for found, world in _worlds(verb):
+    for found in _roomy(verb):
         if not found.legal(rules):
             illegal.append(found)
             continue
-        tight = _tight(found.row._replace(room="tight"), world, rules)
+        tight = _tight(found.row._replace(room="tight"), _built(found.row), rules)
         allowed += [found] if tight is None else [found, tight]
     return allowed, illegal
 
 
 @cache
-def _worlds(verb: str) -> list[tuple[Situation, Builder]]:
+def _roomy(verb: str) -> list[Situation]:
     """Return every combination of what matters to a verb that can exist, with room; kept for both rule sets."""
     found, inner = [], list(_inner(verb))
     for ground, own, load in product(GROUNDS, _OWN, LOADS):
@@ -146,8 +143,7 @@ def _worlds(verb: str) -> list[tuple[Situation, Builder]]:
             for row in inner:
                 with suppress(ImpossibleError):
                     row = row._replace(ground=ground, own=own, load=load)
-                    world = _built(row)
-                    found.append((_situation(row, world), world))
+                    found.append(_situation(row, _built(row)))
     return found
 
 

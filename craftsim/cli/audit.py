@@ -99,8 +99,7 @@ def audit(
         out: folder for report.html, report.json, trials.jsonl, durations.csv and replay bundles.
     """
     _check_actions(actions)
-    from craftsim.audit.plan import audit_plan
-    from craftsim.audit.quick import quick_rows
+    from craftsim.audit.plan import audit_plan, quick_rows
     from craftsim.cli.films import record_failures, rendering_works
     from craftsim.validation.audit import BATCH, run_audit
     from craftsim.validation.audit_report import audit_report

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Final, TypeVar
 from craftsim.checking.judge import Judge
 from craftsim.cli.progress import counting
 from craftsim.cli.text import print_safe
-from craftsim.experiments.bundle import FILM, TRAJECTORY, Recorded, read_bundle
+from craftsim.experiments.bundle import FILM, TRAJECTORY, Recorded, Replay, read_bundle, replay
 from craftsim.experiments.experiment import TrialRecord
-from craftsim.experiments.replay import Replay, replay
 from craftsim.rendering.film import FilmOptions
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
 from craftsim.rendering.render import render
@@ -50,7 +49,7 @@ def rendering_works() -> bool:
 def record_bundle(recorded: Recorded) -> tuple[Replay, Trajectory]:
     """Re-run what a bundle shows, and a little of what follows; return how it compares, and what moved.
 
-    Raises InputError as :func:`craftsim.experiments.replay.replay`.
+    Raises InputError as :func:`craftsim.experiments.bundle.replay`.
     """
     recorder = Recorder()
     span_s = recorded.bundle.end_s - recorded.bundle.start_s

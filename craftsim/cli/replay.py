@@ -15,8 +15,7 @@ from craftsim.storage.folders import owning
 from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
-    from craftsim.experiments.bundle import Recorded
-    from craftsim.experiments.replay import Replay
+    from craftsim.experiments.bundle import Recorded, Replay
 
 
 @owning
@@ -50,14 +49,14 @@ def replay(
     if minimize:
         return _minimize(bundle, out)
     from craftsim.cli.films import film_bundle, rendering_works
-    from craftsim.experiments import replay as again
     from craftsim.experiments.bundle import read_bundle
+    from craftsim.experiments.bundle import replay as run_again
     from craftsim.reports.json_file import document
 
     filming = video and rendering_works()
     recorded = read_bundle(bundle)
     film = out / f"{resolved(bundle).name}.mp4"
-    result = film_bundle(recorded, film) if filming else again.replay(recorded)
+    result = film_bundle(recorded, film) if filming else run_again(recorded)
     figures = {"bundle": bundle.name, **_figures(recorded, result)}
     written = document(figures, command="replay")
     files = {"Film": film} if filming else {}

@@ -67,17 +67,6 @@ class Paired:
 
 
 @dataclass(frozen=True)
-class Difference:
-    """One kind of action that was as predicted in only one of the runs."""
-
-    kind: str
-    """Verb, load, slope, and the two results."""
-    actions: int
-    example: str
-    """Key of the first trial with such an action."""
-
-
-@dataclass(frozen=True)
 class Alike:
     """Paired actions of two runs: those of each trial, in order, up to the first that differs in kind."""
 
@@ -92,8 +81,9 @@ class Alike:
     """The same of the car's distance from its cell's centre."""
     peak_force_ratio: float | None
     """The same of the largest force between two machines."""
-    differences: tuple[Difference, ...]
-    """Most frequent first."""
+    differences: Sequence[Mapping[str, Any]]
+    """What was as predicted in only one of the runs, the most frequent first: the ``kind`` (verb, load, slope, and the
+    two results), the number of ``actions``, and as an ``example`` the key of the first trial with such an action."""
 
     @property
     def share(self) -> float:
@@ -112,8 +102,8 @@ class Alike:
             f"{self.legal.successes:,} of the {self.legal.trials:,} that the rules allow"
             + (f"; at the median {', '.join(ratios)}." if ratios else ".")
         ]
-        lines += [f"  {one.actions} {one.kind}: such as {one.example}" for one in self.differences[:_SHOWN]]
-        left = sum(one.actions for one in self.differences[_SHOWN:])
+        lines += ["  {actions} {kind}: such as {example}".format(**one) for one in self.differences[:_SHOWN]]
+        left = sum(one["actions"] for one in self.differences[_SHOWN:])
         return "\n".join([*lines, *([f"  {left} of other kinds"] if left else [])])
 
 
@@ -135,42 +125,6 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class VerbAgreement:
-    """One kind of action in both worlds, of what the rules allow."""
-
-    agreement: Proportion
-    """Share of the paired actions as predicted in both or in neither."""
-    sim: Proportion
-    """Share as predicted in the simulation."""
-    real: Proportion
-    duration_ratio: Estimate
-    """Reality by simulation: the median over actions as predicted in both, with its exact 95 % interval."""
-
-
-@dataclass(frozen=True)
-class ErrorShift:
-    """The distribution of one error in both worlds, over actions as predicted."""
-
-    sim: Distribution
-    real: Distribution
-    distance: float
-    """Kolmogorov-Smirnov statistic."""
-    p_value: float
-    """p-value of the Kolmogorov-Smirnov test."""
-
-
-@dataclass(frozen=True)
-class PlanScore:
-    """Success of the paired runs of a plan or policy in a world: goal reached, or, without a goal, agreement."""
-
-    plan: str
-    runs: int
-    sim: float
-    """Share in the simulation."""
-    real: float
-
-
-@dataclass(frozen=True)
 class RealityGap:
     """The agreement of a simulation and reality, or of any two runs, on the same trials."""
 
@@ -180,10 +134,16 @@ class RealityGap:
     """The simulation is the first."""
     actions: Alike
     """The simulation is the first here, too."""
-    by_verb: Mapping[str, VerbAgreement]
-    error_shifts: Mapping[str, ErrorShift]
-    """By the field of an attempt, in thousandths of its unit: millimetres or milliradians."""
-    plans: Sequence[PlanScore]
+    by_verb: Mapping[str, Mapping[str, Any]]
+    """Of what the rules allow: the shares of the paired actions as predicted in both or in neither (``agreement``), in
+    the simulation (``sim``) and in reality (``real``); and ``duration_ratio``, reality by simulation: the median over
+    actions as predicted in both, with its exact 95 % interval."""
+    error_shifts: Mapping[str, Mapping[str, Any]]
+    """By the field of an attempt, in thousandths of its unit (millimetres or milliradians): the Distributions ``sim``
+    and ``real`` over actions as predicted; ``distance`` and ``p_value`` of the Kolmogorov-Smirnov test."""
+    plans: Sequence[Mapping[str, Any]]
+    """Of each ``plan`` or policy in a world: its paired ``runs``, and the shares ``sim`` and ``real`` that reach the
+    goal or, without a goal, agree."""
     ranks: RankAgreement | None
     """Rank agreement over these plans; None for fewer than three."""
 
@@ -269,7 +229,7 @@ def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> Realit
         by_verb={str(verb): _agreement(some) for verb, some in pairs[pairs.legal].groupby("verb_a")},
         error_shifts=_shifts(*(errors(one[one.legal]) for one in attempts)),
         plans=plans,
-        ranks=agreement_of([plan.sim for plan in plans], [plan.real for plan in plans], seed),
+        ranks=agreement_of([plan["sim"] for plan in plans], [plan["real"] for plan in plans], seed),
     )
 
 
@@ -324,7 +284,7 @@ def _pairs(first: DataFrame, second: DataFrame) -> DataFrame:
 def _alike(pairs: DataFrame) -> Alike:
     legal, both, apart = pairs[pairs.legal], pairs[pairs.good_a & pairs.good_b], pairs[~pairs.alike]
     kinds = apart.key.groupby([_kind(row) for row in apart.itertuples()])
-    found = [Difference(str(kind), len(keys), str(keys.iloc[0])) for kind, keys in kinds]
+    found = [{"kind": str(kind), "actions": len(keys), "example": str(keys.iloc[0])} for kind, keys in kinds]
     return Alike(
         len(pairs),
         int(pairs.alike.sum()),
@@ -332,7 +292,7 @@ def _alike(pairs: DataFrame) -> Alike:
         _middle(both, "duration_s"),
         _middle(both, "car_error_m"),
         _middle(both, "peak_force_n"),
-        tuple(sorted(found, key=lambda one: (-one.actions, one.kind))),
+        sorted(found, key=lambda one: (-one["actions"], one["kind"])),
     )
 
 
@@ -353,12 +313,13 @@ def _middle(pairs: DataFrame, name: str) -> float | None:
     return float(np.median(ratios)) if len(ratios) else None
 
 
-def _agreement(pairs: DataFrame) -> VerbAgreement:
+def _agreement(pairs: DataFrame) -> dict[str, Any]:
     ratios = _ratios(pairs[pairs.good_a & pairs.good_b], "duration_s")
-    alike, sim, real = (
-        Proportion.of(int(pairs[name].sum()), len(pairs)) for name in ("alike", "good_a", "good_b")
-    )
-    return VerbAgreement(alike, sim, real, _median(ratios.tolist()))
+    shares = {"agreement": "alike", "sim": "good_a", "real": "good_b"}
+    return {
+        **{name: Proportion.of(int(pairs[column].sum()), len(pairs)) for name, column in shares.items()},
+        "duration_ratio": _median(ratios.tolist()),
+    }
 
 
 def _median(values: Sequence[float]) -> Estimate:
@@ -372,7 +333,7 @@ def _median(values: Sequence[float]) -> Estimate:
     return Estimate(float(np.median(values)), low, high)
 
 
-def _shifts(sim: Mapping[str, Any], real: Mapping[str, Any]) -> dict[str, ErrorShift]:
+def _shifts(sim: Mapping[str, Any], real: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     from scipy.stats import ks_2samp
 
     found = {}
@@ -380,11 +341,12 @@ def _shifts(sim: Mapping[str, Any], real: Mapping[str, Any]) -> dict[str, ErrorS
         one, other = Distribution.of(values), Distribution.of(real[name])
         if one is not None and other is not None:
             test = ks_2samp(values, real[name])
-            found[name] = ErrorShift(one, other, float(test.statistic), float(test.pvalue))
+            tested = {"distance": float(test.statistic), "p_value": float(test.pvalue)}
+            found[name] = {"sim": one, "real": other, **tested}
     return found
 
 
-def _plans(sim: DataFrame, real: DataFrame) -> list[PlanScore]:
+def _plans(sim: DataFrame, real: DataFrame) -> list[dict[str, Any]]:
     one, other = (
         run.physics.fillna(run.agrees.astype(float)).groupby(
             run.context.astype(str) + ": " + run.group.astype(str)
@@ -393,6 +355,11 @@ def _plans(sim: DataFrame, real: DataFrame) -> list[PlanScore]:
     )
     shares = other.mean()
     return [
-        PlanScore(str(name), len(found), float(found.sum()) / len(found), float(shares[name]))
+        {
+            "plan": str(name),
+            "runs": len(found),
+            "sim": float(found.sum()) / len(found),
+            "real": float(shares[name]),
+        }
         for name, found in one
     ]

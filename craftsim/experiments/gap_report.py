@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from craftsim.experiments.compare import ErrorShift, RealityGap
+from craftsim.experiments.compare import RealityGap
 from craftsim.experiments.intervals import Estimate, Proportion
 from craftsim.experiments.sections import bounds_text, changes_table, difference_text
 from craftsim.experiments.statistics import ERRORS
@@ -50,9 +50,9 @@ def _verbs(gap: RealityGap) -> Section:
         numbers("action", "pairs", "alike (95 %)", "good: sim", "real", "durations (95 %)"),
         [
             (
-                *(verb, one.agreement.trials, _share(one.agreement)),
-                *(f"{p.successes}/{p.trials}" for p in (one.sim, one.real)),
-                _estimate(one.duration_ratio),
+                *(verb, one["agreement"].trials, _share(one["agreement"])),
+                *(f"{p.successes}/{p.trials}" for p in (one["sim"], one["real"])),
+                _estimate(one["duration_ratio"]),
             )
             for verb, one in gap.by_verb.items()
         ],
@@ -62,14 +62,15 @@ def _verbs(gap: RealityGap) -> Section:
     return Section("verbs", "By action", "Of what the rules allow.", [table], True)
 
 
-def _errors(shifts: Mapping[str, ErrorShift]) -> Section:
+def _errors(shifts: Mapping[str, Mapping[str, Any]]) -> Section:
     table = DataTable(
         numbers("error", "sim median", "95th", "real median", "95th", "KS distance", "detectable", "p"),
         [
             (
                 ERRORS[name],
-                *(f"{value:.3f}" for value in (one.sim.median, one.sim.p95, one.real.median, one.real.p95)),
-                *(f"{one.distance:.3f}", f"{_least_distance(one):.3f}", f"{one.p_value:.2g}"),
+                *(f"{value:.3f}" for d in (one["sim"], one["real"]) for value in (d.median, d.p95)),
+                *(f"{one['distance']:.3f}", f"{_least_distance(one['sim'].n, one['real'].n):.3f}"),
+                f"{one['p_value']:.2g}",
             )
             for name, one in shifts.items()
         ],
@@ -80,18 +81,19 @@ def _errors(shifts: Mapping[str, ErrorShift]) -> Section:
     return Section("errors", "Errors", "How errors are distributed in both.", [table], True)
 
 
-def _least_distance(one: ErrorShift) -> float:
-    n, m = one.sim.n, one.real.n
+def _least_distance(n: int, m: int) -> float:
     return min(1.0, _KS_AT_5_PERCENT * math.sqrt((n + m) / (n * m)))
 
 
 def _plans(gap: RealityGap) -> Section:
-    rates = [(one, [round(rate * one.runs) for rate in (one.sim, one.real)]) for one in gap.plans]
     table = DataTable(
         numbers("world: plan or policy", "runs", "success: sim", "real"),
         [
-            (one.plan, one.runs, *(_share(Proportion.of(good, one.runs)) for good in both))
-            for one, both in rates
+            (
+                *(one["plan"], runs := one["runs"]),
+                *(_share(Proportion.of(round(rate * runs), runs)) for rate in (one["sim"], one["real"])),
+            )
+            for one in gap.plans
         ],
         "Plans and policies",
     )
@@ -101,7 +103,7 @@ def _plans(gap: RealityGap) -> Section:
             f"Ranks of {gap.ranks.policies} plans: Pearson {_estimate(gap.ranks.pearson)}, Spearman "
             f"{_estimate(gap.ranks.spearman)}, mean maximum rank violation {gap.ranks.mmrv:.3f}"
         )
-    blocks: list[Block] = [*([table] if rates else []), ranks]
+    blocks: list[Block] = [*([table] if gap.plans else []), ranks]
     return Section("plans", "Plans and policies", "Success, and whether both rank alike.", blocks, True)
 
 

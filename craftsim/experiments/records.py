@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any, Final, overload
 
 from craftsim.errors import InputError
-from craftsim.experiments.experiment import TrialRecord
-from craftsim.experiments.schema import ANY, Form, Manifest, manifest_of
+from craftsim.experiments.experiment import ANY, Form, Manifest, TrialRecord, manifest_of
 from craftsim.storage.limits import HEADER, SESSION
 from craftsim.storage.limits import TRIALS as TRIALS_LIMITS
 from craftsim.storage.paths import exists

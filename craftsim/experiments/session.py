@@ -29,7 +29,6 @@ from craftsim.errors import InputError
 from craftsim.experiments.experiment import (
     Answer,
     Experiment,
-    Failure,
     Result,
     RunOptions,
     Trial,
@@ -58,7 +57,7 @@ from craftsim.experiments.records import (
 from craftsim.reports.json_file import plain, versions, write_report
 from craftsim.storage.folders import owned, remove
 from craftsim.storage.writing import whole
-from craftsim.workers.pool import NoAnswer, Pool
+from craftsim.workers.pool import Failure, Pool
 
 SCHEMA_VERSION: Final = 2
 ALONE: Final = RunOptions()
@@ -298,8 +297,6 @@ class Session:
             jobs = ((number, item.job) for number, item in numbered)
             work_on = partial(_answer, work)
             for (number, _), answer in self.pool.map_unordered(work_on, jobs, timeout_s, batch):
-                if isinstance(answer, NoAnswer):
-                    answer = Failure(answer.reason)
                 if isinstance(answer, Failure) and answer.stops:
                     raise InputError(
                         f"{answer.text}; what was finished is kept in {self.out}: make room, then --resume"

@@ -340,16 +340,6 @@ def policy_scores(trials: DataFrame) -> list[PolicyScore]:
 
 
 @dataclass(frozen=True)
-class GroupFigures:
-    """Metrics of the trials of one plan, policy or context."""
-
-    runs: Proportion
-    """Share of trials without error in which every attempt agrees."""
-    actions: Proportion
-    """Share of legal attempts as predicted."""
-
-
-@dataclass(frozen=True)
 class Figures:
     """Metrics of all trials of a run."""
 
@@ -360,8 +350,11 @@ class Figures:
     """Physics steps in which the solver did not converge, over all attempts."""
     retried: int
     """Actions with more than one try."""
-    all: GroupFigures
-    by_group: dict[str, GroupFigures]
+    all: dict[str, Proportion]
+    """``runs``: share of the trials without error in which every attempt agrees; ``actions``: share of the legal
+    attempts that are as predicted."""
+    by_group: dict[str, dict[str, Proportion]]
+    """The same for the trials of each plan, policy or context."""
     by_verb: dict[str, MatrixRow]
     """Legal attempts alone."""
     matrix: dict[str, MatrixRow]
@@ -395,9 +388,9 @@ def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
         errors=error_counts(known),
         capped_steps=capped_steps(carried_out(known)),
         retried=retried(carried_out(known)),
-        all=GroupFigures(_agree(trials), MatrixRow.of(legal).success),
+        all={"runs": _agree(trials), "actions": MatrixRow.of(legal).success},
         by_group={
-            str(name): GroupFigures(_agree(found), Proportion.of(*map(int, by_group.loc[name])))
+            str(name): {"runs": _agree(found), "actions": Proportion.of(*map(int, by_group.loc[name]))}
             for name, found in trials.groupby("group", observed=True)
         },
         by_verb={str(verb): MatrixRow.of(found) for verb, found in legal.groupby("verb", observed=True)},

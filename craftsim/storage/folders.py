@@ -28,12 +28,8 @@ _RETRIES: Final = 100
 """Attempts to lock a folder whose lock file vanishes because its owner is ending."""
 
 
-class _Owned(threading.local):
-    def __init__(self) -> None:
-        self.folders: set[tuple[int, int] | None] = set()
-
-
-_OWNED: Final = _Owned()
+_OWNED: Final = set[tuple[int, tuple[int, int] | None]]()
+"""The locked folders, each with the thread that has locked it."""
 
 
 def output_directory(out: Path) -> Path:
@@ -89,17 +85,18 @@ def owned(out: Path) -> Iterator[Path]:
     Raises:
         InputError: it is in use, or cannot be made, written to or locked.
     """
-    if _identity(out) in _OWNED.folders:
+    thread = threading.get_ident()
+    if (thread, _identity(out)) in _OWNED:
         yield out
         return
     made = _missing(out)
     number = _lock(out)
-    key = _identity(out)
-    _OWNED.folders.add(key)
+    key = thread, _identity(out)
+    _OWNED.add(key)
     try:
         yield out
     finally:
-        _OWNED.folders.discard(key)
+        _OWNED.discard(key)
         with contextlib.suppress(OSError):
             if is_at(number, out / LOCK):
                 (out / LOCK).unlink()

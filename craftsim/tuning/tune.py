@@ -23,8 +23,15 @@ from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import CraftsimError, InputError, StartError
-from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
-from craftsim.experiments.schema import STRICT, Form
+from craftsim.experiments.experiment import (
+    STRICT,
+    Experiment,
+    Form,
+    Result,
+    RunOptions,
+    Trial,
+    TrialRecord,
+)
 from craftsim.experiments.session import open_session
 from craftsim.extras import need
 from craftsim.models.world import PhysicsWorld

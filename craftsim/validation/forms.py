@@ -10,8 +10,8 @@ from pydantic import Field
 
 from craftsim.checking.attempt import Attempt, Finding, Verdict
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import STRICT, Form
 from craftsim.experiments.records import Finished, described, read_finished
-from craftsim.experiments.schema import STRICT, Form
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 

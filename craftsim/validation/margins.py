@@ -35,9 +35,16 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, StartError
 from craftsim.experiments.bundle import write_bundles
-from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
+from craftsim.experiments.experiment import (
+    STRICT,
+    Experiment,
+    Form,
+    Result,
+    RunOptions,
+    Trial,
+    TrialRecord,
+)
 from craftsim.experiments.records import read_finished
-from craftsim.experiments.schema import STRICT, Form
 from craftsim.experiments.session import open_session
 from craftsim.storage.paths import resolved
 from craftsim.validation.audit import compiled_world

@@ -115,7 +115,7 @@ def validation_report(result: Validation, command: str) -> Report:
 
 def _headline(figures: Figures, records: Sequence[TrialRecord]) -> Headline:
     actions = figures.matrix["legal"]
-    runs = figures.all.runs
+    runs = figures.all["runs"]
     missed = actions.trials - actions.as_predicted
     errors = sum(figures.errors.values())
     lost = f" {count(errors, 'more trial')} did not finish." if errors else ""
@@ -141,8 +141,8 @@ def _disagrees(attempt: Mapping[str, Any]) -> bool:
 
 
 def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
-    yield _share("runs that agree", figures.all.runs)
-    yield _share("actions as predicted", figures.all.actions)
+    yield _share("runs that agree", figures.all["runs"])
+    yield _share("actions as predicted", figures.all["actions"])
     if car := figures.precision["car_error_mm"]:
         yield KeyFigure(f"{car.median:.2g} mm", "car's error, median", f"95 % within {car.p95:.2g} mm")
     if force := figures.precision["peak_force_n"]:
@@ -169,8 +169,8 @@ def _results(figures: Figures, records: Iterable[TrialRecord]) -> Section:
         columns = ("runs", "runs that agree", SHARE[1].name, "actions", "actions as predicted", SHARE[1].name)
         rows = [
             (
-                *(name, one.runs.trials, *share_cells(one.runs)),
-                *(one.actions.trials, *share_cells(one.actions)),
+                *(name, one["runs"].trials, *share_cells(one["runs"])),
+                *(one["actions"].trials, *share_cells(one["actions"])),
             )
             for name, one in figures.by_group.items()
         ]

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from types import TracebackType
-from typing import Any, Final, Generic, Self, TypeVar
+from typing import Any, Final, Self, TypeAlias, TypeVar
 
 from craftsim.choices import Engine as Engine
 from craftsim.errors import CraftsimError
-from craftsim.workers.actor import Actor, WorkerDiedError, defer_sigint
+from craftsim.workers.actor import Actor, Handler, WorkerDiedError, defer_sigint
 from craftsim.workers.ray_actor import RayActor, processors
 
 Job = TypeVar("Job")
@@ -28,41 +28,43 @@ RELEASE_EVERY: Final = 20
 
 
 @dataclass(frozen=True)
-class NoAnswer:
-    """The reason why a job has no answer: a timeout, or repeated death of its worker."""
+class Failure:
+    """The reason why a job has no result: a timeout, or repeated death of its worker; of a trial also an exception."""
 
-    reason: str
+    text: str
+    stops: bool = False
+    """Whether the run must stop, for instance on a full disk."""
+    traceback: str = ""
+    """Traceback of the exception."""
 
 
-def answered(answer: Answer | NoAnswer) -> Answer:
+def answered(answer: Answer | Failure) -> Answer:
     """Return an answer; raise CraftsimError where there is none."""
-    if isinstance(answer, NoAnswer):
-        raise CraftsimError(answer.reason)
+    if isinstance(answer, Failure):
+        raise CraftsimError(answer.text)
     return answer
 
 
-@dataclass(frozen=True)
-class _Batch(Generic[Job]):
-    jobs: tuple[Job, ...]
-    deaths: int = 0
-    """Number of workers that died on it as a single job."""
+_Batch: TypeAlias = tuple[tuple[Any, ...], int]
+"""Jobs sent together, and the number of workers that died on them as a single job."""
 
 
 @dataclass(eq=False)
 class _Worker:
     actor: Any
     function: object = None
-    """Its present batch."""
-    batch: _Batch[Any] = _Batch(())
+    """The function that it has loaded."""
+    batch: _Batch = ((), 0)
     has_batch: bool = False
-    """Whether it is still loading the function, which does not count for the time limit."""
+    """False while it is still loading the function, which does not count for the time limit."""
     end_s: float = math.inf
     """Deadline of its batch."""
 
     def send(self, timeout_s: float) -> None:
+        jobs, _ = self.batch
         self.has_batch = True
-        self.end_s = time.monotonic() + timeout_s * len(self.batch.jobs)
-        self.actor.send((None, self.batch.jobs))
+        self.end_s = time.monotonic() + timeout_s * len(jobs)
+        self.actor.send((None, jobs))
 
 
 class Pool:
@@ -89,7 +91,7 @@ class Pool:
         timeout_s: float = math.inf,
         batch: int = 1,
         retries: int = 1,
-    ) -> Iterator[tuple[Job, Answer | NoAnswer]]:
+    ) -> Iterator[tuple[Job, Answer | Failure]]:
         """Yield each job with its answer, as soon as it is known.
 
         Args:
@@ -103,8 +105,8 @@ class Pool:
         Raises InputError if a Ray cluster is gone.
         """
         rest = iter(jobs)
-        new = map(_Batch[Job], iter(lambda: tuple(islice(rest, batch)), ()))
-        again: deque[_Batch[Job]] = deque()
+        new = ((some, 0) for some in iter(lambda: tuple(islice(rest, batch)), ()))
+        again: deque[_Batch] = deque()
 
         def begin() -> None:
             while len(self._running) < self._n and (one := again.popleft() if again else next(new, None)):
@@ -113,24 +115,24 @@ class Pool:
         try:
             begin()
             while self._running:
-                settled: list[tuple[Job, Answer | NoAnswer]] = []
+                settled: list[tuple[Job, Answer | Failure]] = []
                 for worker, is_late in self._wait():
+                    (first, *others), deaths = worker.batch
                     lost = f"no answer within {timeout_s:g} s" if is_late else ""
                     try:
                         answers = [] if is_late else worker.actor.recv()
                     except WorkerDiedError:
-                        lost = f"its worker process died, {worker.batch.deaths + 1} times"
+                        lost = f"its worker process died, {deaths + 1} times"
                     if lost:
                         self._kill(worker)
-                        first, *others = worker.batch.jobs
                         if others:
-                            again.extendleft(_Batch((job,)) for job in reversed((first, *others)))
-                        elif is_late or worker.batch.deaths >= retries:
-                            settled.append((first, NoAnswer(lost)))
+                            again.extendleft(((job,), 0) for job in reversed((first, *others)))
+                        elif is_late or deaths >= retries:
+                            settled.append((first, Failure(lost)))
                         else:
-                            again.appendleft(_Batch((first,), worker.batch.deaths + 1))
+                            again.appendleft(((first,), deaths + 1))
                     elif worker.has_batch:
-                        settled += zip(worker.batch.jobs, answers, strict=True)
+                        settled += zip((first, *others), answers, strict=True)
                         self._idle.append(self._running.pop(worker.actor))
                     else:
                         worker.send(timeout_s)
@@ -141,10 +143,10 @@ class Pool:
             for worker in list(self._running.values()):
                 self._kill(worker)
 
-    def _begin(self, function: object, batch: _Batch[Any], timeout_s: float) -> None:
+    def _begin(self, function: object, batch: _Batch, timeout_s: float) -> None:
         # Interrupted in between, a process would be left of which nobody knows.
         with defer_sigint():
-            worker = self._idle.pop() if self._idle else _Worker(self._kind(partial(_Server, self._n)))
+            worker = self._idle.pop() if self._idle else _Worker(self._kind(partial(_server, self._n)))
             self._running[worker.actor] = worker
         worker.batch = batch
         if worker.function is function:
@@ -181,25 +183,23 @@ class Pool:
         self.close()
 
 
-class _Server:
-    """Handler in a worker: applies the last function that it received."""
+def _server(n_workers: int) -> Handler:
+    """Return the handler in a worker, which applies the last function that it received."""
+    # Mesa's software renderer takes all processors otherwise, and the workers would be in each other's way.
+    os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // n_workers)))
+    function, done = None, 0
 
-    def __init__(self, n_workers: int) -> None:
-        # Mesa's software renderer takes all processors otherwise, and the workers would be in each other's way.
-        os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // n_workers)))
-        self._done = 0
-
-    def __call__(self, request: tuple[Callable[[Any], Any] | None, Sequence[Any]]) -> list[Any]:
-        function, jobs = request
-        if function is not None:
-            self._function = function
-        answers = []
-        for job in jobs:
-            answers.append(self._function(job))
-            self._done += 1
-            if self._done % RELEASE_EVERY == 0:
+    def answers(request: tuple[Callable[[Any], Any] | None, Sequence[Any]]) -> Iterator[Any]:
+        nonlocal function, done
+        function = request[0] or function
+        for job in request[1]:
+            assert function is not None
+            yield function(job)
+            done += 1
+            if done % RELEASE_EVERY == 0:
                 release_memory()
-        return answers
+
+    return lambda request: list(answers(request))
 
 
 def release_memory() -> None:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
+from craftsim.audit.builder import ImpossibleError
 from craftsim.audit.neighbours import nearby
 from craftsim.audit.plan import audit_plan, distribute_trials
-from craftsim.audit.situation import SCENES, NoPredictionError, intended
+from craftsim.audit.situation import SCENES, intended
 from craftsim.audit.survey import survey
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.grid import Grid, Kind
@@ -99,7 +100,7 @@ def test_where_nothing_is_intended_there_is_a_reason_and_else_the_next_cell():
         (_alone(car, block), Action.MOVE_RIGHT, "share a cell"),
         (_alone((1, 1, 2, 0, 0, 0, 0), (Kind.BLOCK, (1, 1, 1))), Action.MOVE_RIGHT, "no ground"),
     ):
-        with pytest.raises(NoPredictionError, match=reason):
+        with pytest.raises(ImpossibleError, match=reason):
             intended(grid, 0, action)
     under = _alone(bare, (Kind.BLOCK, (1, 1, 1)))
     assert not Rules("physical").legal(under, 0, Action.MOVE_FORWARD)

@@ -2,8 +2,7 @@
 
 import pytest
 
-from craftsim.audit.plan import PlanRow, audit_plan
-from craftsim.audit.quick import MOST_ROWS, covering, quick_rows
+from craftsim.audit.plan import MOST_ROWS, PlanRow, audit_plan, covering, quick_rows
 from craftsim.audit.situation import Row
 from craftsim.discrete.kinds import Correction
 from craftsim.discrete.reasons import REASONS

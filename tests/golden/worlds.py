@@ -12,8 +12,7 @@ from discrete.worldgen import play, random_world
 
 import craftsim
 from craftsim import Action, Rules, make_task
-from craftsim.audit.plan import audit_plan
-from craftsim.audit.quick import quick_rows
+from craftsim.audit.plan import audit_plan, quick_rows
 from craftsim.audit.situation import Situation
 from craftsim.checking.setup import RANDOMIZE, Seed, nominal_gains, set_up, setup_of
 from craftsim.designs.drawn import random_start

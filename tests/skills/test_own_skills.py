@@ -11,8 +11,7 @@ import craftsim
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
-from craftsim.experiments.bundle import read_bundle
-from craftsim.experiments.replay import replay
+from craftsim.experiments.bundle import read_bundle, replay
 from craftsim.models.sensing import measure
 from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains

@@ -167,9 +167,7 @@ def test_a_shipped_study_is_found_by_name_and_not_hidden_by_a_folder_for_its_res
     assert read_study("quick").runs
     with pytest.raises(InputError, match="not a regular file"):
         read_study(str(tmp_path))
-    with pytest.raises(
-        InputError, match="there are designs, paper, paper_ippo, quick, random"
-    ):
+    with pytest.raises(InputError, match="there are designs, paper, paper_ippo, quick, random"):
         read_study("papers")
 
 

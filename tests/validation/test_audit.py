@@ -15,9 +15,8 @@ from craftsim.checking.attempt import Attempt, Thresholds, Verdict
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.actions import ACTIONS, verbs
 from craftsim.errors import InputError
-from craftsim.experiments.bundle import read_bundle
+from craftsim.experiments.bundle import read_bundle, replay
 from craftsim.experiments.experiment import RunOptions
-from craftsim.experiments.replay import replay
 from craftsim.validation.audit import (
     AuditTrial,
     RuleVerdict,

@@ -142,9 +142,9 @@ def test_figures_of_nothing_are_none_and_no_zero():
     assert errors.pop("peak_force_n") is not None
     assert set(errors.values()) == {None}
     assert found.durations == []
-    assert found.by_group["plan"].actions.rate == 0.0
+    assert found.by_group["plan"]["actions"].rate == 0.0
     nothing = campaign_figures([], seed=0)
-    assert nothing.all.actions.rate is None
+    assert nothing.all["actions"].rate is None
     assert nothing.matrix["legal"].success.rate is None
 
 
@@ -301,7 +301,7 @@ def test_what_differs_is_told_by_kind_with_an_example():
     found = alike(first, second)
     assert (found.actions, found.as_predicted_alike, found.share) == (4, 2, 0.5)
     (one,) = found.differences
-    assert (one.kind, one.actions, one.example) == (
+    assert (one["kind"], one["actions"], one["example"]) == (
         "MOVE on a slope: as predicted there, failed here",
         2,
         "a",
@@ -360,11 +360,11 @@ def test_a_run_agrees_with_itself(tmp_path):
     run = _plans(tmp_path, {"a": 10, "b": 7, "c": 2})
     gap = compare_with_reality(run, run)
     assert gap.agrees
-    assert gap.by_verb["MOVE"].agreement.rate == 1.0
-    assert gap.by_verb["MOVE"].duration_ratio.value == 1.0
+    assert gap.by_verb["MOVE"]["agreement"].rate == 1.0
+    assert gap.by_verb["MOVE"]["duration_ratio"].value == 1.0
     assert gap.ranks.mmrv == 0.0
     assert gap.ranks.pearson.value == pytest.approx(1.0)
-    assert all(shift.distance == 0.0 for shift in gap.error_shifts.values())
+    assert all(shift["distance"] == 0.0 for shift in gap.error_shifts.values())
 
 
 def test_ranks_durations_and_outcomes_are_those_of_reality_by_the_simulation(tmp_path):
@@ -372,11 +372,11 @@ def test_ranks_durations_and_outcomes_are_those_of_reality_by_the_simulation(tmp
     gap = compare_with_reality(sim, real)
     # Plans a and b change places: the distance in reality, 0.4, counts for both of them.
     assert gap.ranks.mmrv == pytest.approx(0.8 / 3)
-    assert [(plan.sim, plan.real) for plan in gap.plans] == [(0.9, 0.3), (0.7, 0.7), (0.2, 0.1)]
-    ratio = gap.by_verb["MOVE"].duration_ratio
+    assert [(plan["sim"], plan["real"]) for plan in gap.plans] == [(0.9, 0.3), (0.7, 0.7), (0.2, 0.1)]
+    ratio = gap.by_verb["MOVE"]["duration_ratio"]
     assert (ratio.value, ratio.low, ratio.high) == (1.5, 1.5, 1.5)
-    assert gap.by_verb["MOVE"].agreement.successes == 30 - 6 - 1
-    assert gap.by_verb["MOVE"].sim.successes == 18
+    assert gap.by_verb["MOVE"]["agreement"].successes == 30 - 6 - 1
+    assert gap.by_verb["MOVE"]["sim"].successes == 18
     assert gap.trials.only_first == 7
 
 

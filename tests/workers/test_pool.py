@@ -6,7 +6,7 @@ import jobs
 import pytest
 
 from craftsim.errors import CraftsimError
-from craftsim.workers.pool import NoAnswer, Pool
+from craftsim.workers.pool import Failure, Pool
 
 pytestmark = pytest.mark.usefixtures("spawned")
 
@@ -23,8 +23,8 @@ def test_every_job_is_answered_once_whatever_goes_wrong_with_its_batch(tmp_path)
     todo = [0, 1, "die", 3, ("die once", tmp_path / "died"), 5, "hang", 7]
     expected = {
         **{str(job): job * job for job in (0, 1, 3, 5, 7)},
-        "die": NoAnswer("its worker process died, 2 times"),
-        "hang": NoAnswer("no answer within 1 s"),
+        "die": Failure("its worker process died, 2 times"),
+        "hang": Failure("no answer within 1 s"),
         str(todo[4]): "squared",
     }
     with Pool(2) as pool:
@@ -36,7 +36,7 @@ def test_every_job_is_answered_once_whatever_goes_wrong_with_its_batch(tmp_path)
 def test_without_retries_one_death_is_enough():
     with Pool(1) as pool:
         assert list(pool.map_unordered(jobs.square, ["die"], retries=0)) == [
-            ("die", NoAnswer("its worker process died, 1 times"))
+            ("die", Failure("its worker process died, 1 times"))
         ]
 
 

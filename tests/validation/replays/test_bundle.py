@@ -21,7 +21,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
-from craftsim.experiments import replay as replaying
+from craftsim.experiments import bundle as replaying
 from craftsim.experiments.bundle import (
     AFTER,
     BEFORE,
@@ -29,9 +29,9 @@ from craftsim.experiments.bundle import (
     TEXT,
     ReplayError,
     read_bundle,
+    replay,
     write_bundle,
 )
-from craftsim.experiments.replay import replay
 from craftsim.validation.audit import AuditTrial, recipe_of, try_it
 
 
@@ -107,9 +107,9 @@ def test_a_bundle_is_reproduced_bit_for_bit(folder, tmp_path, capsys):
     assert (figures["reproduced"], figures["differing"]) == (True, [])
     recorded = read_bundle(folder)
     assert 0.3 < recorded.bundle.start_s < recorded.bundle.end_s
-    assert recorded.before["time"] == recorded.bundle.start_s
-    assert recorded.after["time"] == recorded.bundle.end_s
-    assert not np.array_equal(recorded.before["qpos"], recorded.after["qpos"])
+    assert recorded.arrays[BEFORE]["time"] == recorded.bundle.start_s
+    assert recorded.arrays[AFTER]["time"] == recorded.bundle.end_s
+    assert not np.array_equal(recorded.arrays[BEFORE]["qpos"], recorded.arrays[AFTER]["qpos"])
 
 
 def test_two_bundles_of_one_recipe_are_equal(folder, tmp_path):
@@ -218,7 +218,7 @@ def test_a_bundle_is_text_and_plain_arrays(folder):
 
 def test_the_scene_opens_alone_and_is_that_world(calm):
     model = mujoco.MjModel.from_xml_path(str(calm / "scene" / "site.xml"))
-    assert model.nq == len(read_bundle(calm).before["qpos"])
+    assert model.nq == len(read_bundle(calm).arrays[BEFORE]["qpos"])
 
 
 def test_the_clip_lasts_three_seconds_and_moves(rendering, calm, tmp_path, capsys):
@@ -237,6 +237,8 @@ def test_the_clip_lasts_three_seconds_and_moves(rendering, calm, tmp_path, capsy
 def test_a_bundle_as_a_trajectory_goes_from_its_state_before_to_the_one_after(noisy):
     recorded = read_bundle(noisy)
     _, trajectory = record_bundle(recorded)
-    assert np.array_equal(trajectory.qpos[0], recorded.before["qpos"])
-    assert np.array_equal(trajectory.qpos[trajectory.at(recorded.bundle.end_s)], recorded.after["qpos"])
+    assert np.array_equal(trajectory.qpos[0], recorded.arrays[BEFORE]["qpos"])
+    assert np.array_equal(
+        trajectory.qpos[trajectory.at(recorded.bundle.end_s)], recorded.arrays[AFTER]["qpos"]
+    )
     assert trajectory.story.attempts == recorded.bundle.attempts

@@ -12,8 +12,7 @@ from fuzzing.replays import bundle_files
 
 from craftsim import cli
 from craftsim.errors import InputError
-from craftsim.experiments.bundle import AFTER, BEFORE, PHYSICS, TEXT, read_bundle
-from craftsim.experiments.replay import replay
+from craftsim.experiments.bundle import AFTER, BEFORE, PHYSICS, TEXT, read_bundle, replay
 
 WORLD = (
     "area_length: {0}\narea_width: {0}\narea_height: {1}\nblock_num: {2}\nslope_num: 0\nsmartcar_num: {3}\n"

@@ -22,7 +22,7 @@ from craftsim.discrete.tasks import as_task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.task import TASK_NAMES
 from craftsim.envs import vector_env
-from craftsim.envs.object_choice import ObjectChoice
+from craftsim.envs.actions import ObjectChoice
 from craftsim.mjcf.parameters import DRIVES
 from craftsim.planning import plan_building
 from craftsim.skills.mecanum import Mecanum

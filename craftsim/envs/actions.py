@@ -1,18 +1,47 @@
-"""The action form: the actions that are offered as columns of masks, what they stand for, and which were forbidden."""
+"""The action form: the actions that are offered as columns of masks, what they stand for, and which were forbidden.
+
+With object choices a car drives to a block, a slope or a free cell near it by the action helper's plan. This is the
+local mode of CraftEnv (Zhao et al., AAMAS 2023), whose order of action ids is another one: continue, blocks, slopes,
+free cells, and the 15 primitive actions last.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any, Final
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.kernel.batch import Cars, Cells, Mask, Queues
+from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
+from craftsim.discrete.kernel.effects import after
+from craftsim.discrete.kernel.jit import compiled
+from craftsim.discrete.kernel.rules import legal_actions
+from craftsim.discrete.kernel.search import (
+    SUCCESSORS,
+    UNKNOWN,
+    UNSEEN,
+    SearchBuffers,
+    node_of,
+    pose_at,
+    search,
+    search_buffers,
+    write_plan,
+)
+from craftsim.discrete.kernel.state import AIR, BLOCK, BODY, FSLOPE, Pose, World, kind_at, pose_of
+from craftsim.discrete.kernel.tasks import IS_BLOCK, IS_BODY, IS_FSLOPE, ROW, YAW_HIGH, YAW_LOW
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.errors import InputError
+from craftsim.storage.limits import Range
+from craftsim.storage.records import record
 
+_FLAGS: Final = {Kind.BLOCK: IS_BLOCK, Kind.FSLOPE: IS_FSLOPE, Kind.BODY: IS_BODY}
+_Count = Annotated[int, Range(0, 10_000)]
 Masks = NDArray[np.int8]
 """(B, n, n_actions): 1 for each action that a car is offered."""
 
@@ -101,3 +130,200 @@ def illegal(
         forbidden |= unoffered & ~queued
     wrong: NDArray[np.bool_] = forbidden & (chosen != Action.STOP)
     return wrong
+
+
+@record()
+class ObjectChoice:
+    """How many objects a car may choose from, and how far away they may be. Raises InputError for a bad value."""
+
+    blocks: _Count | None = None
+    """As many as the task has unless given."""
+    slopes: _Count | None = None
+    """Folded or unfolded; as many as the task has unless given."""
+    free: _Count = 20
+    """Cells without an object."""
+    radius: Annotated[int, Range(1, 256)] = 3
+    """Cells along x and y; CraftEnv's view of 7 x 7 cells unless given."""
+    floor: bool = False
+    """Whether free cells of the floor are offered, too, and not those above it alone, as in CraftEnv."""
+
+
+class ChoiceForm(ActionForm):
+    """The primitive and registered actions, then "continue", then a column for each block, slope and free cell.
+
+    Offered are objects that the car could reach without its load within the radius, in the order of their cells, and of
+    these the ones to which the action helper has a plan now. A choice puts the plan, made in the world that was
+    observed, into the helper's queue. While something is queued, "continue" alone is offered.
+    """
+
+    def __init__(self, own: Sequence[Action], choice: ObjectChoice, task: Task) -> None:
+        super().__init__(own)
+        layout = task.layout
+        blocks = layout.n_blocks if choice.blocks is None else choice.blocks
+        slopes = layout.n_slopes if choice.slopes is None else choice.slopes
+        self.choice = choice
+        self.counts = np.array([blocks, slopes, choice.free], np.int64)
+        """Columns of blocks, slopes and free cells."""
+        self.go_on = self.n_actions
+        """The column "continue"."""
+        self.n_actions += 1 + int(self.counts.sum())
+        self._size = task.starts[0].size
+        self._space = search_buffers(self._size)
+        self._numbers = np.array([*Action, *self.own], np.int64)
+        self._numbers = np.append(
+            self._numbers, np.full(self.n_actions - self.go_on, int(Action.STOP), np.int64)
+        )
+        self._cells: NDArray[np.int64]
+        """(B, n, choices, 3): the cells of the choices, 0 where there is none."""
+
+    def masks(self, episodes: Episodes) -> Masks:
+        """Return the offered actions, and find the choices of each car."""
+        queued = episodes.queue[:, :, 0] >= 0
+        shape = (*queued.shape, int(self.counts.sum()))
+        self._cells, offered = np.zeros((*shape, 3), np.int64), np.zeros(shape, np.bool_)
+        grids, choice = episodes.grids, self.choice
+        world = grids.cells, grids.cars, episodes.corrections
+        limits = choice.radius, choice.floor, _depth(episodes)
+        _find(*world, self._space, *limits, self.counts, self._cells, offered)
+        masks = np.concatenate([super().masks(episodes), queued[..., None], offered], axis=-1, dtype=np.int8)
+        masks[queued] = np.arange(self.n_actions) == self.go_on
+        return masks
+
+    def begin(
+        self, episodes: Episodes, chosen: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
+        """Return as :meth:`ActionForm.begin` does; plans to chosen objects are queued."""
+        numbers, queued = super().begin(episodes, chosen)
+        assert queued is not None
+        column = np.maximum(chosen - self.go_on - 1, 0)
+        goals = np.take_along_axis(self._cells, column[..., None, None], -2)[..., 0, :]
+        wanted = (chosen > self.go_on) & ~queued & (goals[..., 2] > 0)
+        grids = episodes.grids
+        world = grids.cells, grids.cars, episodes.corrections
+        _plan(*world, self._space, goals, wanted, _depth(episodes), episodes.queue)
+        return numbers, queued
+
+    def spaces(self) -> dict[str, spaces.Space[Any]]:
+        """Return the space of a car's ``choices``: a row of 13 numbers for each, zeros where there is none."""
+        shape = int(self.counts.sum()), ROW
+        return {"choices": spaces.Box(0, max(self._size), shape, np.int32)}
+
+    def observed(self, episodes: Episodes) -> dict[str, NDArray[Any]]:
+        """Return the rows of the choices that :meth:`masks` found, (B, n, choices, 13); a free cell has no type."""
+        x, y, z = np.moveaxis(self._cells, -1, 0)
+        each = np.arange(len(x))[:, None, None]
+        kind, yaw = episodes.grids.kind[each, x, y, z], episodes.grids.yaw[each, x, y, z]
+        rows = np.zeros((*x.shape, ROW), np.int32)
+        rows[..., :3] = self._cells
+        for one, flag in _FLAGS.items():
+            rows[..., flag] = kind == one
+        turned = (kind == Kind.FSLOPE) | (kind == Kind.BODY)
+        rows[..., YAW_HIGH], rows[..., YAW_LOW] = turned * (yaw >> 1), turned * (yaw & 1)
+        rows[z == 0] = 0
+        return {"choices": rows}
+
+
+def _depth(episodes: Episodes) -> int:
+    assert episodes.depth is not None, "the options demand the action helper"
+    return episodes.depth
+
+
+@compiled
+def _find(
+    cells: Cells,
+    cars: Cars,
+    corrections: int,
+    space: SearchBuffers,
+    radius: int,
+    floor: bool,
+    limit: int,
+    counts: NDArray[np.int64],
+    found: NDArray[np.int64],
+    offered: Mask,
+) -> None:
+    """Write the cells of each car's choices (B, n, choices, 3), and which of them the action helper can drive to."""
+    for i in range(cells.shape[0]):
+        w = World(cells[i], cars[i], corrections)
+        for me in range(cars.shape[1]):
+            _flood(w, me, space, radius)
+            _list(w, space, floor, counts, found[i, me])
+            car = pose_of(w, me)
+            space.legal[:] = UNKNOWN
+            for k in range(found.shape[2]):
+                x, y, z = found[i, me, k]
+                elsewhere = x != car.x or y != car.y or z != car.z
+                offered[i, me, k] = z > 0 and elsewhere and search(w, me, space, x, y, z, limit) >= 0
+
+
+@compiled
+def _flood(w: World, me: int, space: SearchBuffers, radius: int) -> None:
+    """Mark, by ``space.state``, where a car could drive without its load, within a radius."""
+    car = pose_of(w, me)
+    start = Pose(car.x, car.y, car.z, car.yaw, AIR, 0, car.slope)
+    space.state[:] = UNSEEN
+    space.heap[0] = node_of(w, start)
+    space.state[space.heap[0]] = 1
+    space.slope[space.heap[0]] = start.slope
+    head, tail = 0, 1
+    while head < tail:
+        node = int(np.int64(space.heap[head]))
+        head += 1
+        here = pose_at(w, start, node, space.slope[node])
+        legal = legal_actions(w, me, here, ROTATE_LEFT, LAST_MOVE)
+        for k in range(len(SUCCESSORS)):
+            if not legal & (1 << SUCCESSORS[k]):
+                continue
+            new = after(w, here, SUCCESSORS[k])
+            next_node = node_of(w, new)
+            is_near = abs(new.x - start.x) <= radius and abs(new.y - start.y) <= radius
+            if is_near and space.state[next_node] == UNSEEN:
+                space.state[next_node] = 1
+                space.slope[next_node] = new.slope
+                space.heap[tail] = next_node
+                tail += 1
+
+
+@compiled
+def _list(
+    w: World, space: SearchBuffers, floor: bool, counts: NDArray[np.int64], found: NDArray[np.int64]
+) -> None:
+    """Write the marked cells with a block, with a slope and without an object, as many of each as there is room for."""
+    blocks, slopes, free = 0, 0, 0
+    for x in range(w.cells.shape[0]):
+        for y in range(w.cells.shape[1]):
+            for z in range(1, w.cells.shape[2]):
+                node = node_of(w, Pose(x, y, z, 0, AIR, 0, 0))
+                if not space.state[node : node + 4].any():
+                    continue
+                kind = kind_at(w, x, y, z)
+                place = -1
+                if kind == BLOCK and blocks < counts[0]:
+                    place, blocks = blocks, blocks + 1
+                elif kind in (FSLOPE, BODY) and slopes < counts[1]:
+                    place, slopes = counts[0] + slopes, slopes + 1
+                elif kind == AIR and (floor or z > 1) and free < counts[2]:
+                    place, free = counts[0] + counts[1] + free, free + 1
+                if place >= 0:
+                    found[place, 0], found[place, 1], found[place, 2] = x, y, z
+
+
+@compiled
+def _plan(
+    cells: Cells,
+    cars: Cars,
+    corrections: int,
+    space: SearchBuffers,
+    goals: NDArray[np.int64],
+    wanted: NDArray[np.bool_],
+    limit: int,
+    queues: Queues,
+) -> None:
+    """Queue the way of each car that wants one to its goal (B, n, 3); nothing where there is none."""
+    for i in range(cells.shape[0]):
+        w = World(cells[i], cars[i], corrections)
+        for me in range(cars.shape[1]):
+            if wanted[i, me]:
+                space.legal[:] = UNKNOWN
+                node = search(w, me, space, goals[i, me, 0], goals[i, me, 1], goals[i, me, 2], limit)
+                if node >= 0:
+                    write_plan(space, node, queues[i, me])

@@ -14,8 +14,7 @@ from craftsim.discrete.asynchronous import Timing
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
-from craftsim.envs.actions import ActionForm
-from craftsim.envs.object_choice import ChoiceForm, ObjectChoice
+from craftsim.envs.actions import ActionForm, ChoiceForm, ObjectChoice
 from craftsim.envs.observations import Images, Observe
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Drive, Machines

@@ -11,8 +11,7 @@ from pettingzoo import ParallelEnv
 
 from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import by_agent
-from craftsim.envs.backend import Backend
-from craftsim.envs.core import SingleWorld
+from craftsim.envs.core import Backend, SingleWorld
 from craftsim.envs.observations import Observation, car_space, extra_spaces, state_space
 from craftsim.envs.options import Options
 

@@ -19,8 +19,7 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.envs.backend import Backend, Ended, Tick
-from craftsim.envs.core import Core
+from craftsim.envs.core import Core, Ended, Tick
 from craftsim.envs.recording import EpisodeRecords, Pictures, has_display
 from craftsim.errors import InputError
 from craftsim.rendering.images import CameraImages
@@ -30,7 +29,7 @@ from craftsim.rendering.viewer.views import LiveView
 from craftsim.skills.executor import Observer
 
 
-class PhysicsBackend(Backend):
+class PhysicsBackend:
     """A PhysicsWorld on which all cars' skills run to their end in every tick."""
 
     def __init__(

@@ -77,8 +77,15 @@ class PhysicsVectorEnv(TaskVectorEnv):
         if chosen.actions:  # by themselves: a name alone does not say where it is registered
             options["actions"] = chosen.actions
         make = partial(CentralConstruction, self.task, **options)
-        self._worlds = _Worlds(make, num_envs, batch.workers, batch.engine)
-        self.workers = self._worlds.workers
+        on_ray = batch.engine == "ray"
+        usual = num_envs if on_ray else len(os.sched_getaffinity(0))
+        self.workers = min(num_envs, batch.workers or usual, processors() if on_ray else num_envs)
+        self._kind: Any = RayActor if on_ray else Actor
+        sent = CloudpickleWrapper(make)
+        self._actors = [
+            self._kind(partial(_Holder, sent, range(number, num_envs, self.workers)))
+            for number in range(self.workers)
+        ]
         self._acting = np.zeros(num_envs, np.bool_)
         self._rows = np.zeros((num_envs, self.task.layout.n_observed, ROW), np.int32)
 
@@ -171,7 +178,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
     @property
     def pids(self) -> list[int]:
         """Numbers of the worker processes, where they are those of this machine."""
-        return self._worlds.pids
+        return [actor.pid for actor in self._actors if isinstance(actor, Actor)]
 
     def render(self) -> tuple[Any, ...]:
         """Return what every world renders, see :class:`craftsim.envs.options.Options`."""
@@ -179,9 +186,32 @@ class PhysicsVectorEnv(TaskVectorEnv):
         return tuple(self._ask_all("render", [()] * self.num_envs))
 
     def close_extras(self, **_: Any) -> None:
-        """End all processes."""
+        """Close all worlds and end all processes; one that is still busy is killed.
+
+        Raises CraftsimError where a world could not be closed, as it could not write its records.
+        """
         self._acting[:] = False
-        self._worlds.close()
+        idle = {number: actor for number, actor in enumerate(self._actors) if not actor.due}
+        self._ask({world: ("close", ()) for world in range(self.num_envs) if world % self.workers in idle})
+        problems: list[CraftsimError] = []
+        end_s = time.monotonic() + _CLOSE_S
+        # Of a cluster that is gone, and of workers that have died, nothing is left to be closed.
+        with suppress(InputError):
+            while due := [actor for actor in idle.values() if actor.due]:
+                ready = self._kind.wait(due, max(0.0, end_s - time.monotonic()))
+                if not ready:
+                    break
+                for actor in ready:
+                    try:
+                        answer = actor.recv()[1]
+                    except WorkerDiedError:
+                        idle = {number: one for number, one in idle.items() if one is not actor}
+                        continue
+                    problems += [answer] if isinstance(answer, CraftsimError) else []
+        while self._actors:
+            self._actors.pop().kill()
+        for problem in problems:
+            raise problem
 
     def _require_rest(self, what: str) -> None:
         if self._acting.any():
@@ -191,25 +221,48 @@ class PhysicsVectorEnv(TaskVectorEnv):
     def _ask(self, calls: Mapping[int, _Call]) -> None:
         if self.closed:
             raise InputError("the environment is closed; make it anew")
-        self._worlds.ask(calls)
+        for world, (method, arguments) in calls.items():
+            self._actors[world % self.workers].send((world, method, arguments))
 
     def _ask_all(self, method: str, arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
         self._ask({world: (method, given) for world, given in enumerate(arguments)})
         return list(self._gather(self.num_envs).values())
 
     def _gather(self, at_least: int) -> dict[int, Any]:
-        """Return answers by world; raises what a world has raised."""
+        """Return the answers that are there, by world in rising order; wait for so many, or for all that are due.
+
+        Raises what a world has raised, and CraftsimError where a worker has ended.
+        """
+        found: dict[int, Any] = {}
         try:
-            answers = self._worlds.gather(at_least)
+            while due := [actor for actor in self._actors if actor.due]:
+                ready = self._kind.wait(due, None if len(found) < at_least else 0.0)
+                if not ready:
+                    break
+                for actor in ready:
+                    world, answer = self._answer(actor)
+                    found[world] = answer
         except CraftsimError:
             self.close()
             raise
+        answers = dict(sorted(found.items()))
         self._acting[list(answers)] = False
         for error in (answer for answer in answers.values() if isinstance(answer, CraftsimError)):
             if not isinstance(error, InputError):
                 self.close()
             raise error
         return answers
+
+    def _answer(self, actor: Any) -> tuple[int, Any]:
+        try:
+            answer: tuple[int, Any] = actor.recv()
+        except WorkerDiedError as error:
+            held = [str(world) for world in range(self._actors.index(actor), self.num_envs, self.workers)]
+            worlds = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "")
+            raise CraftsimError(
+                f"the process that holds the worlds {worlds} {error}; make the environment anew"
+            ) from error
+        return answer
 
     def _batch(self, answers: Mapping[int, tuple[Any, ...]]) -> Batch:
         """Return the answers of :meth:`_Holder.act` as those of a batch."""
@@ -254,92 +307,12 @@ def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
 
 _Call = tuple[str, tuple[Any, ...]]
 """A method of :class:`_Holder`, and its arguments besides the world."""
-_Make = Callable[[], CentralConstruction]
-
-
-class _Worlds:
-    """Worlds numbered from 0, spread over workers; none of their numbers depends on how."""
-
-    def __init__(self, make: _Make, n_worlds: int, workers: int | None, engine: Engine) -> None:
-        """Start the workers; they go on starting while this returns. Raises InputError where a Ray cluster is missing.
-
-        Without ``workers`` there is one for each processor, on Ray one per world; on Ray at most one per processor.
-        """
-        usual = n_worlds if engine == "ray" else len(os.sched_getaffinity(0))
-        self.workers = min(n_worlds, workers or usual, processors() if engine == "ray" else n_worlds)
-        self._n_worlds = n_worlds
-        self._kind: Any = RayActor if engine == "ray" else Actor
-        sent = CloudpickleWrapper(make)
-        self._actors = [
-            self._kind(partial(_Holder, sent, range(number, n_worlds, self.workers)))
-            for number in range(self.workers)
-        ]
-
-    @property
-    def pids(self) -> list[int]:
-        """Numbers of the processes, where they are those of this machine."""
-        return [actor.pid for actor in self._actors if isinstance(actor, Actor)]
-
-    def ask(self, calls: Mapping[int, _Call]) -> None:
-        """Call a method of worlds, by number; none of them may have an answer due."""
-        for world, (method, arguments) in calls.items():
-            self._actors[world % self.workers].send((world, method, arguments))
-
-    def gather(self, at_least: int) -> dict[int, Any]:
-        """Return the answers that are there, by world in rising order; wait for so many, or for all that are due.
-
-        An answer may be a CraftsimError. Raises CraftsimError where a worker has ended.
-        """
-        answers: dict[int, Any] = {}
-        while due := [actor for actor in self._actors if actor.due]:
-            ready = self._kind.wait(due, None if len(answers) < at_least else 0.0)
-            if not ready:
-                break
-            for actor in ready:
-                try:
-                    world, answer = actor.recv()
-                except WorkerDiedError as error:
-                    number = self._actors.index(actor)
-                    held = [str(world) for world in range(number, self._n_worlds, self.workers)]
-                    worlds = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "")
-                    raise CraftsimError(
-                        f"the process that holds the worlds {worlds} {error}; make the environment anew"
-                    ) from error
-                answers[world] = answer
-        return dict(sorted(answers.items()))
-
-    def close(self) -> None:
-        """Close all worlds and end all workers; one that is still busy is killed.
-
-        Raises CraftsimError where a world could not be closed, as it could not write its records.
-        """
-        idle = {number: actor for number, actor in enumerate(self._actors) if not actor.due}
-        self.ask({world: ("close", ()) for world in range(self._n_worlds) if world % self.workers in idle})
-        problems: list[CraftsimError] = []
-        end_s = time.monotonic() + _CLOSE_S
-        # Of a cluster that is gone, and of workers that have died, nothing is left to be closed.
-        with suppress(InputError):
-            while due := [actor for actor in idle.values() if actor.due]:
-                ready = self._kind.wait(due, max(0.0, end_s - time.monotonic()))
-                if not ready:
-                    break
-                for actor in ready:
-                    try:
-                        answer = actor.recv()[1]
-                    except WorkerDiedError:
-                        idle = {number: one for number, one in idle.items() if one is not actor}
-                        continue
-                    problems += [answer] if isinstance(answer, CraftsimError) else []
-        while self._actors:
-            self._actors.pop().kill()
-        for problem in problems:
-            raise problem
 
 
 class _Holder:
     """In a worker: some of the worlds."""
 
-    def __init__(self, make: _Make, worlds: Iterable[int]) -> None:
+    def __init__(self, make: Callable[[], CentralConstruction], worlds: Iterable[int]) -> None:
         self._envs = {world: make() for world in worlds}
 
     def __call__(self, asked: tuple[int, str, tuple[Any, ...]]) -> tuple[int, Any]:

@@ -29,9 +29,9 @@ from craftsim.storage.paths import exists
 from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
 from craftsim.training.config import LEARNED, AlgoName, Protocol, TrainConfig, protocol
-from craftsim.training.guidance import check_guidance
 from craftsim.training.policy import policy_file
 from craftsim.training.shape import Shape, check_stage
+from craftsim.training.starts import check_guidance
 
 SHIPPED: Final = Path(__file__).parents[1] / "data" / "studies"
 _SETTLED: Final = ("task", "algo", "seed")

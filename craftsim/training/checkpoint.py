@@ -79,15 +79,6 @@ class RunHead:
             )
 
 
-@dataclasses.dataclass(frozen=True)
-class SavedRun:
-    """The content of a run file."""
-
-    head: RunHead
-    learner: Any
-    novelty: Any
-
-
 def save_policy(path: Path, head: PolicyHead, net: CarNet) -> None:
     """Write a policy, and what it was trained for and with.
 
@@ -175,10 +166,10 @@ def save_run(path: Path, head: RunHead, learner: dict[str, Any], novelty: Any) -
 
 
 @contextmanager
-def open_run(path: Path) -> Iterator[SavedRun]:
-    """Give what :func:`save_run` wrote; raises InputError, beginning with the path, for any other file.
+def open_run(path: Path) -> Iterator[tuple[RunHead, Any, Any]]:
+    """Give what :func:`save_run` wrote: head, learner and novelty.
 
-    An InputError in the block names the file.
+    Raises InputError, beginning with the path, for any other file. An InputError in the block names the file.
     """
     _check_run(path)
     import torch
@@ -195,7 +186,7 @@ def open_run(path: Path) -> Iterator[SavedRun]:
             raise InputError(
                 f"written in format {str(found)[:40]}, by another version of craftsim; this version reads {RUN_FORMAT}"
             )
-        yield SavedRun(_head(_RUN_HEAD, content.get("head")), content.get("learner"), content.get("novelty"))
+        yield _head(_RUN_HEAD, content.get("head")), content.get("learner"), content.get("novelty")
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
-from craftsim.training.learner import Learner, drawn
+from craftsim.training.learner import Learner, drawn, of_actions
 from craftsim.training.networks import CarNet, OthersNet
 from craftsim.training.q_learning import follow
 from craftsim.training.rollouts import Rollout, Seen
@@ -44,7 +44,7 @@ class COMALearner(Learner):
             logits = self.net(seen[some])
             values = self.critic(seen[some], actions[some])
             gain, entropy = counterfactual(logits, values.detach(), actions[some])
-            taken = values.gather(-1, actions[some].unsqueeze(-1)).squeeze(-1)
+            taken = of_actions(values, actions[some])
             self.minimize(
                 mse_loss(taken, returns[some]) - gain.mean() - self.settings.entropy * entropy.mean()
             )
@@ -55,7 +55,7 @@ class COMALearner(Learner):
         """Return (T, B, n): TD(lambda) of the target critic; an episode that ran out of time is over, too."""
         gamma, decay = self.settings.gamma, self.settings.td_lambda
         values = self.target(rollout.now, rollout.actions)
-        taken = values.gather(-1, rollout.actions.unsqueeze(-1)).squeeze(-1)
+        taken = of_actions(values, rollout.actions)
         reward, same = rollout.rewards.unsqueeze(-1), ~rollout.done.unsqueeze(-1)
         found, ahead, follows = torch.empty_like(taken), taken[-1], taken[-1]
         for t in range(len(taken) - 1, -1, -1):
@@ -70,7 +70,7 @@ def counterfactual(logits: Tensor, values: Tensor, actions: Tensor) -> tuple[Ten
     The baseline of a car's advantage is the value that its policy expects, all others acting as they did.
     """
     log_probs = logits.log_softmax(-1)
-    probs, own = log_probs.exp(), actions.unsqueeze(-1)
-    advantage = values.gather(-1, own).squeeze(-1) - (probs.detach() * values).sum(-1)
+    probs = log_probs.exp()
+    advantage = of_actions(values, actions) - (probs.detach() * values).sum(-1)
     entropy = -(probs * log_probs.clamp(min=-1e4)).sum(-1)
-    return log_probs.gather(-1, own).squeeze(-1) * advantage, entropy
+    return of_actions(log_probs, actions) * advantage, entropy

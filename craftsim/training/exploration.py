@@ -8,7 +8,6 @@ plan and no other knowledge of the task goes in but its reward's potential.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
@@ -38,20 +37,14 @@ _ARRAYS: Final = ("cells", "cars")
 _HASH_SEED: Final = 1
 
 
-@dataclass(frozen=True)
-class Explored:
-    """What exploration found."""
-
-    starts: list[Grid]
-    """STARTS of the worlds that were reached; one may be there more than once."""
-    way: list[Grid]
-    """From the start to the world of the highest potential, of these the one that was reached the earliest."""
-
-
-def explore(task: Task, rules: RuleSet, ticks: int, rng: np.random.Generator) -> Explored:
+def explore(
+    task: Task, rules: RuleSet, ticks: int, rng: np.random.Generator
+) -> tuple[list[Grid], list[Grid]]:
     """Explore for so many ticks, without an action helper, each of whose primitives is an action, too.
 
-    Where there are no slopes no car turns, for it would make no difference.
+    Where there are no slopes no car turns, for it would make no difference. Returns STARTS of the worlds that were
+    reached, one maybe more than once; and those from the start to the one of the highest potential, of these the one
+    that was reached the earliest.
     """
     episodes = Episodes(task, rng, WORLDS, rules)
     reached = _Reached(episodes)
@@ -72,7 +65,7 @@ def explore(task: Task, rules: RuleSet, ticks: int, rng: np.random.Generator) ->
             running &= ~steps.success
     way = reached.way_to_best()
     starts = [*rng.choice(way[:-1] or way, STARTS // 2), *reached.draw(rng, STARTS // 2)]
-    return Explored(reached.grids(starts), reached.grids(way))
+    return reached.grids(starts), reached.grids(way)
 
 
 def done_on(way: Sequence[Grid], rules: Rules) -> Ticks:

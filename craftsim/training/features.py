@@ -13,7 +13,7 @@ from craftsim.training.shape import FORMS, Shape
 
 
 class Encoder(nn.Module):
-    """Turns observations (..., n, vector_length) and masks (..., n, 15) into vectors (..., n, width).
+    """Turns observations (..., n, vector_length) into places, and these with masks (..., n, 15) into vectors.
 
     Every entity is looked up in a table by what it is and where; these vectors, and one each for the car's number and
     for what it may do, are added up. This is a linear layer on a one-hot drawing of the world without the
@@ -50,10 +50,6 @@ class Encoder(nn.Module):
         shown = kinds.any(-1) & (rows[..., IS_GOAL] == 0) & (x >= 0) & (y >= 0) & (z >= 0)
         shown &= (x < length) & (y < width) & (z < height)
         return torch.where(shown, form * self.cells + cell, self.absent)
-
-    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
-        """Return one vector a car."""
-        return self.of_places(self.places(observation), mask)
 
     @staticmethod
     def on_map(values: Tensor, places: Tensor) -> Tensor:
@@ -135,10 +131,6 @@ class RelativeEncoder(nn.Module):
         ]
         # A cell that the flag is to reach is none of a car's to be built, whose place it has.
         return torch.where((kinds.any(-1) | is_goal) & inside, found, self.absent)
-
-    def forward(self, observation: Tensor, mask: Tensor) -> Tensor:
-        """Return one vector a car."""
-        return self.of_places(self.places(observation), mask)
 
     def of_places(self, places: Tensor, mask: Tensor) -> Tensor:
         """Return one vector a car from what :meth:`places` returned, and masks (..., n, 15)."""

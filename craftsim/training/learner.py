@@ -85,3 +85,8 @@ def drawn(logits: Tensor) -> Tensor:
 def drawn_offers(offers: Tensor) -> Tensor:
     """Return actions (...) drawn uniformly from masks (..., 15)."""
     return (torch.rand(offers.shape) * offers).argmax(-1)
+
+
+def of_actions(values: Tensor, actions: Tensor) -> Tensor:
+    """Return (...): the values (..., 15) of these actions (...)."""
+    return values.gather(-1, actions.unsqueeze(-1)).squeeze(-1)

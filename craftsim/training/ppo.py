@@ -18,7 +18,7 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.training.demonstrations import NOT_SHOWN, Demonstrations
-from craftsim.training.learner import Learner, drawn
+from craftsim.training.learner import Learner, drawn, of_actions
 from craftsim.training.networks import CarNet, Critic
 from craftsim.training.rollouts import Rollout, Seen, distinct, joined
 from craftsim.training.settings import PPOSettings
@@ -64,7 +64,7 @@ class PPOLearner(Learner):
             encoded = self.net.encode(once)
             now, after = self.critic(encoded)[inverse].view(2, *rollout.actions.shape)
             before = self.net.masked(encoded, once).log_softmax(-1)
-            before = _of(before[inverse[:n]], actions)
+            before = of_actions(before[inverse[:n]], actions)
         advantage = advantages(rollout, now, after, settings.gamma, settings.gae_lambda).flatten(0, 1)
         target = advantage + now.flatten(0, 1)
         chose = None if rollout.decides is None else rollout.decides.flatten(0, 1)
@@ -76,7 +76,7 @@ class PPOLearner(Learner):
                 seen = once[met]
                 encoded = self.net.encode(seen)
                 log_probs = self.net.masked(encoded, seen).log_softmax(-1)
-                ratio = (_of(log_probs.index_select(0, places), actions[some]) - before[some]).exp()
+                ratio = (of_actions(log_probs.index_select(0, places), actions[some]) - before[some]).exp()
                 gain = ratio * advantage[some]
                 clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip) * advantage[some]
                 value = self.critic(encoded).index_select(0, places)
@@ -84,11 +84,6 @@ class PPOLearner(Learner):
                 loss = settings.critic * smooth_l1_loss(value, target[some], reduction="none")
                 loss = loss - torch.minimum(gain, clipped) - settings.entropy * entropy
                 self.minimize((loss if chose is None else loss[chose[some]]).mean())
-
-
-def _of(log_probs: Tensor, actions: Tensor) -> Tensor:
-    """Return (..., n): the log probabilities of the taken actions."""
-    return log_probs.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
 
 
 def advantages(rollout: Rollout, now: Tensor, after: Tensor, gamma: float, decay: float) -> Tensor:

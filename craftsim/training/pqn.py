@@ -10,9 +10,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
-from craftsim.training.learner import Learner
+from craftsim.training.learner import Learner, of_actions
 from craftsim.training.networks import CarNet
-from craftsim.training.q_learning import epsilon_greedy, of_actions
+from craftsim.training.q_learning import epsilon_greedy
 from craftsim.training.rollouts import Rollout, Seen, distinct, joined, lambda_returns
 from craftsim.training.settings import PQNSettings
 from craftsim.training.shape import Shape

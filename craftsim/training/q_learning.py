@@ -17,7 +17,7 @@ from torch.nn.functional import mse_loss
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.errors import InputError
-from craftsim.training.learner import Learner, drawn_offers
+from craftsim.training.learner import Learner, drawn_offers, of_actions
 from craftsim.training.networks import CarNet, JointNet, QMixer
 from craftsim.training.rollouts import Rollout, Seen, lambda_returns
 from craftsim.training.settings import QSettings
@@ -175,11 +175,6 @@ class QLearner(Learner):
         """Take the rollouts over."""
         for name, column in self.replay.columns.items():
             column[: len(memory[name])] = memory[name]
-
-
-def of_actions(values: Tensor, actions: Tensor) -> Tensor:
-    """Return (...): the values (..., 15) of these actions (...)."""
-    return values.gather(-1, actions.unsqueeze(-1)).squeeze(-1)
 
 
 def epsilon_greedy(values: Tensor, seen: Seen, epsilon: float) -> Tensor:

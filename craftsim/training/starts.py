@@ -1,10 +1,11 @@
-"""Other starts to train from: worlds that a plan comes by, or that were reached in physics."""
+"""What a run is given beside its task: other starts to train from, and what it imitates before it learns."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.starts import Starts, StartSampler, load_starts, targets_of
 from craftsim.errors import InputError
+from craftsim.training.config import HALF, TrainConfig
+from craftsim.training.demonstrations import Demonstrations, Progress, planned_demonstrations, replayed
+from craftsim.training.exploration import STARTS, done_on, explore
 
 
 def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
@@ -77,3 +81,52 @@ def along_plan(start: Grid, path: Path, rule_set: RuleSet) -> list[Grid]:
     for tick in read_plan(path, start.n_cars).ticks[:-1]:
         grids.append(rules.tick(grids[-1], tick)[0])
     return grids[1:]
+
+
+class Guidance(NamedTuple):
+    """Either may be absent; the same whenever a run is resumed."""
+
+    starts: Task | None = None
+    """The task with other starts."""
+    shown: Demonstrations | None = None
+
+
+def check_guidance(config: TrainConfig, task: Task, starts: Task | None) -> None:
+    """Raise InputError where a configuration asks for what does not go together, or not with a task."""
+    if starts is not None and (config.explore or config.stages):
+        raise InputError("exploration and stages have starts of their own: leave them or starts out")
+    if config.shown_share != HALF and (starts is not None or not task.split):
+        raise InputError(
+            f"shown_share is {config.shown_share} with {'other starts' if starts else task.name}; it is of the plans "
+            "that are imitated in a task that varies: leave it out"
+        )
+    if config.explore and not task.always_starts_the_same:
+        raise InputError(f"exploration needs a fixed start, which task '{task.name}' has not: leave it out")
+
+
+def guidance_of(
+    config: TrainConfig, task: Task, starts: Task | None, rng: np.random.Generator, progress: Progress
+) -> Guidance:
+    """Return what a configuration asks for; starts that are given stand in for those on the way of plans."""
+    if config.explore:
+        return _explored(config, task, rng)
+    if config.imitate:
+        shown = planned_demonstrations(task, config.imitate, rng, progress)
+        return _planned(config, task, shown, rng) if starts is None else Guidance(starts, shown)
+    return Guidance(starts)
+
+
+def _explored(config: TrainConfig, task: Task, rng: np.random.Generator) -> Guidance:
+    starts, way = explore(task, config.rules, config.explore, rng)
+    shown = None
+    if 1 < len(way) <= task.max_steps + 3:
+        start = Starts.of(way[:1], targets_of(task.design))
+        shown = replayed(task, start, [done_on(way, Rules(config.rules))], config.rules)
+    return Guidance(half_from(task, starts), shown)
+
+
+def _planned(config: TrainConfig, task: Task, shown: Demonstrations, rng: np.random.Generator) -> Guidance:
+    if task.split:
+        return Guidance(half_shown(task, shown.worlds, config.shown_share), shown)
+    some = rng.integers(len(shown.worlds), size=STARTS)
+    return Guidance(half_from(task, [shown.worlds.grid(i) for i in some]), shown)

@@ -36,7 +36,6 @@ from craftsim.training.curve import CURVE_FILE, CurvePoint, EvaluationResult, wr
 from craftsim.training.demonstrations import Progress, silent
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.features import RelativeEncoder
-from craftsim.training.guidance import Guidance, check_guidance, guidance_of
 from craftsim.training.learner import Learner
 from craftsim.training.networks import CarNet, first_net, numbers
 from craftsim.training.policy import PACKAGES, POLICY_FILE, policy_file
@@ -54,6 +53,7 @@ from craftsim.training.rollouts import (
 )
 from craftsim.training.settings import COMASettings, PPOSettings, PQNSettings, QSettings, settings_of
 from craftsim.training.shape import Shape, TaskIdentity, check_stage, starts_digest
+from craftsim.training.starts import Guidance, check_guidance, guidance_of
 from craftsim.workers.actor import defer_sigint
 
 if TYPE_CHECKING:
@@ -279,26 +279,26 @@ class Trainer:
             progress: as in the constructor.
             stages: as in the constructor.
         """
-        with open_run(folder / RUN_FILE) as run:
-            if config is not None and run.head.config != config:
-                raise InputError(f"it was begun with {run.head.config}, not with {config}")
-            trainer = cls(run.head.config, starts, task, workers, progress, stages)
-            if run.head.task.digest != trainer.identity.digest:
+        with open_run(folder / RUN_FILE) as (head, learner, novelty):
+            if config is not None and head.config != config:
+                raise InputError(f"it was begun with {head.config}, not with {config}")
+            trainer = cls(head.config, starts, task, workers, progress, stages)
+            if head.task.digest != trainer.identity.digest:
                 raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
-            if run.head.starts != trainer.starts:
-                begun = "other starts" if run.head.starts else "no other starts"
+            if head.starts != trainer.starts:
+                begun = "other starts" if head.starts else "no other starts"
                 raise InputError(f"the run was begun with {begun} than these; give the --starts of then")
             try:
-                counts = numbers(run.novelty, "novelty", torch.from_numpy(trainer.counts), 0, 2**30)
+                counts = numbers(novelty, "novelty", torch.from_numpy(trainer.counts), 0, 2**30)
                 trainer.counts = counts.clone().numpy()
-                trainer.learner.restore(run.learner)
+                trainer.learner.restore(learner)
             except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
                 raise InputError(
                     f"damaged: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
                 ) from error
-            trainer.iteration = run.head.iteration
-            trainer.wall_s, trainer.cpu_s = run.head.wall_s, run.head.cpu_s
-            trainer.curve = run.head.curve
+            trainer.iteration = head.iteration
+            trainer.wall_s, trainer.cpu_s = head.wall_s, head.cpu_s
+            trainer.curve = head.curve
         return trainer
 
 

@@ -11,8 +11,8 @@ from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.envs import parallel_env, vector_env
+from craftsim.envs.actions import ObjectChoice
 from craftsim.envs.central import CentralConstruction
-from craftsim.envs.object_choice import ObjectChoice
 from craftsim.envs.observations import local_views
 from craftsim.errors import InputError
 from craftsim.testing import check_api, check_deterministic, random_policy

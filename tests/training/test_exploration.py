@@ -1,5 +1,7 @@
 """Exploration before learning: it reaches what chance alone does not, by the rules, and the same again."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,9 @@ from craftsim.training.trainer import Trainer
 
 def _explored(seed, rules="published", ticks=20_000):
     task = make_task("block")
-    return task, explore(task, rules, ticks, np.random.default_rng(seed))
+    return task, SimpleNamespace(
+        **dict(zip(("starts", "way"), explore(task, rules, ticks, np.random.default_rng(seed)), strict=True))
+    )
 
 
 def potential(task, grid):

@@ -23,14 +23,13 @@ if TYPE_CHECKING:
     from craftsim.models.sensing import SensorNoise
     from craftsim.skills.gains import Gains
     from craftsim.skills.library import SkillChoice
-    from craftsim.validation.replanning import Replanning
 
     Randomize = str | Path
     Noise = SensorNoise | str | Path | None
     GainsChoice = Gains | str | Path | None
     MachinesChoice = Machines | str | Path | None
     SkillsChoice = SkillChoice | None
-    PlanChoice = str | Path | Plan | Replanning | None
+    PlanChoice = str | Path | Plan | None
     ActionsFile = str | Path | None
     PolicyChoice = tuple[str | Callable[..., Any], ...]
     Folder = str | Path | None

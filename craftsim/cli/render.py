@@ -56,8 +56,8 @@ def render(
     forces, each as PDF and PNG, and all together in all.pdf. Exit status: 0, or 2 for invalid input.
 
     Args:
-        what: a trajectory (.npz), the folder of a run with one or, for figures, of a replay bundle, the name of a task,
-            or a blueprint.
+        what: a trajectory (.npz), the folder of a replay bundle or of a run with one trajectory (for figures with any
+            number), the name of a task, or a blueprint.
         out: file to write: .mp4 (H.264), .webm (VP9), .webp or .gif (animations), or .png (a contact sheet, or pictures
             with --at); or a folder for figures, such as figures/.
         beside: other recorded runs, shown at its right at the same simulated time.

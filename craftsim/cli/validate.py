@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import time
-from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
@@ -95,10 +94,9 @@ def validate(
     good: Callable[[Any], bool] = itemgetter("agrees")
     if what.plan == AUTO:
         several = (validation.read_goal(_only(worlds, "--plan auto"), design.goal),)
-        what = replace(what, plan=Replanning(replans, attempts, disturb))
         good = _built
     for option, given in (("--goal", design.goal), ("--disturb", disturb)):
-        if given is not None and not isinstance(what.plan, Replanning):
+        if given is not None and what.plan != AUTO:
             raise InputError(f"{option} goes with --plan auto")
     recording = record == "trajectory"
     n_runs = campaign.trials * len(several) * max(1, len(what.policy))
@@ -109,6 +107,7 @@ def validate(
         out=out,
         progress=counting("runs", good),
         minimize=counting_kinds() if minimize else None,
+        replanning=Replanning(replans, attempts, disturb),
         record=recording or video == "all",
     )
     if filming or recording:

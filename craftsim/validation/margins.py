@@ -471,7 +471,8 @@ def _figures(result: Margins) -> dict[str, Any]:
                 "axis": one.axis.name,
                 "figure": one.axis.figure,
             }
-            | {"bundle": one.bundle, "before": one.before, **asdict(one.limit)}
+            | {"bundle": one.bundle, "before": one.before and _written(one.before)}
+            | _written(one.limit)
             for one in result.margins
         ],
         "weakest": {
@@ -489,3 +490,8 @@ def _figures(result: Margins) -> dict[str, Any]:
             for scenario, stood in result.maps.items()
         ],
     }
+
+
+def _written(limit: MarginResult) -> dict[str, Any]:
+    """Return a margin as report.json holds it, the end in capitals."""
+    return asdict(limit) | {"end": limit.end.replace(" ", "_").upper()}

@@ -52,8 +52,8 @@ from craftsim.reports.report import (
 from craftsim.validation.building import Building
 from craftsim.validation.play import ALL, NEIGHBOURS
 from craftsim.validation.sections import (
-    RunFailure,
     actions_section,
+    failure,
     failures_of,
     failures_section,
     smallest_section,
@@ -288,7 +288,7 @@ def demo_report(
     good = all(one.good for one in buildings)
     badge = "Agrees" if good else "Goal missed" if agree == total else "Disagrees"
     failures = [
-        RunFailure(one.name, asdict(attempt), "", f"{one.name}{SUFFIX}")
+        failure(one.name, asdict(attempt), kept=f"{one.name}{SUFFIX}")
         for one in buildings
         for attempt in one.attempts
         if not attempt.agrees

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.experiments.bundle import FILM, TRAJECTORY
@@ -58,66 +58,51 @@ def case_of(
     return Case(title, result, tone, reason, tuple(differences), again, film, trajectory)
 
 
-class RunFailure(NamedTuple):
-    """One action that did not go as predicted, or a run that did not finish."""
-
-    run: str
-    attempt: Mapping[str, Any] | None
-    """None if the run as a whole failed."""
-    error: str
-    kept: str
-    """File that shows it, relative to the report's folder, or empty: the replay bundle of a run's first failure of a
-    legal action, or the trajectory of a demonstration."""
-
-    @property
-    def result(self) -> Cell:
-        """The result in one or two words."""
-        if self.attempt is None:
-            return Cell("error", Tone.MUTED)
-        text = self.attempt["result"] if self.attempt["legal"] else "not tried"
-        return Cell(str(text), TONES[Verdict(self.attempt["result"])])
-
-    @property
-    def case(self) -> Case:
-        """The failure in detail."""
-        text, tone, what = self.result.text, self.result.tone, self.attempt
-        if what is None:
-            return case_of(self.run, text, tone, self.error)
-        title = f"{self.run}: tick {what['tick']}, car {what['car']} {what['action']}"
-        found = case_of(title, text, tone, what["reason"], self.kept, what["differences"])
-        if not self.kept.endswith(SUFFIX):
-            return found
-        again = ("craftsim", "render", Path(self.kept))
-        return replace(found, again=again, film=str(Path(self.kept).with_suffix(".mp4")), trajectory="")
-
-    @property
-    def row(self) -> tuple[Value, ...]:
-        """A row of the table of :func:`failures_section`."""
-        what, kept = self.attempt, self.kept or None
-        if what is None:
-            return self.run, None, None, None, self.result, None, self.error, kept
-        known = [what[name] for name in _LENGTHS if what[name] is not None]
-        off = f"{1e3 * max(known):.2f}" if what["performed"] and known else None
-        place = (self.run, str(what["tick"]), str(what["car"]), what["action"])
-        return *place, self.result, off, what["reason"], kept
+Row = tuple[Value, ...]
 
 
-def failures_of(records: Iterable[TrialRecord]) -> Iterator[RunFailure]:
+def failure(run: str, attempt: Mapping[str, Any] | None, error: str = "", kept: str = "") -> tuple[Row, Case]:
+    """Return a failed action, or a run that did not finish, as a row of :func:`failures_section` and in detail.
+
+    Args:
+        run: name of the run.
+        attempt: the attempt; None if the run as a whole failed.
+        error: reason of that.
+        kept: file that shows it, relative to the report's folder, or empty: the replay bundle of a run's first failure
+            of a legal action, or the trajectory of a demonstration.
+    """
+    if attempt is None:
+        row = (run, None, None, None, Cell("error", Tone.MUTED), None, error, kept or None)
+        return row, case_of(run, "error", Tone.MUTED, error)
+    result = str(attempt["result"]) if attempt["legal"] else "not tried"
+    tone, reason = TONES[Verdict(attempt["result"])], attempt["reason"]
+    known = [attempt[name] for name in _LENGTHS if attempt[name] is not None]
+    off = f"{1e3 * max(known):.2f}" if attempt["performed"] and known else None
+    tick, car, action = str(attempt["tick"]), str(attempt["car"]), attempt["action"]
+    title = f"{run}: tick {tick}, car {car} {action}"
+    case = case_of(title, result, tone, reason, kept, attempt["differences"])
+    if kept.endswith(SUFFIX):
+        again = ("craftsim", "render", Path(kept))
+        case = replace(case, again=again, film=str(Path(kept).with_suffix(".mp4")), trajectory="")
+    return (run, tick, car, action, Cell(result, tone), off, reason, kept or None), case
+
+
+def failures_of(records: Iterable[TrialRecord]) -> Iterator[tuple[Row, Case]]:
     """Yield all that failed, in the order of the records."""
     for record in records:
         if record["error"] is not None:
-            yield RunFailure(record["key"], None, record["error"], "")
+            yield failure(record["key"], None, record["error"])
             continue
         bundle = record["bundle"] or ""
         for attempt in record["attempts"]:
             if attempt["result"] != Verdict.AS_PREDICTED:
                 own = bundle if attempt["legal"] else ""
-                yield RunFailure(record["key"], attempt, "", own)
+                yield failure(record["key"], attempt, kept=own)
                 bundle = "" if own else bundle
 
 
 def failures_section(
-    found: Iterator[RunFailure], errors: Sequence[Block] = (), note: str = REPLAY
+    found: Iterator[tuple[Row, Case]], errors: Sequence[Block] = (), note: str = REPLAY
 ) -> Section:
     """Return a section of every failure: the first in detail, then all in a table; ``errors`` come after it."""
     listed = list(islice(found, MOST_FAILURES))
@@ -129,8 +114,8 @@ def failures_section(
         *(Column("cause", "wide"), Column("replay", "path", "what shows it again")),
     )
     note += f" {count(more, 'more failure')}: in trials.jsonl." if more else ""
-    filmed = [one.case for number, one in enumerate(listed) if not number or one.kept]
-    rows = [one.row for one in listed]
+    filmed = [case for number, (row, case) in enumerate(listed) if not number or row[-1]]
+    rows = [row for row, _ in listed]
     table = DataTable(columns, rows, "All failures", note, tall=True, most=_ON_TERMINAL)
     blocks: list[Block] = [Cases(filmed, unfilmed=1), table if listed else "None.", *errors]
     title = f"Failures: {len(listed) + more:,}" if listed else "Failures"

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
 ROLLOUTS: Final = Rollouts()
 PHYSICS: Final = Physics()
 TRIALS: Final = Trials()
+REPLANNING: Final = Replanning()
 _FORMER: Final = {"against": "baseline", "shrink": "minimize"}
 """Former names of arguments of validate."""
 
@@ -161,6 +162,7 @@ def validate(
     observers: Iterable[Observer] = (),
     progress: Progress = lambda total: nullcontext(lambda record: None),
     minimize: MinimizeProgress | None = None,
+    replanning: Replanning = REPLANNING,
     **options: Any,
 ) -> Validation:
     """Run plans, action lists or policies in physics and compare every action with its prediction.
@@ -176,9 +178,10 @@ def validate(
         observers: functions called with a run's world after every control period; they must not change it.
         progress: progress display.
         minimize: progress of the minimization of the first failure of each kind; None for no minimization.
+        replanning: numbers of plans, and the disturbance, for the plan ``auto``.
         options: any field of :class:`craftsim.options.Rollouts`, :class:`~craftsim.options.Physics` and
             :class:`~craftsim.options.Trials` by name, such as ``policy``, ``randomize`` or ``trials``. In addition to
-            the values on the command line, ``plan`` may be a Plan or Replanning, ``policy`` a function from the
+            the values on the command line, ``plan`` may be a Plan, ``policy`` a function from the
             observations by agent to the actions by agent, ``gains`` Gains, ``machines`` Machines, ``noise`` and
             ``assume`` SensorNoise, and ``skills`` a mapping such as
             ``{Action.LIFT: MyLift}`` with subclasses of :class:`craftsim.Skill`.
@@ -213,9 +216,7 @@ def validate(
             "several workers, an engine, resume, baseline, minimize and record need the folder 'out'"
         )
     subjects = subjects_of(several, what.n_cars, what.n_blocks, what.max_steps)
-    replanning: Replanning | None = None
-    if isinstance(plan, Replanning) or plan == AUTO:
-        replanning = plan if isinstance(plan, Replanning) else Replanning()
+    if plan == AUTO:
         pilots = [replanning_pilot(replanning, subjects)]
     elif plan is not None:
         read = plan if isinstance(plan, Plan) else read_plan(Path(plan), subjects[0].n_cars)
@@ -245,11 +246,11 @@ def validate(
     check_starts(subjects, setup, seed)
     terms = {"out": folder and folder.resolve(), "observers": tuple(observers), "record": record}
     items = list(items_of(subjects, pilots, trials, seed, setup, order=order, **terms))
-    form = RUNS if replanning is None else BUILDS
+    form = BUILDS if plan == AUTO else RUNS
     experiment = Experiment("validate", seed, config, items, do_run, form, timeout_s)
     how = campaign.run(progress)
     earlier = read_earlier(experiment, folder, how)
-    if replanning is not None:
+    if plan == AUTO:
         # Fail before the run starts if nothing can be built; finding out may take long.
         rng, rules = np.random.default_rng(seed), Rules(setup.rules)
         first = as_task(items[0].job.world).for_episode(rng)
@@ -261,7 +262,7 @@ def validate(
         comparison = None if earlier is None else compare_runs(earlier, session)
         smallest = () if minimize is None else minimize_failures(session, records, minimize)
         found: dict[str, Any] = {"coverage": coverage_of(records), "smallest": smallest}
-        if replanning is not None:
+        if plan == AUTO:
             found["builds"] = build_figures(records)
         session.write_report({"validation": figures, "paired": comparison, **found})
         if folder is not None:

@@ -393,20 +393,6 @@ class JointPlan:
         self.n_ticks = int(acting[-1]) + 1 if len(acting) else 0
 
 
-def cells_on_path(graph: MoveGraph, node: int, distances: Distances) -> set[Cell]:
-    """Return the cells of a shortest path from a state to the goals."""
-    cells = set[Cell]()
-    while 0 < distances[node] < UNREACHABLE:
-        closer = [
-            int(there) for there in graph.steps[node] if there >= 0 and distances[there] < distances[node]
-        ]
-        if not closer:
-            break
-        node = closer[0]
-        cells.add(cell_of_node(graph.size, node))
-    return cells
-
-
 @compiled
 def _replay(worlds: World, actions: NDArray[np.int8], first: int, end: int, left_out: int) -> int:
     """Write the worlds after each tick; return the first tick with an action that is forbidden, or -1.

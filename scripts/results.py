@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from statistics import mean, median
 from typing import Any, Final
@@ -92,19 +92,26 @@ def table(*rows: Iterable[object]) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *body)) + "\n"
 
 
+def named(rows: Iterable[Mapping[str, object]]) -> str:
+    """Return rows as a table in Markdown, the names of whose columns they have as keys."""
+    rows = list(rows)
+    return table(rows[0], *(row.values() for row in rows))
+
+
 def physics_table() -> str:
     """Return what the commands of :data:`measure_results.MEASURED` came to."""
     runs = [_read(path) for name in MEASURED if (path := RUNS / f"{name}.json").exists()]
-    rows = [
-        (
-            f"`craftsim {run['command']}`",
-            next(say(run["figures"]) for key, say in SAYINGS.items() if run["figures"].get(key) is not None),
-            "" if run["cpu_s"] is None else f"{run['cpu_s']:.0f} s",
-            run["revision"],
-        )
+    return named(
+        {
+            "command": f"`craftsim {run['command']}`",
+            "result": next(
+                say(run["figures"]) for key, say in SAYINGS.items() if run["figures"].get(key) is not None
+            ),
+            "CPU time": "" if run["cpu_s"] is None else f"{run['cpu_s']:.0f} s",
+            "revision": run["revision"],
+        }
         for run in runs
-    ]
-    return table(("command", "result", "CPU time", "revision"), *rows)
+    )
 
 
 def _demo(figures: dict[str, Any]) -> str:
@@ -197,21 +204,19 @@ def _builders(figures: dict[str, Any]) -> str:
 def builders_table() -> str:
     """Return how much of the designs the baselines build that answer in words."""
     designs = ("one level", "with a ramp", "two levels", "all")
-    rows = [
-        (
-            f"`{builder}`",
-            backend,
-            *(_counts(parts[name]["built"]) for name in designs),
-            "{wilson_low:.2f}-{wilson_high:.2f}".format(**parts["all"]["built"]),
-            f"{100 * parts['all']['in_place']['value']:.0f} %",
-            _counts(parts["all"]["as_predicted"]),
-            parts["all"]["forbidden"],
-        )
+    return named(
+        {
+            "builder": f"`{builder}`",
+            "on": backend,
+            **{name: _counts(parts[name]["built"]) for name in designs},
+            "95 %": "{wilson_low:.2f}-{wilson_high:.2f}".format(**parts["all"]["built"]),
+            "in place": f"{100 * parts['all']['in_place']['value']:.0f} %",
+            "as predicted": _counts(parts["all"]["as_predicted"]),
+            "forbidden": parts["all"]["forbidden"],
+        }
         for builder, of in _read(RUNS / "builders.json")["figures"]["builders"].items()
         for backend, parts in of.items()
-    ]
-    head = ("builder", "on", *designs, "95 %", "in place", "as predicted", "forbidden")
-    return table(head, *rows)
+    )
 
 
 def floors_table(stored: dict[str, Any]) -> str:
@@ -361,45 +366,36 @@ def _benchmark(cases: list[dict[str, Any]]) -> str:
 
 def large_table(report: dict[str, Any]) -> str:
     """Return what plans for the large tasks and MAPPO on them take, and what hundreds of processors would."""
-    cases: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    noted: dict[str, dict[str, list[dict[str, Any]]]] = {}
     for one in report["benchmarks"]:
         what = one["params"].get("what") or one["name"].split("[")[0].removeprefix("test_")
-        noted = one["extra_info"] | {"cpu_s": one["stats"]["median"]}
-        cases.setdefault((one["params"]["name"], what), []).append(noted)
+        noted.setdefault(one["params"]["name"], {}).setdefault(what, []).append(one["extra_info"])
     rows = []
-    for name, what in cases:
-        if what != "random_play":
+    for name, cases in noted.items():
+        if "random_play" not in cases:
             continue
-        plans, found = cases.get((name, "a_plan"), []), cases[name, what][0]
-        rollout, update = (cases[name, part][0]["steps_per_s"] for part in ("rollout", "update"))
+        (played,), plans = cases["random_play"], cases.get("a_plan", [])
+        rollout, update = (cases[part][0]["steps_per_s"] for part in ("rollout", "update"))
         first, ticks = (sorted(plan[key] for plan in plans) for key in ("first_s", "ticks"))
+        waits = f"{len(plans)}: {median(first):.1f} s, {first[-1]:.1f} s" if plans else ""
+        rollout_s, update_s = LARGE_STEPS / rollout, LARGE_STEPS / update
         rows.append(
-            (
-                f"`{name}`",
-                f"{len(plans)}: {median(first):.1f} s, {first[-1]:.1f} s" if plans else "",
-                f"{median(ticks):.0f}, {ticks[-1]}" if plans else "",
-                f"{found['mean_return']:.2f}",
-                _three_digits(found["steps_per_s"]),
-                _three_digits(rollout),
-                _three_digits(update),
-                f"{LARGE_STEPS * (1 / rollout + 1 / update) / 3600:.1f} h",
-                f"{LARGE_STEPS * (1 / (rollout * PROCESSORS) + 1 / update) / 3600:.1f} h",
-                f"{LARGE_STEPS * (1 / rollout + 1 / update) / PROCESSORS / 60:.1f} min",
-            )
+            {
+                "task": f"`{name}`",
+                "plans: first one after (median, longest)": waits,
+                "ticks of the best of 8 (median, longest)": f"{median(ticks):.0f}, {ticks[-1]}"
+                if plans
+                else "",
+                "return of random play": f"{played['mean_return']:.2f}",
+                "random play": _three_digits(played["steps_per_s"]),
+                "MAPPO's rollout": _three_digits(rollout),
+                "MAPPO's update": _three_digits(update),
+                "1 processor": f"{(rollout_s + update_s) / 3600:.1f} h",
+                f"{PROCESSORS} for rollouts": f"{(rollout_s / PROCESSORS + update_s) / 3600:.1f} h",
+                f"{PROCESSORS} for both": f"{(rollout_s + update_s) / PROCESSORS / 60:.1f} min",
+            }
         )
-    head = (
-        "task",
-        "plans: first one after (median, longest)",
-        "ticks of the best of 8 (median, longest)",
-        "return of random play",
-        "random play",
-        "MAPPO's rollout",
-        "MAPPO's update",
-        "1 processor",
-        f"{PROCESSORS} for rollouts",
-        f"{PROCESSORS} for both",
-    )
-    return table(head, *rows)
+    return named(rows)
 
 
 def structures_table(stored: dict[str, Any]) -> str:
@@ -411,33 +407,24 @@ def structures_table(stored: dict[str, Any]) -> str:
     def spread(values: list[float]) -> str:
         return "-".join(f"{value:.1f}" if value < 10 else f"{value:.0f}" for value in dict.fromkeys(values))
 
-    rows = [
-        (
-            f"{name}, {one['cars']} cars",
-            spread(one["blocks"]),
-            drive,
-            share(one["planned"]),
-            spread(one["plan_s"]),
-            share(one.get("built")),
-            share(one.get("as_predicted")),
-            spread(one["executed_s"] if "built" in one else one["makespan_s"]),
-            f"{one['blocks_per_hour']:.0f}" if one["blocks_per_hour"] else "",
-            f"{one['mm3_per_minute_per_car'] / 1e6:.1f}" if one["blocks_per_hour"] else "",
-        )
+    return named(
+        {
+            "structures": f"{name}, {one['cars']} cars",
+            "blocks": spread(one["blocks"]),
+            "drive": drive,
+            "planned": share(one["planned"]),
+            "CPU s": spread(one["plan_s"]),
+            "built": share(one.get("built")),
+            "actions as predicted": share(one.get("as_predicted")),
+            "makespan, s": spread(one["executed_s"] if "built" in one else one["makespan_s"]),
+            "blocks an hour": f"{one['blocks_per_hour']:.0f}" if one["blocks_per_hour"] else "",
+            "1e6 mm³ a minute per car": f"{one['mm3_per_minute_per_car'] / 1e6:.1f}"
+            if one["blocks_per_hour"]
+            else "",
+        }
         for name, stages in stored.items()
         for drive, one in stages.items()
-    ]
-    head = (
-        "structures",
-        "blocks",
-        "drive",
-        "planned",
-        "CPU s",
-        "built",
-        "actions as predicted",
-        "makespan, s",
     )
-    return table((*head, "blocks an hour", "1e6 mm³ a minute per car"), *rows)
 
 
 def paper_table() -> str:
@@ -479,30 +466,19 @@ def studies_table() -> str:
                 *cpu.values()
             ]
             rows.append(
-                (
-                    f"`{name}`",
-                    row["played"],
-                    row["seeds"],
-                    f"{iqm:.3f} ({low:.3f}-{high:.3f})",
-                    " ".join(f"{one:.3f}" for one in row["by_seed"]),
-                    row["distinct_starts"],
-                    f"{row['median_steps'] / 1000:,.0f} k",
-                    f"{min(times) / 60:.1f}-{max(times) / 60:.1f}",
-                    "" if row["published"] is None else f"{row['published']:.2f}",
-                )
+                {
+                    "study": f"`{name}`",
+                    "task": row["played"],
+                    "seeds": row["seeds"],
+                    "IQM of success (95 %)": f"{iqm:.3f} ({low:.3f}-{high:.3f})",
+                    "by seed": " ".join(f"{one:.3f}" for one in row["by_seed"]),
+                    "distinct starts": row["distinct_starts"],
+                    "steps": f"{row['median_steps'] / 1000:,.0f} k",
+                    "CPU minutes a run": f"{min(times) / 60:.1f}-{max(times) / 60:.1f}",
+                    "published": "" if row["published"] is None else f"{row['published']:.2f}",
+                }
             )
-    head = (
-        "study",
-        "task",
-        "seeds",
-        "IQM of success (95 %)",
-        "by seed",
-        "distinct starts",
-        "steps",
-        "CPU minutes a run",
-        "published",
-    )
-    return table(head, *rows)
+    return named(rows)
 
 
 def evaluations_table() -> str:

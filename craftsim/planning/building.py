@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph
+from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph, cell_of_node
 from craftsim.planning.assembly import Assembly, Order, State, rebuilt
-from craftsim.planning.joint_plan import FLAP_TICKS, JointPlan, Saved, Turn, cells_on_path
+from craftsim.planning.joint_plan import FLAP_TICKS, JointPlan, Saved, Turn
 
 _FAILURES: Final = 40
 """Number of failed turns that ends an attempt."""
@@ -93,7 +93,7 @@ class Construction:
 
     @property
     def n_ticks(self) -> int:
-        """How many ticks the deliveries take that have been planned."""
+        """How many ticks the turns take that have been planned."""
         return max(self.plan.ready)
 
     def run(self) -> bool:
@@ -296,13 +296,13 @@ class Construction:
         node, cells = self.plan.node(turn.car), {target.cell}
         if source is not None:
             graph = graphs.graph(grid)
-            cells |= cells_on_path(graph, node, graph.distances_to(graph.nodes(source)))
+            cells |= _cells_on_path(graph, node, graph.distances_to(graph.nodes(source)))
             grid = rebuilt(grid, [source])
         graph = graphs.graph(grid, target.load)
         distances = graph.distances_to(graph.nodes(target))
         if source is not None:
             node = min(graph.nodes(source), key=lambda node: int(distances[node]))
-        return cells | cells_on_path(graph, node, distances)
+        return cells | _cells_on_path(graph, node, distances)
 
     def _parking(self, car: int, graph: MoveGraph, grid: Grid) -> list[int]:
         """Return where a car may wait: on free floor, best two cells away from what is being built."""
@@ -416,3 +416,15 @@ def _onward_from(distances: Distances, grid: Grid, things: Sequence[Piece]) -> N
     x, y, z = np.array([one.cell for one in things]).T
     around = [beyond[x + 1 + dx, y + 1 + dy, z] for dx, dy in DIRECTIONS.tolist()]
     return np.minimum(best[x, y, z], np.min(around, axis=0) + 1).astype(np.int64)
+
+
+def _cells_on_path(graph: MoveGraph, node: int, distances: Distances) -> set[Cell]:
+    """Return the cells of a shortest path from a state to the goals."""
+    cells = set[Cell]()
+    while 0 < distances[node] < UNREACHABLE:
+        steps = graph.steps[node].tolist()
+        closer = (there for there in steps if there >= 0 and distances[there] < distances[node])
+        if (node := next(closer, -1)) < 0:
+            break
+        cells.add(cell_of_node(graph.size, node))
+    return cells

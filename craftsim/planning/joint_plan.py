@@ -196,7 +196,7 @@ class JointPlan:
     def move_aside(self, car: int, keep_free: Collection[Cell]) -> bool:
         """Let a car that waits go to the nearest cell of the floor outside of some; return whether it could."""
         saved, ready = self.saved(), self.ready[car]
-        self.write(car, ready, [])
+        self._erase(car, ready)
         grid = self.end
         graph = self._graphs.graph(grid)
         reached = graph.distances_from([self.node(car)]) < UNREACHABLE
@@ -217,6 +217,14 @@ class JointPlan:
             return False
         return True
 
+    def _erase(self, car: int, tick: int) -> None:
+        """Let a car do nothing from a tick on.
+
+        The worlds stay as they are: while it has not left yet, actions of others may be forbidden that are not later.
+        """
+        self.actions[tick:, car] = WAIT
+        self._shorten()
+
     def _last_of(self, car: int) -> int:
         acting = np.flatnonzero(self.actions[:, car] != WAIT)
         return int(acting[-1]) + 1 if len(acting) else 0
@@ -224,7 +232,7 @@ class JointPlan:
     def _plan(self, turn: Turn, tick: int, not_before: int, parking: Parking) -> int | None:
         """Plan a turn from a tick on; return None if all is well, the tick of a conflict, or -1 without a path."""
         car = turn.car
-        self.write(car, tick, [])
+        self._erase(car, tick)
         if turn.stays:
             action = Action.UNFOLD if turn.target.kind == Kind.BODY else Action.FOLD
             after = self._act_at(car, tick, turn.target, action, not_before)
@@ -390,20 +398,6 @@ class JointPlan:
     def _shorten(self) -> None:
         acting = np.flatnonzero((self.actions != WAIT).any(1))
         self.n_ticks = int(acting[-1]) + 1 if len(acting) else 0
-
-
-def cells_on_path(graph: MoveGraph, node: int, distances: Distances) -> set[Cell]:
-    """Return the cells of a shortest path from a state to the goals."""
-    cells = set[Cell]()
-    while 0 < distances[node] < UNREACHABLE:
-        closer = [
-            int(there) for there in graph.steps[node] if there >= 0 and distances[there] < distances[node]
-        ]
-        if not closer:
-            break
-        node = closer[0]
-        cells.add(cell_of_node(graph.size, node))
-    return cells
 
 
 @compiled

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import mujoco
 import numpy as np
@@ -83,7 +83,7 @@ def make_view(text: str, trajectory: Trajectory, aspect: float) -> View:
         if number not in cars:
             there = f"allowed: {', '.join(cars)}" if cars else "this world has no cars; try overview"
             raise InputError(f"camera '{text[:80]}': there is no car '{number[:40]}'; {there}")
-        return _beside(trajectory, int(number), **_BESIDE[kind])
+        return _beside(trajectory, int(number), kind == "closeup")
     known = [*AREA_VIEWS, *(f"{view}:{car}" for view in CAR_VIEWS for car in cars)]
     raise InputError(
         f"unknown camera '{text[:80]}'{suggestion(text[:80], known)}; there are {', '.join(AREA_VIEWS)}, "
@@ -166,27 +166,6 @@ def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View
     return View(ring.fovy_deg, aim)
 
 
-_BESIDE: Final[dict[str, dict[str, Any]]] = {
-    "follow": {
-        "distance_m": 1.25,
-        "sides": ((0.0, -32.0), (0.0, -48.0)),
-        "fovy_deg": 45.0,
-        "ahead_m": 0.25,
-        "height_m": 0.10,
-        "place_s": 0.4,
-        "ghost": True,
-    },
-    "closeup": {
-        "distance_m": 0.85,
-        "sides": tuple((turn, tilt) for tilt in (-20.0, -35.0) for turn in (116.0, -116.0, 64.0, -64.0)),
-        "fovy_deg": 30.0,
-        "ahead_m": 0.0,
-        "height_m": 0.06,
-        "place_s": 0.15,
-        "ghost": False,
-    },
-}
-"""Of each view of a car what :func:`_beside` takes."""
 _HEADING_S: Final = 1.2
 """Standard deviation of the low-pass of a heading: a car turns by a right angle in less than a second, too fast for a
 camera."""
@@ -194,50 +173,36 @@ _LOOKS: Final = 40
 """Samples at which it is tried from where a car is seen."""
 
 
-def _beside(
-    trajectory: Trajectory,
-    car: int,
-    *,
-    distance_m: float,
-    sides: tuple[tuple[float, float], ...],
-    fovy_deg: float,
-    ahead_m: float,
-    height_m: float,
-    place_s: float,
-    ghost: bool,
-) -> View:
-    """Return the view of a camera beside a car.
+def _beside(trajectory: Trajectory, car: int, closeup: bool) -> View:
+    """Return the view of a camera that goes behind a car, or close to its wheels and board.
 
-    Args:
-        trajectory: what is looked at.
-        car: its number.
-        distance_m: from the point at which it looks.
-        sides: turns of its direction from the car's heading, 0 looking the way the car does, and elevations, in
-            degrees; it stands where the car is least hidden.
-        fovy_deg: vertical field of view.
-        ahead_m: of that point, before the car's origin.
-        height_m: of that point, over it.
-        place_s: standard deviation of the Gaussian low-pass of the car's place.
-        ghost: whether the ghost of the goal is shown.
+    It looks at a point before the car's origin and over it. Its ``sides`` are turns of its direction from the car's
+    heading, 0 looking the way the car does, and elevations, in degrees: it is where the car is least hidden. The car's
+    place is smoothed by a Gaussian with a standard deviation of ``place_s``.
     """
+    distance_m, fovy_deg, ahead_m, height_m, place_s = 1.25, 45.0, 0.25, 0.10, 0.4
+    sides = [(0.0, -32.0), (0.0, -48.0)]
+    if closeup:
+        distance_m, fovy_deg, ahead_m, height_m, place_s = 0.85, 30.0, 0.0, 0.06, 0.15
+        sides = [(turn, elevation) for elevation in (-20.0, -35.0) for turn in (116.0, -116.0, 64.0, -64.0)]
     poses, times = trajectory.pose(f"car {car}"), trajectory.time
     period_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     heading = _smooth(np.unwrap(_headings(poses[:, 3:])), _HEADING_S / period_s)
     ahead = ahead_m * np.column_stack([np.cos(heading), np.sin(heading)])
-    place = _smooth(poses[:, :3], place_s / period_s)
-    place += np.column_stack([ahead, np.full(len(times), height_m)])
+    looked_at = _smooth(poses[:, :3], place_s / period_s)
+    looked_at += np.column_stack([ahead, np.full(len(times), height_m)])
 
     def from_side(side: tuple[float, float]) -> Callable[[float], Aim]:
         turn, elevation = side
 
         def aim(time_s: float) -> Aim:
-            lookat = np.array([np.interp(time_s, times, place[:, axis]) for axis in range(3)])
+            lookat = np.array([np.interp(time_s, times, looked_at[:, axis]) for axis in range(3)])
             azimuth = math.degrees(float(np.interp(time_s, times, heading))) + turn
             return Aim(lookat, distance_m, azimuth, elevation, fovy_deg)
 
         return aim
 
-    return View(fovy_deg, _least_hidden(trajectory, car, list(map(from_side, sides))), ghost)
+    return View(fovy_deg, _least_hidden(trajectory, car, list(map(from_side, sides))), not closeup)
 
 
 def _least_hidden(

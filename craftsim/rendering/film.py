@@ -9,7 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import accumulate
 from typing import Final
 
@@ -252,17 +252,12 @@ def _predicted(trajectory: Trajectory, size: tuple[int, int]) -> _Picture:
     """Return the world that the rules predict, drawn level by level into tiles of a size."""
     times, grids = predicted_worlds(trajectory)
     levels = levels_of(grids, design=trajectory.wanted)
-    drawn: dict[int, Frame] = {}
 
-    def draw(sample: int, time_s: float) -> Frame:
-        number = max(0, bisect_right(times, time_s) - 1)
-        if number not in drawn:
-            drawn.clear()
-            picture = world_image(grids[number], levels=levels, design=trajectory.wanted)
-            drawn[number] = fitted(picture, size)
-        return drawn[number]
+    @lru_cache(1)
+    def picture(number: int) -> Frame:
+        return fitted(world_image(grids[number], levels=levels, design=trajectory.wanted), size)
 
-    return draw
+    return lambda sample, time_s: picture(max(0, bisect_right(times, time_s) - 1))
 
 
 def predicted_worlds(trajectory: Trajectory) -> tuple[list[float], list[Grid]]:

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 from typing import get_args
 
@@ -21,10 +22,12 @@ from craftsim.cli import former
 from craftsim.cli.bench import Check
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, HEADINGS
 from craftsim.cli.help import REFERRED, _default, _heading
+from craftsim.cli.train import _BESIDES
 from craftsim.errors import InputError
 from craftsim.options import Physics, range_of
 from craftsim.reports import json_file
 from craftsim.reports.text import escape
+from craftsim.training.config import TrainConfig
 
 EVERY = [words for name in COMMANDS for words in ([name], *([name, below] for below in BELOW.get(name, ())))]
 EVERY = [words for words in EVERY if words[0] not in ALONE or len(words) == 2]
@@ -242,8 +245,11 @@ excite --time 20 -> robot excite --duration 20
 identify log.csv --parameters p -> robot identify log.csv --machines p
 study quick -> train study quick
 plan strip --time 3 --rounds 2 -> plan strip --time-limit 3 --attempts 2
-validate strip --against d -> validate strip --baseline d
+train --width 64 --stages a b --tensorboard -> train --set width=64 --set stages=a,b --set tensorboard=true
+train --drive rollers --record -> train --set drive=rollers --record trajectory
+validate strip --record --against d -> validate strip --record trajectory --baseline d
 show --machine wall --mjcf a.xml --urdf b.urdf -> show wall --export a.xml --export b.urdf
+render run --no-ghost --cards --no-captions -> render run --hide ghost --hide captions
 replay b --shrink -> replay b --minimize
 demo --blueprint b --timeout-s 2 -> demo --task b --timeout 2
 """
@@ -266,6 +272,8 @@ def test_every_former_option_is_one_of_the_present_command():
         )
         words = tuple(itertools.takewhile(lambda word: not word.startswith("--"), command))
         assert {*options.values()} - {""} <= taken[words], name
+    known = {*_BESIDES, *(field.name for field in fields(TrainConfig))}
+    assert {name.replace("-", "_") for name in former.SET} <= known
 
 
 def test_present_words_are_left_as_they_are_and_former_commands_say_what_they_are_now(capsys):

@@ -40,6 +40,14 @@ OPTIONS: Final[dict[str, dict[str, str]]] = {
     "show": {"--blueprint": "", "--machine": "", "--mjcf": "--export", "--urdf": "--export"},
 }
 """Present names of former options by former command, "" for all commands; an empty name is an argument."""
+HIDDEN: Final = ("ghost", "captions", "cards")
+"""Former flags of render, now values of --hide."""
+SET: Final = (
+    *("worlds", "width", "network", "novelty", "explore", "imitate", "shown-share", "pretrained", "stages"),
+    *("stage-steps", "acting", "drive", "randomize", "rules", "helper-depth", "cars", "blocks", "starts"),
+    *("workers", "tensorboard", "settings"),
+)
+"""Former options of train, now settings of --set."""
 
 
 def current(words: list[str]) -> list[str]:
@@ -52,6 +60,12 @@ def current(words: list[str]) -> list[str]:
     if command != (name,):
         _tell(name, " ".join(command))
     options = OPTIONS[""] | OPTIONS.get(name, {})
+    if name == "train" and given[:1] != ["study"]:
+        options |= {f"--{option}": "--set" for option in SET}
+    if name in ("validate", "audit", "train"):
+        given = _record_flag(given)
+    if name in ("render", "plot"):
+        given = _hidden(given)
     if name == "evaluate":
         given = _policies_first(given)
     positional, given = _renamed(given, options)
@@ -73,15 +87,21 @@ def _renamed(given: list[str], options: dict[str, str]) -> tuple[list[str], list
     positional, others = list[str](), list[str]()
     for option, values in _parts(given):
         bare, equals, value = option.partition("=")
-        if bare not in options:
+        negated = bare.removeprefix("--no-")
+        new = options.get(bare, options.get(f"--{negated}") if bare.startswith("--no-") else None)
+        if new is None:
             others += [option, *values] if option else values
             continue
-        _tell(bare, options[bare] or "an argument")
         values = [value, *values] if equals else values
-        if options[bare]:
-            others += [options[bare], *values]
-        else:
+        _tell(bare, new or "an argument")
+        if new == "":
             positional += values
+        elif new == "--set":
+            what = negated.removeprefix("--").replace("-", "_")
+            said = ",".join(values) or ("false" if bare.startswith("--no-") else "true")
+            others += ["--set", f"{what}={said}"]
+        else:
+            others += [new.replace("--", "--no-", 1) if bare.startswith("--no-") else new, *values]
     return positional, others
 
 
@@ -95,6 +115,31 @@ def _parts(given: list[str]) -> Iterator[tuple[str, list[str]]]:
         else:
             values.append(word)
     yield option, values
+
+
+def _record_flag(given: list[str]) -> list[str]:
+    """Return words in which --record, formerly a flag, has a value."""
+    words = list[str]()
+    for place, word in enumerate(given):
+        words.append(word)
+        alone = place + 1 == len(given) or given[place + 1].startswith("--")
+        if word == "--record" and alone:
+            _tell("--record", "--record trajectory")
+            words.append("trajectory")
+    return words
+
+
+def _hidden(given: list[str]) -> list[str]:
+    """Return words in which former flags are values of --hide."""
+    words = list[str]()
+    for word in given:
+        flag = word.removeprefix("--no-").removeprefix("--")
+        if flag not in HIDDEN or word == flag:
+            words.append(word)
+            continue
+        _tell(word, f"--hide {flag}" if word.startswith("--no-") else "the default")
+        words += ["--hide", flag] if word.startswith("--no-") else []
+    return words
 
 
 def _policies_first(given: list[str]) -> list[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-import textwrap
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -44,6 +43,8 @@ def find_named(text: str, what: str, example: str, allowed: str = "") -> Any:
     try:
         module = import_own(name)
     except (Exception, SystemExit) as error:
+        import textwrap
+
         said = textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
         if isinstance(error, ModuleNotFoundError):
             said += "; modules are looked for in this folder too" + (allowed and f"; allowed: {allowed}")

@@ -29,7 +29,6 @@ from craftsim.reports.report import (
 )
 from craftsim.storage.folders import owned, owning
 from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS, WORKERS
-from craftsim.training.policy import need_torch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,6 +92,8 @@ def train(
         resume: continue the run in the output folder, with the same options; start it if nothing is saved yet.
         out: folder for policy.safetensors, run.pt, curve.csv, curve.png and report.json; default: out/train/TASK-ALGO.
     """
+    from craftsim.training.policy import need_torch
+
     need_torch()
     from craftsim.discrete.tasks import as_task
     from craftsim.rendering.trajectory import TRAJECTORIES
@@ -346,6 +347,8 @@ def study(
         timeout: time limit of a run in seconds.
         out: folder for report.json, study.md, curves.png, profiles.png, trials.jsonl and a folder of each run.
     """
+    from craftsim.training.policy import need_torch
+
     need_torch()
     from craftsim.reports.json_file import document
     from craftsim.studies.report import study_report, write_markdown

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.errors import InputError, suggestion
 from craftsim.models.framing import Aim, box_corners, fitted, overview, top
-from craftsim.rendering.trajectory import Trajectory, place
+from craftsim.rendering.trajectory import Trajectory, show_at
 from craftsim.storage.limits import Range
 from craftsim.storage.records import record
 from craftsim.storage.yaml import read_document
@@ -213,7 +213,7 @@ def _least_hidden(
     data = mujoco.MjData(model)
     seen, groups, hit = [0] * len(aims), np.array([0, 0, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
     for sample in np.linspace(0, len(trajectory) - 1, _LOOKS).astype(int):
-        place(model, data, trajectory.qpos[sample])
+        show_at(model, data, trajectory.qpos[sample])
         for number, aim in enumerate(aims):
             found = aim(float(trajectory.time[sample]))
             ray = found.lookat - found.position

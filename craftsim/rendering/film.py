@@ -31,7 +31,7 @@ from craftsim.rendering.layout import Layout, Mask, Tile, arrange, covered_by, r
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.overlay import PAPER, caption_of, draw_panel, end_card, title_card
 from craftsim.rendering.stage import Quality, Stage
-from craftsim.rendering.trajectory import Trajectory, place
+from craftsim.rendering.trajectory import Trajectory, show_at
 from craftsim.storage.limits import FILM_SPEED, FRAME_PIXELS, FRAME_RATE
 
 GRID: Final = "grid"
@@ -223,7 +223,7 @@ class _Pane:
         self._renderers.append(renderer)
 
         def draw(sample: int, time_s: float) -> Frame:
-            place(stage.model, data, trajectory.qpos[sample], trajectory.time[sample])
+            show_at(stage.model, data, trajectory.qpos[sample], trajectory.time[sample])
             stage.model.vis.global_.fovy = view.fovy_deg
             renderer.update_scene(data, view.camera(time_s))
             stage.finish(renderer.scene, data.qpos, ghost=self.look.ghost and view.ghost)

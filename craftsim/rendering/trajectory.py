@@ -349,7 +349,9 @@ def motors_of(physics: PhysicsWorld) -> tuple[str, ...]:
     return tuple(physics.model.actuator(i).name for i in range(physics.model.nu))
 
 
-def place(model: mujoco.MjModel, data: mujoco.MjData, qpos: NDArray[np.float64], time_s: float = 0.0) -> None:
+def show_at(
+    model: mujoco.MjModel, data: mujoco.MjData, qpos: NDArray[np.float64], time_s: float = 0.0
+) -> None:
     """Put everything where MuJoCo's positions ``qpos`` (nq,) say, in data that no simulation uses."""
     data.time = time_s
     data.qpos[:] = qpos
@@ -374,7 +376,7 @@ class SeenWorld:
             getattr(self.model, name)[:] = getattr(self._physics.model, name)
         for name in ("geom_pos", "geom_quat", "geom_size"):
             getattr(self.model, name)[self._geoms] = getattr(self._physics.model, name)
-        place(self.model, self._data, qpos)
+        show_at(self.model, self._data, qpos)
         return self._data
 
     def now(self) -> mujoco.MjData:

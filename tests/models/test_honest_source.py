@@ -26,7 +26,7 @@ ARRAY_METHODS = {
 ARRAY_WRITERS = {"copyto", "put", "place", "putmask", "put_along_axis", "fill_diagonal"}
 ALLOWED = {
     "craftsim/models/world.py": {"PhysicsWorld.reset", "PhysicsWorld.restore", "PhysicsWorld.awake_copy"},
-    "craftsim/rendering/trajectory.py": {"place"},
+    "craftsim/rendering/trajectory.py": {"show_at"},
     "craftsim/robots/link.py": {"Mirror.show"},
 }
 """PhysicsWorld.awake_copy writes a copy, and leaves the world as it is (tests/checking/test_contact_log.py); what is

@@ -17,7 +17,7 @@ from craftsim.rendering.cameras import make_view
 from craftsim.rendering.grid_picture import CELL_PX, MARGIN_PX, level_shapes, levels_of, world_image
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.stage import Stage
-from craftsim.rendering.trajectory import GoalCell, place
+from craftsim.rendering.trajectory import GoalCell, show_at
 
 SIZE = (160, 120)
 
@@ -108,7 +108,7 @@ def test_a_ghost_is_where_the_real_thing_will_be(standing):
 def test_what_stands_shades_a_light_floor_and_no_sky_is_seen(rendering, standing, quality):
     stage, view = Stage(standing, quality), make_view("overview", standing, SIZE[0] / SIZE[1])
     renderer, data = make_renderer(stage.model, SIZE), mujoco.MjData(stage.model)
-    place(stage.model, data, standing.qpos[-1])
+    show_at(stage.model, data, standing.qpos[-1])
     stage.model.vis.global_.fovy = view.fovy_deg
     pictures = []
     for shadows in (False, True):

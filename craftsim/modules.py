@@ -11,8 +11,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
-from craftsim.errors import InputError, suggestion
-
 REGISTERING: Final[list[str]] = []
 """The modules that have registered something, in order; processes that craftsim starts import them, too."""
 
@@ -37,6 +35,11 @@ def find_named(text: str, what: str, example: str, allowed: str = "") -> Any:
     ``what`` names the text in messages; they show an ``example`` of its form, and what else is ``allowed``. Raises
     InputError for another form, a module that cannot be imported, and a name that it does not have.
     """
+    from craftsim.errors import (  # not before the working folder is left out: it imports more
+        InputError,
+        suggestion,
+    )
+
     name, _, attribute = text.partition(":")
     if not all(part.isidentifier() for part in (*name.split("."), *attribute.split("."))):
         raise InputError(f"{what}: must be {example}")

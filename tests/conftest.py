@@ -1,6 +1,7 @@
 """Find out once whether anything renders here, which tests of physics do not need; processes; a Ray cluster."""
 
 import fcntl
+import gc
 import signal
 import subprocess
 
@@ -13,11 +14,20 @@ from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# Half of the time that importing all tests takes would go into looking for garbage among what stays.
+gc.disable()
+
 try:
     choose_backend()
     _WHY_NOT = ""
 except RenderingUnavailable as error:
     _WHY_NOT = str(error)
+
+
+def pytest_collection_finish():
+    """Look for garbage again, but not among what has been imported."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

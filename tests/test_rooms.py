@@ -1,6 +1,7 @@
 """Imports follow the one-way arrows between the package's rooms."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import craftsim
@@ -110,7 +111,10 @@ SHARED = {"choices", "compiling", "errors", "extras", "modules", "workers"}
 
 FORBIDDEN_IN_DISCRETE = {"mujoco", "cv2", "av", "matplotlib", "trimesh", "gymnasium", "pettingzoo"}
 
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
+
+@cache
+def _trees() -> dict[Path, ast.Module]:
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
 
 
 def _imports(tree: ast.AST, module: str) -> set[str]:
@@ -147,7 +151,7 @@ def _violations(module: str, tree: ast.AST) -> list[str]:
 
 def test_a_module_imports_only_what_its_room_may():
     wrong = {}
-    for path, tree in TREES.items():
+    for path, tree in _trees().items():
         if path == PACKAGE / "__init__.py":
             assert not any(name.startswith("craftsim") for name in _imports(tree, "craftsim"))
             continue
@@ -160,7 +164,7 @@ def _calling(*names: str) -> list[Path]:
     """Return the files that call any of some functions, or of classes."""
     return [
         path
-        for path, tree in TREES.items()
+        for path, tree in _trees().items()
         if {*names}
         & {
             node.func.id
@@ -177,7 +181,7 @@ def test_a_world_in_physics_is_set_up_in_one_place():
 
 def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
     places: dict[str, list[str]] = {}
-    for path, tree in TREES.items():
+    for path, tree in _trees().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef | ast.FunctionDef):
                 places.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
@@ -190,7 +194,7 @@ def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
 
 
 def test_a_class_has_a_name_of_its_own():
-    names = [node.name for tree in TREES.values() for node in tree.body if isinstance(node, ast.ClassDef)]
+    names = [node.name for tree in _trees().values() for node in tree.body if isinstance(node, ast.ClassDef)]
     public = [name for name in names if not name.startswith("_")]
     assert sorted(public) == sorted(set(public))
 

@@ -15,36 +15,40 @@ from craftsim.validation.play import doing, play
 from craftsim.validation.validation import validate
 from craftsim.validation.worlds import RandomWorlds
 
-GRIDS = [RandomWorlds().grid(np.random.default_rng(seed)) for seed in range(80)]
 RULES = Rules("physical")
 
 
-def test_every_random_world_is_one_that_a_blueprint_may_hold():
-    for grid in GRIDS:
+@pytest.fixture(scope="module")
+def grids():
+    return [RandomWorlds().grid(np.random.default_rng(seed)) for seed in range(80)]
+
+
+def test_every_random_world_is_one_that_a_blueprint_may_hold(grids):
+    for grid in grids:
         text = blueprint_text(grid)
         assert "snapshot" not in text
         assert parse_blueprint(text, "random").grid(np.random.default_rng(0)).same_visible(grid)
 
 
-def test_random_worlds_show_all_that_there_can_be():
-    sizes = {grid.size for grid in GRIDS}
+def test_random_worlds_show_all_that_there_can_be(grids):
+    sizes = {grid.size for grid in grids}
     assert {size[2] for size in sizes} == {1, 2, 3, 4, 5}
     assert all(4 <= n <= 12 for size in sizes for n in size[:2])
-    cars = np.concatenate([grid.cars for grid in GRIDS])
-    assert {1, 12} <= {grid.n_cars for grid in GRIDS} <= set(range(1, 13))
+    cars = np.concatenate([grid.cars for grid in grids])
+    assert {1, 12} <= {grid.n_cars for grid in grids} <= set(range(1, 13))
     assert set(cars[:, CarField.LOAD]) == {Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE}
     assert set(cars[:, CarField.SLOPE]) == {0, 1, 2}
     assert (cars[:, CarField.SLOPE].astype(bool) & (cars[:, CarField.LOAD] != Kind.AIR)).any()
-    under = {grid.kind_at(tuple(row[:3])) for grid in GRIDS for row in grid.cars.tolist()}
+    under = {grid.kind_at(tuple(row[:3])) for grid in grids for row in grid.cars.tolist()}
     assert {Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY} <= under
     for kind in (Kind.BODY, Kind.FSLOPE, Kind.WALL, Kind.FLAG):
-        levels = {z for grid in GRIDS for z in np.nonzero(grid.kind == kind)[2].tolist()}
+        levels = {z for grid in grids for z in np.nonzero(grid.kind == kind)[2].tolist()}
         assert {1, 2, 3} <= levels, kind
     hanging = [
-        g for g in GRIDS for x, y, z in np.argwhere(g.kind == Kind.WALL) if g.kind[x, y, z - 1] == Kind.AIR
+        g for g in grids for x, y, z in np.argwhere(g.kind == Kind.WALL) if g.kind[x, y, z - 1] == Kind.AIR
     ]
     assert hanging
-    assert any((grid.cars[:, CarField.Z] > grid.size[2]).any() for grid in GRIDS)
+    assert any((grid.cars[:, CarField.Z] > grid.size[2]).any() for grid in grids)
 
 
 def test_a_world_is_drawn_from_the_seed_and_has_the_cars_asked_for():
@@ -60,9 +64,9 @@ def test_figures_that_do_not_fit_are_refused():
             RandomWorlds(**figures)
 
 
-def test_play_is_legal_in_its_turn_and_prefers_the_rare():
+def test_play_is_legal_in_its_turn_and_prefers_the_rare(grids):
     uniform = rare = 0
-    for seed, grid in enumerate(GRIDS[:20]):
+    for seed, grid in enumerate(grids[:20]):
         played = play(grid, RULES, np.random.default_rng(seed), 10)
         for joint in played:
             assert len({car for car, _ in joint}) == len(joint)

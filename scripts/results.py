@@ -438,7 +438,7 @@ def paper_table() -> str:
         firsts = [next((steps for steps, success in run["curve"] if success == 1), None) for run in some]
         shown = " ".join("-" if steps is None else f"{steps // 1000}" for steps in firsts)
         by_seed = " ".join(f"{last:.2f}" for last in lasts)
-        length = f"{some[0]['steps'] // 1000} k"
+        length = f"{some[0]['steps'] // 1000}k"
         rows.append(
             (f"`{task}`", f"`{algo}`", length, _over_seeds(lasts), by_seed, shown, f"{published[task]:.2f}")
         )

@@ -38,7 +38,7 @@ from craftsim.discrete.move_graph import (
 from craftsim.planning.assembly import rebuilt
 
 WAIT: Final = -1
-"""Stands in place of an action where a car does nothing."""
+"""No action: the car does nothing in this tick."""
 FLAP_TICKS: Final = 10
 """Ticks that FOLD and UNFOLD take beyond the one of other actions."""
 _DETOURS: Final = 24
@@ -246,7 +246,7 @@ class JointPlan:
         graph = self._graphs.graph(grid)
         goals = [] if turn.hold else parking(graph, grid)
         left = not goals or self._go(car, after, graph.distances_to(goals)) is not None
-        # Whoever stays above the floor is in the way of all others.
+        # A car that stays above the floor blocks all others.
         return after if not left and turn.target.cell[2] > 1 else self.replay(0)
 
     def _carry(self, turn: Turn, tick: int, not_before: int) -> int | None:

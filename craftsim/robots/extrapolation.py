@@ -81,7 +81,7 @@ class Extrapolation:
             lines=(a, b, c, d),
         )
 
-    def _free(self, told: Wheels) -> NDArray[np.float64]:
-        """Return at what speeds wheels turn freely whose servos are commanded some, (4,) in rad/s."""
-        speeds = np.array(told)
+    def _free(self, commanded: Wheels) -> NDArray[np.float64]:
+        """Return the speeds of free wheels for commanded speeds, (4,) in rad/s."""
+        speeds = np.array(commanded)
         return np.copysign(np.maximum(0.0, np.abs(speeds) - self._droop_rad_s), speeds)

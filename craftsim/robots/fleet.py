@@ -1,4 +1,4 @@
-"""Robots of this process as a fleet that an executor drives. Whoever has a machine implements Robot."""
+"""Robots of this process as a fleet that an executor drives. For a real machine, implement Robot."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def check_guidance(config: TrainConfig, task: Task, starts: Task | None) -> None
 def guidance_of(
     config: TrainConfig, task: Task, starts: Task | None, rng: np.random.Generator, progress: Progress
 ) -> Guidance:
-    """Return what a configuration asks for; starts that are given stand in for those on the way of plans."""
+    """Return what a configuration asks for; given starts replace those along plans."""
     if config.explore:
         return _explored(config, task, rng)
     if config.imitate:

@@ -1,4 +1,4 @@
-"""The figures of a recorded run, each by itself or all on one page: paths, and diagrams over time.
+"""Plots of a recorded run, each by itself or all on one page: paths, and diagrams over time.
 
 Diagrams show what each car did, errors and loads below it against their limits, and what went wrong.
 """

@@ -90,7 +90,9 @@ def least_work(
     Raises ValueError for rules whose marks do not follow from what is there.
     """
     if Correction.derived_marks not in rules.corrections:
-        raise ValueError("worlds are distinguished by what is there, but by these rules their marks count, too")
+        raise ValueError(
+            "worlds are distinguished by what is there, but by these rules their marks count, too"
+        )
     search = _Worlds(start, goal, rules)
     first = search.pack(start)
     most_worlds = min(most_worlds, _MOST_BYTES // len(first))

@@ -271,8 +271,8 @@ def lambda_returns(rollout: Rollout, after: Tensor, gamma: float, decay: float) 
 def distinct(seen: Seen) -> tuple[Seen, Tensor]:
     """Return the distinct ones of N observations, and (N,) the index of each among them.
 
-    A network then evaluates each once: episodes with equal starts visit the same worlds often. They are distinguished by a
-    hash of 64 bits; among a million rows the probability of a collision is 1e-7.
+    A network then evaluates each once: episodes with equal starts visit the same worlds often. A
+    hash of 64 bits distinguishes them; among a million rows the probability of a collision is 1e-7.
     """
     generator = torch.Generator().manual_seed(_HASH_SEED)
     hashes = torch.zeros(len(seen.places), dtype=torch.int64)

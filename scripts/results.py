@@ -545,25 +545,29 @@ def plot() -> None:
         for path in plot_results(folder, read_study(name), _read(TRAINING / f"{name}.json")["figures"]):
             if path.name not in shown:
                 path.unlink()
-    plot_paper(_read(TRAINING / "paper_runs.json")["runs"])
+    plot_curves(_read(TRAINING / "paper_runs.json")["runs"], "algo", TRAINING / "paper_curves.png")
+    curves = json.loads((TRAINING / "execution_curves.json").read_text(encoding="utf-8"))
+    plot_curves(curves, "trained", TRAINING / "execution_curves.png")
 
 
-def plot_paper(runs: list[dict[str, Any]]) -> None:
-    """Draw the learning curves of all algorithms, the mean over seeds, a panel a task."""
-    tasks, algos = (sorted({run[key] for run in runs}) for key in ("task", "algo"))
-    figure = Figure((4.2 * len(tasks), 3.2), layout="constrained")
+def plot_curves(runs: list[dict[str, Any]], key: str, path: Path) -> None:
+    """Draw learning curves, the mean over seeds, a panel a task and a line for each value of a key."""
+    tasks, lines = (sorted({run[name] for run in runs}) for name in ("task", key))
+    figure = Figure((3.6 * len(tasks), 3.2), layout="constrained")
     panels = figure.subplots(1, len(tasks), sharey=True, squeeze=False)[0]
     for panel, task in zip(panels, tasks, strict=True):
-        for number, algo in enumerate(algos):
-            curves = [run["curve"] for run in runs if (run["task"], run["algo"]) == (task, algo)]
+        for number, line in enumerate(lines):
+            curves = [np.array(run["curve"]).T for run in runs if (run["task"], run[key]) == (task, line)]
             if curves:
-                steps, success = np.mean(curves, axis=0).T
-                panel.plot(steps / 1000, success, color=f"C{number}", label=algo)
+                at = np.unique(np.concatenate([steps for steps, _ in curves]))
+                at = at[(at >= max(steps[0] for steps, _ in curves)) & (at <= min(steps[-1] for steps, _ in curves))]
+                success = np.mean([np.interp(at, *curve) for curve in curves], axis=0)
+                panel.plot(at / 1000, success, color=f"C{number}", label=line)
         panel.set_title(task)
         panel.set_xlabel("1000 steps")
-    panels[0].set_ylabel("success of greedy evaluations")
+    panels[0].set_ylabel("success in evaluations")
     panels[-1].legend(fontsize="small")
-    figure.savefig(TRAINING / "paper_curves.png", dpi=110)
+    figure.savefig(path, dpi=110)
 
 
 if __name__ == "__main__":

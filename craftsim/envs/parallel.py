@@ -17,11 +17,11 @@ from craftsim.envs.options import Options
 
 
 class Observations(dict[str, Observation]):
-    """The observations of all agents, by agent, with their task, so that a policy can refuse another one."""
+    """The observations of all agents, by agent, with their task, and whether an episode begins."""
 
-    def __init__(self, seen: dict[str, Observation], task: Task) -> None:
+    def __init__(self, seen: dict[str, Observation], task: Task, begins: bool) -> None:
         super().__init__(seen)
-        self.task = task
+        self.task, self.begins = task, begins
 
 
 class ParallelConstruction(SingleWorld, ParallelEnv[str, Observation, int]):
@@ -105,7 +105,7 @@ class ParallelConstruction(SingleWorld, ParallelEnv[str, Observation, int]):
         if options.images is not None:
             for car, observation in enumerate(of_cars.values()):
                 observation |= options.images.of_car(core.images, car)
-        return Observations(of_cars, core.task)
+        return Observations(of_cars, core.task, bool(core.episodes.t[0] == 0))
 
     def state(self) -> NDArray[np.int32]:
         """Return the global state: the rows of all entities, flattened, as ``state_space`` says."""

@@ -30,7 +30,7 @@ from craftsim.storage.limits import (
     Range,
 )
 from craftsim.storage.records import record
-from craftsim.training.settings import settings_of
+from craftsim.training.settings import KINDS, QSettings, settings_of
 
 PHYSICS_WORLDS: Final = 32
 """Default number of parallel worlds in physics."""
@@ -68,6 +68,8 @@ class TrainConfig:
     """Width of the hidden layers."""
     network: NetworkName = "map"
     """Encoder: by cell of the map, or relative to each car, for any number of cars."""
+    recurrent: bool = False
+    """A GRU over each car's observations and last actions; for iql, vdn, qmix and qtran."""
     novelty: Annotated[float, BONUS] = 0.0
     """Exploration bonus for a new building; divided by sqrt(k) for one seen k times."""
     n_cars: Annotated[int, CARS] | None = None
@@ -125,6 +127,10 @@ class TrainConfig:
             raise ValueError(
                 "cars are trained asynchronously by ippo and mappo, on the grid, without imitation; leave execution "
                 "out, or change algo, backend or imitate"
+            )
+        if self.recurrent and KINDS[self.algo] is not QSettings:
+            raise ValueError(
+                f"{self.algo} has no recurrent policy; leave recurrent out, or take one of iql, vdn, qmix, qtran"
             )
         if self.acting == "sampled" and self.algo not in WITH_PROBABILITIES:
             raise ValueError(

@@ -21,7 +21,7 @@ from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.config import Acting
 from craftsim.training.curve import EvaluationResult
-from craftsim.training.networks import CarNet
+from craftsim.training.networks import CarNet, Memory
 from craftsim.training.rollouts import TRAINED_JITTER, Seen
 
 _FACTOR: Final = np.int64(6364136223846793005)
@@ -58,10 +58,11 @@ def evaluate(
     won, total, ticks = (np.zeros(episodes) for _ in range(3))
     repetitions = Repetitions(worlds.designs)
     draws = np.random.default_rng([seed, 1])
+    memory = net.memory(episodes, worlds.n_cars)
     while running.any():
         seen, offered = worlds.vectors(), worlds.offered()
         noise = draws.gumbel(size=offered.shape) if acting == "sampled" else None
-        chosen = choose_actions(net, seen, offered, noise)
+        chosen = choose_actions(net, seen, offered, noise, memory)
         repetitions.add(np.flatnonzero(running), seen[running], chosen[running])
         event = worlds.step(chosen, offered=offered) if isinstance(worlds, AsynchronousEpisodes) else None
         steps = event or worlds.step(chosen)
@@ -87,12 +88,13 @@ def evaluate_in_physics(
         masks = worlds.reset(seed=seed + first)[0]["action_mask"]
         ids = np.arange(min(worlds.num_envs, episodes - first))
         draws = [np.random.default_rng([seed + first + i, 1]) for i in range(len(ids))]
+        memory = net.memory(*masks[ids].shape[:2])
         while len(ids):
             seen = worlds.car_vectors()[ids]
             noise = None
             if acting == "sampled":
                 noise = np.stack([draws[i].gumbel(size=masks[i].shape) for i in ids])
-            chosen = choose_actions(net, seen, masks[ids], noise)
+            chosen = choose_actions(net, seen, masks[ids], noise, memory)
             repetitions.add(first + ids, seen, chosen)
             worlds.send(chosen, ids)
             observation, reward, terminated, truncated, infos = worlds.recv(len(ids))
@@ -100,7 +102,10 @@ def evaluate_in_physics(
             won[first + ids] += infos["success"] & (terminated | truncated)
             total[first + ids] += reward
             ticks[first + ids] += 1
-            ids = ids[~(terminated | truncated)]
+            goes_on = ~(terminated | truncated)
+            ids = ids[goes_on]
+            if memory is not None:
+                memory = Memory(*(part[torch.from_numpy(goes_on)] for part in memory))
     return _played(won, total, ticks, repetitions)
 
 
@@ -119,17 +124,21 @@ def choose_actions(
     observations: NDArray[np.integer],
     masks: NDArray[np.generic],
     noise: NDArray[np.float64] | None = None,
+    memory: Memory | None = None,
 ) -> NDArray[np.int64]:
     """Return (..., n): for every car the offered action that the network rates highest.
 
     With Gumbel noise (..., n, 15) on top that is one drawn as often as the policy gives it probability.
-    ``observations`` are (..., n, vector_length) and ``masks`` (..., n, 15).
+    ``observations`` are (..., n, vector_length) and ``masks`` (..., n, 15); ``memory`` is that of a recurrent policy.
     """
     places = net.encoder.places(torch.from_numpy(observations.astype(np.int64)))
-    values = net(Seen(places, torch.from_numpy(masks.astype(np.bool_))))
+    values = net(Seen(places, torch.from_numpy(masks.astype(np.bool_))), memory)
     if noise is not None:
         values = values + torch.from_numpy(noise)
-    chosen: NDArray[np.int64] = values.argmax(-1).numpy()
+    actions = values.argmax(-1)
+    if memory is not None:
+        memory.last.copy_(actions)
+    chosen: NDArray[np.int64] = actions.numpy()
     return chosen
 
 

@@ -27,6 +27,9 @@ class Learner(ABC):
     learnt: int = 0
     """Ticks so far over all worlds, counted by the trainer."""
 
+    def begin(self, worlds: Tensor) -> None:  # noqa: B027
+        """Take note of the worlds (B,) in which an episode begins, as a mask."""
+
     @abstractmethod
     def act(self, seen: Seen) -> Tensor:
         """Return actions (B, n) with exploration, drawn from torch's default generator."""

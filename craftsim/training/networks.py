@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -15,22 +15,81 @@ from craftsim.training.features import make_encoder
 from craftsim.training.shape import Shape
 
 if TYPE_CHECKING:
-    from craftsim.training.rollouts import Seen
+    from craftsim.training.rollouts import Rollout, Seen
 
 _MIXING_WIDTH: Final = 32
 
 
+class Memory(NamedTuple):
+    """What a recurrent policy remembers of episodes, changed in place."""
+
+    hidden: Tensor
+    """(..., n, width): the state of the GRU."""
+    last: Tensor
+    """(..., n) int64: actions of the tick before; 15 at first."""
+
+    def forget(self, which: Tensor) -> None:
+        """Forget the episodes of a mask."""
+        self.hidden[which] = 0.0
+        self.last[which] = N_ACTIONS
+
+
 class CarNet(nn.Module):
-    """Gives every car a number for each action from what it observes; all cars share it."""
+    """Gives every car a number for each action from what it observes, and may remember; all cars share it."""
 
     def __init__(self, shape: Shape) -> None:
         super().__init__()
+        self.width, self.recurrent = shape.width, shape.recurrent
         self.encoder = make_encoder(shape)
         self.head = head(shape.width, N_ACTIONS, shape.layer_norm)
+        if shape.recurrent:
+            self.last = nn.Embedding(N_ACTIONS + 1, shape.width)
+            self.cell = nn.GRUCell(shape.width, shape.width)
 
-    def forward(self, seen: Seen) -> Tensor:
-        """Return (..., n, 15), those of actions that are not offered -inf."""
-        return self.masked(self.encode(seen), seen)
+    def memory(self, *cars: int) -> Memory | None:
+        """Return what cars (..., n) remember as their episodes begin; None for a policy that remembers nothing."""
+        if not self.recurrent:
+            return None
+        return Memory(torch.zeros(*cars, self.width), torch.full(cars, N_ACTIONS))
+
+    def forward(self, seen: Seen, memory: Memory | None = None) -> Tensor:
+        """Return (..., n, 15), those of actions that are not offered -inf; a memory's state is updated."""
+        encoded = self.encode(seen)
+        if memory is not None:
+            encoded = self._remembered(encoded, *memory)
+            memory.hidden.copy_(encoded)
+        return self.masked(encoded, seen)
+
+    def of_rollouts(self, rollout: Rollout) -> tuple[Tensor, Tensor]:
+        """Return the values (T, B, n, 15) before and, without gradients, after each tick.
+
+        Rollouts of a recurrent policy begin with an episode.
+        """
+        if not self.recurrent:
+            return self(rollout.now), self.of_ends(rollout)
+        encoded, begun = self.encode(rollout.now), self.memory(*rollout.actions.shape[1:])
+        assert begun is not None
+        (hidden, last), states = begun, []
+        for t, actions in enumerate(rollout.actions):
+            states.append(self._remembered(encoded[t], hidden, last))
+            over = rollout.done[t].unsqueeze(-1)
+            hidden, last = states[-1] * ~over.unsqueeze(-1), actions.masked_fill(over, N_ACTIONS)
+        state = torch.stack(states)
+        with torch.no_grad():
+            after = self._remembered(self.encode(rollout.after), state, rollout.actions)
+            after = self.masked(after, rollout.after)
+        return self.masked(state, rollout.now), after
+
+    @torch.no_grad()
+    def of_ends(self, rollout: Rollout) -> Tensor:
+        """Return the values (T, B, n, 15) after each tick."""
+        return self.of_rollouts(rollout)[1] if self.recurrent else self(rollout.after)
+
+    def _remembered(self, encoded: Tensor, hidden: Tensor, last: Tensor) -> Tensor:
+        """Return the next state (..., n, width) of the GRU."""
+        seen = (encoded + self.last(last)).relu()
+        state: Tensor = self.cell(seen.flatten(0, -2), hidden.flatten(0, -2))
+        return state.view_as(encoded)
 
     def encode(self, seen: Seen) -> Tensor:
         """Return the encoder's vectors (..., n, width)."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from craftsim.discrete.rules import RuleSet
     from craftsim.discrete.tasks import Task
     from craftsim.training.config import TrainConfig
-    from craftsim.training.networks import CarNet
+    from craftsim.training.networks import CarNet, Memory
     from craftsim.training.shape import Shape, TaskIdentity
 
 PACKAGES: Final = ("torch",)
@@ -57,6 +57,11 @@ class TrainedPolicy:
         self.shape = shape
         self.net = net
         self._checked: Task | None = None
+        self._memory: Memory | None = None
+
+    def reset(self) -> None:
+        """Forget the episode, as a recurrent policy must before the next one; craftsim's environments see to that."""
+        self._memory = None
 
     def check_task(self, task: Task | str, rules: RuleSet | None = None) -> None:
         """Raise InputError for a task, or a given rule set, for which it was not trained.
@@ -66,10 +71,9 @@ class TrainedPolicy:
         first for observations from elsewhere.
         """
         from craftsim.discrete.tasks import as_task
-        from craftsim.training.shape import Shape
 
         task = as_task(task)
-        shape = Shape.of(task, self.shape.width, self.shape.network, self.shape.layer_norm)
+        shape = self.shape.of_task(task)
         if self.shape.network == "relative" and task.layout.n_targets and self.shape.fits(shape):
             difference = self.identity.rules_difference(rules)
         else:
@@ -77,7 +81,7 @@ class TrainedPolicy:
         if difference:
             raise InputError(
                 f"this policy was trained on {self.identity.name}, and cannot play {task.name}: {difference}; "
-                "train one with 'craftsim train --task'"
+                "train one with 'craftsim train'"
             )
         if not self.shape.fits(shape):
             raise InputError(
@@ -109,7 +113,11 @@ class TrainedPolicy:
                 f"{self.shape.vector_length} numbers, not {seen.shape[-1]}"
             )
         noise = None if self._draws is None else self._draws.gumbel(size=mask.shape)
-        return dict(zip(names, choose_actions(self.net, seen, mask, noise).tolist(), strict=True))
+        if self._memory is None or getattr(observations, "begins", False):
+            self._memory = self.net.memory(len(names))
+        return dict(
+            zip(names, choose_actions(self.net, seen, mask, noise, self._memory).tolist(), strict=True)
+        )
 
 
 def shipped_policies() -> list[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -18,7 +19,7 @@ from torch.nn.functional import mse_loss
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.errors import InputError
 from craftsim.training.learner import Learner, drawn_offers, of_actions
-from craftsim.training.networks import CarNet, JointNet, QMixer
+from craftsim.training.networks import CarNet, JointNet, Memory, QMixer
 from craftsim.training.rollouts import Rollout, Seen, lambda_returns
 from craftsim.training.settings import QSettings
 from craftsim.training.shape import Shape
@@ -75,13 +76,16 @@ class QLearner(Learner):
 
     def __init__(self, shape: Shape, ticks: int, algo: str, settings: QSettings) -> None:
         self.settings: QSettings = settings
-        self.ticks = ticks
+        self.ticks, self.n_cars = ticks, shape.n_cars
         self.net = CarNet(shape)
         self.team = {"qmix": QMixer, "qtran": JointNet}.get(algo, lambda shape: nn.Identity())(shape)
         self.online = nn.ModuleDict({"net": self.net, "team": self.team})
         self.target_net, self.target_team = deepcopy(self.net), deepcopy(self.team)
         self.target = nn.ModuleDict({"net": self.target_net, "team": self.target_team})
-        self.modules = nn.ModuleDict({"online": self.online, "target": self.target.requires_grad_(False)})
+        self.rewards = RewardScale()
+        self.modules = nn.ModuleDict(
+            {"online": self.online, "target": self.target.requires_grad_(False), "rewards": self.rewards}
+        )
         self.loss: Callable[[Rollout], Tensor] = {
             "iql": self.independent,
             "vdn": self.summed,
@@ -90,53 +94,68 @@ class QLearner(Learner):
         }[algo]
         self.optimizer = torch.optim.Adam(self.online.parameters(), settings.learning_rate, fused=True)
         self.replay = ReplayMemory(shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent)
+        self.acting: Memory | None = None
+
+    def begin(self, worlds: Tensor) -> None:
+        """Forget the episodes that were in these worlds."""
+        if worlds.all():
+            self.acting = self.net.memory(len(worlds), self.n_cars)
+        elif self.acting is not None:
+            self.acting.forget(worlds)
 
     def act(self, seen: Seen) -> Tensor:
         """Choose each car's best action, and now and then any."""
-        return epsilon_greedy(self.net(seen), seen, self.settings.epsilon(self.learnt))
+        values = self.net(seen, self.acting)
+        actions = epsilon_greedy(values, seen, self.settings.epsilon(self.learnt))
+        if self.acting is not None:
+            self.acting.last.copy_(actions)
+        return actions
 
     def update(self, rollout: Rollout) -> None:
         """Remember what was played and learn from batches of what is remembered."""
         self.replay.add(rollout)
+        self.rewards.add(rollout.rewards)
         worlds = max(1, round(self.settings.batch / self.ticks))
         for _ in range(math.ceil(len(rollout) * self.settings.replays / (worlds * self.ticks))):
             self.minimize(self.loss(self.replay.sample(worlds)))
             follow(self.target, self.online, self.settings.target_rate)
 
-    @torch.no_grad()
-    def follows(self, batch: Rollout) -> tuple[Tensor, Tensor]:
-        """Return the best actions (T, B, n) after each tick, and the target network's values of these: what is best is
-        chosen by one network and valued by the other (double Q-learning).
+    def values(self, batch: Rollout) -> tuple[Tensor, Tensor, Tensor]:
+        """Return values (T, B, n, 15), the best actions (T, B, n) after each tick, and the target network's values of
+        these: what is best is chosen by one network and valued by the other (double Q-learning).
         """
-        best = self.net(batch.after).argmax(-1)
-        return best, of_actions(self.target_net(batch.after), best)
+        now, after = self.net.of_rollouts(batch)
+        best = after.argmax(-1)
+        return now, best, of_actions(self.target_net.of_ends(batch), best)
 
     def independent(self, batch: Rollout) -> Tensor:
         """Return IQL's loss: each car takes the team's reward for its own."""
-        return mse_loss(self._taken(batch), self._target(batch, self.follows(batch)[1]))
+        now, _, follows = self.values(batch)
+        return mse_loss(of_actions(now, batch.actions), self._target(batch, follows))
 
     def summed(self, batch: Rollout) -> Tensor:
         """Return VDN's loss."""
-        target = self._target(batch, self.follows(batch)[1].sum(-1))
-        return mse_loss(self._taken(batch).sum(-1), target)
+        now, _, follows = self.values(batch)
+        return mse_loss(of_actions(now, batch.actions).sum(-1), self._target(batch, follows.sum(-1)))
 
     def mixed(self, batch: Rollout) -> Tensor:
         """Return QMIX's loss."""
+        now, _, follows = self.values(batch)
         with torch.no_grad():
-            follows = self.target_team(self.follows(batch)[1], batch.after)
-        return mse_loss(self.team(self._taken(batch), batch.now), self._target(batch, follows))
+            follows = self.target_team(follows, batch.after)
+        return mse_loss(self.team(of_actions(now, batch.actions), batch.now), self._target(batch, follows))
 
     def transformed(self, batch: Rollout) -> Tensor:
         """Return QTRAN-base's loss, the sum of the paper's three."""
         assert isinstance(self.team, JointNet)
         assert isinstance(self.target_team, JointNet)
-        now = self.net(batch.now)
+        now, best_after, _ = self.values(batch)
         best = now.detach().argmax(-1)
         state = self.team.state(batch.now)
         joint, rest = self.team(state, batch.actions)
         with torch.no_grad():
             joint_best, _ = self.team(state, best)
-            follows, _ = self.target_team(self.target_team.state(batch.after), self.follows(batch)[0])
+            follows, _ = self.target_team(self.target_team.state(batch.after), best_after)
         optimal = of_actions(now, best).sum(-1) - joint_best + rest
         other = of_actions(now, batch.actions).sum(-1) - joint.detach() + rest
         return (
@@ -145,10 +164,9 @@ class QLearner(Learner):
             + other.clamp(max=0.0).square().mean()
         )
 
-    def _taken(self, batch: Rollout) -> Tensor:
-        return of_actions(self.net(batch.now), batch.actions)
-
     def _target(self, batch: Rollout, follows: Tensor) -> Tensor:
+        if self.settings.standardize:
+            batch = replace(batch, rewards=batch.rewards / self.rewards.deviation())
         return lambda_returns(batch, follows, self.settings.gamma, self.settings.td_lambda)
 
     def memory(self) -> dict[str, tuple[Tensor, float, float]]:
@@ -175,6 +193,26 @@ class QLearner(Learner):
         """Take the rollouts over."""
         for name, column in self.replay.columns.items():
             column[: len(memory[name])] = memory[name]
+
+
+class RewardScale(nn.Module):
+    """The standard deviation of all rewards so far."""
+
+    sums: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("sums", torch.zeros(3, dtype=torch.float64))
+
+    def add(self, rewards: Tensor) -> None:
+        """Take rewards into account."""
+        own = rewards.double()
+        self.sums += torch.stack([own.new_tensor(own.numel()), own.sum(), own.square().sum()])
+
+    def deviation(self) -> Tensor:
+        """Return it, at least 0.01."""
+        n, total, squares = self.sums
+        return (squares / n - (total / n) ** 2).clamp(min=1e-4).sqrt().float()
 
 
 def epsilon_greedy(values: Tensor, seen: Seen, epsilon: float) -> Tensor:

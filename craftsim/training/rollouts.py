@@ -222,13 +222,24 @@ class NoveltyWorlds:
 WorldBatch = GridWorlds | PhysicsWorlds | NoveltyWorlds
 
 
+def _forget(_worlds: Tensor) -> None: ...
+
+
 @torch.no_grad()
 def play(
-    worlds: WorldBatch, encoder: Encoder | RelativeEncoder, act: Callable[[Seen], Tensor], ticks: int
+    worlds: WorldBatch,
+    encoder: Encoder | RelativeEncoder,
+    act: Callable[[Seen], Tensor],
+    ticks: int,
+    begin: Callable[[Tensor], None] = _forget,
 ) -> Rollout:
-    """Return a rollout of all worlds from their present states; ``act`` maps observations to actions (B, n)."""
+    """Return a rollout of all worlds from their present states.
+
+    ``act`` maps observations to actions (B, n); ``begin`` is told, as a mask (B,), in which worlds an episode begins.
+    """
     columns: list[tuple[Any, ...]] = []
     now = _look(worlds, encoder)
+    begin(torch.ones(len(now.places), dtype=torch.bool))
     for _ in range(ticks):
         decides, actions = worlds.decides, act(now)
         reward, terminated, done, elapsed = worlds.step(actions.numpy())
@@ -241,6 +252,7 @@ def play(
         if done.any():
             worlds.restart()
             now = _look(worlds, encoder)
+            begin(torch.from_numpy(done.copy()))
     nows, afters, *rest = zip(*columns, strict=True)
     stacked: Any = (None if column[0] is None else torch.stack(column) for column in rest)
     return Rollout(joined(nows, torch.stack), joined(afters, torch.stack), *stacked)

@@ -105,6 +105,8 @@ class QSettings(ValueSettings):
     """Average number of times that each tick is sampled."""
     target_rate: Annotated[float, Range(1e-4, 1)] = 0.01
     """Soft update rate of the target networks."""
+    standardize: Annotated[int, Range(0, 1)] = 0
+    """1: rewards are divided by the standard deviation of all so far."""
 
 
 @record(kw_only=True)

@@ -36,6 +36,8 @@ class Shape:
     """Whether things are looked up by their cells, or by where they are as a car sees it."""
     layer_norm: bool = False
     """Whether the policy normalises its layers."""
+    recurrent: bool = False
+    """Whether the policy has a memory."""
 
     def __post_init__(self) -> None:
         check_size(self.size, self.n_cars)
@@ -84,11 +86,16 @@ class Shape:
 
     @classmethod
     def of(
-        cls, task: Task, width: int, network: Literal["map", "relative"] = "map", layer_norm: bool = False
+        cls, task: Task, width: int, network: Literal["map", "relative"] = "map", **of_policy: bool
     ) -> Shape:
-        """Return the shape of networks for a task."""
+        """Return the shape of networks for a task; ``of_policy`` are the last two fields."""
         layout = task.layout
-        return cls(task.starts[0].size, layout.n_cars, layout.vector_length, width, network, layer_norm)
+        return cls(task.starts[0].size, layout.n_cars, layout.vector_length, width, network, **of_policy)
+
+    def of_task(self, task: Task) -> Shape:
+        """Return the shape of the same networks for another task."""
+        of_policy = {"layer_norm": self.layer_norm, "recurrent": self.recurrent}
+        return Shape.of(task, self.width, self.network, **of_policy)
 
     def fits(self, other: Shape) -> bool:
         """Whether networks for this shape serve the worlds of another; those that look from a car count nothing."""
@@ -99,7 +106,7 @@ class Shape:
 
 def check_stage(stage: Task, shape: Shape) -> None:
     """Raise InputError for a task to learn on before another one that is of another shape."""
-    if (own := Shape.of(stage, shape.width, shape.network, shape.layer_norm)) != shape:
+    if (own := shape.of_task(stage)) != shape:
         raise InputError(f"stage '{stage.name}' has {own}; allowed is what the task has: {shape}")
 
 

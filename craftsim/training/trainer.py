@@ -100,9 +100,8 @@ class Trainer:
         check_guidance(config, self.task, starts)
         self._given, self._progress = starts, progress
         self._own_starts = starts is None and not config.explore and not config.imitate
-        self.shape = Shape.of(
-            self.task, config.width, config.network, layer_norm=config.algo not in WITH_PROBABILITIES
-        )
+        of_policy = {"layer_norm": config.algo not in WITH_PROBABILITIES, "recurrent": config.recurrent}
+        self.shape = Shape.of(self.task, config.width, config.network, **of_policy)
         self._stages = [_named(name, config) for name in config.stages] if stages is None else list(stages)
         for stage in self._stages:
             check_stage(stage, self.shape)
@@ -214,7 +213,8 @@ class Trainer:
         """Return a rollout, after seeding worlds and torch's default generator."""
         torch.manual_seed(seed)
         self.worlds.reset(seed)
-        return play(self.worlds, self.learner.net.encoder, self.learner.act, self.learner.ticks)
+        learner = self.learner
+        return play(self.worlds, learner.net.encoder, learner.act, learner.ticks, learner.begin)
 
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)

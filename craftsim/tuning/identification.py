@@ -173,7 +173,7 @@ def identify(
         raise InputError("the car leans all the time; identification needs a level floor")
     if not (log.commands[:, :4] != 0).any():
         raise InputError(
-            "no wheel is ever commanded in this log; 'craftsim excite' makes a drive that tells much"
+            "no wheel is ever commanded in this log; 'craftsim robot excite' makes a drive that tells much"
         )
     return _Fit(predictor, machines, unknowns_of(machines, loaded), tell).run()
 

@@ -141,7 +141,7 @@ def _answers(case: BuilderCase, env: TextConstruction) -> Answer:
     def answer(instructions: str, text: str) -> str:
         seen = enumerate(zip(core.vectors(), core.masks, strict=True))
         observed = {f"car_{car}": {"observation": row, "action_mask": mask} for car, (row, mask) in seen}
-        return answer_text(policy(Observations(observed, core.task)))
+        return answer_text(policy(Observations(observed, core.task, bool(core.episodes.t[0] == 0))))
 
     return answer
 

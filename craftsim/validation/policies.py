@@ -123,7 +123,7 @@ def make_policy(name: str, seed: int, task: Task | None = None, rules: RuleSet |
         if rules is not None and policy.config.helper_depth is not None:
             raise InputError(
                 f"policy '{name}' was trained with an action helper of depth {policy.config.helper_depth}, which cars "
-                "do without here; 'craftsim evaluate' plays it with one, on the grid"
+                "do without here; 'craftsim validate --backend grid' plays it with one"
             )
         return policy
     return _function(name)

@@ -30,7 +30,7 @@ class _Fixed(nn.Module):
         super().__init__()
         self.rates = values
 
-    def forward(self, seen):
+    def forward(self, seen, memory):
         return self.rates.expand(seen.offers.shape).masked_fill(~seen.offers, -torch.inf)
 
 

@@ -52,7 +52,9 @@ def test_a_policy_is_not_validated_under_what_it_was_not_trained_for(tmp_path):
     Trainer(TrainConfig("strip", worlds=1, width=4, rules="published", helper_depth=3)).save(tmp_path)
     with pytest.raises(InputError, match="rule set is physical, not published"):
         check_policy(str(tmp_path), task, "physical", 60.0)
-    with pytest.raises(InputError, match=r"an action helper of depth 3.*'craftsim evaluate' plays it"):
+    with pytest.raises(
+        InputError, match=r"an action helper of depth 3.*'craftsim validate --backend grid' plays it"
+    ):
         check_policy(str(tmp_path), task, "published", 60.0)
     Trainer(TrainConfig("strip", worlds=1, width=4, rules="published")).save(tmp_path)
     check_policy(str(tmp_path), task, "published", 60.0)

@@ -180,7 +180,7 @@ def derive_marks(w: World) -> None:
 # What reaches out of its cell: cars, gears, and loads that lean on a ramp or stand into the next level. Gears are found
 # by their slopes, standing or carried, since a cell shows only one gear. A load on a ramp leans downhill with its car,
 # by 40 to 60 mm, into the next cell: what comes straight towards its gear or it has room there, what moves at a right
-# angle to it has not. Heights are those of the machines' swept volumes (``craftsim clearance``).
+# angle to it has not. Heights are those of the machines' swept volumes (``craftsim audit clearance``).
 
 LIP_MM = 10
 """Height above its floor at which the lip of a flap passes the border of the foot's cell."""

@@ -48,7 +48,6 @@ def demo(
     from craftsim.cli.films import rendering_works
     from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.logs.files import LOG_SUFFIX, write_table
-    from craftsim.rendering.render import render
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.reports.json_file import document
     from craftsim.robots import robots_at
@@ -76,6 +75,8 @@ def demo(
         one.trajectory.write(out / f"{one.name}{SUFFIX}")
         write_table(out / f"{one.name}{LOG_SUFFIX}", one.logs)
         if filming:
+            from craftsim.rendering.render import render
+
             path = out / f"{one.name}.mp4"
             render(one.trajectory, path, progress=counting("frames", bool))
             films[one.name] = path

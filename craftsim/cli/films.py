@@ -13,9 +13,7 @@ from craftsim.cli.progress import counting
 from craftsim.cli.text import print_safe
 from craftsim.experiments.bundle import FILM, TRAJECTORY, Recorded, Replay, read_bundle, replay
 from craftsim.experiments.experiment import TrialRecord
-from craftsim.rendering.film import FilmOptions
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
-from craftsim.rendering.render import render
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory
 from craftsim.reports.terminal import Terminal
 from craftsim.storage.folders import directory_within
@@ -69,14 +67,17 @@ def record_bundle(recorded: Recorded) -> tuple[Replay, Trajectory]:
 def film_bundle(recorded: Recorded, path: Path) -> Replay:
     """Replay a bundle, film its last step, and return the replay; requires :func:`rendering_works`."""
     result, trajectory = record_bundle(recorded)
-    render(trajectory, path, _clip(trajectory))
+    _film_failure(trajectory, path)
     return result
 
 
-def _clip(trajectory: Trajectory) -> FilmOptions:
-    """Return the options of a film of one failure: a close-up of the car that acts first."""
-    car = trajectory.story.attempts[0].car
-    return FilmOptions(SIZE, cameras=(f"follow:{car}",), length_s=CLIP_S, cards=False)
+def _film_failure(trajectory: Trajectory, path: Path) -> None:
+    """Film one failure: a close-up of the car that acts first."""
+    from craftsim.rendering.film import FilmOptions
+    from craftsim.rendering.render import render
+
+    camera = f"follow:{trajectory.story.attempts[0].car}"
+    render(trajectory, path, FilmOptions(SIZE, cameras=(camera,), length_s=CLIP_S, cards=False))
 
 
 def record_failures(out: Path, records: Iterable[TrialRecord], workers: int = 1, films: bool = True) -> None:
@@ -131,8 +132,11 @@ def _record_folder(job: tuple[Path, bool]) -> None:
     _, trajectory = record_bundle(read_bundle(folder, of_own_run=True))
     trajectory.write(folder / TRAJECTORY)
     if filmed:
-        render(trajectory, folder / FILM, _clip(trajectory))
+        _film_failure(trajectory, folder / FILM)
 
 
 def _film_trajectory(pair: tuple[Path, Path]) -> None:
+    from craftsim.rendering.film import FilmOptions
+    from craftsim.rendering.render import render
+
     render(Trajectory.read(pair[0]), pair[1], FilmOptions(SIZE))

@@ -59,15 +59,6 @@ class Footprint:
             self.loads | other.loads,
         )
 
-    def conflicts(self, other: Footprint) -> bool:
-        """Return whether the two actions must not run at the same time."""
-        return bool(
-            self.space & other.space
-            or self.changes & (other.changes | other.relies)
-            or self.relies & other.changes
-            or (self.loads and other.loads and self.beside_loads & other.loads)
-        )
-
     @cached_property
     def beside_loads(self) -> frozenset[Cell]:
         """The cells of the loads and their neighbours on the same level."""

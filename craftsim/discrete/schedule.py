@@ -209,7 +209,7 @@ class _Claimed:
                 self._steps.setdefault((part, cell), []).append(step)
 
     def before(self, car: int, needs: Footprint) -> set[int]:
-        """Return the steps of a car, and those whose footprints conflict (:meth:`Footprint.conflicts`)."""
+        """Return the steps of a car, and those whose footprints conflict (see :mod:`craftsim.discrete.footprint`)."""
         other = {"car": (car,), "space": needs.space, "changes": needs.changes | needs.relies}
         other |= {"relies": needs.changes, "loads": needs.loads}
         keys = ((part, cell) for part, cells in other.items() for cell in cells)
@@ -264,20 +264,6 @@ def situation(before: NDArray[np.integer], after: NDArray[np.integer]) -> NDArra
     sloping = (before[..., CarField.SLOPE] > 0) | (after[..., CarField.SLOPE] > 0)
     column: NDArray[np.int64] = 2 * sloping + (before[..., CarField.LOAD] != Kind.AIR)
     return column
-
-
-def tick_durations(
-    before: NDArray[np.integer],
-    after: NDArray[np.integer],
-    actions: NDArray[np.integer],
-    applied: NDArray[np.bool_],
-) -> NDArray[np.float64]:
-    """Return how long a tick takes when all cars act at once, the slowest car's time, shape (...).
-
-    That cars may have to wait for each other is not counted; arguments are those of :func:`car_durations`.
-    """
-    longest: NDArray[np.float64] = car_durations(before, after, actions, applied).max(-1, initial=0.0)
-    return longest
 
 
 def car_durations(

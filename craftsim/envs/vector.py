@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.schedule import tick_durations
+from craftsim.discrete.schedule import car_durations
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.envs.actions import checked, illegal
@@ -135,7 +135,8 @@ class GridVectorEnv(TaskVectorEnv):
         numbers, queued = self.form.begin(episodes, chosen)
         before = episodes.grids.cars.copy()
         steps = episodes.step(numbers)
-        duration = tick_durations(before, episodes.grids.cars, numbers, steps.applied)
+        # Cars act at once; that they may have to wait for each other is not counted.
+        duration = car_durations(before, episodes.grids.cars, numbers, steps.applied).max(-1, initial=0.0)
         wrong = illegal(chosen, steps.applied, offered, queued)
         infos = {"success": steps.success, "duration_s": duration, "illegal": wrong}
         return replace(steps, reward=steps.reward - self.time_weight * duration), infos

@@ -242,7 +242,7 @@ def _update(
             own, bias, marker = covariance[k, k], _BIAS + k, _MARKER + k
             by_localisations = own + 2 * covariance[k, bias] + covariance[bias, bias]
             by_marker = own - 2 * covariance[k, marker] + covariance[marker, marker]
-            std = math.sqrt(max(0.0, min(own, by_localisations, by_marker)))
+            std = math.sqrt(max(0.0, min(own, min(by_localisations, by_marker))))
             if k == _HEADING:
                 now.heading_std_rad = std
             else:

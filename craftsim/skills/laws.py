@@ -236,7 +236,7 @@ def compensate_lag(car: Record, level: bool) -> None:
 @compiled
 def _servo_speed(lag: Record, wheel: int) -> float:
     """Return the present speed of a wheel's servo, interpolated between two candidates for its lag."""
-    below = min(int(lag.steps), N_LAGS - 2)
+    below = min(math.floor(lag.steps), N_LAGS - 2)
     part = lag.steps - below
     speed: float = lag.servos[below, wheel] * (1 - part) + lag.servos[below + 1, wheel] * part
     return speed
@@ -478,7 +478,7 @@ def _check_progress(car: Record, error: Triple) -> None:
     # The car rests when the wheels together say so, or when three of them do: the fourth may slip on the spot.
     # Localisations jitter, so they do not tell.
     fl, fr, rl, rr = abs(wheels[0]), abs(wheels[1]), abs(wheels[2]), abs(wheels[3])
-    second_fastest = max(min(max(fl, fr), max(rl, rr)), min(fl, fr), min(rl, rr))
+    second_fastest = max(min(max(fl, fr), max(rl, rr)), max(min(fl, fr), min(rl, rr)))
     drive.at_rest = rolled < gains.speed_at_rest or second_fastest < gains.wheels_at_rest
     ahead = _to_body(error, now)
     if math.hypot(ahead[0], ahead[1]) + lever_m * abs(ahead[2]) <= gains.blocked_error:

@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
-from craftsim.envs.actions import by_agent, checked
-from craftsim.envs.options import Options
-from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
 from craftsim.modules import find_named
 from craftsim.storage.limits import POLICY
@@ -79,6 +76,10 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
     Raises InputError where there is no such policy, where it raises or takes too long, and where its answer is not one
     of the 15 actions for each agent.
     """
+    from craftsim.envs.actions import by_agent, checked
+    from craftsim.envs.options import Options
+    from craftsim.envs.parallel import ParallelConstruction
+
     try:
         with _time_limit(timeout_s):
             policy = make_policy(name, 0, task, rules)

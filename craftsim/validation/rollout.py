@@ -22,10 +22,6 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Constraints
 from craftsim.discrete.tasks import Task, as_task
-from craftsim.envs.options import Options
-from craftsim.envs.parallel import ParallelConstruction
-from craftsim.envs.physics_backend import PhysicsBackend
-from craftsim.envs.planner import PlannerPolicy
 from craftsim.errors import StartError
 from craftsim.experiments.bundle import write_bundle
 from craftsim.experiments.experiment import Result
@@ -236,6 +232,11 @@ def _carried_out(
 
 def _asked(task: Task, by: str | Policy, setup: Setup, seeds: tuple[int, int], begin: Watch) -> Episode:
     """Run a policy for one episode in physics and one by the rules alone."""
+    from craftsim.envs.options import Options
+    from craftsim.envs.parallel import ParallelConstruction
+    from craftsim.envs.physics_backend import PhysicsBackend
+    from craftsim.envs.planner import PlannerPolicy
+
     backend = PhysicsBackend(setup, None, task.goal_cells, watch_contacts=True)
     reached = by_rules = None
     for world in (backend, None) if task.has_goal else (backend,):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from discrete.worldgen import conflict
 from drawn import draw
 
 from craftsim.checking.attempt import Attempt
@@ -290,7 +291,7 @@ def test_an_episode_is_run_again_bit_for_bit_from_its_recipe():
         for car in rng.permutation(3).tolist():
             legal = np.flatnonzero(judge.rules.mask(judge.committed)[car])
             step = make_schedule(judge.committed, [[(car, Action(rng.choice(legal)))]], judge.rules).steps[0]
-            claimed = any(other.footprint.conflicts(step.footprint) for other in judge.running.values())
+            claimed = any(conflict(other.footprint, step.footprint) for other in judge.running.values())
             if car in judge.running or claimed or rng.random() < 0.3:
                 continue
             backend.begin(car, step.action, judge.committed)

@@ -7,11 +7,13 @@ from hypothesis import strategies as st
 from craftsim.discrete.actions import footprint
 from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.kernel.claims import conflict as claims_conflict
+from craftsim.discrete.kernel.claims import write_box
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 
-from .worldgen import play, random_world
+from .worldgen import conflict, play, random_world
 
 RULES = Rules("physical")
 PLENTY = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
@@ -68,8 +70,12 @@ def test_each_reason_for_a_conflict_is_enough_alone():
         ({"space": here}, {"space": beside}, False),
         ({"space": here}, {"changes": here}, False),
     ):
-        assert only(**mine).conflicts(only(**theirs)) is expected, (mine, theirs)
-        assert only(**theirs).conflicts(only(**mine)) is expected, (mine, theirs)
+        for one, other in ((only(**mine), only(**theirs)), (only(**theirs), only(**mine))):
+            assert conflict(one, other) is expected, (mine, theirs)
+            claims, others = one.claims(), other.claims()
+            box = np.empty(6, np.int16)
+            write_box(others, len(others), box)
+            assert claims_conflict(claims, len(claims), others, len(others), box) is expected
 
 
 def test_a_flap_needs_the_columns_of_body_and_foot_and_the_cell_beyond(scene, car):

@@ -18,7 +18,7 @@ from craftsim.discrete.schedule import Concurrency, make_schedule
 from craftsim.discrete.tasks import make_task
 
 from .conftest import make_scene
-from .worldgen import play, random_world
+from .worldgen import conflict, play, random_world
 
 RULES = Rules("physical")
 SEEDS = st.integers(0, 2**32 - 1)
@@ -133,7 +133,7 @@ def changed_places(grid):
             if second == first or not RULES.legal(then, second, action):
                 continue
             end = RULES.apply(then, second, action)
-            if needs.conflicts(footprint(then, end, second, action)):
+            if conflict(needs, footprint(then, end, second, action)):
                 continue
             if not RULES.legal(grid, second, action):
                 yield False

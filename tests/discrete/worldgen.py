@@ -9,6 +9,16 @@ from craftsim.discrete.kinds import Action
 MOVE_BY_DIRECTION = (Action.MOVE_RIGHT, Action.MOVE_FORWARD, Action.MOVE_LEFT, Action.MOVE_BACK)
 
 
+def conflict(one, other):
+    """Return whether two actions with these footprints must not run at the same time, as set by set."""
+    return bool(
+        one.space & other.space
+        or one.changes & (other.changes | other.relies)
+        or one.relies & other.changes
+        or one.beside_loads & other.loads
+    )
+
+
 def random_world(rng):
     """Return a world of random size with random blocks, slopes, cars and sometimes a flag, all placed by chance."""
     length, width, height = (int(rng.integers(low, high)) for low, high in ((3, 7), (3, 7), (1, 4)))

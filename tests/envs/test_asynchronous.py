@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from discrete.worldgen import conflict
 from pettingzoo.test import api_test, parallel_api_test
 from registered import forget
 
@@ -143,7 +144,7 @@ def test_what_is_offered_is_what_a_schedule_lets_run_beside_the_rest(task):
             expected = np.zeros(15, bool)
             for action in np.flatnonzero(legal):
                 step = make_schedule(grids[i], [[(car, Action(action))]], RULES).steps[0]
-                clash = action != STOP and any(needs.conflicts(step.footprint) for needs in others)
+                clash = action != STOP and any(conflict(needs, step.footprint) for needs in others)
                 expected[action] = not clash
                 compared, refused = compared + bool(others), refused + clash
             expected[STOP] |= not expected.any()

@@ -14,7 +14,6 @@ import numpy as np
 from llvmlite import ir
 from numba.core import config, types
 from numba.extending import intrinsic
-from numba.np.arrayobj import make_array, populate_array
 from numba.np.numpy_support import from_dtype
 
 from craftsim.discrete.kernel.jit import compiled
@@ -62,6 +61,8 @@ def _entry(function: Callable[..., Any], arguments: types.Type) -> Callable[...,
 
     def arrays_at(context: Any, places: types.Type) -> Any:
         def build(context: Any, builder: ir.IRBuilder, signature: Any, given: Any) -> Any:
+            from numba.np.arrayobj import make_array, populate_array  # slow to import
+
             numbers = make_array(places)(context, builder, given[0]).data
             n_read = 0
 

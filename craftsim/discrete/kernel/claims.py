@@ -20,7 +20,7 @@ from craftsim.discrete.kernel.codes import (
 )
 from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.state import AIR, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of, yaw_at
+from craftsim.discrete.kernel.state import AIR, FSLOPE, Pose, World, dir_x, dir_y, pose_of, yaw_at
 
 SPACE = 1
 """Swept by the car, its load or a flap."""
@@ -85,24 +85,10 @@ def add_rest_of_ramp(car: Pose, new: Pose, out: Claims, count: int) -> int:
     return add(out, count, car.x + 3 * dx, car.y + 3 * dy, z - 1, RELIES)
 
 
-@compiled
-def pose_after(w: World, car: Pose, action: int) -> Pose:
-    """Return a car's state after any legal action."""
-    if ROTATE_LEFT <= action <= LAST_MOVE:
-        return after(w, car, action)
-    load, load_yaw = car.load, car.load_yaw
-    if action == LIFT:
-        load = kind_at(w, car.x, car.y, car.z)
-        load_yaw = yaw_at(w, car.x, car.y, car.z) if load == FSLOPE else 0
-    elif action == DROP:
-        load, load_yaw = AIR, 0
-    return Pose(car.x, car.y, car.z, car.yaw, load, load_yaw, car.slope)
-
-
 @compiled(inline=False)
 def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
     """Write the claims of a legal action of the 15 into out (MOST, 4), the same cell maybe twice; return the rows."""
-    new = pose_after(w, car, action)
+    new = after(w, car, action)
     moves = FIRST_MOVE <= action <= LAST_MOVE
     count = add_standing(w, car, out, 0)
     if moves or new.load != car.load or car.load == FSLOPE:

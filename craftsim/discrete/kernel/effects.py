@@ -99,12 +99,19 @@ def set_occupant(w: World, x: int, y: int, z: int, mark: int) -> None:
 
 @compiled
 def after(w: World, car: Pose, action: int) -> Pose:
-    """Return a car's state after a turn, with which a carried slope turns, or after a move."""
-    if action not in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
+    """Return a car's state after an action, which is legal; a carried slope turns with its car."""
+    if code.FIRST_MOVE <= action <= code.LAST_MOVE:
         return moved(w, car, code.MOVE_DIRECTIONS[action - code.FIRST_MOVE])
-    turn = 1 if action == code.ROTATE_LEFT else -1
-    load_yaw = (car.load_yaw + turn) & 3 if car.load == FSLOPE else 0
-    return Pose(car.x, car.y, car.z, (car.yaw + turn) & 3, car.load, load_yaw, car.slope)
+    yaw, load, load_yaw = car.yaw, car.load, car.load_yaw
+    if action in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
+        turn = 1 if action == code.ROTATE_LEFT else -1
+        yaw, load_yaw = (yaw + turn) & 3, (load_yaw + turn) & 3 if load == FSLOPE else 0
+    elif action == code.LIFT:
+        load = kind_at(w, car.x, car.y, car.z)
+        load_yaw = yaw_at(w, car.x, car.y, car.z) if load == FSLOPE else 0
+    elif action == code.DROP:
+        load, load_yaw = AIR, 0
+    return Pose(car.x, car.y, car.z, yaw, load, load_yaw, car.slope)
 
 
 @compiled
@@ -120,36 +127,30 @@ def write_pose(w: World, me: int, car: Pose) -> None:
 
 
 @compiled
-def exchange(w: World, me: int, car: Pose, lifting: bool) -> None:
-    """Take up the object in the own cell, a slope with its gear, or put the load there."""
-    kind = kind_at(w, car.x, car.y, car.z) if lifting else car.load
-    yaw = yaw_at(w, car.x, car.y, car.z) if lifting else car.load_yaw
-    put(w, car.x, car.y, car.z, AIR if lifting else kind, 0 if lifting else yaw)
-    if kind == FSLOPE:
-        gear = AIR if lifting else GEAR
-        put_gear(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, gear, 0 if lifting else yaw)
-    if kind == BLOCK and not lifting and inside(w, car.x, car.y, car.z):
-        w.cells[car.x, car.y, car.z, LANDING] = derived_landing(w, car.x, car.y, car.z)
-    load, load_yaw = (kind, yaw if kind == FSLOPE else 0) if lifting else (AIR, 0)
-    write_pose(w, me, Pose(car.x, car.y, car.z, car.yaw, load, load_yaw, car.slope))
-    set_occupant(w, car.x, car.y, car.z - 1, me)
-
-
-@compiled
 def apply(w: World, me: int, action: int) -> None:
     """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
     car = pose_of(w, me)
+    new = after(w, car, action)
     if code.FIRST_MOVE <= action <= code.LAST_MOVE:
-        new = after(w, car, action)
         # A gear left behind counts as an object here, though not elsewhere (docs/rules.md#gear-mark).
         left_air = kind_at(w, car.x, car.y, car.z) == AIR
         set_occupant(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
         set_occupant(w, new.x, new.y, new.z - 1, me)
         write_pose(w, me, new)
     elif action in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
-        write_pose(w, me, after(w, car, action))
+        write_pose(w, me, new)
     elif action in (code.LIFT, code.DROP):
-        exchange(w, me, car, action == code.LIFT)
+        # The object in the own cell, a slope with its gear, is taken up, or the load is put there.
+        lifting = action == code.LIFT
+        kind, yaw = (new.load, new.load_yaw) if lifting else (car.load, car.load_yaw)
+        put(w, car.x, car.y, car.z, AIR if lifting else kind, 0 if lifting else yaw)
+        if kind == FSLOPE:
+            gear = AIR if lifting else GEAR
+            put_gear(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, gear, 0 if lifting else yaw)
+        if kind == BLOCK and not lifting and inside(w, car.x, car.y, car.z):
+            w.cells[car.x, car.y, car.z, LANDING] = derived_landing(w, car.x, car.y, car.z)
+        write_pose(w, me, new)
+        set_occupant(w, car.x, car.y, car.z - 1, me)
     elif action in (code.FOLD, code.UNFOLD):
         # The ramp in the own cell becomes a folded slope, or a folded slope a ramp behind the car. The landing of a
         # folded ramp is unmarked even if another ramp leans there (docs/rules.md#landing-forgotten).

@@ -14,7 +14,7 @@ from craftsim.discrete.kernel.codes import FIRST_MOVE, LAST_MOVE, MOVE_DIRECTION
 from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import REASON_BIT, legal_actions
-from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, Pose, World, dir_x, dir_y, kind_at, pose_of
+from craftsim.discrete.kernel.state import FSLOPE, Pose, World, dir_x, dir_y, pose_of
 from craftsim.discrete.kinds import Action
 
 SUCCESSORS = (
@@ -199,22 +199,10 @@ def write_plan(space: SearchBuffers, node: int, out: NDArray[np.int8]) -> int:
 
 
 @compiled
-def goal_level(w: World, car: Pose, m: int) -> int:
-    """Return the level of the cell that a MOVE in direction m asks for, up or down along a slope."""
-    x, y = car.x + dir_x(m), car.y + dir_y(m)
-    if car.slope == 1 and kind_at(w, x, y, car.z) == BODY:
-        return car.z + 1
-    if car.slope == 2 and kind_at(w, x, y, car.z - 1) == FOOT:
-        return car.z - 1
-    return car.z
-
-
-@compiled
 def plan_move(w: World, me: int, space: SearchBuffers, action: int, limit: int) -> int:
-    """Search a way for a MOVE; return the node reached, or -1."""
-    car = pose_of(w, me)
-    m = MOVE_DIRECTIONS[action - FIRST_MOVE]
-    return search(w, me, space, car.x + dir_x(m), car.y + dir_y(m), goal_level(w, car, m), limit)
+    """Search a way for a MOVE, to where that would lead, up or down along a slope; return the node reached, or -1."""
+    goal = after(w, pose_of(w, me), action)
+    return search(w, me, space, goal.x, goal.y, goal.z, limit)
 
 
 @compiled
@@ -239,7 +227,7 @@ def near_enough(w: World, me: int, space: SearchBuffers, limit: int) -> int:
         for i in range(4):
             m = MOVE_DIRECTIONS[i]
             there = car.x == start.x + dir_x(m) and car.y == start.y + dir_y(m)
-            if there and car.z == goal_level(w, start, m):
+            if there and car.z == after(w, start, FIRST_MOVE + i).z:
                 goals |= 1 << i
         if goals == 15:
             return 15

@@ -28,7 +28,6 @@ from craftsim.discrete.kernel.state import (
     Cells,
     World,
     car_field,
-    derived_landing,
     dir_x,
     dir_y,
     kind_at,
@@ -145,39 +144,6 @@ def largest_platforms(
                                 waiting += 1
                     largest = max(largest, size)
         out[i] = largest
-
-
-@compiled
-def score_structures(cells: Cells, cars: Cars, weights: tuple[float, ...], out: NDArray[np.float64]) -> None:
-    """Write how elaborate the buildings of each world are into out (B,).
-
-    ``weights`` are those of a landing of a ramp, a block on a block, a folded slope on a block, an unfolded one, such a
-    one with a block behind it, and a stack of three blocks from the floor.
-    """
-    landing, on_block, folded, unfolded, leads, stack = weights
-    for i in range(out.shape[0]):
-        w = World(cells[i], cars[i], 0)
-        score = 0.0
-        for x in range(w.cells.shape[0]):
-            for y in range(w.cells.shape[1]):
-                for z in range(1, w.cells.shape[2]):
-                    if kind_at(w, x, y, z) != BLOCK:
-                        continue
-                    if derived_landing(w, x, y, z):
-                        score += landing
-                    above = kind_at(w, x, y, z + 1)
-                    if above == BLOCK:
-                        score += on_block
-                        if z == 1 and kind_at(w, x, y, 3) == BLOCK:
-                            score += stack
-                    elif above == FSLOPE:
-                        score += folded
-                    elif above == BODY:
-                        score += unfolded
-                        yaw = yaw_at(w, x, y, z + 1)
-                        if kind_at(w, x - dir_x(yaw), y - dir_y(yaw), z + 1) == BLOCK:
-                            score += leads
-        out[i] = score
 
 
 @compiled

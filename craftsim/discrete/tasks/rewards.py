@@ -18,7 +18,6 @@ from craftsim.discrete.kernel.tasks import (
     largest_platforms,
     score_buildings,
     score_buildings_as_published,
-    score_structures,
 )
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks.observation import Layout
@@ -128,14 +127,9 @@ def complexity(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     Such a ramp is an unfolded slope with its foot below and a block behind its body.
     """
     storeys = ((grids.kind == Kind.BLOCK) * np.arange(-1, grids.size[2])).sum(axis=(1, 2, 3))
-    edge = (0, 0), (1, 1), (1, 1), (0, 0)
-    kinds, yaws = np.pad(grids.kind, edge), np.pad(grids.yaw, edge)
-    world, x, y, z = np.nonzero(kinds == Kind.BODY)
-    yaw = yaws[world, x, y, z]
-    dx, dy = DIRECTIONS[yaw].T
-    foot = world, x + dx, y + dy, z
-    leads = (kinds[foot] == Kind.FOOT) & (yaws[foot] == yaw) & (kinds[world, x - dx, y - dy, z] == Kind.BLOCK)
-    return platform(grids, designs, layout) + storeys + np.bincount(world[leads], minlength=len(grids))
+    kinds, yaws, body, foot, behind = _ramps(grids)
+    leads = (kinds[foot] == Kind.FOOT) & (yaws[foot] == yaws[body]) & (kinds[behind] == Kind.BLOCK)
+    return platform(grids, designs, layout) + storeys + np.bincount(body[0][leads], minlength=len(grids))
 
 
 def structure(grids: Grid, designs: Targets, layout: Layout) -> Floats:
@@ -144,9 +138,15 @@ def structure(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     A block behind the body of an unfolded slope counts 1, a block on a block 1, a folded slope on a block 5, an
     unfolded one 10, and 25 more where it leads to a block, and a stack of three blocks from the floor 50.
     """
-    out = np.empty(len(grids))
-    score_structures(grids.cells, grids.cars, STRUCTURE_WEIGHTS, out)
-    return out
+    kinds, _, body, _, behind = _ramps(grids)
+    block, landing = kinds == Kind.BLOCK, np.zeros(kinds.shape, np.bool_)
+    landing[behind] = True
+    on_block = [block[..., :-1] & (kinds[..., 1:] == kind) for kind in (Kind.BLOCK, Kind.FSLOPE, Kind.BODY)]
+    counts = [part.sum(axis=(1, 2, 3)) for part in (landing & block, *on_block)]
+    leads = block[behind] & block[(*body[:3], body[3] - 1)]
+    counts.append(np.bincount(body[0][leads], minlength=len(grids)))
+    counts.append(_stacks(grids).sum(axis=(1, 2)))
+    return np.array(STRUCTURE_WEIGHTS) @ np.array(counts)
 
 
 POTENTIALS: Final[dict[str, Potential]] = {
@@ -178,8 +178,7 @@ def flag_at_goal(grids: Grid, designs: Targets, layout: Layout) -> Bools:
 
 def three_high(grids: Grid, designs: Targets, layout: Layout) -> Bools:
     """Return whether three blocks stand on one another from the floor."""
-    stacks = np.all(grids.kind[..., 1:4] == Kind.BLOCK, axis=-1)
-    found: Bools = np.any(stacks, axis=(1, 2)) & (grids.size[2] >= 3)
+    found: Bools = _stacks(grids).any(axis=(1, 2))
     return found
 
 
@@ -288,3 +287,22 @@ def _platforms(grids: Grid, also: Kind, levels: int) -> Floats:
     out = np.empty(len(grids))
     largest_platforms(grids.cells, grids.cars, int(also), levels, seen, stack, out)
     return out
+
+
+Places = tuple[NDArray[np.intp], ...]
+"""Indices of cells: world, x, y, z."""
+
+
+def _ramps(grids: Grid) -> tuple[NDArray[np.int16], NDArray[np.int16], Places, Places, Places]:
+    """Return kinds and yaws of all cells, air around them; and of each body its cell, its foot's and that behind it."""
+    edge = (0, 0), (1, 1), (1, 1), (0, 1)
+    kinds, yaws = np.pad(grids.kind, edge), np.pad(grids.yaw, edge)
+    world, x, y, z = body = np.nonzero(kinds == Kind.BODY)
+    dx, dy = DIRECTIONS[yaws[body]].T
+    return kinds, yaws, body, (world, x + dx, y + dy, z), (world, x - dx, y - dy, z)
+
+
+def _stacks(grids: Grid) -> Bools:
+    """Return (B, L, W): where three blocks stand on one another from the floor."""
+    stacks: Bools = np.all(grids.kind[..., 1:4] == Kind.BLOCK, axis=-1) & (grids.size[2] >= 3)
+    return stacks

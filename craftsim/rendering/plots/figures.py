@@ -14,7 +14,7 @@ import numpy as np
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.contacts import impact_limit_n
 from craftsim.discrete.drawing import car_colour
-from craftsim.rendering.plots.levels import draw_paths, paths_height_in
+from craftsim.rendering.plots.paths import draw_paths, paths_height_in
 from craftsim.rendering.plots.signals import (
     NOTE_IN,
     Floats,

@@ -11,23 +11,9 @@ from statistics import median
 from typing import Any, Final
 
 from craftsim.checking.attempt import Attempt, Verdict
+from craftsim.experiments import sections as shared
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import Proportion
-from craftsim.experiments.sections import (
-    comparison_notes,
-    duration_blocks,
-    error_drawing,
-    error_tables,
-    legality_table,
-    paired_sections,
-    policies_section,
-    precision_table,
-    provenance_section,
-    results_table,
-    run_notes,
-    success_drawing,
-    survival_section,
-)
 from craftsim.experiments.statistics import Figures, legal_attempts
 from craftsim.rendering.trajectory import SUFFIX
 from craftsim.reports.report import (
@@ -78,30 +64,35 @@ def validation_report(result: Validation, command: str) -> Report:
     """Return the report of a validation; ``command`` is how it can be run again."""
     figures, records, builds = result.figures, result.records, result.builds
     runs = ((record["key"], [*map(Attempt.of, record["attempts"])]) for record in records)
-    of_plans = [] if builds else [survival_section(figures.survival), *policies_section(figures)]
+    of_plans = (
+        [] if builds else [shared.survival_section(figures.survival), *shared.policies_section(figures)]
+    )
     sections = [
         _builds(records) if builds else _results(figures, records),
         *_coverage(result.coverage),
-        *paired_sections(result.comparison),
+        *shared.paired_sections(result.comparison),
         *smallest_section(result.smallest),
         *([actions_section(runs, len(records))] if records else []),
-        failures_section(failures_of(records), error_tables(figures.errors)),
+        failures_section(failures_of(records), shared.error_tables(figures.errors)),
         *of_plans,
         Section(
             "errors",
             "Errors and forces",
             "Where physics agrees with the rules, how far it is from them in numbers.",
-            [precision_table(figures.precision), error_drawing(legal_attempts(records))],
+            [shared.precision_table(figures.precision), shared.error_drawing(legal_attempts(records))],
         ),
         Section(
             "durations",
             "Durations",
             "What a planner can count on; by action, load, ground and level.",
-            duration_blocks(figures.durations),
+            shared.duration_blocks(figures.durations),
         ),
-        provenance_section(command, result.seed, result.config),
+        shared.provenance_section(command, result.seed, result.config),
     ]
-    notes = [*run_notes(figures.capped_steps, figures.retried), *comparison_notes(result.comparison)]
+    notes = [
+        *shared.run_notes(figures.capped_steps, figures.retried),
+        *shared.comparison_notes(result.comparison),
+    ]
     if builds:
         title, about = "Building with re-planning", str(records[0]["context"])
         headline, key_figures, good = _built(builds, len(records)), _build_figures(builds), result.all_built
@@ -176,8 +167,11 @@ def _results(figures: Figures, records: Iterable[TrialRecord]) -> Section:
         ]
         heads = (Column("plan or policy", "path"), *(Column(name, "number") for name in columns))
         blocks.append(DataTable(heads, rows, "By plan or policy", most=0))
-    tables = legality_table(figures.matrix), results_table("By action", "action", figures.by_verb)
-    blocks += [*(replace(table, most=0) for table in tables), success_drawing(figures.by_verb)]
+    tables = (
+        shared.legality_table(figures.matrix),
+        shared.results_table("By action", "action", figures.by_verb),
+    )
+    blocks += [*(replace(table, most=0) for table in tables), shared.success_drawing(figures.by_verb)]
     return Section("results", "Results", _LEAD, blocks, terminal=True)
 
 
@@ -309,9 +303,9 @@ def demo_report(
             actions_section(((one.name, one.attempts) for one in buildings), len(buildings)),
             *([failures_section(iter(failures), note=_RENDER)] if failures else []),
             *_films(buildings, films),
-            provenance_section(command, *about),
+            shared.provenance_section(command, *about),
         ],
-        [*run_notes(*(sum(one[name] for one in figures) for name in ("capped_steps", "retried")))],
+        [*shared.run_notes(*(sum(one[name] for one in figures) for name in ("capped_steps", "retried")))],
         {f"Film of {name}" if len(films) > 1 else "Film": path for name, path in films.items()},
         document,
         0 if good else 1,

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from array import array
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from statistics import median
 from typing import Any, Final
 
 from craftsim.checking.attempt import Attempt, Verdict
@@ -154,7 +151,7 @@ def _drift(figures: Figures) -> list[str]:
     return [f"Set down in the first, middle and last third of the runs: median {found} mm off."]
 
 
-def _results(figures: Figures, records: Iterable[TrialRecord]) -> Section:
+def _results(figures: Figures, records: Sequence[TrialRecord]) -> Section:
     blocks: list[Block] = [runs_table(records)]
     if len(figures.by_group) > 1:
         columns = ("runs", "runs that agree", SHARE[1].name, "actions", "actions as predicted", SHARE[1].name)
@@ -175,31 +172,27 @@ def _results(figures: Figures, records: Iterable[TrialRecord]) -> Section:
     return Section("results", "Results", _LEAD, blocks, terminal=True)
 
 
-def runs_table(records: Iterable[TrialRecord]) -> DataTable:
+def runs_table(records: Sequence[TrialRecord]) -> DataTable:
     """Return a table with a row for each world and each plan or policy."""
-    counts: dict[tuple[str, str], Counter[str]] = {}
-    makespans: dict[tuple[str, str], array[float]] = {}
-    for record in records:
-        key = record["context"] or "", record["group"]
-        n, extra = counts.setdefault(key, Counter()), record["extra"]
-        times = makespans.setdefault(key, array("d"))
-        n["runs"] += 1
-        if record["error"] is not None:
-            continue
-        times.append(extra.get("makespan_s", 0.0))
-        n["agree"] += record["agrees"]
-        n["actions"] += len(record["attempts"])
-        n["good"] += sum(not _disagrees(a) for a in record["attempts"])
-        n["with goals"] += all(goal in extra for goal in _GOALS)
-        n.update({goal: int(extra.get(goal, False)) for goal in _GOALS})
+    from pandas import DataFrame
+
+    told = (
+        {"world": r["context"] or "", "by": r["group"], "done": r["error"] is None, "agree": r["agrees"]}
+        | {"actions": len(r["attempts"]), "good": sum(not _disagrees(a) for a in r["attempts"])}
+        | {name: r["extra"].get(name) for name in _GOALS}
+        | {"makespan_s": r["extra"].get("makespan_s", 0.0)}
+        for r in records
+    )
     rows: list[tuple[Value, ...]] = []
-    for key, n in counts.items():
-        done = len(makespans[key])
-        known = done and n["with goals"] == done
-        goals = [f"{n[goal]}/{done}" if known else None for goal in _GOALS]
-        makespan = f"{median(makespans[key]):.1f}" if done else None
-        counted = [n[name] for name in ("runs", "agree", "actions", "good")]
-        rows.append((*key, *counted, *goals, makespan, n["runs"] - done))
+    for key, runs in DataFrame(told).groupby(["world", "by"], sort=False) if records else ():
+        done = runs[runs.done]
+        n = len(done)
+        counts = [int(done[name].sum()) for name in ("agree", "actions", "good")]
+        goals = [
+            f"{int(done[goal].sum())}/{n}" if n and done[goal].notna().all() else None for goal in _GOALS
+        ]
+        makespan = f"{done.makespan_s.median():.1f}" if n else None
+        rows.append((*key, len(runs), *counts, *goals, makespan, len(runs) - n))
     names = ("runs", "agree", "actions", "good", "goal", "rules", "makespan", "errors")
     return DataTable(
         (Column("world"), Column("plan or policy"), *(Column(name, "number") for name in names)),

@@ -25,7 +25,7 @@ from craftsim.experiments.bundle import write_bundles
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import wilson
-from craftsim.experiments.records import select
+from craftsim.experiments.records import Selected
 from craftsim.experiments.session import Session, open_session
 from craftsim.experiments.statistics import (
     RESULTS,
@@ -303,7 +303,7 @@ class Audit:
 
 def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
     """Return the records without those of actions begun all at once, of which the rules say nothing."""
-    return select(records, lambda record: not record["group"].endswith(_AT_ONCE))
+    return Selected(records, lambda record: not record["group"].endswith(_AT_ONCE))
 
 
 def corrected(

@@ -97,7 +97,10 @@ def option_ranges(options: Any) -> Iterator[tuple[str, Range]]:
 
 
 def own_defaults(command: Command) -> Command:
-    """Decorator: options of a command have the defaults of the groups in its signature, also where others are given."""
+    """Decorator: a command's groups of options have the defaults of the instances in its signature.
+
+    They are keyword-only arguments. Without it, a group of which one option is given has the usual defaults.
+    """
     for name, parameter in signature(command).parameters.items():
         group = parameter.default
         usual = type(group)
@@ -106,9 +109,10 @@ def own_defaults(command: Command) -> Command:
             values = {one.name: getattr(group, one.name) for one in fields(usual)}
             own = [(key, hints[key], field(default=value)) for key, value in values.items()]
             place = {"__module__": usual.__module__, "__doc__": usual.__doc__}
-            command.__annotations__[name] = make_dataclass(
+            kind = make_dataclass(
                 usual.__name__, own, bases=(usual,), namespace=place, frozen=True, kw_only=True
             )
+            command.__annotations__[name], command.__kwdefaults__[name] = kind, kind()
     return command
 
 

@@ -32,6 +32,7 @@ from craftsim.planning import Planned, plan_building
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.validation import choice
+from craftsim.validation.choice import World
 from craftsim.validation.forms import BUILDS, RUNS
 from craftsim.validation.minimize import Counterexample, MinimizeProgress, minimize_failures
 from craftsim.validation.play import coverage_of
@@ -141,7 +142,7 @@ class Validation:
 
 
 def validate(
-    worlds: choice.World | Iterable[choice.World],
+    worlds: World | Iterable[World],
     what: Rollouts = ROLLOUTS,
     physics: Physics = PHYSICS,
     campaign: Trials = TRIALS,
@@ -193,7 +194,7 @@ def validate(
     trials, seed, timeout_s = campaign.trials, physics.seed, what.timeout_s
     if trials < 1 or campaign.workers < 1 or not timeout_s > 0:
         raise InputError("trials and workers must be at least 1, timeout_s above 0")
-    several = [worlds] if isinstance(worlds, choice.World) else list(worlds)
+    several = [worlds] if isinstance(worlds, World) else list(worlds)
     given = [name for name, value in (("plan", plan), ("actions", actions), ("policy", policy)) if value]
     if len(given) > 1:
         raise InputError(f"{given[0]} and {given[1]} exclude each other")
@@ -281,7 +282,7 @@ def read_goal(start: str, goal: Path | None) -> Task:
 
 
 def record_once(
-    world: choice.World,
+    world: World,
     setup: Setup,
     seed: int,
     *,

@@ -89,9 +89,7 @@ class Builder:
     def _taken(piece: Piece) -> list[tuple[Cell, Kind]]:
         if piece.cell[2] < 1:
             raise ImpossibleError("something would be in the ground")
-        second = SECOND_PART.get(piece.kind)
-        taken = [(piece.cell, piece.kind)]
-        return taken if second is None else [*taken, (beside(piece.cell, piece.yaw), second)]
+        return list(zip(piece.cells, piece.kinds, strict=True))
 
     def support(self, cell: Cell) -> None:
         """Fill the cells below with blocks, down to the ground."""

@@ -17,7 +17,17 @@ from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, counting_kinds, without_error
 from craftsim.errors import CraftsimError, InputError, suggestion
 from craftsim.options import Dir, File, OptionalDir, Physics, Record, Shown, Trials, own_defaults
-from craftsim.reports.report import Column, DataTable, Headline, KeyFigure, Report, Section, Tone, count
+from craftsim.reports.report import (
+    Column,
+    DataTable,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    count,
+    numbers,
+)
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import RUNS
 
@@ -327,7 +337,7 @@ def _compared(checker: Checker) -> Iterable[Section]:
         (what, n, checker.mismatches[what]) for what, n in checker.checks.items()
     ]
     tables = [
-        DataTable((Column(first), *(Column(name, "number") for name in heads)), rows, title)
+        DataTable(numbers(first, *heads), rows, title)
         for title, first, heads, rows in (
             ("By action", "action", ("taken", "legal", "mismatches"), [r for r in by_action if any(r[1:])]),
             ("By check", "compared", ("checks", "mismatches"), by_check),

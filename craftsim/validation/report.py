@@ -29,6 +29,7 @@ from craftsim.reports.report import (
     Value,
     count,
     interval,
+    numbers,
     percent,
     share_cells,
 )
@@ -257,7 +258,6 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
 def demo_report(
     buildings: Sequence[Building],
     command: str,
-    about: tuple[int, Mapping[str, Any]],
     document: Mapping[str, Any],
     films: Mapping[str, Path],
 ) -> Report:
@@ -266,8 +266,7 @@ def demo_report(
     Args:
         buildings: with their episodes.
         command: how it can be run again.
-        about: its seed and its configuration.
-        document: what ``report.json`` holds.
+        document: content of ``report.json``.
         films: of buildings, by their names.
     """
     figures = [one.figures for one in buildings]
@@ -296,7 +295,7 @@ def demo_report(
             actions_section(((one.name, one.attempts) for one in buildings), len(buildings)),
             *([failures_section(iter(failures), note=_RENDER)] if failures else []),
             *_films(buildings, films),
-            shared.provenance_section(command, *about),
+            shared.provenance_section(command, document["seed"], document["config"]),
         ],
         [*shared.run_notes(*(sum(one[name] for one in figures) for name in ("capped_steps", "retried")))],
         {f"Film of {name}" if len(films) > 1 else "Film": path for name, path in films.items()},
@@ -324,8 +323,7 @@ def _summary(buildings: Sequence[Building], figures: Sequence[Mapping[str, Any]]
             )
         )
     note = "s: makespan; at worst: mm, mrad of cars, set: mm of things set down, others: mm that bystanders moved"
-    names = ("ticks", "agree", "goal", "s", *_WORST.values())
-    columns = (Column("task"), *(Column(name, "number") for name in names))
+    columns = numbers("task", "ticks", "agree", "goal", "s", *_WORST.values())
     table = DataTable(columns, rows, "Built in physics, checked by the rules", note)
     return Section("buildings", "Buildings", _LEAD, [table], terminal=True)
 

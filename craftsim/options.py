@@ -5,9 +5,10 @@ Python function of the same name, and a key of ``config.yaml``.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass, replace
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, get_args, get_type_hints
 
 from cyclopts import Group, Parameter
 
@@ -37,6 +38,9 @@ else:
     Randomize = Noise = GainsChoice = MachinesChoice = SkillsChoice = PlanChoice = ActionsFile = str
     Folder = Path
     PolicyChoice = tuple[str, ...]
+
+
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,26 @@ def option_ranges(options: Any) -> Iterator[tuple[str, Range]]:
                 yield from option_ranges(part)
             if isinstance(part, Parameter) and (allowed := range_of(part)):
                 yield option_name(part, name), allowed
+
+
+def own_defaults(command: Command) -> Command:
+    """Decorator: a command's groups of options have the defaults of the instances in its signature.
+
+    They are keyword-only arguments. Without it, a group of which one option is given has the usual defaults.
+    """
+    for name, parameter in signature(command).parameters.items():
+        group = parameter.default
+        usual = type(group)
+        if is_dataclass(usual) and group != usual():
+            hints = get_type_hints(usual, include_extras=True)
+            values = {one.name: getattr(group, one.name) for one in fields(usual)}
+            own = [(key, hints[key], field(default=value)) for key, value in values.items()]
+            place = {"__module__": usual.__module__, "__doc__": usual.__doc__}
+            kind = make_dataclass(
+                usual.__name__, own, bases=(usual,), namespace=place, frozen=True, kw_only=True
+            )
+            command.__annotations__[name], command.__kwdefaults__[name] = kind, kind()
+    return command
 
 
 @Parameter(name="*", group=PHYSICS)

@@ -14,7 +14,7 @@ from craftsim.checking.contacts import ContactLog
 from craftsim.cli import main
 from craftsim.discrete.grid import Grid
 from craftsim.errors import InputError
-from craftsim.experiments.statistics import Duration, write_durations
+from craftsim.experiments.statistics import write_durations
 from craftsim.models.composition import world_spec
 from craftsim.models.config import SimulationConfig
 from craftsim.models.exporting import write_mjcf
@@ -77,7 +77,7 @@ def test_a_film_in_a_folder_that_is_not_there_is_our_error(tmp_path):
 
 def test_contacts_scenes_and_durations_are_whole_or_as_they_were(tmp_path):
     physics = PhysicsWorld(Grid.empty((2, 2, 1), n_cars=1))
-    log, row = ContactLog(physics), Duration("LIFT", "none", 1, False, 2, 1.0, 1.0, 1.0, 1.0, 1.0)
+    log, row = ContactLog(physics), {"verb": "LIFT", "load": "none", "level": 1, "n": 2, "mean_s": 1.0}
     folder = tmp_path / "scene"
     scene = world_spec(Grid.empty((2, 2, 1), n_cars=1), SimulationConfig())
     writers = {

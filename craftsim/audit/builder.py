@@ -1,4 +1,4 @@
-"""Small worlds built piece by piece: nothing is put where something else is, and what needs it stands on blocks."""
+"""Builder of small worlds: pieces must not overlap, and what would float gets blocks below it."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ CarRow = tuple[int, ...]
 
 
 class ImpossibleError(Exception):
-    """What no world can show, with the reason in a few words."""
+    """A world or an effect that cannot exist; the message is the reason."""
 
 
 def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Grid:
-    """Return the world of pieces and cars.
+    """Return the grid of pieces and cars.
 
-    A gear is shown where nothing stands; of two gears in a cell, the one with the smaller yaw.
+    A gear is left out if its cell is occupied; of two gears in a cell the one with the smaller yaw is kept.
     """
     grid = Grid.empty(size, len(cars))
     grid.cars[:] = np.array(list(cars), np.int16).reshape(-1, len(CarField))
@@ -51,38 +51,35 @@ def turned(cell: Cell, quarters: int) -> Cell:
 
 @dataclass
 class Builder:
-    """What stands in a world in the making; cells may have any numbers, levels begin at 1."""
+    """A world under construction. Columns may have any coordinates, also negative ones; levels begin at 1."""
 
     cells: dict[Cell, tuple[Kind, int]] = field(default_factory=dict)
-    """What takes a cell, with its yaw; AIR keeps one free, and a gear takes one only where it was claimed."""
+    """Kind and yaw by occupied cell. AIR reserves a free cell; a gear occupies a cell only if it was claimed."""
     cars: list[CarRow] = field(default_factory=list)
 
     @classmethod
     def of(cls, grid: Grid) -> Builder:
-        """Return one that goes on with a world."""
+        """Return a builder with the pieces and cars of a grid."""
         made = cls(cars=[tuple(row) for row in grid.cars.tolist()])
         for piece in grid.pieces(*STANDING):
             made.put(piece)
         return made
 
     def copy(self) -> Builder:
-        """Return one that goes on from here, apart from this one."""
+        """Return an independent copy."""
         return Builder(dict(self.cells), list(self.cars))
 
     def put(self, piece: Piece) -> None:
-        """Put a piece where nothing is; its gear, where it has one, gives way to all else.
-
-        Raises ImpossibleError where something is.
-        """
+        """Add a piece; a gear occupies no cell. Raises ImpossibleError if a cell is occupied."""
         taken = {cell: (kind, piece.yaw) for cell, kind in self._taken(piece) if kind != Kind.GEAR}
         if taken.keys() & self.cells:
             raise ImpossibleError("two things would share a cell")
         self.cells |= taken
 
     def claim(self, piece: Piece) -> None:
-        """Put a piece that may be there already; its gear takes a cell, and AIR keeps one free.
+        """Add a piece unless it is there already; a gear occupies a cell, and AIR reserves one.
 
-        Raises ImpossibleError where anything else is.
+        Raises ImpossibleError if something else is there.
         """
         for cell, kind in self._taken(piece):
             if self.cells.setdefault(cell, (kind, piece.yaw)) != (kind, piece.yaw):
@@ -92,9 +89,7 @@ class Builder:
     def _taken(piece: Piece) -> list[tuple[Cell, Kind]]:
         if piece.cell[2] < 1:
             raise ImpossibleError("something would be in the ground")
-        second = SECOND_PART.get(piece.kind)
-        taken = [(piece.cell, piece.kind)]
-        return taken if second is None else [*taken, (beside(piece.cell, piece.yaw), second)]
+        return list(zip(piece.cells, piece.kinds, strict=True))
 
     def support(self, cell: Cell) -> None:
         """Fill the cells below with blocks, down to the ground."""
@@ -112,7 +107,7 @@ class Builder:
                 raise ImpossibleError(f"something would stand on a {there.name.lower()}")
 
     def turned(self, quarters: int) -> Builder:
-        """Return all of it turned counterclockwise about the column (0, 0)."""
+        """Return a copy turned counterclockwise about the column (0, 0)."""
         cells = {
             turned(cell, quarters): (kind, (yaw + quarters) % 4 if kind in KINDS_WITH_YAW else 0)
             for cell, (kind, yaw) in self.cells.items()
@@ -124,7 +119,7 @@ class Builder:
         return Builder(cells, cars)
 
     def grid(self, low: tuple[int, int], size: Cell) -> Grid:
-        """Return the world as a map of a size, whose first column is ``low``."""
+        """Return the grid of this size whose first column is ``low``."""
         lx, ly = low
         pieces = [
             Piece(kind, (x - lx, y - ly, z), yaw)

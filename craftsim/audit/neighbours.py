@@ -1,8 +1,8 @@
-"""Which neighbours matter to which action: how close the swept volume comes to each, and what the rules say there.
+"""Neighbours of actions: their clearance from the swept volume, and the legality of the action beside them.
 
-Each action is taken with nothing around but what it needs; then each thing and car that a world can hold stands near
-it, in every way that it can. The nominal machines' neighbours are worked out once, which takes a minute, too long for
-each audit: ``python -m craftsim.audit.neighbours [FILE]``, as ``make neighbours`` does, writes those that matter again.
+Each action is set up with nothing but what it needs, and then with each possible thing or car at each place near it.
+The relevant neighbours of the nominal machines are stored in a table, since computing them takes a minute;
+``python -m craftsim.audit.neighbours [FILE]`` (``make neighbours``) writes it again.
 """
 
 from __future__ import annotations
@@ -33,29 +33,28 @@ from craftsim.models.composition import placements
 from craftsim.storage.writing import write_whole
 
 WINDOW: Final = (13, 13, 6)
-"""Cells of the world that all is built in: more than any rule looks at round the car in its middle."""
+"""Size of the world: larger than the range of any rule around the car in its middle."""
 LEVEL: Final = 2
-"""Level of the acting car, or of the foot of its ramp: above it and below it there is room for neighbours."""
+"""Level of the acting car, or of the foot of its ramp, with room for neighbours above and below."""
 HOME: Final = (6, 6, LEVEL)
-"""Cell of the acting car, which heads +x, or below it on a ramp."""
+"""Cell of the acting car, which heads +x; on a ramp the cell below it."""
 MARGIN: Final = 3
-"""Free columns round a world that is tried, since what is beside the map counts as wall."""
+"""Free columns around a tried world, since the map's border acts as a wall."""
 OVERLAP_M: Final = 0.001
-"""What overlaps deeper at the start cannot stand there."""
+"""A neighbour that overlaps deeper at the start is impossible."""
 _SAMPLED_M: Final = 0.0001
-"""What the samples of a way leave out of its volume."""
+"""Error of the swept volume due to sampling."""
 _BRUSH_MM: Final = 1.0
-"""What overlaps less may slip by."""
+"""A neighbour that overlaps less may be passed."""
 _REACH: Final = 2
-"""Columns away from the acting car; a flap's lip reaches into the second."""
+"""Distance of neighbours in columns; a flap's lip reaches into the second."""
 _LEVELS: Final = (-1, 0, 1, 2)
 _LOADS: Final = {"none": Kind.AIR, "block": Kind.BLOCK, "slope": Kind.FSLOPE}
 NAME: Final = "neighbours.csv"
 
 
 def bare_situations() -> Iterator[Situation]:
-    """Yield each action with all that it needs and nothing else; left out are mirror images, and flags, which have a
-    block's shape."""
+    """Yield each action with nothing but what it needs, without mirror images and flags (shaped like blocks)."""
     for load in _LOADS:
         yield _bare("ROTATE_LEFT", Action.ROTATE_LEFT, load, [])
         for way, action in (
@@ -90,7 +89,7 @@ def _floor(x: int) -> Piece:
 def _bare(
     name: str, action: Action, load: str, pieces: Sequence[Piece], level: int = 0, half: int = 0
 ) -> Situation:
-    """Return an action among these pieces, whose cells and level count from the car's."""
+    """Return an action among pieces, whose cells and level are relative to the car's."""
     carried = _LOADS[load] if load and name != "LIFT" else Kind.AIR
     car = (0, 0, level, FORWARD, carried, BACK if carried == Kind.FSLOPE else 0, half)
     world = Builder()
@@ -99,9 +98,9 @@ def _bare(
 
 
 def _add(world: Builder, pieces: Sequence[Piece], cars: Sequence[CarRow], at: Cell) -> None:
-    """Add pieces and cars moved by a cell, with stacks of blocks below all that needs them; walls may hang in the air.
+    """Add pieces and cars, moved by a cell, with blocks below them; walls may float.
 
-    Raises ImpossibleError where two things or cars would share a cell, or something would float.
+    Raises ImpossibleError if two of them share a cell, or one would float.
     """
     moved, rows = _moved(pieces, at), [(*_sum(row[:3], at), *row[3:]) for row in cars]
     for piece in moved:
@@ -120,7 +119,7 @@ def _add(world: Builder, pieces: Sequence[Piece], cars: Sequence[CarRow], at: Ce
 
 
 def _solid_cells(piece: Piece) -> tuple[Cell, ...]:
-    """Return the cells of a piece; that of a gear, which gives way, is left out."""
+    """Return the cells of a piece without that of a gear."""
     return piece.cells if piece.kind == Kind.BODY else (piece.cell,)
 
 
@@ -134,18 +133,18 @@ def _sum(one: Sequence[int], other: Cell) -> Cell:
 
 @dataclass(frozen=True)
 class Occupant:
-    """What may be a neighbour: things or a car, in cell (0, 0, 0)."""
+    """A possible neighbour: things or a car, in cell (0, 0, 0)."""
 
     kind: str
     """Such as ``block`` or ``car+fslope``."""
     stance: str = ""
-    """How it stands, such as ``along`` or ``gear-uphill-low``."""
+    """Orientation, such as ``along`` or ``gear-uphill-low``."""
     side: str = ""
-    """The direction of gear, foot or downhill."""
+    """Direction of gear, foot or downhill."""
     pieces: tuple[Piece, ...] = ()
     cars: tuple[CarRow, ...] = ()
     bearer: tuple[Piece, ...] = ()
-    """The ramp that a car is on, which comes with it."""
+    """The ramp below a car."""
 
     @property
     def name(self) -> str:
@@ -158,8 +157,8 @@ class Occupant:
         return replace(self, side={"left": "right", "right": "left"}.get(self.side, self.side)).name
 
     def places(self) -> Iterator[Cell]:
-        """Yield where it is near a car in column (0, 0); levels count from the car's lower one."""
-        # What takes more than one cell counts where it reaches into the neighbourhood.
+        """Yield its places near a car in column (0, 0); levels are relative to the car's lower one."""
+        # A piece of several cells is near if any of them is.
         cells = [cell for piece in self.pieces for cell in _solid_cells(piece)]
         cells += [_sum(row[:3], (0, 0, 0)) for row in self.cars]
         spread = range(-_REACH - 1, _REACH + 2)
@@ -168,9 +167,9 @@ class Occupant:
                 yield dx, dy, dz
 
     def added(self, world: Builder, at: Cell) -> tuple[Grid, Grid]:
-        """Return a world with it at a place near the acting car, and the same without it but with what bears it.
+        """Return the world with it at a place near the acting car, and the same with only its supports.
 
-        Raises ImpossibleError where it cannot stand there.
+        Raises ImpossibleError if it cannot stand there.
         """
         more, cell = world.copy(), _sum(at, HOME)
         _add(more, (*self.bearer, *self.pieces), self.cars, cell)
@@ -183,11 +182,11 @@ class Occupant:
 
 
 def occupants() -> Iterator[Occupant]:
-    """Yield every occupant; flags have a block's shape and are left out."""
+    """Yield all occupants; flags are left out, since they have the shape of blocks."""
     origin = (0, 0, 0)
     yield Occupant("block", pieces=(Piece(Kind.BLOCK, origin),))
     yield Occupant("wall", pieces=(Piece(Kind.WALL, origin),))
-    # Along or across: a car is as long to the front as to the back.
+    # Along or across: front and back of a car are equally long.
     yield Occupant("car", "along", cars=(_car(0, Kind.AIR),))
     yield Occupant("car", "across", cars=(_car(1, Kind.AIR),))
     yield Occupant("car+block", cars=(_car(0, Kind.BLOCK),))
@@ -217,16 +216,16 @@ def _car(yaw: int, load: Kind, half: int = 0) -> CarRow:
 
 @dataclass(frozen=True)
 class Neighbour:
-    """One neighbour of a bare situation that can stand there."""
+    """A possible neighbour of a bare situation."""
 
     situation: Situation
     occupant: Occupant
     at: Cell
-    """Its cell: of a slope that of the body, of a car its own; the level counts from the acting car's lower one."""
+    """Its cell, for a slope that of the body; the level is relative to the acting car's lower one."""
     clearance: Clearance | None
-    """Between what moves and the occupant, the least over the way; None beyond the margin."""
+    """Least distance between the moving solids and the occupant over the path; None beyond the margin."""
     grid: Grid
-    """The world with both, and what bears them; the car acts as number 0."""
+    """The world with both; the acting car is car 0."""
     alone: Grid
     """The same without the occupant."""
 
@@ -242,19 +241,19 @@ class Neighbour:
 
 
 def margin_m(machines: Machines) -> float:
-    """Return how near a neighbour has to come to matter: nearer than things do that fill neighbouring cells.
+    """Return the distance below which a neighbour matters: less than that of things in neighbouring cells.
 
-    A load that goes past a block keeps this gap, 2.5 mm less 0.1 mm; situations with tight room show that it is enough.
+    A load passes a block with a gap of 2.5 mm, less 0.1 mm; situations with tight room show that this is enough.
     """
     return CELL_PITCH_M - max(machines.block.side_m, machines.slope.side_m) - _SAMPLED_M
 
 
 def neighbours(machines: Machines, of: Collection[str] = ()) -> Iterator[Neighbour]:
-    """Yield every occupant of the cells near each bare situation that can stand there, mirror images once.
+    """Yield the possible neighbours of each bare situation, without mirror images.
 
     Args:
-        machines: whose geometry decides; of several cars the first one's.
-        of: verbs of the table of actions; all if empty.
+        machines: their geometry is used; of several cars that of the first.
+        of: verbs; all if empty.
     """
     machines = replace(machines, cars=machines.cars[:1])
     margin = margin_m(machines)
@@ -287,7 +286,7 @@ def neighbours(machines: Machines, of: Collection[str] = ()) -> Iterator[Neighbo
 
 
 def shift_of(at: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return how far a neighbour is from where :func:`bodies_of` has it, metres."""
+    """Return the displacement of a neighbour from the acting car's cell in metres."""
     return np.array([at[0] * CELL_PITCH_M, at[1] * CELL_PITCH_M, at[2] * LEVEL_HEIGHT_M])
 
 
@@ -308,13 +307,15 @@ def bodies_of(occupant: Occupant, machines: Machines) -> tuple[Solids, Solids | 
 
 
 def table(of: Collection[str] = ()) -> Iterator[dict[str, Any]]:
-    """Work out the neighbours that matter to these verbs, or to all: within reach, or forbidden by a rule set although
-    they are not; the rows of ``craftsim/data/neighbours.csv``."""
+    """Compute the rows of ``craftsim/data/neighbours.csv`` for these verbs, or all.
+
+    Neighbours matter if they are within reach, or if a rule set forbids them although they are out of reach.
+    """
     rule_sets = [Rules(name) for name in RULE_SETS]
     for one in neighbours(NOMINAL, of):
         if one.clearance is None and all(one.legal(rules) != (False, True) for rules in rule_sets):
             continue
-        # Negative: by so much it is in the way; empty: out of reach.
+        # Negative for an overlap, empty if out of reach.
         clearance = "" if one.clearance is None else f"{one.clearance.distance_m * 1e3:.1f}"
         yield {
             "situation": one.situation.id,
@@ -326,26 +327,25 @@ def table(of: Collection[str] = ()) -> Iterator[dict[str, Any]]:
 
 
 def read_table() -> list[dict[str, str]]:
-    """Return the rows of the package's file."""
+    """Return the rows of the stored table."""
     text = files("craftsim.data").joinpath(NAME).read_text(encoding="utf-8")
     return list(csv.DictReader(text.splitlines()))
 
 
 def place_of(row: Mapping[str, str]) -> Cell:
-    """Return the cell of a neighbour that a row of the table is about."""
+    """Return the cell of a neighbour in a row of the table."""
     return int(row["dx"]), int(row["dy"]), int(row["dz"])
 
 
 def nearby(rule_set: RuleSet, of: Collection[str] = ()) -> list[tuple[Situation, bool, Row]]:
-    """Return the neighbourhoods of these verbs, or of all, whether a rule set allows the action in each, and the row
-    that it counts in: one neighbour each, wherever geometry or a rule says that it matters.
+    """Return the neighbourhoods of these verbs, or of all, with their legality and the rows in which they are counted.
 
-    Merged are neighbours that physics cannot tell apart: of one kind, whichever way it is turned, in the way of the
-    same action by the same solids to a tenth of a millimetre, and the rules alike. One stands for all of them; mirror
-    images, and flags for blocks, are left out from the start. Neighbours of a kind that are in the way, or forbidden
-    and close, are one row, and so are all out of reach; what is allowed although it is close is a row each. Left out of
-    what the physical rules allow are starts to which no play of theirs leads, for a load has no room there: in three a
-    block that leans on a ramp stands 0.8 mm deep in the gear of a slope that another car carries.
+    Each has one neighbour that matters by geometry or by a rule. Neighbours that physics cannot tell apart are merged:
+    those of one kind in any orientation, in the way of the same action by the same solids to a tenth of a millimetre,
+    and with the same legality. Neighbours of a kind that are in the way, or forbidden and close, are one row, and so
+    are all out of reach; each that is allowed although it is close is a row of its own. For the physical rules, starts
+    without room for a load are left out, since no play leads to them: in three of them a block that leans on a ramp
+    overlaps the gear of another car's slope by 0.8 mm.
     """
     rules = Rules(rule_set)
     bare = {one.id: (one, Builder.of(one.grid)) for one in bare_situations()}
@@ -375,14 +375,14 @@ _SIDES: Final = re.compile(r"_(f|r)?[lr]\b|_(left|right|front|back)\b")
 
 
 def _met(said: Mapping[str, str]) -> tuple[object, ...]:
-    """Return what physics can tell apart: how close which solids come; out of reach, where the neighbour is."""
+    """Return what distinguishes neighbours in physics: clearance and solids or, out of reach, the place."""
     if not said["clearance_mm"]:
         return said["occupant"], place_of(said)
     return said["clearance_mm"], _SIDES.sub("", said["closest"])
 
 
 def _counted_row(one: Situation, kind: str, legal: bool) -> Row:
-    """Return the row that a neighbourhood counts in: its own where the action is allowed close by."""
+    """Return the row in which a neighbourhood is counted: its own if the action is allowed close by."""
     rule, near = "allowed" if legal else "forbidden", one.row._replace(near=kind, column="", above="")
     if one.clearance_mm is None:
         return near._replace(near="any", kind=f"{rule} out of reach")
@@ -392,7 +392,7 @@ def _counted_row(one: Situation, kind: str, legal: bool) -> Row:
 
 
 def _cropped(grid: Grid) -> Grid:
-    """Return a world with :data:`MARGIN` empty columns round it."""
+    """Return a world with :data:`MARGIN` empty columns around it."""
     taken = np.vstack([np.argwhere(grid.kind > Kind.GROUND), grid.cars[:, : CarField.YAW]])
     low, high = taken.min(axis=0) - MARGIN, taken.max(axis=0) + 1 + MARGIN
     length, width, _ = (high - low).tolist()

@@ -1,7 +1,6 @@
-"""The plan of an audit: its rows, each of situations that count as one, the corrections that concern a row, and which
-rows a quick audit tries.
+"""The plan of an audit: rows of equivalent situations, the corrections for each row, and the rows of a quick audit.
 
-What the rules forbid and nothing is intended for is one row for each action and reason.
+Forbidden situations in which the action has no intended effect are one row for each action and reason.
 """
 
 from __future__ import annotations
@@ -28,13 +27,13 @@ FLAG_NAMES: Final = tuple(Correction.__members__)
 
 
 class PlanRow(NamedTuple):
-    """Situations that count together."""
+    """Equivalent situations, whose trials are counted together."""
 
     row: Row
     legal: bool
     members: tuple[Situation, ...]
     no_prediction: str = ""
-    """Why there is nothing to try; empty where there is."""
+    """The reason why nothing can be tried; empty if something can."""
 
     @property
     def name(self) -> str:
@@ -43,14 +42,13 @@ class PlanRow(NamedTuple):
 
     @property
     def clearance_mm(self) -> float | None:
-        """How close geometry expects a neighbour to come, the least of its members; None out of reach, or for none."""
+        """Least geometric clearance of a neighbour over all members; None out of reach or without a neighbour."""
         near = [member.clearance_mm for member in self.members if member.clearance_mm is not None]
         return min(near, default=None)
 
 
 def audit_plan(rule_set: RuleSet, of: tuple[str, ...] = ()) -> tuple[PlanRow, ...]:
-    """Return the rows of these verbs, or all: what a rule set allows, what it forbids, the scenes, and the
-    neighbourhoods, by name."""
+    """Return the rows of these verbs, or of all, by name: allowed and forbidden situations, scenes, neighbourhoods."""
     return _plan(rule_set, tuple(verb for verb in verbs() if not of or verb in of))
 
 
@@ -85,8 +83,10 @@ def distribute_trials(row: PlanRow, trials: int) -> Iterator[tuple[Situation, in
 
 
 def corrections(rows: Iterable[PlanRow], rule_set: RuleSet) -> dict[str, tuple[str, ...]]:
-    """Return, by the name of each allowed row, the flags that a rule set has off and that would each correct it: those
-    that, alone, forbid its action or change its effect."""
+    """Return the corrections of each allowed row by its name.
+
+    These are the flags that the rule set lacks and that, each alone, forbid the action or change its effect.
+    """
     rules, own = Rules(rule_set), RULE_SETS[rule_set]
     corrected = {
         flag: Rules(rule_set, own | Correction[flag]) for flag in FLAG_NAMES if Correction[flag] not in own
@@ -95,7 +95,7 @@ def corrections(rows: Iterable[PlanRow], rule_set: RuleSet) -> dict[str, tuple[s
 
 
 def _differing_flags(row: PlanRow, rules: Rules, corrected: Mapping[str, Rules]) -> tuple[str, ...]:
-    """Return the corrections that change whether one of a row's situations is allowed, or what follows."""
+    """Return the corrections that change the legality or the effect in one of a row's situations."""
     left = dict(corrected)
     for situation in row.members:
         joint = [(car, int(action)) for car, action in enumerate(situation.acts)]
@@ -108,18 +108,18 @@ def _differing_flags(row: PlanRow, rules: Rules, corrected: Mapping[str, Rules])
 
 
 def rows_by_flag(found: Mapping[str, Sequence[str]]) -> dict[str, int]:
-    """Return how many rows each flag corrects, in the order of the flags; ``found`` has the flags by row."""
+    """Return the number of rows that each flag corrects; ``found`` has the flags by row."""
     counts = {flag: sum(flag in flags for flags in found.values()) for flag in FLAG_NAMES}
     return {flag: count for flag, count in counts.items() if count}
 
 
 MOST_ROWS: Final = 800
-"""Rows of a quick look at most: one takes about 0.4 s of one core, planning and reports included."""
+"""Maximum number of rows of a quick audit; each takes about 0.4 s of one core, planning and report included."""
 
 _FREE: Final = Row("", over="air", beyond="free")
-"""What is there where a row does not say."""
+"""Values of properties that a row leaves empty."""
 _VARYING: Final = re.compile(r"( in)? \(-?\d+, -?\d+, -?\d+\)|: .*|\d+(\.\d+)?")
-"""What differs between reasons of one kind: cells, what is there, and numbers."""
+"""What varies between reasons of one kind: cells, their contents, and numbers."""
 
 
 def quick_rows(plan: Sequence[PlanRow], rule_set: RuleSet) -> list[PlanRow]:
@@ -144,20 +144,20 @@ def quick_rows(plan: Sequence[PlanRow], rule_set: RuleSet) -> list[PlanRow]:
 
 
 def covering(rows: Sequence[Row], known: Iterable[Row], most: int, strength: int = 4) -> list[Row]:
-    """Return rows that cover, with those known, the combinations of up to ``strength`` properties of each action.
+    """Return rows that, with the known ones, cover all combinations of up to ``strength`` properties of each action.
 
     Args:
-        rows: those to choose from.
-        known: those that are tried anyway.
-        most: how many, at most.
-        strength: how many properties, beside the action, are combined.
+        rows: the candidates.
+        known: rows that are tried anyway.
+        most: maximum number of rows.
+        strength: number of combined properties besides the action.
     """
     chosen: list[Row] = []
     known = list(known)
     for t in range(1, strength + 1):
         open_ = {row: set(_combinations(row, t)) for row in rows}
         covered = {c for row in (*known, *chosen) for c in _combinations(row, t)}
-        # What a row adds only gets less: one that still adds most after a second look is the one that does.
+        # A row's gain never grows, so a row that is still first after an update has the largest gain.
         heap = [(-len(combos - covered), str(row), row) for row, combos in open_.items()]
         heapify(heap)
         while heap and heap[0][0] < 0 and len(chosen) < most:
@@ -171,7 +171,7 @@ def covering(rows: Sequence[Row], known: Iterable[Row], most: int, strength: int
 
 
 def _combinations(row: Row, t: int) -> Iterator[tuple[object, ...]]:
-    """Yield the combinations of t properties of a row, each with its action; what a row does not say is free."""
+    """Yield the combinations of t properties of a row, each with its action; empty properties count as free."""
     words = zip(Row._fields[1:], row[1:], _FREE[1:], strict=True)
     found = [(name, word or free) for name, word, free in words if word or free]
     for some in combinations(found, t):
@@ -179,7 +179,7 @@ def _combinations(row: Row, t: int) -> Iterator[tuple[object, ...]]:
 
 
 def _boundary(rows: Sequence[PlanRow], rule_set: RuleSet) -> Iterator[tuple[PlanRow, PlanRow | None]]:
-    """Yield for each reason the forbidden row next to an allowed one, and that one; None where none is comparable."""
+    """Yield for each reason the forbidden row nearest to an allowed one, and that row; None if none is comparable."""
     allowed: dict[str, list[tuple[str, PlanRow]]] = {}
     for row in rows:
         if row.legal and not row.row.scene:
@@ -200,12 +200,12 @@ def _boundary(rows: Sequence[PlanRow], rule_set: RuleSet) -> Iterator[tuple[Plan
 
 
 def _differing(one: Row, other: Row) -> int:
-    """Return in how many properties two rows of one action differ."""
+    """Return the number of properties in which two rows of one action differ."""
     return sum(word != another for word, another in zip(one, other, strict=True))
 
 
 def _reason(situation: Situation, rule_set: RuleSet) -> str:
-    """Return why an action is forbidden: its verb and the correction, or the words without what varies."""
+    """Return the kind of reason why an action is forbidden: its verb, and the correction or the masked reason."""
     said = Rules(rule_set).explain(situation.grid, 0, situation.acts[0])
     verb = "+".join(ACTIONS[act].verb for act in situation.acts)
     return f"{verb}: {said.correction.name if said.correction else _VARYING.sub('', said.reason)}"

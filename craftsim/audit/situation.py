@@ -1,4 +1,4 @@
-"""One kind of situation for the audit, margins and tuning: its properties, its world, and what is done there."""
+"""Situations of the audit, margins and tuning: their properties, grid and actions."""
 
 from __future__ import annotations
 
@@ -31,46 +31,46 @@ DIRECTION_NAMES: Final = ("forward", "left", "back", "right")
 
 
 class Row(NamedTuple):
-    """The properties of a situation, each in a word or two; those that do not matter there are empty.
+    """The properties of a situation as short texts, empty if irrelevant.
 
-    As text they are read by people and matched by patterns, and nothing takes them apart again.
+    The text of a row is for people and for patterns, and is never parsed.
     """
 
     action: str
-    """The verbs, of a move with its direction relative to the heading, such as ``MOVE-left``."""
+    """The verb, for a move with its direction relative to the heading, such as ``MOVE-left``; several with ``+``."""
     level: str = ""
     """The car's level before the action."""
     ground: str = ""
-    """What the car stands on: flat, or the lower or upper half of a slope that leads up or down ahead."""
+    """Ground below the car: flat, or the lower or upper half of a slope that leads up or down ahead."""
     own: str = ""
-    """In the car's cell."""
+    """Content of the car's cell."""
     load: str = ""
     next: str = ""
-    """In the cell that a move goes to; ``above-`` says that it is the cell below that, which is free."""
+    """Content of a move's target cell; with ``above-`` the target is free, and this is in the cell below it."""
     over: str = ""
-    """In the cell above the own one (lift, fold, unfold) or above what the action is about; of a move onto a ramp, in
-    the cell above the landing of the climb, above the body or above the foot that comes next."""
+    """Content of the cell above the car (lift, fold, unfold) or above the target; for a move onto a ramp, of the cell
+    above the landing, the body or the foot that comes next."""
     beyond: str = ""
-    """In the cell after the next, where that matters."""
+    """Content of the cell after the next one."""
     room: str = ""
-    """``tight`` where blocks fill the neighbour cells of the way, as far as the rules let the action be."""
+    """``tight`` if blocks fill the neighbour cells of the path, as far as the action stays legal."""
     near: str = ""
-    """A neighbour."""
+    """The neighbour."""
     column: str = ""
-    """Where it is, relative to the car."""
+    """The neighbour's column relative to the car."""
     above: str = ""
-    """Levels above the car's lower one."""
+    """The neighbour's level relative to the lower one of the car."""
     scene: str = ""
-    """Its name in ``craftsim/data/scenes.yaml``."""
+    """Name of the scene in ``craftsim/data/scenes.yaml``."""
     order: str = ""
-    """Of several cars."""
+    """Execution order of several cars."""
     kind: str = ""
-    """What situations that count together have in common."""
+    """Common property of situations that are counted together."""
     then: tuple[str, ...] = ()
-    """Actions that come after the first; the last one is judged."""
+    """Further actions after the first; the last one is judged."""
 
     def __str__(self) -> str:
-        """Return such as ``MOVE-forward/level=1/ground=flat/own=block/load=none/next=air/room=free``."""
+        """Return a text such as ``MOVE-forward/level=1/ground=flat/own=block/load=none/next=air/room=free``."""
         at = f"@({self.column},{self.above})" if self.column else ""
         said = self._replace(near=self.near + at, column="", above="", kind="", then=())._asdict()
         parts = [f"{name}={word}" for name, word in said.items() if word and name != "action"]
@@ -80,35 +80,33 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Situation:
-    """A world and what is done there: one action or, one after the other, several of car 0; or a tick of many cars."""
+    """A world with one or several consecutive actions of car 0, or with one tick of several cars."""
 
     row: Row
-    """Its own properties, which no other situation of a plan has."""
+    """Its properties, unique within a plan."""
     grid: Grid = field(compare=False, repr=False)
     acts: tuple[Action, ...]
-    """Of car 0, one after the other; with an order those of the first cars, in one tick."""
+    """Consecutive actions of car 0; with an order, the actions of the first cars in one tick."""
     order: Concurrency | None = None
-    """How the actions of a tick follow each other."""
+    """Execution order of the actions of a tick."""
     anywhere: bool = False
-    """Whether the direction on the map and the place are drawn for each trial; the grid is one column wider then than
-    what matters."""
+    """Whether heading and place on the map are drawn; the grid then has a margin of one column."""
     clearance_mm: float | None = None
-    """How close geometry expects a neighbour to come: negative where it is in the way; None out of reach, and for no
-    neighbour."""
+    """Geometric clearance of the neighbour, negative for an overlap; None out of reach or without a neighbour."""
 
     @property
     def id(self) -> str:
-        """Its properties as text."""
+        """The properties as text."""
         return str(self.row)
 
     @cached_property
     def digest(self) -> int:
-        """A number made of its properties, from which trials draw."""
+        """Hash of the properties, a seed of the trials."""
         said = {name: word for name, word in self.row._asdict().items() if word}
         return int.from_bytes(hashlib.sha256(json.dumps(said).encode()).digest()[:8])
 
     def placed(self, rng: np.random.Generator) -> Situation:
-        """Return it in a direction and at a place on the map that a generator draws, where these do not matter."""
+        """Return the situation with a drawn heading and place on the map, if these do not matter."""
         if not self.anywhere:
             return self
         turn, before_x, before_y, room = (int(v) for v in rng.integers((0, 1, 1, 1), (4, 4, 4, 4)))
@@ -123,7 +121,7 @@ class Situation:
         return Situation(self.row, grid, acts, self.order)
 
     def legal(self, rules: Rules) -> bool:
-        """Return whether the rules allow what is done first; of a tick all of it, one action after the other."""
+        """Return whether the rules allow the first action, or all actions of the tick in sequence."""
         if self.order is None:
             return rules.legal(self.grid, 0, self.acts[0])
         _, applied = rules.tick(self.grid, [(car, int(act)) for car, act in enumerate(self.acts)])
@@ -131,7 +129,7 @@ class Situation:
 
     @cached_property
     def why_nothing(self) -> str:
-        """Why nothing is intended where the rules forbid it; empty where something is."""
+        """The reason why a forbidden action has no intended effect; empty if it has one."""
         if self.order is not None:
             return "several cars are to act"
         try:
@@ -141,7 +139,7 @@ class Situation:
         return ""
 
     def steps(self, legal: bool = True) -> tuple[Step, ...]:
-        """Return what is to be done; a forbidden action goes with its intended world."""
+        """Return the steps of the trial; a forbidden action has its intended world as goal."""
         if self.order is not None:
             return (Step.joint(0, list(enumerate(self.acts)), order=self.order),)
         goal = None if legal else intended(self.grid, 0, self.acts[0])
@@ -150,17 +148,17 @@ class Situation:
 
 _MOVES: Final = {way: action for action, way in MOVE_DIRECTION.items()}
 
-# What a forbidden action would have done, had the rules allowed it.
+# The intended effect of a forbidden action.
 _LEVEL: Final = (Kind.GROUND, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE)
-"""What has a level top at the height of the next floor, whether the rules let anything stand on it or not."""
+"""Kinds with a flat top at the height of the next level."""
 _ROOMY: Final = (Kind.AIR, Kind.GEAR, Kind.FOOT)
-"""What leaves room for a carried thing in its cell, as far as cells can tell."""
+"""Kinds that leave room for a load in their cell."""
 
 
 def intended(grid: Grid, car: int, action: Action) -> Grid:
-    """Return the world that an action leads to by the effects of the physical rules, whether it is legal or not.
+    """Return the grid after an action by the effects of the physical rules, legal or not.
 
-    Raises ImpossibleError where there is nothing to do, no room for what would be there, or no such state.
+    Raises ImpossibleError if the action has no effect, or the grid after it cannot exist.
     """
     if nothing := ACTIONS[action].nothing_to_try(grid, car):
         raise ImpossibleError(nothing)
@@ -174,7 +172,7 @@ def intended(grid: Grid, car: int, action: Action) -> Grid:
 
 
 def _check_target(grid: Grid, cell: Cell, load: Kind) -> None:
-    """Raise ImpossibleError where a move leads to no place for the car and its load."""
+    """Raise ImpossibleError if the target cell has no room for the car and its load."""
     there = _kind_at(grid, cell)
     if there == Kind.WALL:
         raise ImpossibleError("a wall is there")
@@ -185,7 +183,7 @@ def _check_target(grid: Grid, cell: Cell, load: Kind) -> None:
 
 
 def _check_state(grid: Grid, car: int) -> None:
-    """Raise ImpossibleError where the rules have no such state of a car."""
+    """Raise ImpossibleError for a state of a car that the rules do not have."""
     x, y, z, yaw, load, load_yaw, slope = (int(v) for v in grid.cars[car])
     here, below = _kind_at(grid, (x, y, z)), _kind_at(grid, (x, y, z - 1))
     off_slope = (slope == 1) != (here == Kind.FOOT) or (slope == 2) != (below == Kind.BODY)
@@ -200,7 +198,7 @@ def _check_state(grid: Grid, car: int) -> None:
 
 
 def _kind_at(grid: Grid, cell: Cell) -> Kind:
-    """Return what is in a cell, above the map nothing; raise ImpossibleError beside it."""
+    """Return the kind in a cell, AIR above the map. Raises ImpossibleError for a cell beside the map."""
     (x, y, z), (length, width, height) = cell, grid.kind.shape
     if not (0 <= x < length and 0 <= y < width):
         raise ImpossibleError("the map ends there")
@@ -208,17 +206,17 @@ def _kind_at(grid: Grid, cell: Cell) -> Kind:
 
 
 _SIZE: Final = (8, 7, 4)
-"""Of the map of a scene."""
+"""Size of the map of a scene."""
 _CAR: Final = re.compile(r"(\d+,\d+,\d+) (..)(?: (block|flag|fslope)([+-][xy])?)?(?: (low|high))?")
 
 
 def shipped(name: str) -> Any:
-    """Return what a YAML file of ``craftsim/data`` holds."""
+    """Return the content of a YAML file of ``craftsim/data``."""
     return yaml.safe_load(files("craftsim.data").joinpath(name).read_text(encoding="utf-8"))
 
 
 def _scenes() -> Iterator[Situation]:
-    """Yield what ``craftsim/data/scenes.yaml`` describes."""
+    """Yield the scenes of ``craftsim/data/scenes.yaml``."""
     for group in shipped("scenes.yaml"):
         for shared, (name, own) in product(group.get("each", [{}]), group["scenes"].items()):
             said = (group, shared, own)
@@ -257,4 +255,4 @@ def _car(text: str) -> CarRow:
 
 
 SCENES: Final = tuple(_scenes())
-"""Situations that take more than one car, or more than varies for one: drawn by hand, each for a suspect rule."""
+"""Hand-drawn situations, each for a suspected rule: several cars, or properties outside the survey."""

@@ -1,8 +1,7 @@
-"""Every situation of one car, found by walking the product of what can differ.
+"""All situations of one car: the product of all properties.
 
-Nothing is listed by hand. Each combination of properties is built as the smallest world that has them; what cannot be
-built cannot exist, and what a rule set forbids there is kept apart. The car stands in cell (0, 0) of its level and
-heads +x, so that every yaw and direction here is relative to its own.
+Each combination is built as the smallest world with these properties, and dropped if that is impossible. The car is in
+cell (0, 0) of its level and heads +x, so that all yaws and directions are relative to its heading.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ GROUNDS: Final = {
     "low-down": (1, FORWARD),
     "high-down": (2, FORWARD),
 }
-"""What a car can stand on: the half of a slope (0 none, 1 lower, 2 upper), and where downhill is."""
+"""Grounds of a car: the half of a slope (0 none, 1 lower, 2 upper), and the downhill direction."""
 LEVELS: Final = ("1", "2", "3")
 LOADS: Final = {"none": Kind.AIR, "block": Kind.BLOCK, "flag": Kind.FLAG, "fslope": Kind.FSLOPE}
 
 
 def _things(*kinds: Kind) -> dict[str, tuple[Kind, int]]:
-    """Return what can be in a cell by its word: the kind, and the yaw relative to the car's heading."""
+    """Return possible contents of a cell by name: kind, and yaw relative to the car's heading."""
     found: dict[str, tuple[Kind, int]] = {}
     for kind in kinds:
         name = kind.name.lower()
@@ -47,21 +46,21 @@ def _things(*kinds: Kind) -> dict[str, tuple[Kind, int]]:
 _OWN: Final = _things(Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.GEAR, Kind.FOOT)
 _AHEAD: Final = _OWN | _things(Kind.WALL)
 _BELOW: Final = {f"above-{word}": thing for word, thing in _things(Kind.BODY).items()}
-"""A slope in the cell below the next, which is free: the way down."""
+"""Slopes in the cell below the free target cell: a way down."""
 _OVER: Final = _things(Kind.AIR, Kind.BLOCK, Kind.FLAG, Kind.GEAR)
 _FIRST_PART: Final = {second: first for first, second in SECOND_PART.items()}
 _STANDS_ON: Final = (Kind.WALL, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY, Kind.FOOT)
-"""What needs a floor or a block below it; a gear hangs on its slope."""
+"""Kinds that need ground or a block below them; a gear hangs on its slope."""
 
 
 def acts() -> dict[str, tuple[ActionSpec, int | None]]:
-    """Return what one car can do by its word: the row of the table of actions, and of a move the direction."""
+    """Return the actions of one car by name: the row of the table of actions, and the direction of a move."""
     return _acts(tuple(map(id, ACTIONS.values())))
 
 
 @lru_cache(maxsize=1)
 def _acts(_: tuple[int, ...]) -> dict[str, tuple[ActionSpec, int | None]]:
-    """Return the same for a table of actions, by the identities of its rows."""
+    """Return the same, cached for a table of actions by the identities of its rows."""
     found: dict[str, tuple[ActionSpec, int | None]] = {}
     for spec in (spec for spec in ACTIONS.values() if spec.performed):
         for way in spec.ahead or (None,):
@@ -71,8 +70,7 @@ def _acts(_: tuple[int, ...]) -> dict[str, tuple[ActionSpec, int | None]]:
 
 
 def row_of(said: Mapping[str, Any]) -> Row:
-    """Return the row that a file of situations describes: a scene, or a car on the floor with nothing around, but for
-    what is said."""
+    """Return the row of an entry in a file: a scene, or a car on the floor with nothing around except what is given."""
     words: dict[str, Any] = {name: str(word) for name, word in said.items()}
     words |= {"then": tuple(said.get("then", ()))}
     if "scene" in words:
@@ -83,12 +81,12 @@ def row_of(said: Mapping[str, Any]) -> Row:
 
 
 def situation_of(row: Row, rule_set: RuleSet, forbidden: bool = False) -> Situation:
-    """Return the situation of a car with these properties.
+    """Return the situation with these properties.
 
     Args:
         row: its properties.
-        rule_set: by which the action is legal there.
-        forbidden: return that of an action that is not legal, too.
+        rule_set: the rule set that allows the action.
+        forbidden: whether the action may be forbidden.
 
     Raises:
         CraftsimError: there is no such situation.
@@ -110,9 +108,9 @@ def situation_of(row: Row, rule_set: RuleSet, forbidden: bool = False) -> Situat
 
 
 def survey(rule_set: RuleSet = "physical", of: tuple[str, ...] = ()) -> tuple[tuple[Situation, bool], ...]:
-    """Return every situation of these verbs, or of all, and whether a rule set allows the action there.
+    """Return the situations of these verbs, or of all, each with whether the rule set allows the action.
 
-    Those in which it is forbidden are all with room.
+    Forbidden ones are only those with free neighbour cells.
     """
     parts = [_survey(rule_set, verb) for verb in verbs() if not of or verb in of]
     allowed = [(one, True) for part, _ in parts for one in part]
@@ -121,7 +119,7 @@ def survey(rule_set: RuleSet = "physical", of: tuple[str, ...] = ()) -> tuple[tu
 
 @cache
 def _survey(rule_set: RuleSet, verb: str) -> tuple[list[Situation], list[Situation]]:
-    """Return the situations of a verb that are allowed, and those with room that are not."""
+    """Return the allowed situations of a verb, and the forbidden ones with free neighbour cells."""
     rules = Rules(rule_set)
     allowed, illegal = list[Situation](), list[Situation]()
     for found in _roomy(verb):
@@ -135,7 +133,7 @@ def _survey(rule_set: RuleSet, verb: str) -> tuple[list[Situation], list[Situati
 
 @cache
 def _roomy(verb: str) -> list[Situation]:
-    """Return every combination of what matters to a verb that can exist, with room; kept for both rule sets."""
+    """Return all possible situations of a verb with free neighbour cells; cached for all rule sets."""
     found, inner = [], list(_inner(verb))
     for ground, own, load in product(GROUNDS, _OWN, LOADS):
         with suppress(ImpossibleError):
@@ -148,7 +146,7 @@ def _roomy(verb: str) -> list[Situation]:
 
 
 def _inner(verb: str) -> Iterator[Row]:
-    """Yield the combinations of direction, next, level, over and beyond that a verb depends on, in a fixed order."""
+    """Yield the combinations of direction, next, level, over and beyond for a verb, in a fixed order."""
     for action, (spec, way) in acts().items():
         if spec.verb != verb:
             continue
@@ -161,7 +159,7 @@ def _inner(verb: str) -> Iterator[Row]:
 
 
 def _situation(row: Row, world: Builder) -> Situation:
-    """Return a situation in its smallest world, with a column of room round all that matters."""
+    """Return a situation in its smallest world, with a free margin of one column."""
     level = int(row.level)
     around = ((2, 0, level), (0, 2, level), (-2, 0, level), (0, -2, level))
     xs, ys, zs = zip(*world.cells, *around, strict=True)
@@ -172,7 +170,7 @@ def _situation(row: Row, world: Builder) -> Situation:
 
 
 def _action(word: str) -> Action:
-    """Return the action of a car that heads +x."""
+    """Return an action by name, for a car that heads +x."""
     spec, way = acts()[word]
     return next(
         action
@@ -182,9 +180,9 @@ def _action(word: str) -> Action:
 
 
 def _built(row: Row) -> Builder:
-    """Build a situation without its tight neighbours.
+    """Return the world of a situation with free neighbour cells.
 
-    Raises ImpossibleError where two of its properties exclude each other.
+    Raises ImpossibleError if its properties exclude each other.
     """
     own: Cell = (0, 0, int(row.level))
     spec, way = acts()[row.action]
@@ -204,7 +202,7 @@ def _built(row: Row) -> Builder:
 
 
 def _claim(world: Builder, thing: tuple[Kind, int], cell: Cell) -> None:
-    """Claim the cell of a thing; a gear or a foot comes with the slope that it is the second part of."""
+    """Claim the cells of a thing; a gear or a foot comes with its slope."""
     kind, yaw = thing
     if kind in _FIRST_PART:
         kind, cell = _FIRST_PART[kind], beside(cell, yaw + 2)
@@ -212,7 +210,7 @@ def _claim(world: Builder, thing: tuple[Kind, int], cell: Cell) -> None:
 
 
 def _check_car(ground: str, own: str, load: str) -> None:
-    """Raise ImpossibleError where a car cannot stand like that: checked first, since it rules out most."""
+    """Raise ImpossibleError if a car cannot stand there; checked first, since this excludes most combinations."""
     (half, downhill), (kind, yaw) = GROUNDS[ground], _OWN[own]
     if half == 1 and (kind, yaw) != (Kind.FOOT, downhill):
         raise ImpossibleError("a car on a lower half is in the cell of its foot")
@@ -230,10 +228,9 @@ def _check_car(ground: str, own: str, load: str) -> None:
 
 @lru_cache(maxsize=256)
 def _ground(ground: str, word: str, load: str, own: Cell, way: int | None) -> Builder:
-    """Return what the car stands on and under, before a move in a direction; half of a slope comes with a block behind
-    it.
+    """Return the world below and above the car before a move in a direction; a slope comes with a block behind it.
 
-    Raises ImpossibleError where a car cannot stand like that.
+    Raises ImpossibleError if a car cannot stand there.
     """
     _check_car(ground, word, load)
     world, (half, downhill) = Builder(), GROUNDS[ground]
@@ -266,7 +263,7 @@ def _build_ramp(world: Builder, half: int, downhill: int, own: Cell, way: int | 
 
 
 def _build_next(world: Builder, row: Row, own: Cell, way: int) -> None:
-    """Build what is in the cell that a move goes to."""
+    """Add the content of a move's target cell."""
     cell, (half, downhill) = beside(own, way), GROUNDS[row.ground]
     if row.next in _BELOW:
         kind, yaw = _BELOW[row.next]
@@ -290,7 +287,7 @@ def _build_next(world: Builder, row: Row, own: Cell, way: int) -> None:
 
 
 def _over(row: Row, own: Cell, spec: ActionSpec, way: int | None) -> Cell:
-    """Return the cell that something stands or hangs in, over what the action is about."""
+    """Return the cell of the property ``over``."""
     x, y, z = own
     if way is None:
         return x, y, z + 1
@@ -309,8 +306,8 @@ def _over(row: Row, own: Cell, spec: ActionSpec, way: int | None) -> Cell:
 
 
 def _tight(row: Row, world: Builder, rules: Rules) -> Situation | None:
-    """Return a situation with the neighbour cells filled with blocks, one after the other while the action stays legal;
-    None where none can be."""
+    """Return the situation with neighbour cells filled with blocks, in turn while the action stays legal; None if no
+    cell can be filled."""
     filled, roomy, columns = world.copy(), world.copy(), _fillable(row, world)
     roomy.cells = dict.fromkeys(chain.from_iterable(columns), (Kind.AIR, 0)) | world.cells
     tried = _situation(row, roomy)
@@ -328,9 +325,9 @@ def _tight(row: Row, world: Builder, rules: Rules) -> Situation | None:
 
 
 def _fillable(row: Row, world: Builder) -> list[tuple[Cell, ...]]:
-    """Return the columns of blocks, one a neighbour cell, that would leave only the clearance beside the way.
+    """Return the columns of blocks that can fill neighbour cells of the path.
 
-    Neighbours are the cells round the own one and, for a move, round the target, on the car's level there.
+    Neighbours are the cells around the own one and, for a move, around the target, on the car's level there.
     """
     own: Cell = (0, 0, int(row.level))
     (spec, way), (half, downhill) = acts()[row.action], GROUNDS[row.ground]
@@ -354,12 +351,12 @@ def _fillable(row: Row, world: Builder) -> list[tuple[Cell, ...]]:
 
 
 def counted_row(row: Row, legal: bool) -> Row:
-    """Return the row that a situation counts in: the first of its own and its mirror image's, with what is merged.
+    """Return the row in which a situation is counted.
 
-    Merged are: mirror images, for the machines are alike left and right; levels 2 and 3, which both stand on blocks; a
-    flag with a block, which have one shape and mass; and from which side a gear hangs in the car's own cell, where it
-    does not reach the car. Where an action is forbidden, it counts as one, too, from which side a gear hangs overhead,
-    and for a move that is not forward what is overhead at all, since it does not get there.
+    Merged are mirror images, since the machines are symmetric; levels 2 and 3, which are both on blocks; flag and
+    block, which have the same shape and mass; and the directions of a gear in the car's own cell, where it does not
+    reach the car. For forbidden actions also the directions of a gear overhead, and for moves that are not forward
+    everything overhead, since the car does not get there.
     """
     return min((_merged(one, legal) for one in (row, _mirrored(row))), key=str)
 
@@ -390,5 +387,5 @@ def _mirror_words(actions: tuple[str, ...]) -> dict[Any, str]:
 
 
 def _reworded(row: Row, words: Mapping[Any, Any]) -> Row:
-    """Return a row in other words, where there are such."""
+    """Return a row with some words replaced."""
     return Row(*(words.get(word, word) for word in row))

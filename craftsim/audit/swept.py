@@ -1,4 +1,4 @@
-"""Swept volumes: the convex solids that collide in physics, those of a part on its way, and how far two sets are apart.
+"""Swept volumes of actions, made of the convex solids that collide in physics, and distances between them.
 
 The solids come from the same compiled models as physics; python-fcl measures distances.
 """
@@ -30,48 +30,15 @@ Pose = NDArray[np.float64]
 """(4, 4): a homogeneous transform, metres."""
 
 _TOUCHING_M: Final = 1e-7
-"""Closer than this, solids count as touching."""
+"""Solids that are closer count as touching."""
 _DEEP_M: Final = 0.02
-"""What overlaps deeper is not searched for the place where it is deepest."""
+"""For deeper overlaps the deepest pair is not searched."""
 _GRAIN_M: Final = 0.0005
-"""Between points of the surface: the axles' height is good to 0.01 mm."""
+"""Distance between points of the surface; the error of the axles' height is 0.01 mm."""
 _STEP_RAD: Final = math.radians(3)
 """A chord of this angle lies 0.08 mm inside the arc of a turning load's corner, 0.1 mm inside the flap lip's."""
 _STEP_M: Final = 0.01
-"""On a ramp."""
-
-
-class Solid(NamedTuple):
-    """One convex solid of a part."""
-
-    name: str
-    points: NDArray[np.float64]
-    """(n, 3) corners in the part's frame, its joint at zero; curved faces have corners on them."""
-    jointed: bool
-    """Whether the part's own joint moves it: a car's board, a slope's flap."""
-
-
-class CollisionShape(NamedTuple):
-    """The solids of a part, and the joint that moves some of them."""
-
-    solids: tuple[Solid, ...]
-    hinge: bool = False
-    """Whether the joint turns; else it slides."""
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    anchor: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def joint(self, position: float) -> Pose:
-        """Return how the joint moves its solids at a position in metres or radians."""
-        if self.hinge:
-            turn: Pose = trimesh.transformations.rotation_matrix(position, self.axis, self.anchor)
-            return turn
-        slide: Pose = trimesh.transformations.translation_matrix(position * np.array(self.axis))
-        return slide
-
-    def posed(self, pose: Pose, joint: float) -> list[NDArray[np.float64]]:
-        """Return the corners of each solid in the world, for a part at this pose with its joint at this position."""
-        moved = pose @ self.joint(joint)
-        return [trimesh.transform_points(s.points, moved if s.jointed else pose) for s in self.solids]
+"""Step of a car on a ramp."""
 
 
 def pose_of(placement: Placement) -> Pose:
@@ -82,33 +49,34 @@ def pose_of(placement: Placement) -> Pose:
 
 
 @lru_cache(maxsize=64)
-def shape_of(kind: str, machines: Machines) -> CollisionShape:
-    """Return the solids of a part: smartcar, block, flag, slope or wall.
+def _model(kind: str, machines: Machines) -> mujoco.MjModel:
+    """Return the model of a part: smartcar, block, flag, slope or wall; a car is the first of the machines'."""
+    return machine_spec(kind, machines, visual=False).compile()
 
-    A wheel is the cylinder round its rollers. Visual geometry is left out, and a car is the first of the machines'.
+
+@lru_cache(maxsize=512)
+def solids_of(kind: str, machines: Machines, joint: float) -> dict[str, NDArray[np.float64]]:
+    """Return the corners (n, 3) of each solid of a part by name, in the part's frame.
+
+    ``joint`` is the position of its own joint, a car's board or a slope's hinge. Visual geometry is left out. A wheel
+    is the cylinder round its rollers; curved faces have corners on them.
     """
-    model = machine_spec(kind, machines, visual=False).compile()
+    model = _model(kind, machines)
     data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    for own in (model.joint(number) for number in range(model.njnt)):
+        if own.name in ("board", "hinge"):
+            data.qpos[own.qposadr] = joint
+    mujoco.mj_kinematics(model, data)
     root = model.body(kind).id
     base = np.linalg.inv(_transform(data.xpos[root], data.xmat[root]))
-    own = [j for j in range(model.njnt) if model.joint(j).name in ("board", "hinge")]
-    solids = []
+    solids = {}
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
         touches = model.geom_contype[geom] or model.geom_conaffinity[geom]
-        if not (body and touches) or model.body(body).name.startswith("roller_"):
-            continue
-        pose = base @ _transform(data.geom_xpos[geom], data.geom_xmat[geom])
-        points = trimesh.transform_points(_mesh(model, geom).vertices, pose)
-        jointed = any(model.jnt_bodyid[j] == body for j in own)
-        solids.append(Solid(model.geom(geom).name, points, jointed))
-    if not own:
-        return CollisionShape(tuple(solids))
-    hinge = model.jnt_type[own[0]] == mujoco.mjtJoint.mjJNT_HINGE
-    axis = base[:3, :3] @ data.xaxis[own[0]]
-    anchor = trimesh.transform_points(data.xanchor[own], base)[0]
-    return CollisionShape(tuple(solids), bool(hinge), tuple(axis), tuple(anchor))
+        if body and touches and not model.body(body).name.startswith("roller_"):
+            pose = base @ _transform(data.geom_xpos[geom], data.geom_xmat[geom])
+            solids[model.geom(geom).name] = trimesh.transform_points(_mesh(model, geom).vertices, pose)
+    return solids
 
 
 def _transform(position: NDArray[np.float64], rotation: NDArray[np.float64]) -> Pose:
@@ -138,10 +106,10 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
 
 
 class Clearance(NamedTuple):
-    """How far two sets of solids are apart, and which of them are closest."""
+    """Distance of two sets of solids, and the closest pair."""
 
     distance_m: float
-    """Negative: by so much the deepest pair overlaps, or one that overlaps by more than 20 mm."""
+    """Negative for an overlap: that of the deepest pair, or of one that overlaps by more than 20 mm."""
     mine: str
     theirs: str
 
@@ -150,7 +118,7 @@ class Convex:
     """One convex solid in the world."""
 
     def __init__(self, name: str, points: NDArray[np.float64]) -> None:
-        """Take a name and (n, 3) points, whose convex hull it is."""
+        """Make the convex hull of (n, 3) points."""
         self.name, self.points = name, points
 
     @cached_property
@@ -159,12 +127,12 @@ class Convex:
 
     @cached_property
     def corners(self) -> NDArray[np.float64]:
-        """(m, 3): the points that are corners of the hull."""
+        """(m, 3): corners of the hull."""
         return np.ascontiguousarray(self.points[self._hull.vertices])
 
     @cached_property
     def shape(self) -> Any:
-        """The same for python-fcl."""
+        """The hull for python-fcl."""
         number = np.zeros(len(self.points), int)
         number[self._hull.vertices] = np.arange(len(self.corners))
         faces = np.insert(number[self._hull.simplices], 0, 3, axis=1)
@@ -172,10 +140,10 @@ class Convex:
 
 
 class Solids:
-    """Convex solids that count as one thing."""
+    """A set of convex solids."""
 
     def __init__(self, pieces: Sequence[Convex]) -> None:
-        """Take the pieces, at least one."""
+        """Make a set of at least one piece."""
         self.pieces = tuple(pieces)
         self.boxes = np.array([(p.points.min(axis=0), p.points.max(axis=0)) for p in self.pieces])
         """(n, 2, 3): lowest and highest corner of each piece."""
@@ -184,8 +152,7 @@ class Solids:
     def clearance(
         self, other: Solids, within_m: float, shift: NDArray[np.float64] | None = None
     ) -> Clearance | None:
-        """Return how far another set is, moved by ``shift``; None where it is further than ``within_m``,
-        which may be negative."""
+        """Return the distance of another set, moved by ``shift``; None if above ``within_m``, which may be negative."""
         by = np.zeros(3) if shift is None else shift
         if _bounds(self.box[None], other.box[None] + by)[0, 0] > within_m:
             return None
@@ -219,40 +186,35 @@ def _distance(a: Convex, b: Convex, shift: NDArray[np.float64]) -> float:
 
 
 def _bounds(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n, m): what the signed distance of solids in these boxes is not below."""
+    """Return (n, m) lower bounds of the signed distances of solids in these boxes."""
     apart = np.maximum(a[:, None, 0] - b[None, :, 1], b[None, :, 0] - a[:, None, 1])
     outside = np.linalg.norm(np.maximum(apart, 0.0), axis=2)
     return np.where(outside > 0.0, outside, apart.max(axis=2))
 
 
 def convexes_of(placement: Placement, machines: Machines) -> list[Convex]:
-    """Return the solids of a part where it stands."""
-    shape = shape_of(placement.kind, machines)
-    points = shape.posed(pose_of(placement), placement.joint)
+    """Return the solids of a placed part."""
+    solids, pose = solids_of(placement.kind, machines, placement.joint), pose_of(placement)
     return [
-        Convex(f"{placement.kind} {solid.name}", corners)
-        for solid, corners in zip(shape.solids, points, strict=True)
+        Convex(f"{placement.kind} {name}", trimesh.transform_points(points, pose))
+        for name, points in solids.items()
     ]
 
 
 def sweep(situation: Situation, machines: Machines) -> Solids:
-    """Return the volume that the moving solids of a bare situation sweep: convex hulls of consecutive poses.
-
-    What does not move is left out: a car that folds, the base of its slope.
-    """
+    """Return the swept volume of a bare situation: convex hulls of the moving solids at consecutive poses."""
     pieces = []
     for kind, poses, joints in _tracks(situation, machines):
-        shape = shape_of(kind, machines)
-        corners = [shape.posed(p, j) for p, j in zip(poses, joints, strict=True)]
-        for number, solid in enumerate(shape.solids):
-            path = [points[number] for points in corners]
+        posed = [(solids_of(kind, machines, joint), pose) for pose, joint in zip(poses, joints, strict=True)]
+        for name in posed[0][0]:
+            path = [trimesh.transform_points(solids[name], pose) for solids, pose in posed]
             if not all(np.allclose(points, path[0]) for points in path):
-                pieces += [Convex(f"{kind} {solid.name}", np.vstack(pair)) for pair in pairwise(path)]
+                pieces += [Convex(f"{kind} {name}", np.vstack(pair)) for pair in pairwise(path)]
     return Solids(pieces)
 
 
 _Track = tuple[str, list[Pose], list[float]]
-"""A part on its way: its kind, and at each sample its pose and the position of its joint."""
+"""Path of a part: its kind, and its pose and joint position at each sample."""
 
 
 def _tracks(situation: Situation, machines: Machines) -> list[_Track]:
@@ -274,7 +236,7 @@ def _tracks(situation: Situation, machines: Machines) -> list[_Track]:
 
 
 def _lifted(grid: Grid, machines: Machines) -> list[_Track]:
-    """Return the board and the load on their way up; down it is the same."""
+    """Return the paths of board and load upwards; downwards they are the same."""
     car, *_ = cars = grid.cars.tolist()
     kind = Kind(car[CarField.LOAD] or grid.kind[tuple(car[: CarField.YAW])])
     yaw = (car[CarField.YAW] + 2) % 4 if kind == Kind.FSLOPE else 0
@@ -315,13 +277,13 @@ def poses_along(
     stations: NDArray[np.float64],
     car: SmartcarParameters,
 ) -> list[Pose]:
-    """Return the poses of a car that heads +x at these stations.
+    """Return the poses of a car with heading +x at these stations.
 
     Args:
-        ramp: x at which the incline begins and ends, metres.
-        heights: of the surface before and after it.
-        stations: (n,) x of its frame, metres: the point of the surface below the middle between the axles.
-        car: whose wheels roll there.
+        ramp: x of the begin and end of the incline, metres.
+        heights: heights of the surface before and after it.
+        stations: (n,) x of its frame, which is below the middle between the axles, metres.
+        car: its wheel geometry.
     """
     reach = car.wheel_x_m + car.wheel_radius_m + CELL_PITCH_M
     xs = np.arange(stations.min() - reach, stations.max() + reach, _GRAIN_M)
@@ -335,7 +297,7 @@ def poses_along(
 
 
 def _pose(x: float, xs: NDArray[np.float64], axle: NDArray[np.float64], car: SmartcarParameters) -> Pose:
-    """Return the pose with the frame at x, both axles as high as the wheels there have to be."""
+    """Return the pose with the frame at x and both axles at their heights."""
     pitch = 0.0
     for _ in range(20):
         half, middle = car.wheel_x_m * math.cos(pitch), x - car.wheel_radius_m * math.sin(pitch)

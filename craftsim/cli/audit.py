@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from operator import itemgetter
 from pathlib import Path
@@ -13,14 +12,24 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
 
-from craftsim.choices import Drive, RuleSet
+from craftsim.choices import RuleSet
 from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, counting_kinds, without_error
 from craftsim.errors import CraftsimError, InputError, suggestion
-from craftsim.options import Dir, File, OptionalDir, Physics, Randomize, Record, Shown, Trials, number
-from craftsim.reports.report import Column, DataTable, Headline, KeyFigure, Report, Section, Tone, count
+from craftsim.options import Dir, File, OptionalDir, Physics, Record, Shown, Trials, own_defaults
+from craftsim.reports.report import (
+    Column,
+    DataTable,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    count,
+    numbers,
+)
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import RUNS, TRIAL_COUNT
+from craftsim.storage.limits import RUNS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -39,44 +48,16 @@ SHOWN: Final = 3
 """Mismatches with CraftEnv that are drawn."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class AuditedPhysics(Physics):
-    """Physics in which CraftEnv's own rules are audited."""
-
-    rules: RuleSet = "published"
-
-
-@dataclass(frozen=True, kw_only=True)
-class AuditTrials(Trials):
-    """The trials of a row that make its verdict final."""
-
-    trials: Annotated[int, number(TRIAL_COUNT)] = 20
-
-
-@dataclass(frozen=True, kw_only=True)
-class MarginPhysics(Physics):
-    """Physics from which one imperfection after the other grows."""
-
-    randomize: Annotated[Randomize, Parameter(alias="--level", metavar="LEVEL|NAME|FILE")] = "none"
-    drive: Drive | None = "reduced"
-
-
-@dataclass(frozen=True, kw_only=True)
-class MarginTrials(Trials):
-    """Trials that must all succeed, so that 95 % of all worlds do with 95 % confidence."""
-
-    trials: Annotated[int, number(TRIAL_COUNT)] = 59
-
-
 @owning
+@own_defaults
 def audit(
     *,
     actions: Actions = (),
     situations: Situations = "*",
     only: Literal["all", "legal", "forbidden"] = "all",
     quick: bool = False,
-    physics: AuditedPhysics = AuditedPhysics(),
-    campaign: AuditTrials = AuditTrials(),
+    physics: Physics = Physics(rules="published"),  # noqa: B008
+    campaign: Trials = Trials(trials=20),  # noqa: B008
     record: Record = "none",
     video: Shown = False,
     minimize: Shown = False,
@@ -152,14 +133,15 @@ def _chosen(plan: Sequence[PlanRow], contexts: str, only: str) -> list[PlanRow]:
 
 
 @owning
+@own_defaults
 def margins(
     imperfections: Annotated[tuple[str, ...], Parameter(metavar="IMPERFECTION")] = (),
     *,
     situations: Situations = "*",
     pair: Annotated[tuple[str, str] | None, Parameter(name="--map", metavar="A B")] = None,
     quick: bool = False,
-    physics: MarginPhysics = MarginPhysics(),
-    campaign: MarginTrials = MarginTrials(),
+    physics: Physics = Physics(randomize="none", drive="reduced"),  # noqa: B008
+    campaign: Trials = Trials(trials=59),  # noqa: B008
     out: Dir = Path("out/margins"),
 ) -> int:
     """Search the largest value of each imperfection at which every action still works.
@@ -355,7 +337,7 @@ def _compared(checker: Checker) -> Iterable[Section]:
         (what, n, checker.mismatches[what]) for what, n in checker.checks.items()
     ]
     tables = [
-        DataTable((Column(first), *(Column(name, "number") for name in heads)), rows, title)
+        DataTable(numbers(first, *heads), rows, title)
         for title, first, heads, rows in (
             ("By action", "action", ("taken", "legal", "mismatches"), [r for r in by_action if any(r[1:])]),
             ("By check", "compared", ("checks", "mismatches"), by_check),

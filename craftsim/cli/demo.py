@@ -96,8 +96,7 @@ def demo(
         config |= done[0].files
     wall = {"total_s": time.perf_counter() - started}
     written = document(figures, command="demo", seed=physics.seed, config=config, wall=wall)
-    about = (physics.seed, config)
-    return demo_report(done, command_again(), about, written, films).publish(out)
+    return demo_report(done, command_again(), written, films).publish(out)
 
 
 def _telling(tell: Callable[[Any], None]) -> Callable[[Any], Callable[[Iterable[Any]], None]]:

@@ -26,22 +26,32 @@ DEFAULTS: Final[dict[str, dict[str, str]]] = {
     "plot": {"--out": "out/plots/"},
 }
 """Former defaults that differ from the present ones."""
+NO_OPTION: Final = "no option"
+"""Stands for the words before all options."""
+DEFAULT: Final = "the default"
+"""Stands for an option that is dropped."""
+HIDDEN: Final = {
+    word: new
+    for flag in ("ghost", "captions", "cards")
+    for word, new in ((f"--{flag}", DEFAULT), (f"--no-{flag}", f"--hide {flag}"))
+}
+"""Former flags of render and plot, now values of --hide."""
 OPTIONS: Final[dict[str, dict[str, str]]] = {
     "": {"--against": "--baseline", "--shrink": "--minimize", "--parameters": "--machines"},
     "build": {"--rounds": "--attempts"},
     "plan": {"--rounds": "--attempts", "--time": "--time-limit"},
     "demo": {"--timeout-s": "--timeout", "--blueprint": "--task", "--start": "--task"},
-    "evaluate": {"--episodes": "--trials", "--task": ""},
+    "evaluate": {"--episodes": "--trials", "--task": "", NO_OPTION: "--policy"},
     "export": {"--episodes": "--trials", "--name": "--dataset"},
     "audit": {"--contexts": "--situations"},
     "margins": {"--axes": "", "--scenarios": "--situations", "--pair": "--map"},
     "robot": {"--patience-s": "--timeout", "--blueprint": "--task", "--start": "--task"},
     "excite": {"--time": "--duration"},
+    "render": HIDDEN,
+    "plot": HIDDEN,
     "show": {"--blueprint": "", "--machine": "", "--mjcf": "--export", "--urdf": "--export"},
 }
 """Present names of former options by former command, "" for all commands; an empty name is an argument."""
-HIDDEN: Final = ("ghost", "captions", "cards")
-"""Former flags of render, now values of --hide."""
 SET: Final = (
     *("worlds", "width", "network", "novelty", "explore", "imitate", "shown-share", "pretrained", "stages"),
     *("stage-steps", "acting", "drive", "randomize", "rules", "helper-depth", "cars", "blocks", "starts"),
@@ -62,13 +72,8 @@ def current(words: list[str]) -> list[str]:
     options = OPTIONS[""] | OPTIONS.get(name, {})
     if name == "train" and given[:1] != ["study"]:
         options |= {f"--{option}": "--set" for option in SET}
-    if name in ("validate", "audit", "train"):
-        given = _record_flag(given)
-    if name in ("render", "plot"):
-        given = _hidden(given)
-    if name == "evaluate":
-        given = _policies_first(given)
-    positional, given = _renamed(given, options)
+    flag = name in ("validate", "audit", "train")
+    positional, given = _renamed(given, options | ({"--record": "--record trajectory"} if flag else {}))
     defaults = [
         word
         for option, value in DEFAULTS.get(name, {}).items()
@@ -87,27 +92,32 @@ def _renamed(given: list[str], options: dict[str, str]) -> tuple[list[str], list
     positional, others = list[str](), list[str]()
     for option, values in _parts(given):
         bare, equals, value = option.partition("=")
-        negated = bare.removeprefix("--no-")
-        new = options.get(bare, options.get(f"--{negated}") if bare.startswith("--no-") else None)
-        if new is None:
-            others += [option, *values] if option else values
-            continue
+        off = bare.startswith("--no-")
+        name = bare.removeprefix("--no-").removeprefix("--")
+        new = options.get(bare, options.get(f"--{name}") if off else None)
         values = [value, *values] if equals else values
-        _tell(bare, new or "an argument")
+        valued = (name == "record" and (off or values)) or (bare in HIDDEN and equals)
+        if new is None or valued or (bare == NO_OPTION and not values):
+            others += ([] if option == NO_OPTION else [option]) + (values[1:] if equals else values)
+            continue
+        if bare != NO_OPTION:
+            _tell(bare, new or "an argument")
         if new == "":
             positional += values
         elif new == "--set":
-            what = negated.removeprefix("--").replace("-", "_")
-            said = ",".join(values) or ("false" if bare.startswith("--no-") else "true")
-            others += ["--set", f"{what}={said}"]
+            said = ",".join(values) or ("false" if off else "true")
+            others += ["--set", f"{name.replace('-', '_')}={said}"]
+        elif new != DEFAULT:
+            off = off and bare not in options
+            others += [*(new.replace("--", "--no-", 1) if off else new).split(), *values]
         else:
-            others += [new.replace("--", "--no-", 1) if bare.startswith("--no-") else new, *values]
+            others += values
     return positional, others
 
 
 def _parts(given: list[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield each option with its values; first an empty name with the words before all options."""
-    option, values = "", list[str]()
+    """Yield each option with its values, first :data:`NO_OPTION` with the words before all options."""
+    option, values = NO_OPTION, list[str]()
     for word in given:
         if word.startswith("--") and len(word) > 2:
             yield option, values
@@ -115,35 +125,3 @@ def _parts(given: list[str]) -> Iterator[tuple[str, list[str]]]:
         else:
             values.append(word)
     yield option, values
-
-
-def _record_flag(given: list[str]) -> list[str]:
-    """Return words in which --record, formerly a flag, has a value."""
-    words = list[str]()
-    for place, word in enumerate(given):
-        words.append(word)
-        alone = place + 1 == len(given) or given[place + 1].startswith("--")
-        if word == "--record" and alone:
-            _tell("--record", "--record trajectory")
-            words.append("trajectory")
-    return words
-
-
-def _hidden(given: list[str]) -> list[str]:
-    """Return words in which former flags are values of --hide."""
-    words = list[str]()
-    for word in given:
-        flag = word.removeprefix("--no-").removeprefix("--")
-        if flag not in HIDDEN or word == flag:
-            words.append(word)
-            continue
-        _tell(word, f"--hide {flag}" if word.startswith("--no-") else "the default")
-        words += ["--hide", flag] if word.startswith("--no-") else []
-    return words
-
-
-def _policies_first(given: list[str]) -> list[str]:
-    """Return words in which the policies, formerly arguments, follow --policy."""
-    (_, policies), *others = _parts(given)
-    rest = [word for option, values in others for word in (option, *values)]
-    return ["--policy", *policies, *rest] if policies else rest

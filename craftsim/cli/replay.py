@@ -57,7 +57,16 @@ def replay(
     recorded = read_bundle(bundle)
     film = out / f"{resolved(bundle).name}.mp4"
     result = film_bundle(recorded, film) if filming else run_again(recorded)
-    figures = {"bundle": bundle.name, **_figures(recorded, result)}
+    figures = {
+        "bundle": bundle.name,
+        "key": recorded.bundle.key,
+        "reproduced": result.reproduced,
+        "changed_versions": result.changed,
+        "differing": result.differing,
+        "position_m": result.position_m,
+        "angle_rad": result.angle_rad,
+        "attempts": result.attempts,
+    }
     written = document(figures, command="replay")
     files = {"Film": film} if filming else {}
     return _report(recorded, result, written, files).publish(out)
@@ -88,18 +97,6 @@ def _minimize(folder: Path, out: Path) -> int:
         document=written,
         exit_code=0 if made else 1,
     ).publish(out)
-
-
-def _figures(recorded: Recorded, result: Replay) -> dict[str, object]:
-    return {
-        "key": recorded.bundle.key,
-        "reproduced": result.reproduced,
-        "changed_versions": result.changed,
-        "differing": result.differing,
-        "position_m": result.position_m,
-        "angle_rad": result.angle_rad,
-        "attempts": result.attempts,
-    }
 
 
 def _report(recorded: Recorded, result: Replay, written: dict[str, object], files: dict[str, Path]) -> Report:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,21 +11,15 @@ from craftsim.choices import Drive
 from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, without_error
 from craftsim.cli.text import print_safe
-from craftsim.options import Dir, File, Physics, Work, number
+from craftsim.options import Dir, File, Physics, Work, number, own_defaults
 from craftsim.storage.folders import owning
 from craftsim.storage.limits import EXCITE_M, EXCITE_S, LOGGED_CARS, TRIAL_COUNT
 
 _Objective = Literal["time", "error", "margin", "energy", "force"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class TunedPhysics(Physics):
-    """Physics in which gains are tried."""
-
-    drive: Drive | None = "reduced"
-
-
 @owning
+@own_defaults
 def tune(
     subject: Literal["drive", "board", "hinge", "all"],
     *,
@@ -35,7 +28,7 @@ def tune(
     choose: Literal["knee", "time", "error", "margin", "energy", "force"] = "knee",
     evaluations: Annotated[int, number(TRIAL_COUNT)] = 400,
     trials: Annotated[int, number(TRIAL_COUNT)] = 2,
-    physics: TunedPhysics = TunedPhysics(),
+    physics: Physics = Physics(drive="reduced"),  # noqa: B008
     work: Work = Work(),  # noqa: B008
     out: Dir = Path("out/tune"),
 ) -> int:

@@ -104,17 +104,14 @@ class Records(Sequence[TrialRecord]):
 
 
 @dataclass(frozen=True)
-class _Selected:
+class Selected:
+    """A re-iterable filter of records, without keeping them in memory."""
+
     records: Iterable[TrialRecord]
     wanted: Callable[[TrialRecord], bool]
 
     def __iter__(self) -> Iterator[TrialRecord]:
         return filter(self.wanted, self.records)
-
-
-def select(records: Iterable[TrialRecord], wanted: Callable[[TrialRecord], bool]) -> Iterable[TrialRecord]:
-    """Return a re-iterable filter of some records, without keeping them in memory."""
-    return _Selected(records, wanted)
 
 
 @dataclass(frozen=True)

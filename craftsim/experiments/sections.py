@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,19 +13,8 @@ from craftsim.checking.attempt import capped_text
 from craftsim.experiments import statistics
 from craftsim.experiments.compare import Comparison, Paired
 from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, least_detectable
+from craftsim.reports import plots
 from craftsim.reports.json_file import plain, versions
-from craftsim.reports.plots import (
-    ACCENT,
-    CAUTION,
-    GOOD,
-    GRID,
-    PAPER,
-    SOFT,
-    interval_rows,
-    percent_ticks,
-    rows_height_in,
-    short,
-)
 from craftsim.reports.report import (
     SHARE,
     Block,
@@ -99,13 +87,15 @@ def success_drawing(by_verb: Mapping[str, statistics.MatrixRow]) -> Drawing:
     }
 
     def draw(axes: Axes) -> None:
-        interval_rows(axes, rows)
+        plots.interval_rows(axes, rows)
         low = min((low for _, low, _ in rows.values()), default=0.0)
         axes.set_xlim(math.floor(10 * low) / 10 - 0.02, 1.02)
-        axes.xaxis.set_major_formatter(percent_ticks)
+        axes.xaxis.set_major_formatter(plots.percent_ticks)
 
     caption = "Share of legal actions as predicted, with 95 % interval."
-    return Drawing.of_axes(draw, rows_height_in(len(rows)), caption, "success by action, with intervals")
+    return Drawing.of_axes(
+        draw, plots.rows_height_in(len(rows)), caption, "success by action, with intervals"
+    )
 
 
 def error_tables(errors: Mapping[str, int]) -> list[Block]:
@@ -145,10 +135,10 @@ def error_drawing(attempts: DataFrame) -> Drawing:
     """Return a drawing of the error distributions of the attempts as predicted."""
     found = statistics.errors(attempts)
     kinds = (
-        ("car_error_m", "car", ACCENT),
-        ("placed_error_m", "what is placed", GOOD),
-        ("height_error_m", "height", CAUTION),
-        ("bystander_displacement_m", "others moved", SOFT),
+        ("car_error_m", "car", plots.ACCENT),
+        ("placed_error_m", "what is placed", plots.GOOD),
+        ("height_error_m", "height", plots.CAUTION),
+        ("bystander_displacement_m", "others moved", plots.SOFT),
     )
 
     def draw(axes: Axes) -> None:
@@ -158,7 +148,7 @@ def error_drawing(attempts: DataFrame) -> Drawing:
         axes.set_xscale("symlog", linthresh=0.1, linscale=0.4)
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.set_xlim(left=0)
-        axes.yaxis.set_major_formatter(percent_ticks)
+        axes.yaxis.set_major_formatter(plots.percent_ticks)
         axes.set_xlabel("error, mm")
         if axes.lines:
             axes.legend(loc="lower right")
@@ -167,27 +157,29 @@ def error_drawing(attempts: DataFrame) -> Drawing:
     return Drawing.of_axes(draw, 2.9, caption, "distribution of errors")
 
 
-def duration_blocks(table: Sequence[statistics.Duration]) -> list[Block]:
+def duration_blocks(table: Sequence[Mapping[str, Any]]) -> list[Block]:
     """Return the durations of each kind of action, as a drawing and a table."""
-    rows = {duration_name(row): (row.median_s, row.p05_s, row.p95_s) for row in table}
+    named = {}
+    for row in table:
+        load, ground = (
+            "" if row["load"] == "none" else f" with {row['load']}",
+            "slope" if row["slope"] else "flat",
+        )
+        named[f"{row['verb']}{load}, {ground}, level {row['level']}"] = row
+    rows = {name: (row["median_s"], row["p05_s"], row["p95_s"]) for name, row in named.items()}
 
     def draw(axes: Axes) -> None:
-        interval_rows(axes, rows, 5)
+        plots.interval_rows(axes, rows, 5)
         axes.set_xlim(left=0)
         axes.set_xlabel("seconds")
 
     caption = "Durations of the actions as predicted: median, and 5th to 95th percentile."
+    shown = {"mean s": "mean_s", "5 %": "p05_s", "median": "median_s", "95 %": "p95_s", "longest": "max_s"}
     return [
-        Drawing.of_axes(draw, rows_height_in(len(rows), 0.23), caption, "durations by kind of action"),
+        Drawing.of_axes(draw, plots.rows_height_in(len(rows), 0.23), caption, "durations by kind of action"),
         DataTable(
-            numbers("kind of action", "n", "mean s", "5 %", "median", "95 %", "longest"),
-            [
-                (
-                    *(duration_name(row), row.n),
-                    *(f"{s:.2f}" for s in (row.mean_s, row.p05_s, row.median_s, row.p95_s, row.max_s)),
-                )
-                for row in table
-            ],
+            numbers("kind of action", "n", *shown),
+            [(name, row["n"], *(f"{row[key]:.2f}" for key in shown.values())) for name, row in named.items()],
             "Durations in seconds",
             "The same table is in durations.csv.",
             folded=True,
@@ -195,21 +187,22 @@ def duration_blocks(table: Sequence[statistics.Duration]) -> list[Block]:
     ]
 
 
-def duration_name(row: statistics.Duration) -> str:
-    """Return a kind of action in words."""
-    load = "" if row.load == "none" else f" with {row.load}"
-    return f"{row.verb}{load}, {'slope' if row.slope else 'flat'}, level {row.level}"
-
-
-def survival_section(found: Mapping[str, statistics.Survival]) -> Section:
+def survival_section(found: Mapping[str, Mapping[str, Any]]) -> Section:
     """Return a section on the survival of plans."""
 
     def draw(axes: Axes) -> None:
-        _curve(axes, found["with_resync"], GOOD, "closed loop")
-        _curve(axes, found["without_resync"], ACCENT, "open loop")
+        for name, colour, label in (
+            ("with_resync", plots.GOOD, "closed loop"),
+            ("without_resync", plots.ACCENT, "open loop"),
+        ):
+            curve = found[name]
+            steps = [0, *curve["actions"]]
+            axes.step(steps, [1.0, *curve["share"]], where="post", color=colour, lw=1.8, label=label)
+            low, high = (np.array([1.0, *curve[end]], dtype=float) for end in ("low", "high"))
+            axes.fill_between(steps, low, high, step="post", color=colour, alpha=0.16, lw=0)
         axes.set_ylim(-0.02, 1.04)
         axes.set_xlim(left=0)
-        axes.yaxis.set_major_formatter(percent_ticks)
+        axes.yaxis.set_major_formatter(plots.percent_ticks)
         axes.set_xlabel("actions carried out")
         axes.legend(loc="lower left")
 
@@ -221,33 +214,44 @@ def survival_section(found: Mapping[str, statistics.Survival]) -> Section:
     return Section("survival", "Survival", "Number of actions until a plan fails.", [drawing])
 
 
-def _curve(axes: Axes, curve: statistics.Survival, colour: str, label: str) -> None:
-    steps = [0, *curve.actions]
-    axes.step(steps, [1.0, *curve.share], where="post", color=colour, lw=1.8, label=label)
-    low, high = (np.array([1.0, *bound], dtype=float) for bound in (curve.low, curve.high))
-    axes.fill_between(steps, low, high, step="post", color=colour, alpha=0.16, lw=0)
-
-
 def policies_section(figures: statistics.Figures) -> list[Section]:
     """Return a section on the success of policies in the grid world and in physics; empty without policies."""
     scores = figures.policies
     if not scores:
         return []
-    shares = [
-        [Proportion.of(round(rate * one.episodes), one.episodes) for rate in (one.grid, one.physics)]
-        for one in scores
-    ]
     table = DataTable(
         numbers("policy", "episodes", "grid world", "95 % interval", "physics", "95 % interval"),
         [
-            (one.policy, one.episodes, *share_cells(grid), *share_cells(physics))
-            for one, (grid, physics) in zip(scores, shares, strict=True)
+            (
+                *(one["policy"], n := one["episodes"]),
+                *share_cells(Proportion.of(round(one["grid"] * n), n)),
+                *share_cells(Proportion.of(round(one["physics"] * n), n)),
+            )
+            for one in scores
         ],
         "Success",
     )
+
+    def draw(axes: Axes) -> None:
+        axes.plot((0, 1), (0, 1), color=plots.GRID, lw=1.2, zorder=1)
+        look: dict[str, Any] = {
+            "color": plots.ACCENT,
+            "ms": 8,
+            "mec": plots.PAPER,
+            "clip_on": False,
+            "zorder": 3,
+        }
+        for one, marker in zip(scores, cycle(_MARKERS)):
+            axes.plot(one["grid"], one["physics"], marker, label=plots.short(one["policy"]), **look)
+        axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), handletextpad=0.1)
+        axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
+        axes.set(xlabel="success in the grid world", ylabel="success in physics")
+        axes.xaxis.set_major_formatter(plots.percent_ticks)
+        axes.yaxis.set_major_formatter(plots.percent_ticks)
+
     caption = "Success of each policy in both worlds; on the line they agree."
     label = "success of policies in the grid world and in physics"
-    blocks: list[Block] = [Drawing.of_axes(partial(_policies, scores), 3.4, caption, label), table]
+    blocks: list[Block] = [Drawing.of_axes(draw, 3.4, caption, label), table]
     agreement = figures.rank_agreement
     if agreement is not None:
         blocks.append(
@@ -265,18 +269,6 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
         )
     lead = "Does a policy that does better in the grid world also do better in physics?"
     return [Section("policies", "Policies in both worlds", lead, blocks)]
-
-
-def _policies(scores: Sequence[statistics.PolicyScore], axes: Axes) -> None:
-    axes.plot((0, 1), (0, 1), color=GRID, lw=1.2, zorder=1)
-    look: dict[str, Any] = {"color": ACCENT, "ms": 8, "mec": PAPER, "clip_on": False, "zorder": 3}
-    for score, marker in zip(scores, cycle(_MARKERS)):
-        axes.plot(score.grid, score.physics, marker, label=short(score.policy), **look)
-    axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), handletextpad=0.1)
-    axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
-    axes.set(xlabel="success in the grid world", ylabel="success in physics")
-    axes.xaxis.set_major_formatter(percent_ticks)
-    axes.yaxis.set_major_formatter(percent_ticks)
 
 
 def estimate_cells(one: Estimate) -> tuple[Value, Value]:

@@ -26,6 +26,7 @@ from types import FrameType
 from typing import Any, Final
 
 from craftsim.errors import InputError
+from craftsim.experiments import records as store
 from craftsim.experiments.experiment import (
     Answer,
     Experiment,
@@ -38,22 +39,6 @@ from craftsim.experiments.experiment import (
     make_record,
     text_of,
 )
-from craftsim.experiments.records import (
-    DATABASE,
-    OLD,
-    TRIALS,
-    Records,
-    as_it_is,
-    checked,
-    connected,
-    differences,
-    disk_errors,
-    has_tables,
-    old_manifest,
-    stored_manifest,
-    texts,
-    with_tables,
-)
 from craftsim.reports.json_file import plain, versions, write_report
 from craftsim.storage.folders import owned, remove
 from craftsim.storage.writing import whole
@@ -62,7 +47,7 @@ from craftsim.workers.pool import Failure, Pool
 SCHEMA_VERSION: Final = 2
 ALONE: Final = RunOptions()
 """One local process, no resume."""
-_ASIDE: Final = tuple(f"{DATABASE}-{name}" for name in ("journal", "wal", "shm"))
+_ASIDE: Final = tuple(f"{store.DATABASE}-{name}" for name in ("journal", "wal", "shm"))
 _FILES: Final = ("report.json", "report.html", "durations.csv")
 _FOLDERS: Final = ("bundles", "films", "trajectories", "worlds", "smallest")
 """Further output of a run, removed when another run starts in its folder."""
@@ -85,10 +70,10 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
         raise ValueError("keys of trials must be unique")
     manifest = _manifest(experiment)
     if out is None:
-        yield Session(experiment, None, options, manifest, with_tables(connected(""), manifest))
+        yield Session(experiment, None, options, manifest, store.with_tables(store.connected(""), manifest))
         return
     with owned(out):
-        with disk_errors(out):
+        with store.disk_errors(out):
             database = _begun(experiment, out, options.resume, manifest)
             try:
                 session = Session(experiment, out, options, manifest, database)
@@ -108,7 +93,7 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
         session.close()
 
 
-def run_experiment(experiment: Experiment, out: Path, options: RunOptions = ALONE) -> Records:
+def run_experiment(experiment: Experiment, out: Path, options: RunOptions = ALONE) -> store.Records:
     """Run an experiment in a folder and return the records of its trials, see :meth:`Session.run`."""
     with open_session(experiment, out, options) as session:
         return session.run()
@@ -127,7 +112,7 @@ class Session:
     ) -> None:
         """Start from the results in a database."""
         self.experiment, self.out, self.options, self.manifest = experiment, out, options, manifest
-        self.records = Records(database, (out or Path()) / DATABASE, len(experiment.items))
+        self.records = store.Records(database, (out or Path()) / store.DATABASE, len(experiment.items))
         """Records of all trials, in their order; each can be read once its trial is done."""
         self._database, self._begun_s = database, time.perf_counter()
         self._done = bytearray(len(experiment.items))
@@ -138,7 +123,7 @@ class Session:
         if out is not None:
             self._export()
             flags = os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC
-            self._lines = os.open(out / TRIALS, flags)
+            self._lines = os.open(out / store.TRIALS, flags)
 
     @property
     def state(self) -> str:
@@ -147,7 +132,7 @@ class Session:
             return f"while {self._doing}; all trials are kept in {self.out}"
         return f"{sum(self._done)} of {len(self._done)} trials are kept in {self.out}"
 
-    def run(self) -> Records:
+    def run(self) -> store.Records:
         """Run all trials that have no result yet, and return the records of all, in the order of the trials.
 
         Each record is on disk as soon as it is known. Records depend on the experiment alone: not on the number of
@@ -252,19 +237,19 @@ class Session:
         # On a full disk what is in the log stays there for the next one to open it.
         with contextlib.suppress(sqlite3.Error):
             self._database.execute("PRAGMA journal_mode = DELETE").fetchall()
-            self.records.read_from(as_it_is(self.out / DATABASE))
+            self.records.read_from(store.as_it_is(self.out / store.DATABASE))
         self._database.close()
 
     def _keep(self, statement: str, *values: object) -> None:
         """Execute a statement in a transaction of its own."""
-        with disk_errors(self.out or Path()):
+        with store.disk_errors(self.out or Path()):
             self._database.execute(statement, values)
 
     def _append(self, text: str) -> None:
         """Append a line to ``trials.jsonl``, completely or not at all."""
         if self.out is None:
             return
-        with disk_errors(self.out):
+        with store.disk_errors(self.out):
             start, rest = os.lseek(self._lines, 0, os.SEEK_END), memoryview(f"{text}\n".encode())
             try:
                 while rest:
@@ -276,13 +261,13 @@ class Session:
     def _export(self) -> None:
         """Write ``trials.jsonl`` in the order of the trials."""
         assert self.out is not None
-        path = self.out / TRIALS
+        path = self.out / store.TRIALS
         if not any(self._done):
             path.touch()
             return
         with whole(path) as partial, partial.open("w", encoding="utf-8") as file:
             for start in range(0, len(self._done), _PAGE):
-                file.writelines(f"{text}\n" for _, text in texts(self._database, start, start + _PAGE))
+                file.writelines(f"{text}\n" for _, text in store.texts(self._database, start, start + _PAGE))
 
     def _answers(
         self, items: Iterable[tuple[int, Trial]], work: Work, timeout_s: float, batch: int
@@ -338,7 +323,7 @@ def _begun(
 ) -> sqlite3.Connection:
     """Return the locked database of a folder: a new one, or that of the run to resume."""
     _check_places(out)
-    path = out / DATABASE
+    path = out / store.DATABASE
     if path.exists():
         with contextlib.ExitStack() as opened:
             database = opened.enter_context(contextlib.closing(_locked(path)))
@@ -348,20 +333,20 @@ def _begun(
                 return _safe(database)
     # The database last, without which what is left would be a stranger's. It is a file of its own: who still reads
     # the records of the run before can read on.
-    for name in (*_FILES, *_FOLDERS, TRIALS, *_ASIDE, DATABASE):
+    for name in (*_FILES, *_FOLDERS, store.TRIALS, *_ASIDE, store.DATABASE):
         remove(out / name)
-    return with_tables(_safe(_locked(path)), manifest)
+    return store.with_tables(_safe(_locked(path)), manifest)
 
 
 def _goes_on(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any], resume: bool) -> bool:
     """Return whether to resume the run in a database; False if a new run may replace it."""
-    path = out / DATABASE
-    if not has_tables(database, path):
+    path = out / store.DATABASE
+    if not store.has_tables(database, path):
         return False
     ((kept,),) = database.execute("SELECT count(*) FROM trials")
-    there = stored_manifest(database, path)
+    there = store.stored_manifest(database, path)
     if kept and resume:
-        for key, (old, new) in differences(there, manifest):
+        for key, (old, new) in store.differences(there, manifest):
             raise InputError(
                 f"{path}: cannot go on with another run: its {key} is {reprlib.repr(old)}, not {reprlib.repr(new)}; "
                 "use the options that it was begun with, or choose another --out"
@@ -376,7 +361,7 @@ def _goes_on(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any
 
 def _locked(path: Path) -> sqlite3.Connection:
     """Return a database with an exclusive lock, taken by the first read."""
-    database = connected(path.absolute().as_uri())
+    database = store.connected(path.absolute().as_uri())
     database.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
     return database
 
@@ -391,7 +376,7 @@ def _safe(database: sqlite3.Connection) -> sqlite3.Connection:
 def _check_kept(database: sqlite3.Connection, path: Path, experiment: Experiment) -> None:
     """Check all records, and remove those with an error, whose trials are repeated."""
     wrong, items = [], experiment.items
-    for record in checked(database, path, len(items), experiment.form, "choose another --out"):
+    for record in store.checked(database, path, len(items), experiment.form, "choose another --out"):
         number, item = record["index"], items[record["index"]]
         own = make_record(item, number, Failure(""))
         if any(record[key] != own[key] for key in ("key", "group", "seed", "context", "episode")):
@@ -407,24 +392,25 @@ def _check_kept(database: sqlite3.Connection, path: Path, experiment: Experiment
 
 def _check_places(out: Path) -> None:
     """Raise InputError for foreign files in the place of a run's files."""
-    for name in (DATABASE, *_ASIDE, TRIALS, *_FILES, *_FOLDERS):
+    for name in (store.DATABASE, *_ASIDE, store.TRIALS, *_FILES, *_FOLDERS):
         path, what = out / name, "folder" if name in _FOLDERS else "regular file"
         fits = path.is_dir() if name in _FOLDERS else path.is_file()
         if os.path.lexists(path) and (path.is_symlink() or not fits):
             raise InputError(f"{path}: not a {what}; move it away, or choose another --out")
-    if (out / DATABASE).exists():
+    if (out / store.DATABASE).exists():
         return
-    if os.path.lexists(out / OLD):
+    if os.path.lexists(out / store.OLD):
+        version = store.old_manifest(out)["versions"].get("craftsim")
         raise InputError(
-            f"{out} holds a run of craftsim {reprlib.repr(old_manifest(out)['versions'].get('craftsim'))}, with which "
-            "this one cannot go on; choose another --out, or move it away (--against can still read it)"
+            f"{out} holds a run of craftsim {reprlib.repr(version)}, with which this one "
+            " cannot go on; choose another --out, or move it away (--against can still read it)"
         )
-    trials = out / TRIALS
-    strangers = [TRIALS] if trials.exists() and trials.stat().st_size else []
+    trials = out / store.TRIALS
+    strangers = [store.TRIALS] if trials.exists() and trials.stat().st_size else []
     if strangers := strangers + [name for name in (*_FILES, *_FOLDERS) if (out / name).exists()]:
         raise InputError(
-            f"{out} holds {' and '.join(strangers)}, but no {DATABASE} that says what run they are of; "
-            f"choose another --out, or move them away, or put {DATABASE} back"
+            f"{out} holds {' and '.join(strangers)}, but no {store.DATABASE} that says what run they are of; "
+            f"choose another --out, or move them away, or put {store.DATABASE} back"
         )
 
 

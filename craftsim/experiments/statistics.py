@@ -6,13 +6,11 @@ separately and enter no other metric.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, fields
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import islice, repeat, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -214,92 +212,61 @@ def as_predicted(attempts: DataFrame) -> DataFrame:
 
 _KIND: Final = ["verb", "load", "level", "slope"]
 """What has a duration of its own."""
+_DURATIONS: Final = [*_KIND, "n", "mean_s", "p05_s", "median_s", "p95_s", "max_s"]
 
 
-@dataclass(frozen=True)
-class Duration:
-    """Durations of one kind of action in seconds, over the attempts as predicted."""
+def duration_table(good: DataFrame) -> list[dict[str, Any]]:
+    """Return the durations of the attempts as predicted in seconds, a row for each kind of action, sorted.
 
-    verb: str
-    """LIFT, DROP, FOLD, UNFOLD, ROTATE_LEFT, ROTATE_RIGHT, MOVE or STOP."""
-    load: str
-    """What the car carries before: none, block, flag or fslope."""
-    level: int
-    """The car's level before."""
-    slope: bool
-    """Whether the action starts or ends on a slope."""
-    n: int
-    mean_s: float
-    p05_s: float
-    median_s: float
-    p95_s: float
-    max_s: float
-
-
-def duration_table(good: DataFrame) -> list[Duration]:
-    """Return the durations of the attempts as predicted, by kind, sorted."""
+    A kind has a ``verb``, the ``load`` and the ``level`` of the car before, and whether the action starts or ends on a
+    ``slope``; the other columns are ``n``, ``mean_s``, ``p05_s``, ``median_s``, ``p95_s`` and ``max_s``.
+    """
     rows = []
-    for (verb, load, level, slope), part in good.groupby(_KIND, observed=True):
+    for kind, part in good.groupby(_KIND, observed=True):
         seconds = part.duration_s.to_numpy()
         quantiles = np.quantile(seconds, (0.05, 0.5, 0.95, 1.0)).tolist()
-        mean_s = float(np.mean(seconds))
-        rows.append(Duration(str(verb), str(load), int(level), bool(slope), len(part), mean_s, *quantiles))
-    return rows
+        rows.append((*kind, len(seconds), float(np.mean(seconds)), *quantiles))
+    return [dict(zip(_DURATIONS, row, strict=True)) for row in rows]
 
 
-def write_durations(out: Path, table: Sequence[Duration]) -> Path:
+def write_durations(out: Path, table: Sequence[Mapping[str, Any]]) -> Path:
     """Write a table as ``durations.csv`` into the directory ``out``, made when missing, and return its path."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(field.name for field in fields(Duration))
-    writer.writerows([round(v, 4) if isinstance(v, float) else v for v in astuple(row)] for row in table)
-    return write_whole(output_directory(out) / "durations.csv", text.getvalue())
+    from pandas import DataFrame
+
+    text = DataFrame(table, columns=_DURATIONS).round(4).to_csv(index=False)
+    return write_whole(output_directory(out) / "durations.csv", text)
 
 
-@dataclass(frozen=True)
-class Survival:
-    """A Kaplan-Meier curve with its pointwise 95 % band (exponential Greenwood); all lists are of one length."""
+def survival(actions: NDArray[np.int64], ended: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return the Kaplan-Meier curve of some runs with its pointwise 95 % band (exponential Greenwood).
 
-    runs: int
-    ended: int
-    actions: list[int]
-    """Numbers of actions at which the curve steps or runs are censored."""
-    share: list[float]
-    """Share of runs that survive so many actions."""
-    low: list[float | None]
-    """None at shares of 0 and 1, where the formula has no band."""
-    high: list[float | None]
-
-
-def survival(actions: NDArray[np.int64], ended: NDArray[np.bool_]) -> Survival:
-    """Return the Kaplan-Meier curve of some runs.
+    It holds the numbers of ``runs`` and of those that ``ended``; the numbers of ``actions`` at which the curve steps or
+    runs are censored; and for each the ``share`` of runs that survive so many, with its bounds ``low`` and ``high``:
+    None at shares of 0 and 1, where the formula has no band.
 
     Args:
         actions: (n,) number of actions of each run.
         ended: (n,) whether the run ended with its last action; otherwise it is censored.
     """
-    n = len(actions)
+    found = {"runs": len(actions), "ended": int(ended.sum())}
     if not ended.any():
         times = np.unique(actions).tolist()
-        nowhere: list[float | None] = [None] * len(times)
-        return Survival(n, 0, times, [1.0] * len(times), nowhere, nowhere)
+        nowhere = [None] * len(times)
+        return found | {"actions": times, "share": [1.0] * len(times), "low": nowhere, "high": nowhere}
     from scipy.stats import CensoredData, ecdf  # takes a second, which runs without a failure do not need
 
     curve = ecdf(CensoredData(actions[ended], right=actions[~ended])).sf
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The confidence interval is undefined")
         band = curve.confidence_interval(CONFIDENCE, method="log-log")
-    return Survival(
-        runs=n,
-        ended=int(ended.sum()),
-        actions=[int(n) for n in curve.quantiles],
-        share=[float(p) for p in curve.probabilities],
-        low=[None if math.isnan(p) else float(p) for p in band.low.probabilities],
-        high=[None if math.isnan(p) else float(p) for p in band.high.probabilities],
+    low, high = (
+        [None if math.isnan(p) else float(p) for p in end.probabilities] for end in (band.low, band.high)
     )
+    shares = [float(p) for p in curve.probabilities]
+    return found | {"actions": [int(n) for n in curve.quantiles], "share": shares, "low": low, "high": high}
 
 
-def plan_survival(trials: DataFrame, attempts: DataFrame) -> dict[str, Survival]:
+def plan_survival(trials: DataFrame, attempts: DataFrame) -> dict[str, dict[str, Any]]:
     """Return the survival of the runs without error.
 
     ``without_resync``, open loop: a run ends with the first action that is not as predicted. ``with_resync``, closed
@@ -314,28 +281,22 @@ def plan_survival(trials: DataFrame, attempts: DataFrame) -> dict[str, Survival]
     }
 
 
-def _survival(trials: DataFrame, ends: DataFrame) -> Survival:
+def _survival(trials: DataFrame, ends: DataFrame) -> dict[str, Any]:
     """Return the survival of trials that end with their first attempt in ``ends``."""
     last = (ends.groupby("trial").number.min() + 1).reindex(trials.index)
     return survival(last.fillna(trials.attempts).to_numpy(int), last.notna().to_numpy())
 
 
-@dataclass(frozen=True)
-class PolicyScore:
-    """A policy's success rate in the grid world and in physics."""
+def policy_scores(trials: DataFrame) -> list[dict[str, Any]]:
+    """Return for each ``policy`` the success rates in the two worlds, ``grid`` and ``physics``, and its ``episodes``.
 
-    policy: str
-    grid: float
-    physics: float
-    episodes: int
-
-
-def policy_scores(trials: DataFrame) -> list[PolicyScore]:
-    """Return the scores of the policies by name: groups of trials with a known success in both worlds."""
+    They are groups of trials with a known success in both worlds, by name.
+    """
     known = trials[trials.grid.notna() & trials.physics.notna()].groupby("group", observed=True)
     return [
-        PolicyScore(str(policy), float(found.grid.mean()), float(found.physics.mean()), len(found))
-        for policy, found in known
+        {"policy": str(policy), "grid": float(one.grid.mean()), "physics": float(one.physics.mean())}
+        | {"episodes": len(one)}
+        for policy, one in known
     ]
 
 
@@ -361,16 +322,11 @@ class Figures:
     precision: dict[str, Distribution | None]
     """Of legal attempts."""
     drift: dict[str, Distribution | None]
-    durations: list[Duration]
-    survival: dict[str, Survival]
-    policies: list[PolicyScore]
+    durations: list[dict[str, Any]]
+    survival: dict[str, dict[str, Any]]
+    policies: list[dict[str, Any]]
     rank_agreement: RankAgreement | None
     """None for fewer than three policies."""
-
-
-def rank_agreement(scores: Sequence[PolicyScore], seed: int) -> RankAgreement | None:
-    """Return the rank agreement of two worlds over some policies; None for fewer than three."""
-    return agreement_of([score.grid for score in scores], [score.physics for score in scores], seed)
 
 
 def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
@@ -400,7 +356,9 @@ def campaign_figures(records: Iterable[TrialRecord], seed: int) -> Figures:
         durations=duration_table(as_predicted(legal)),
         survival=plan_survival(trials, attempts),
         policies=scores,
-        rank_agreement=rank_agreement(scores, seed),
+        rank_agreement=agreement_of(
+            [one["grid"] for one in scores], [one["physics"] for one in scores], seed
+        ),
     )
 
 

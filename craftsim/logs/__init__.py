@@ -1,1 +1,1 @@
-"""Logs of what a robot was told and what it measured: their form, reading them from tables and bags, recording."""
+"""Logs of the commands and measurements of robots: type, files and recording."""

@@ -24,36 +24,36 @@ from craftsim.storage.limits import BAG, BAG_CHUNK_BYTES, BAG_MESSAGE_BYTES, BAG
 _MAGIC: Final = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
 _RECORD: Final = struct.Struct("<BQ")
-"""Before each record: what it is, and its length."""
+"""Header of a record: opcode and length."""
 _FOOTER_HEAD: Final = _RECORD.pack(_FOOTER, 20)
 _FOOTER_BYTES: Final = len(_FOOTER_HEAD) + 20 + len(_MAGIC)
-"""Of what ends a bag."""
+"""Size of the end of a bag: footer and magic bytes."""
 _CHUNK_HEAD: Final = struct.Struct("<QQQI")
-"""Of a chunk: its first and last time, how long it is unpacked, and the checksum of that."""
+"""Head of a chunk: first and last time, unpacked length, and its checksum."""
 _MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
-"""Of a message: its channel and number, when the bag received it, and when it was sent."""
+"""Head of a message: channel, number, time of receipt, and time of sending."""
 _DESCRIPTION_BYTES: Final = MIB
-"""Of a schema or a channel."""
+"""Size of a schema or a channel."""
 _NAME_BYTES: Final = 256
-"""Of a topic, a type, an encoding."""
+"""Longest name of a topic, type or encoding."""
 
 
 @dataclass(frozen=True)
 class BagChannel:
-    """What messages of one number are."""
+    """A channel: topic, type and encoding of its messages."""
 
     topic: str
     type: str
-    """Such as ``sensor_msgs/msg/JointState``."""
+    """Type of the messages, such as ``sensor_msgs/msg/JointState``."""
     encoding: str
-    """Of its messages; ``cdr`` is that of ROS 2."""
+    """Encoding of the messages; ROS 2 uses ``cdr``."""
 
 
 class BagFile:
-    """An open bag. What it raises is InputError, or what Python raises for damaged data."""
+    """An open bag. Raises InputError, or Python's errors for damaged data."""
 
     def __init__(self, file: IO[bytes]) -> None:
-        """Take a file; raise InputError for what is no bag, or was cut off."""
+        """Open a file. Raises InputError if it is not a bag or incomplete."""
         self._file, self._size = file, file.seek(0, io.SEEK_END)
         file.seek(0)
         if file.read(len(_MAGIC)) != _MAGIC:
@@ -61,7 +61,7 @@ class BagFile:
         self._records = self._unpacked_bytes = 0
 
     def channels(self) -> dict[int, BagChannel]:
-        """Return the channels that the summary at the end of the bag lists, by number."""
+        """Return the channels in the summary of the bag by number."""
         self._file.seek(max(0, self._size - _FOOTER_BYTES))
         end = self._file.read(_FOOTER_BYTES)
         start = int.from_bytes(end[len(_FOOTER_HEAD) :][:8], "little")
@@ -81,7 +81,7 @@ class BagFile:
         return channels
 
     def messages(self, wanted: Collection[int]) -> Iterator[tuple[int, float, bytes]]:
-        """Yield the messages of some channels: its number, seconds and content of each; not in the order of time."""
+        """Yield channel number, seconds and content of the messages of some channels, not sorted by time."""
         self._file.seek(len(_MAGIC))
         for kind, data in self._walk(self._file, self._size, (_MESSAGE, _CHUNK, _DATA_END)):
             if kind == _CHUNK:
@@ -92,7 +92,7 @@ class BagFile:
                 yield from _message(data, wanted)
 
     def _walk(self, file: IO[bytes], size: int, kinds: tuple[int, ...]) -> Iterator[tuple[int, bytes]]:
-        """Yield what the records of some kinds hold, from here on; end after the last, or one that ends a section."""
+        """Yield the contents of records of some kinds from the current position to the end of the section."""
         place = file.tell()
         while place < size:
             kind, length = _RECORD.unpack(file.read(_RECORD.size))
@@ -114,7 +114,7 @@ class BagFile:
             yield kind, data
 
     def _unpack(self, chunk: bytes) -> bytes:
-        """Return what a chunk holds; raise InputError for one that is not what it claims."""
+        """Return the content of a chunk. Raises InputError if it does not match its head."""
         _, _, claimed, checksum = _CHUNK_HEAD.unpack_from(chunk)
         packing, place = _name(chunk, _CHUNK_HEAD.size)
         packed = memoryview(chunk)[place + 8 :][: int.from_bytes(chunk[place : place + 8], "little")]
@@ -130,7 +130,7 @@ class BagFile:
 
 
 def _first_bytes(packing: str, packed: memoryview, most: int) -> bytes:
-    """Return the first bytes of something packed; no more are unpacked."""
+    """Unpack only the first bytes of packed data."""
     if packing == "zstd":
         import zstandard
 
@@ -159,7 +159,7 @@ def _message(data: bytes, wanted: Collection[int]) -> Iterator[tuple[int, float,
 
 
 def _name(data: bytes, place: int) -> tuple[str, int]:
-    """Return the text at a place of a record, and the place after it."""
+    """Return the text at an offset of a record, and the offset after it."""
     length = int.from_bytes(data[place : place + 4], "little")
     end = place + 4 + length
     if length > _NAME_BYTES or end > len(data):
@@ -203,7 +203,7 @@ _PARTS: Final = {
 
 
 def _definition(kind: str) -> str:
-    """Return the text that defines a type, with all that it is made of."""
+    """Return the definition of a type, with those of its parts."""
     parts = [_FIELDS[kind], *(f"MSG: {name}\n{text}" for name, text in _PARTS.items())]
     return f"\n{'=' * 80}\n".join("\n".join(line.strip() for line in part.splitlines()) for part in parts)
 

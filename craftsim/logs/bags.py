@@ -1,4 +1,4 @@
-"""Logs in ROS 2 bags (.mcap), read without ROS: which topics hold what, and one row for each command.
+"""Logs from ROS 2 bags (.mcap), read without ROS, with a row for each command.
 
 Messages count from when the bag received them, as a controller on the robot would have: a pose that was on its way for
 30 ms is 30 ms late.
@@ -27,11 +27,11 @@ from craftsim.storage.records import record, unknown_words
 from craftsim.storage.yaml import read_document
 
 Series = dict[str, "array[float]"]
-"""Times and values by column of a log, in turns."""
+"""Times and values by column of a log, alternating."""
 Values = Iterable[tuple[str, float]]
 """Values by column of a log."""
 _SHOWN_TOPICS: Final = 10
-"""In an error."""
+"""Topics listed in an error message."""
 
 _Name = Annotated[str, Field(min_length=1)]
 _JOINTS: Final = (*WHEELS, "board", "hinge")
@@ -46,7 +46,7 @@ def _known(names: dict[str, str]) -> dict[str, str]:
 
 @record()
 class Topics:
-    """Which topics hold what; without a name the one topic of a type that fits."""
+    """Topics by content; without a name the only topic of a matching type is used."""
 
     commands: _Name = "/wheel_commands"
     """JointState with velocities by joint, or Float64MultiArray with four wheels, then board and hinge if there."""
@@ -57,17 +57,17 @@ class Topics:
     joint_names: Annotated[dict[str, _Name], AfterValidator(_known)] = field(
         default_factory=lambda: {name: name for name in _JOINTS}
     )
-    """What the bag calls the joints."""
+    """Names of the joints in the bag."""
 
 
 Take = Callable[[Any, Topics], Values]
-"""Takes what a message holds."""
+"""Takes the content of a message."""
 Takers = dict[str, Take]
 """By the message's type."""
 
 
 def read_topics(path: Path) -> Topics:
-    """Return the topics that a YAML file names; raise InputError, with file and line, for one that it should not."""
+    """Return the topics of a YAML file. Raises InputError with file and line for an invalid file."""
     return read_document(path).over({"joint_names": Topics().joint_names}).to(Topics)
 
 
@@ -88,7 +88,7 @@ def read_bag(path: Path, topics: Path | None = None) -> Log:
 
 
 def _collect(bag: BagFile, names: Topics) -> Series:
-    """Return what the wanted topics hold."""
+    """Return the contents of the wanted topics."""
     series: Series = {name: array("d") for columns in GROUPS.values() for name in columns}
     channels = bag.channels()
     wanted = {names.pose or _pose_topic(channels): _POSES, names.joints: _MEASURED, names.commands: _COMMANDS}
@@ -112,7 +112,7 @@ def _collect(bag: BagFile, names: Topics) -> Series:
 
 
 def _pose_topic(channels: dict[int, BagChannel]) -> str | None:
-    """Return the one topic with poses, if any."""
+    """Return the only topic with poses, if any."""
     found = sorted({channel.topic for channel in channels.values() if channel.type in (ODOMETRY, POSE)})
     if len(found) > 1:
         some = ", ".join(found[:_SHOWN_TOPICS]) + ", ..." * (len(found) > _SHOWN_TOPICS)
@@ -191,7 +191,7 @@ def _log(series: Series, names: Topics) -> Log:
 
 
 def _at(time: Floats, pairs: Floats, turns: bool) -> Floats:
-    """Return a signal, rows of time and value, at other times."""
+    """Return a signal, given as rows of time and value, interpolated at other times."""
     at, values = pairs[:, 0], np.unwrap(pairs[:, 1]) if turns else pairs[:, 1]
     gap = float(np.median(np.diff(at))) if len(at) > 1 else 0.0
     return interpolated(time, at, values, LONGEST_GAP * gap)

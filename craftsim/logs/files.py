@@ -17,7 +17,7 @@ from craftsim.storage.reading import read_lines
 from craftsim.storage.writing import write_whole
 
 LOG_SUFFIX: Final = ".log.csv"
-"""Of the log that a run writes beside its trajectory."""
+"""Suffix of the log that a run writes beside its trajectory."""
 SUFFIXES: Final = (".csv", ".mcap")
 CAR: Final = "car"
 COLUMNS: Final = (TIME, CAR, *(name for names in GROUPS.values() for name in names))
@@ -45,7 +45,7 @@ def read_logs(path: str | Path, topics: str | Path | None = None) -> dict[int, L
 
 
 def read_log(path: str | Path, car: int = 0, topics: str | Path | None = None) -> Log:
-    """Return the log of one car in a file; raises as :func:`read_logs`, and where there is no such car."""
+    """Return the log of one car in a file; raises as :func:`read_logs`, and for a missing car."""
     logs = read_logs(path, topics)
     if car not in logs:
         raise InputError(f"{path}: no car {car}; there are {', '.join(map(str, logs))}")
@@ -95,17 +95,17 @@ def _log(where: str, names: list[str], table: Floats) -> Log:
 
 
 def write_table(path: str | Path, logs: Mapping[int, Log]) -> Path:
-    """Write logs into a CSV file, whole or not at all, and return its path; raises InputError where the disk fails."""
+    """Write logs atomically into a CSV file and return its path. Raises InputError if the disk fails."""
     return write_whole(path, _text(COLUMNS, logs))
 
 
 def write_commands(path: str | Path, logs: Mapping[int, Log]) -> Path:
-    """Write the commands of logs alone, to be replayed, as :func:`write_table` does."""
+    """Write only the commands of logs, to be replayed, as :func:`write_table` does."""
     return write_whole(path, _text(COMMANDS, logs))
 
 
 def _text(names: tuple[str, ...], logs: Mapping[int, Log]) -> str:
-    """Return a table of nine digits: nanometres and nanoseconds of an hour are below them."""
+    """Return a table with nine significant digits."""
     parts = [np.empty((0, len(names)))]
     for car, log in logs.items():
         columns = log.columns | {CAR: np.full(len(log), car)}

@@ -27,10 +27,10 @@ GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "board": ("board_m", "board_force_n"),
     "docked": ("slope", "hinge_rad"),
 }
-"""Names of a log's columns besides the time, by field of :class:`Log`."""
+"""Column names besides the time, by field of :class:`Log`."""
 TIME: Final = "time_s"
 NEEDED: Final = (TIME, *GROUPS["commands"][:4])
-"""Columns without which a table is no log; others may be missing."""
+"""Required columns."""
 
 _LIKELY: Final[dict[str, tuple[Range, str]]] = {
     "commands": (Range(-1e3, 1e3), "wheels and hinges in rad/s, boards in m/s"),
@@ -40,14 +40,14 @@ _LIKELY: Final[dict[str, tuple[Range, str]]] = {
     "board": (Range(-1e4, 1e4), "metres and newtons"),
     "docked": (Range(-1e4, 1e4), "the slope's number and radians"),
 }
-"""What the numbers of a car can be, and their units."""
+"""Ranges and units of the values of a car."""
 _MOST_TURN_RAD_S: Final = 50.0
 _MOST_SPEED_M_S: Final = 20.0
-"""Faster than any such car: then a column has another unit."""
+"""Above the speed of any such car; then a column has another unit."""
 LONGEST_GAP: Final = 3.5
-"""Over which a signal is interpolated, in rows."""
+"""Largest gap that is interpolated, in rows."""
 PERIODS_S: Final = Range(0.0005, 0.2)
-"""Between two rows, as a median: 5 Hz to 2 kHz."""
+"""Median time between two rows: 5 Hz to 2 kHz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class Log:
     """(n, 6) rad/s of the four wheels in the order of WHEELS, m/s of the board (up positive), rad/s of the hinge of the
     slope that the car is docked to (folding positive); each held until the next row."""
     pose: Floats
-    """(n, 3) as localised: x and y in metres, and heading in radians."""
+    """(n, 3) localised x and y in metres, and heading in radians."""
     tilt: Floats
     """(n, 2) pitch (nose up positive) and roll (left side up positive), in radians."""
     wheel_speeds: Floats
@@ -120,7 +120,7 @@ class Log:
             )
 
     def _check_speeds(self) -> None:
-        """Raise InputError where the pose moves as in other units than metres and radians."""
+        """Raise InputError if the pose seems to have other units than metres and radians."""
         seen = np.isfinite(self.pose).all(axis=1)
         if seen.sum() < 2:
             return
@@ -144,7 +144,7 @@ class Log:
 
     @property
     def duration_s(self) -> float:
-        """From the first row to the last."""
+        """Time from the first row to the last."""
         return float(self.time_s[-1] - self.time_s[0])
 
     @classmethod
@@ -173,7 +173,7 @@ class Log:
         return found
 
     def between(self, start_s: float, end_s: float) -> Self:
-        """Return the rows from one time on and before another. Raises InputError where less than two are left."""
+        """Return the rows from a time up to another, exclusive. Raises InputError if fewer than two are left."""
         kept = (self.time_s >= start_s) & (self.time_s < end_s)
         return replace(self, **{field.name: getattr(self, field.name)[kept] for field in fields(self)})
 
@@ -203,7 +203,7 @@ class Log:
 
 
 def interpolated(time: Floats, at: Floats, values: Floats, longest_gap_s: float) -> Floats:
-    """Return a signal that is known at some times at others; nan outside of these and within longer gaps."""
+    """Return a signal interpolated at other times; nan outside of its times and within longer gaps."""
     if len(at) < 2:
         return np.full(len(time), np.nan)
     found: Floats = np.interp(time, at, values, left=np.nan, right=np.nan)
@@ -213,7 +213,7 @@ def interpolated(time: Floats, at: Floats, values: Floats, longest_gap_s: float)
 
 
 def _unwrapped(angles: Floats) -> Floats:
-    """Return angles without jumps by whole turns; what is nan stays so."""
+    """Return angles without jumps by full turns, keeping nan."""
     known = np.isfinite(angles)
     found = angles.copy()
     found[known] = np.unwrap(angles[known])

@@ -13,14 +13,14 @@ from craftsim.skills.executor import Executor
 from craftsim.skills.state import COMMAND
 
 MOST_ROWS: Final = 250_000
-"""Of all cars together, so that a reader takes them: over an hour of one car; what comes later is left out."""
+"""Maximum number of rows of all cars together, as readers accept them; later rows are left out."""
 
 
 class LogRecorder:
-    """Takes the measurements and commands of all cars in every control period, and makes logs of it."""
+    """Records the measurements and commands of all cars in every control period."""
 
     def __init__(self, executor: Executor) -> None:
-        """Record the cars of an executor from now on."""
+        """Start recording the cars of an executor."""
         self._executor = executor
         self._readings = [executor.fleet.read().tobytes()]
         self._commands: list[bytes] = []
@@ -37,7 +37,7 @@ class LogRecorder:
         self._time.append(physics.time_s)
 
     def logs(self) -> dict[int, Log]:
-        """Return the log of each car; none where fewer than two control periods have passed."""
+        """Return the log of each car; empty if fewer than two control periods have passed."""
         n = len(self._commands)
         if n < 2:
             return {}

@@ -1,4 +1,4 @@
-"""A report as one HTML file that opens without a server and without a network."""
+"""A report as one HTML file, which needs neither server nor network."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from craftsim.storage.writing import write_whole
 
 FILE_NAME: Final = "report.html"
 MAX_CASES: Final = 24
-"""Failures that a page, or a group of them, shows as cards."""
+"""Maximum number of failures that a page or a group shows as cards."""
 BUDGET_BYTES: Final = 20_000_000
-"""Of all films within one page, as base64: more would make it slow to open and hard to send."""
+"""Total size of embedded films as base64; a larger page is slow to open."""
 
 _VARIABLES: Final = ("ink", "soft", "line", "paper", "good", "caution", "bad", "accent", "muted")
-"""The page's own colours, in the order of their stand-ins in :mod:`craftsim.reports.plots`."""
+"""CSS variables of the colours, in the order of the placeholders in :mod:`craftsim.reports.plots`."""
 _TEMPLATES: Final = Path(__file__).with_name("template")
 
 
 def write_html(out: Path, report: Report) -> Path:
     """Write a report as ``report.html`` into the directory ``out`` and return its path.
 
-    The file appears whole or not at all. It loads nothing: styles, drawings and films are within it; films that exceed
-    :data:`BUDGET_BYTES` are linked by paths relative to it. Equal reports with equal films give equal files. All text
-    is escaped, and a content security policy keeps the page from running or fetching anything.
+    The file is written atomically. Styles, drawings and films are embedded; films that exceed :data:`BUDGET_BYTES` are
+    linked by relative paths. Equal reports with equal films give equal files. All text is escaped, and a content
+    security policy prevents scripts and requests.
 
     Args:
-        out: directory, made when missing; the files of the report's cases are looked for in it.
-        report: what to render.
+        out: directory, created if missing; it contains the files of the report's cases.
+        report: the report.
 
     Raises:
         InputError: the directory cannot be written to.
@@ -50,7 +50,7 @@ def write_html(out: Path, report: Report) -> Path:
 
 
 class _Files:
-    """The files beside one page; the first films that fit into a budget are embedded."""
+    """The files of a page; the first films within a budget are embedded."""
 
     def __init__(self, out: Path) -> None:
         self.out = out
@@ -59,8 +59,7 @@ class _Files:
     def cards(self, cases: Iterable[Case], unfilmed: int | None) -> list[tuple[Case, str | None, str | None]]:
         """Return the cases to show, each with the addresses of its film and its trajectory.
 
-        An address of a film is a ``data:`` one with the film itself, or a path relative to the page; None where there
-        is no such file.
+        The address of a film is a ``data:`` URL or a relative path; None if there is no such file.
         """
         found = [(case, self._film(case.film), self.link(case.trajectory)) for case in cases]
         return [one for number, one in enumerate(found) if one[1] or unfilmed is None or number < unfilmed]
@@ -76,7 +75,7 @@ class _Files:
         return "data:video/mp4;base64," + base64.b64encode(path.read_bytes()).decode()
 
     def link(self, file: str) -> str | None:
-        """Return the address of a file, None where there is none, or it lies outside of the folder."""
+        """Return the address of a file; None if it does not exist or is outside of the folder."""
         path, root = (self.out / file).resolve(), self.out.resolve()
         if not (file and path.is_relative_to(root) and path.is_file()):
             return None
@@ -113,17 +112,17 @@ def _cell(value: Value) -> Cell:
 
 
 def _breakable(text: str) -> Markup:
-    """Return escaped text that may be broken after slashes."""
+    """Return escaped text with line breaks allowed after slashes."""
     return escape(text).replace("/", "/" + Markup("<wbr>"))
 
 
 def _svg(drawing: Drawing) -> Markup:
-    """Draw inline SVG: the same bytes for the same data, in the colours and letters of the page."""
+    """Return reproducible inline SVG in the colours and fonts of the page."""
     from matplotlib import style
     from matplotlib.figure import Figure
 
     with style.context([_TEMPLATES / "drawing.mplstyle", dict(drawing.style)], after_reset=True):
-        # Without pyplot's global list of figures.
+        # Not through pyplot, which keeps a global list of figures.
         figure = Figure(figsize=(drawing.width_in, drawing.height_in), layout="constrained")
         drawing.draw(figure)
         buffer = io.StringIO()
@@ -132,7 +131,7 @@ def _svg(drawing: Drawing) -> Markup:
 
 
 def _inline(text: str, label: str) -> Markup:
-    """Return a drawing without what only a file of its own needs, coloured by the page's variables."""
+    """Return an SVG document as an inline element with the page's CSS variables as colours."""
     body = text[text.index("<svg") :]
     body = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", body, count=1, flags=re.DOTALL)
     body = re.sub(r'<g id="[^"]*"', "<g", body)

@@ -1,4 +1,4 @@
-"""A report as ``report.json``, so that two runs can be compared byte for byte."""
+"""A report as ``report.json``; equal runs give equal bytes."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from craftsim.storage.folders import owned
 from craftsim.storage.writing import LEFT_OUT_IF_EMPTY, writable, write_whole
 
 SCHEMA_VERSION: Final = 2
-"""Raised whenever a key of the report changes its meaning or goes away."""
+"""Incremented whenever a key of the report changes its meaning or is removed."""
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that decide a run's figures, without importing what they name."""
+    """Return the versions on which a run's results depend, without importing the packages."""
     return {
         **{package: _version(package) for package in ("craftsim", "mujoco", "numpy")},
         "python": platform.python_version(),
@@ -45,18 +45,18 @@ def document(
     config: Mapping[str, Any] | None = None,
     wall: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return what ``report.json`` holds of a run.
+    """Return the content of ``report.json``.
 
     Everything outside ``wall`` is the same for two runs of the same command with the same seed and configuration on the
     same machine.
 
     Args:
-        figures: results. Dataclasses, enums (by name), paths and NumPy values may be nested in them; a number
-            that is not finite is written as null, since JSON has no other value for it.
-        command: name of the command that ran.
-        seed: what its random generators were seeded with, if it has any.
-        config: what else decides the figures.
-        wall: what the clock said (durations, rates): never the same twice, hence kept apart.
+        figures: results, which may contain dataclasses, enums (written as their names), paths and NumPy values;
+            a number that is not finite is written as null.
+        command: name of the command.
+        seed: random seed, if any.
+        config: everything else that determines the results.
+        wall: durations and rates by the clock, which are never reproducible.
     """
     return {
         "schema_version": SCHEMA_VERSION,
@@ -70,18 +70,16 @@ def document(
 
 
 def write_report(out: Path, figures: Mapping[str, Any], **about: Any) -> Path:
-    """Write ``report.json`` with some figures; ``about`` and errors as :func:`document` and :func:`write_json`."""
+    """Write ``report.json``; arguments and errors as of :func:`document` and :func:`write_json`."""
     return write_json(out, document(figures, **about))
 
 
 def write_json(out: Path, document: Mapping[str, Any]) -> Path:
-    """Write ``report.json`` into the directory ``out``, made when missing, and return its path.
-
-    The file appears whole or not at all.
+    """Write ``report.json`` atomically into the directory ``out``, created if missing, and return its path.
 
     Raises:
-        InputError: the directory cannot be written to, or somebody else owns it.
-        TypeError: a value has no place in JSON.
+        InputError: the directory is not writable, or in use.
+        TypeError: a value cannot be written as JSON.
     """
     text = json.dumps(plain(document), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
     with owned(out):
@@ -89,10 +87,10 @@ def write_json(out: Path, document: Mapping[str, Any]) -> Path:
 
 
 def plain(value: Any) -> Any:
-    """Return a value made of what JSON knows: dict, list, str, int, float, bool and None.
+    """Return a value as JSON types: dict, list, str, int, float, bool and None.
 
-    Enums become their names, numbers that are not finite None, and what UTF-8 cannot say of a text escapes. Raises
-    TypeError for what has no place in JSON.
+    Enums become their names, numbers that are not finite None, and unencodable characters escapes. Raises TypeError for
+    other types.
     """
     match value:
         case Enum():

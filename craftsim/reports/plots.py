@@ -11,22 +11,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 INK, SOFT, GRID, PAPER, GOOD, CAUTION, BAD, ACCENT, MUTED = (f"#{3 * f'0{n}'}" for n in range(1, 10))
-"""Stand-ins for the page's own colours, light or dark, which take their places (:mod:`craftsim.reports.html`)."""
+"""Placeholders, which :mod:`craftsim.reports.html` replaces by the page's light or dark colours."""
 
 ROW_IN: Final = 0.27
 """Height of a row of :func:`interval_rows` and :func:`stacked_rows`."""
 HEAD_IN: Final = 0.75
-"""Height of all else in such a drawing."""
+"""Height of the rest of such a drawing."""
 _LONGEST_NAME: Final = 36
 
 
 def rows_height_in(rows: int, row_in: float = ROW_IN) -> float:
-    """Return the height of a drawing of so many named rows."""
+    """Return the height of a drawing with named rows."""
     return HEAD_IN + row_in * rows
 
 
 def interval_rows(axes: Axes, rows: Mapping[str, tuple[float, float, float]], size: float = 6.0) -> None:
-    """Draw a row for each name: a value, and a bar from a lower to an upper bound."""
+    """Draw a row for each name: a value, and a bar between a lower and an upper bound."""
     for y, (value, low, high) in enumerate(rows.values()):
         axes.plot((low, high), (y, y), color=ACCENT, lw=4, alpha=0.35)
         axes.plot(value, y, "o", color=ACCENT, ms=size)
@@ -34,7 +34,7 @@ def interval_rows(axes: Axes, rows: Mapping[str, tuple[float, float, float]], si
 
 
 def stacked_rows(axes: Axes, names: Sequence[str], parts: Mapping[str, tuple[str, Sequence[int]]]) -> None:
-    """Draw a bar for each name, made of counts; ``parts`` has a colour and a count for each name by what is counted."""
+    """Draw a stacked bar for each name; ``parts`` maps labels to a colour and the counts of all names."""
     from matplotlib.ticker import MaxNLocator
 
     left = np.zeros(len(names))
@@ -55,10 +55,10 @@ def name_rows(axes: Axes, names: Sequence[str]) -> None:
 
 
 def short(name: str) -> str:
-    """Return a name that leaves room for the drawing."""
+    """Return a shortened name."""
     return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 3]}..."
 
 
 def percent_ticks(value: float, _: float) -> str:
-    """Return the label of a tick at a share, for an axis' formatter."""
+    """Format a tick as a percentage."""
     return f"{100 * value:.0f} %"

@@ -1,6 +1,6 @@
-"""What a report says, however it is rendered: a verdict, key figures, and sections of text, tables, drawings and cases.
+"""The content of a report: a verdict, key figures, and sections of text, tables, drawings and cases.
 
-All text is plain text: it is escaped when it is rendered, wherever it comes from.
+All text is plain text, which is escaped when it is rendered.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Tone(StrEnum):
-    """What a colour says."""
+    """The meaning of a colour."""
 
     PLAIN = "plain"
     GOOD = "good"
@@ -30,7 +30,7 @@ class Tone(StrEnum):
 
 @dataclass(frozen=True)
 class Headline:
-    """The verdict: a word or two on a coloured ground, and one sentence."""
+    """The verdict: a badge and one sentence."""
 
     badge: str
     tone: Tone
@@ -39,7 +39,7 @@ class Headline:
 
 @dataclass(frozen=True)
 class KeyFigure:
-    """One of the few figures that stand at the top of the page."""
+    """A key figure, shown at the top of the page."""
 
     value: str
     label: str
@@ -48,36 +48,36 @@ class KeyFigure:
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table that is more than its text."""
+    """A cell of a table with more than a text."""
 
     text: str
     tone: Tone = Tone.PLAIN
     share: tuple[float, float, float] | None = None
-    """A share with the bounds of its interval, which the page draws as a bar."""
+    """A share with the bounds of its interval, drawn as a bar."""
     link: str = ""
-    """A file to open, relative to the report's folder; without it there is no link."""
+    """A linked file, relative to the report's folder."""
     tip: str = ""
 
 
 Value: TypeAlias = Cell | str | int | None
-"""What a cell may be; None reads as "none"."""
+"""A cell; None is shown as "none"."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """The head of a table's column."""
+    """The header of a table's column."""
 
     name: str
     kind: Literal["text", "number", "path", "wide"] = "text"
     """Numbers are aligned to the right; paths may be broken after slashes; wide columns hold sentences."""
     tip: str = ""
-    """What the name means, where it does not say so itself."""
+    """Explanation of the name."""
     terminal: bool = True
-    """Whether the terminal has room for it."""
+    """Whether it is shown on the terminal."""
 
 
 def numbers(first: str, *names: str) -> tuple[Column, ...]:
-    """Return the heads of a table of numbers, one of which is named by the first column of each row."""
+    """Return the headers of a table of numbers with named rows."""
     return Column(first), *(Column(name, "number") for name in names)
 
 
@@ -90,19 +90,19 @@ class DataTable:
     title: str = ""
     note: str = ""
     folded: bool = False
-    """Whether the page opens it only when it is asked to."""
+    """Whether it is collapsed on the page."""
     tall: bool = False
-    """Whether it may be long: the page then scrolls within it."""
+    """Whether it may be long, and is scrollable on the page."""
     most: int = 40
-    """Rows on the terminal, none for a table of the page alone; the page has all."""
+    """Maximum number of rows on the terminal, 0 for a table of the page alone."""
 
     @property
     def stacks(self) -> bool:
-        """Whether a narrow page shows each row as a card, since some of its cells are long."""
+        """Whether a narrow page shows each row as a card, because of long cells."""
         return any(column.kind in ("path", "wide") for column in self.columns) and len(self.columns) > 2
 
     def as_markdown(self) -> str:
-        """Return it as Markdown has it, its title above it."""
+        """Return the table with its title as Markdown."""
         lines = [[column.name for column in self.columns], ["---"] * len(self.columns)]
         lines += [[text_of(value) for value in row] for row in self.rows]
         return "\n".join([f"{self.title}:", "", *(f"| {' | '.join(line)} |" for line in lines)])
@@ -110,18 +110,18 @@ class DataTable:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure that the page draws; the terminal has none."""
+    """A figure on the page."""
 
     draw: Callable[[Figure], None]
     height_in: float
     caption: str
     label: str
-    """Text alternative, for screen readers."""
+    """Text alternative for screen readers."""
     width_in: float = 6.6
     wide: bool = False
     """Whether it takes the whole width of the page."""
     style: Mapping[str, Any] = field(default_factory=dict)
-    """Settings of matplotlib, on top of those of all drawings."""
+    """Additional settings of matplotlib."""
 
     @classmethod
     def of_axes(cls, draw: Callable[[Axes], None], height_in: float, caption: str, label: str) -> Drawing:
@@ -131,7 +131,7 @@ class Drawing:
 
 @dataclass(frozen=True)
 class Case:
-    """A failure, to be watched and replayed. Its files are relative to the report's folder, and need not be there."""
+    """A failure with its files, relative to the report's folder, which may be missing."""
 
     title: str
     result: str
@@ -139,8 +139,8 @@ class Case:
     reason: str
     differences: tuple[str, ...] = ()
     again: tuple[str | Path, ...] = ()
-    """Words of the command that shows it again, empty where there is none. Paths are relative to the report's folder,
-    where the page says to run it; the terminal says it for the present folder."""
+    """Words of the command that repeats it, if any. Paths are relative to the report's folder; the terminal shows them
+    relative to the current one."""
     film: str = ""
     trajectory: str = ""
 
@@ -151,14 +151,14 @@ class Cases:
 
     cases: Sequence[Case]
     unfilmed: int | None = None
-    """How many of the first the page shows even without a film of them, where a table lists all; None for all."""
+    """Number of cases shown on the page even without a film, if a table lists all; None for all."""
     most: int = 1
-    """How many the terminal shows."""
+    """Number of cases on the terminal."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Parts of a page's section that are folded together under one line."""
+    """A collapsible group of blocks on the page."""
 
     title: str
     blocks: Sequence[Block]
@@ -168,7 +168,7 @@ class Group:
 
 
 Block: TypeAlias = str | DataTable | Drawing | Cases | Group
-"""What a section is made of; a text is a paragraph, or where it has several lines, shown as it is."""
+"""Part of a section; a text is a paragraph, or preformatted if it has several lines."""
 
 
 @dataclass(frozen=True)
@@ -180,14 +180,14 @@ class Section:
     lead: str
     blocks: Sequence[Block]
     terminal: bool = False
-    """Whether it is short enough for the terminal."""
+    """Whether it is shown on the terminal."""
     page: bool = True
-    """Whether the page has it, too, which says more elsewhere where it has not."""
+    """Whether it is shown on the page."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """The report of a run. :meth:`publish` renders it."""
+    """The report of a run."""
 
     title: str
     subtitle: str
@@ -195,17 +195,17 @@ class Report:
     key_figures: Sequence[KeyFigure] = ()
     sections: Sequence[Section] = ()
     notes: Sequence[str] = ()
-    """Remarks on how to read the figures."""
+    """Remarks."""
     files: Mapping[str, str | Path] = field(default_factory=dict)
-    """What else was written, by what it is."""
+    """Other files that were written, by description."""
     document: Mapping[str, Any] | None = None
-    """What ``report.json`` holds (:func:`~craftsim.reports.json_file.document`); None where it has been written."""
+    """Content of ``report.json`` (:func:`~craftsim.reports.json_file.document`); None if already written."""
     exit_code: int = 0
 
     def publish(self, out: Path | None, console: Terminal | None = None) -> int:
-        """Write ``report.json`` and ``report.html`` into a folder, if there is one, print, and return the exit status.
+        """Write ``report.json`` and ``report.html`` into a folder, if given, print the report, return the exit status.
 
-        Raises InputError where the folder cannot be written to.
+        Raises InputError if the folder is not writable.
         """
         from craftsim.reports.html import write_html
         from craftsim.reports.json_file import write_json
@@ -234,7 +234,7 @@ def share_cells(p: Any) -> tuple[Value, Value]:
 
 
 def percent(share: float | None) -> str:
-    """Return a share as percents, 100 % only if it is all."""
+    """Return a share in percent, 100 % only for 1."""
     if share is None:
         return "none"
     digits = 0 if share in (0.0, 1.0) else 1
@@ -243,12 +243,12 @@ def percent(share: float | None) -> str:
 
 
 def interval(low: float, high: float) -> str:
-    """Return an interval of shares as percents."""
+    """Return an interval of shares in percent."""
     return f"{100 * low:.1f} to {100 * high:.1f} %"
 
 
 def count(number: int, thing: str, things: str = "") -> str:
-    """Return a number with its thing, in the plural where it needs one."""
+    """Return a number with a noun in singular or plural."""
     return f"{number:,} {thing if number == 1 else things or f'{thing}s'}"
 
 

@@ -1,4 +1,4 @@
-"""A report on the terminal, and the console that everything is shown on: nothing in a text steers the terminal."""
+"""Reports on the terminal, and a console that escapes control characters."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from craftsim.reports.text import escape
 
 _STYLES: Final = {Tone.GOOD: "green", Tone.CAUTION: "yellow", Tone.BAD: "red", Tone.MUTED: "dim"}
 _ONE_LINE: Final = 14
-"""Characters of a cell that stays in one line."""
+"""Longest text that is not wrapped."""
 _NARROWEST: Final = 9
-"""Characters of a longer one in a line, at least."""
+"""Minimum width of a wrapped column."""
 
 
 class Terminal(Console):
-    """A console that shows text from files and from others' code as text: nothing in it steers the terminal."""
+    """A console that escapes control characters in untrusted text."""
 
     def render_str(self, text: str, *arguments: Any, **options: Any) -> Text:
-        """Return a text with its markup, cleaned."""
+        """Return an escaped text with its markup."""
         return super().render_str(escape(text), *arguments, **options)
 
     def on_broken_pipe(self) -> None:
-        """Leave it to the command line what follows when nobody reads any more."""
+        """Let the command line handle a closed pipe."""
         raise
 
     def print_safe(self, text: object, style: str = "") -> None:
-        """Print a text of others: cleaned, without markup, and in one line, however long it is."""
+        """Print an untrusted text, escaped, without markup and unwrapped."""
         self.print(cell(text), style=style, soft_wrap=True, highlight=False)
 
 
 def cell(text: object) -> Text:
-    """Return a text of others for a table: cleaned, and without markup."""
+    """Return an untrusted text for a table, escaped and without markup."""
     return Text(escape(text))
 
 
 def print_report(
     console: Terminal, report: Report, out: Path | None, files: Mapping[str, str | Path]
 ) -> None:
-    """Print what a report says in short: its short sections, its notes, what was written, and the verdict last."""
+    """Print the short sections of a report, its notes, the written files, and the verdict."""
     for section in report.sections:
         for block in section.blocks if section.terminal else ():
             match block:
@@ -67,7 +67,7 @@ def print_report(
 
 
 def print_table(console: Terminal, table: DataTable) -> None:
-    """Print a table; where the terminal is narrow, long texts go over several lines."""
+    """Print a table; long texts are wrapped on a narrow terminal."""
     if not table.rows or not table.most:
         return
     shown = [number for number, column in enumerate(table.columns) if column.terminal]

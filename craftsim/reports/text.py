@@ -1,4 +1,4 @@
-"""Text of others, such that nothing in it steers a terminal."""
+"""Escaping of control characters in untrusted text."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Final
 _STEERING: Final = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
 )
-"""Control characters besides tab and newline, those that turn the direction of writing, and what is no text."""
+"""Control characters except tab and newline, characters that change the writing direction, and surrogates."""
 
 
 def escape(text: object) -> str:
-    """Return a text with escapes such as ``\\x1b`` for all that would steer a terminal.
+    """Return a text with escapes such as ``\\x1b`` for control characters.
 
     Example:
-        >>> clean("red: \\x1b[31m")
+        >>> escape("red: \\x1b[31m")
         'red: \\\\x1b[31m'
     """
     return _STEERING.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))

@@ -33,10 +33,10 @@ _OWNED: Final = set[tuple[int, tuple[int, int] | None]]()
 
 
 def output_directory(out: Path) -> Path:
-    """Make a directory for results, parents included, and return it.
+    """Create a directory for results, with parents, and return it.
 
     Raises:
-        InputError: it cannot be made or written to.
+        InputError: it cannot be created, or is not writable.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -49,9 +49,9 @@ def output_directory(out: Path) -> Path:
 
 
 def directory_within(folder: Path, *names: str) -> Path:
-    """Make a directory within an output folder, parents included, and return it.
+    """Create a directory within an output folder, with parents, and return it.
 
-    Raises InputError if it cannot be made, if a name leads out of the folder, and for a link on the way.
+    Raises InputError if it cannot be created, if a name leads out of the folder, and for a link in the path.
     """
     for part in Path(*names).parts:
         if part in ("..", "/"):

@@ -26,9 +26,9 @@ class Limits:
     file_bytes: int
     """On disk."""
     content_bytes: int
-    """Unpacked, for all of it together; the same as on disk where nothing is packed."""
+    """Unpacked; the same as on disk for a format that is not packed."""
     line_bytes: int = 0
-    """For a single line, unpacked, in a format that is read line by line."""
+    """Size of an unpacked line, in a format that is read by lines."""
     members: int = 64
     """Files in an archive."""
 
@@ -56,62 +56,62 @@ MESH: Final = _plain("mesh", 8 * MIB)
 BAG: Final = Limits("ROS 2 bag", 256 * MIB, 1024 * MIB)
 
 JSON_VALUES: Final = 200_000
-"""Values in a JSON document that is read whole, about: commas are counted."""
+"""Approximate number of values in a JSON document (number of commas)."""
 YAML_VALUES: Final = 40_000
-"""Values in a YAML file, lists and mappings included; so many a world may also make when it is written out."""
+"""Number of values in a YAML file, including lists and mappings; also the limit of a written world."""
 DESIGN_CELLS: Final = 4000
-"""Of a design: as many as a goal file can list."""
+"""Number of cells of a design: as many as a goal file can list."""
 MESH_PIECES: Final = 2_000_000
-"""Of half a cell, into which a mesh is divided for its voxels."""
+"""Number of pieces of half a cell into which a mesh is divided."""
 YAML_DEPTH: Final = 8
 """Levels of lists and mappings in a YAML file."""
 
 PHYSICS_CELLS: Final = 8192
-"""Of the area of a world in physics: nine times that of the largest random world."""
+"""Number of cells of a world in physics: nine times that of the largest random world."""
 PHYSICS_CARS: Final = 32
 PHYSICS_PARTS: Final = 192
-"""Cars, loads, blocks, slopes, flags and walls of a world in physics together. At rest they compile and settle
-in about 2 s; a world of which all falls while it settles takes several times as long."""
+"""Number of cars, loads, blocks, slopes, flags and walls of a world in physics together. At rest they compile and
+settle in about 2 s; if everything falls it takes several times as long."""
 PHYSICS_GOALS: Final = 1024
-"""Cells that are marked in a world in physics."""
+"""Number of marked cells of a world in physics."""
 PHYSICS_STEPS: Final = 1_000_000
-"""Of a replay: an hour of simulated time at the usual time step."""
+"""Steps of a replay: an hour of simulated time at the default time step."""
 MINIMIZE_S: Final = 3600.0
-"""Of simulated time, for all trials of the search for the smallest world of one failure."""
+"""Simulated time of all trials of one minimization."""
 STEP_ACTIONS: Final = 2000
-"""Scheduled together, in one step of a recipe: 2 s of scheduling."""
+"""Actions in one step of a recipe, which are scheduled together in about 2 s."""
 RECIPE_ACTIONS: Final = 10_000
 ACTIONS_WITHOUT_TIME: Final = 1000
-"""Of a recipe, beyond one in each control period: what the rules forbid takes no simulated time."""
+"""Actions of a recipe beyond one in each control period: forbidden actions take no simulated time."""
 
 MAX_ERROR_CHARACTERS: Final = 8000
-"""Of an error's message, and of its traceback, in the record of a trial; of a longer one the middle is left out."""
+"""Length of an error message, and of a traceback, in a record; the middle of a longer one is left out."""
 
 POLICY_HEAD_BYTES: Final = MIB
-"""Of what a policy file says of itself and of its tensors."""
+"""Size of the head of a policy file."""
 PICKLE_BYTES: Final = 4 * MIB
-"""Of the table of contents of a run file."""
+"""Size of the table of contents of a run file."""
 PICKLE_STEPS: Final = 500_000
-"""Of that table: values in it, about."""
+"""Approximate number of values in that table."""
 CURVE_POINTS: Final = 20_000
-"""Of a learning curve."""
+"""Number of points of a learning curve."""
 LARGEST_WEIGHT: Final = 1e4
-"""Of a network."""
+"""Largest weight of a network."""
 START_WORLDS: Final = 20_000
-"""Of a file of starts."""
+"""Number of worlds in a file of starts."""
 RECORDS: Final = 200_000
-"""Of a recording."""
+"""Number of records in a recording."""
 RECORDED_CELLS: Final = 50_000_000
-"""Of all its records together."""
+"""Number of cells of all records of a recording together."""
 RECORDED_CARS: Final = 64
-"""Of a record."""
+"""Number of cars in a record."""
 RECORDED_DEPTH: Final = 64
-"""Of the search of the action helper."""
+"""Search depth of the action helper in a recording."""
 RECORDED_TICKS: Final = 1_000_000
-"""Of an episode."""
+"""Number of ticks of a recorded episode."""
 
 ALL: Final = tuple(one for one in list(vars().values()) if isinstance(one, Limits))
-"""Of all formats."""
+"""The limits of all formats."""
 
 
 def _short(value: float) -> str:
@@ -119,7 +119,7 @@ def _short(value: float) -> str:
 
 
 def _plain_number(value: float) -> str:
-    """Return a number without ".0": equal ranges look alike, whatever they are made of."""
+    """Return a number without ".0", so that equal ranges have equal texts."""
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
@@ -133,14 +133,14 @@ class Range:
     low: float = -math.inf
     high: float = math.inf
     above: bool = False
-    """Whether the lower end is left out..."""
+    """Whether the lower end is excluded."""
     below: bool = False
-    """...and the upper one."""
+    """Whether the upper end is excluded."""
 
     __is_annotated_types_grouped_metadata__ = True
 
     def __iter__(self) -> Iterator[Any]:
-        """Yield the bounds as pydantic knows them."""
+        """Yield the bounds for pydantic."""
         from annotated_types import Ge, Gt, Le, Lt
 
         if self.low > -math.inf:
@@ -163,7 +163,7 @@ class Range:
 
     @property
     def words(self) -> str:
-        """The range as it follows a noun."""
+        """The range in words after a noun."""
         text = str(self)
         return text if text.startswith("above") else f"of {text}" if text.startswith("at") else f"from {text}"
 
@@ -203,85 +203,85 @@ def _range(annotation: Any) -> Range | None:
 
 
 SEED: Final = Range(0, 2**63 - 1)
-"""What each of the libraries that draw takes."""
+"""Seeds that all libraries accept."""
 TRIAL_COUNT: Final = Range(1, 1_000_000)
 RUNS: Final = Range(1, 1_000_000)
-"""Of a campaign, all together."""
+"""Number of all trials of a run."""
 WORKERS: Final = Range(1, 256)
 PORTS: Final = Range(0, 65_535)
 TIMEOUT_S: Final = Range(0.01, 7 * 24 * 3600)
 CARS: Final = Range(0, 256)
 BLOCKS: Final = Range(0, 131_072)
 DESIGN_SIDE: Final = Range(1, 128)
-"""Sizes of a design, in cells."""
+"""Size of a design in cells."""
 EPISODE_TICKS: Final = Range(1, 100_000)
 REPLANS: Final = Range(0, 1000)
 PLAN_ROUNDS: Final = Range(1, 1_000_000)
 PLAN_TIME_S: Final = Range(0, 604_800)
 BATCH: Final = Range(1, 100_000)
-"""Worlds that are stepped side by side on the grid."""
+"""Number of worlds of a batch on the grid."""
 BENCH_S: Final = Range(0.001, 3600)
 TRAIN_STEPS: Final = Range(1, 10**12)
 TRAIN_EPISODES: Final = Range(1, 1_000_000)
 STAGES: Final = 100
-"""Tasks to learn on before the one that is learnt."""
+"""Number of earlier tasks of a curriculum."""
 STUDY_SEEDS: Final = Range(1, 1000)
 STUDY_TASKS: Final = Range(1, 100)
-"""That a study trains on or plays."""
+"""Number of tasks of a study."""
 STUDY_RUNS: Final = Range(1, 10_000)
-"""Of a study: tasks times algorithms times seeds."""
+"""Number of runs of a study: tasks times algorithms times seeds."""
 TITLE_CHARACTERS: Final = 200
 SHARE: Final = Range(0, 1)
 BONUS: Final = Range(0, 1000)
-"""Of novelty."""
+"""Exploration bonus."""
 NETWORK_WIDTH: Final = Range(1, 4096)
 EXPLORED_TICKS: Final = Range(0, 10_000_000)
 IMITATED_PLANS: Final = Range(0, 50_000)
-"""Of exploration before learning; a world that is reached takes up to a kilobyte."""
+"""Number of demonstrated plans; a reached world takes up to a kilobyte."""
 HELPER_DEPTH: Final = Range(0, 100)
-"""Of the action helper's search, in primitives."""
+"""Search depth of the action helper in primitive actions."""
 
 DELAY_MS: Final = Range(0, 10_000)
-"""Of a simulated network."""
+"""Delay of a simulated network."""
 PACE: Final = Range(0.01, 100)
-"""Of simulated robots, by the clock."""
+"""Speed of simulated robots relative to real time."""
 PATIENCE_S: Final = Range(0.01, 3600)
-"""With who does not answer."""
+"""Time limit of an answer."""
 MESSAGE_BYTES: Final = 64 * KIB
-"""To or from robots."""
+"""Size of a message to or from robots."""
 PAGE_BYTES: Final = MIB
-"""Of a message from a page of the viewer."""
+"""Size of a message from a page of the viewer."""
 PAGE_CONNECTIONS: Final = 64
-"""To the viewer, at once; a page takes a few."""
+"""Concurrent connections to the viewer; a page takes a few."""
 ROBOT_CONNECTIONS: Final = 32
-"""To robots, at once; up to 64 KiB that has come and 320 KiB that wait to leave are kept of each."""
+"""Concurrent connections to robots, each with buffers of up to 64 KiB in and 320 KiB out."""
 
 FRAME_RATE: Final = Range(1, 120)
-"""Of a film, in frames a second."""
+"""Frames per second of a film."""
 FILM_SPEED: Final = Range(0.01, 1000)
-"""Simulated seconds in a second of film."""
+"""Simulated seconds per second of film."""
 MOMENT_S: Final = Range(0, 1_000_000)
-"""Of simulated time."""
+"""Simulated time of a picture."""
 FRAME_PIXELS: Final = 4096 * 2304
 IMAGE_PIXELS: Final = 2048 * 2048
-"""Of an image for learning."""
+"""Number of pixels of an image observation."""
 
 LOGGED_CARS: Final = Range(0, 255)
-"""Numbers of cars in a log."""
+"""Number of a car in a log."""
 EXCITE_S: Final = Range(10, 3600)
-"""Length of an identification drive."""
+"""Duration of an identification drive."""
 EXCITE_M: Final = Range(0.6, 20)
-"""Length and width of its area."""
+"""Length and width of the area of an identification drive."""
 IDENTIFIED_S: Final = 1800.0
-"""Of a log that figures are identified from."""
+"""Duration of a log for identification."""
 BAG_MESSAGES: Final = 400_000
-"""Of each of the three topics that are read: half an hour at 200 Hz. A row of the log is made of each command."""
+"""Messages of each of the three topics: half an hour at 200 Hz. Each command becomes a row of the log."""
 BAG_MESSAGE_BYTES: Final = 64 * KIB
-"""Of one of these."""
+"""Size of one of these messages."""
 BAG_CHUNK_BYTES: Final = 64 * MIB
-"""Of a chunk of messages, packed and unpacked, and of a message that is not read."""
+"""Size of a chunk of messages, packed and unpacked, and of a skipped message."""
 BAG_RECORDS: Final = 5_000_000
-"""Of all topics, with what describes and lists them."""
+"""Number of records of a bag."""
 
 
 def size_text(n_bytes: int) -> str:

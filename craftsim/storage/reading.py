@@ -24,23 +24,23 @@ from craftsim.storage.limits import Limits, size_text
 Arrays = dict[str, NDArray[np.generic]]
 
 MAX_AXES: Final = 6
-"""Of an array."""
+"""Maximum number of axes of an array."""
 _HEADER_BYTES: Final = 4096
 _KINDS: Final = "biuf"
-"""Kinds of the elements of arrays: booleans and numbers."""
+"""Allowed dtype kinds of arrays: booleans and numbers."""
 _PACKED: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 ARCHIVE_ERRORS: Final = (
     *(zipfile.BadZipFile, zlib.error, OSError, struct.error, SyntaxError, TokenError),
     *(ValueError, EOFError, KeyError, RuntimeError, NotImplementedError, OverflowError),
 )
-"""What zipfile and NumPy raise for archives that are none."""
+"""Errors that zipfile and NumPy raise for invalid archives."""
 _END_BYTES: Final = 22
-"""Of what ends a zip file, without a comment."""
+"""Size of the end record of a zip file without a comment."""
 _LARGE_BYTES: Final = 20 + 56
-"""Of what stands before that in an archive for more than 4 GiB, as torch writes all of them."""
+"""Size of the Zip64 records before it, which torch always writes."""
 _TAIL_BYTES: Final = _LARGE_BYTES + _END_BYTES + (1 << 16)
 _DIRECTORY_BYTES: Final = 512
-"""For each file of an archive, in the list at its end."""
+"""Size of an entry in the directory of an archive."""
 
 
 def open_file(path: Path, limits: Limits) -> IO[bytes]:
@@ -78,7 +78,7 @@ def read_bytes(path: Path, limits: Limits) -> bytes:
 
 
 def read_text(path: Path, limits: Limits) -> str:
-    """Return a text; raise InputError, with the line, where it is not UTF-8, and as :func:`open_file`."""
+    """Return a text. Raises InputError with the line for invalid UTF-8, and as :func:`open_file`."""
     data = read_bytes(path, limits)
     try:
         return data.decode("utf-8-sig")
@@ -88,9 +88,9 @@ def read_text(path: Path, limits: Limits) -> str:
 
 
 def parse_json(data: bytes, where: str) -> Any:
-    """Return a value of JSON, nested 200 levels deep at most; raise InputError, beginning with ``where``, for others.
+    """Return a JSON value, which is not validated further.
 
-    Whether its numbers are finite, and all else, is for a schema to check.
+    Raises InputError, beginning with ``where``, for invalid JSON, or for more than 200 nested levels.
     """
     from pydantic_core import from_json
 
@@ -101,9 +101,9 @@ def parse_json(data: bytes, where: str) -> Any:
 
 
 def read_lines(path: Path, limits: Limits, packed: bool = False) -> Iterator[tuple[int, bytes]]:
-    """Yield the number and the bytes of each line, its end included; ``packed`` is for gzip.
+    """Yield the number and bytes of each line, including its end; ``packed`` for a gzip file.
 
-    Raises InputError for a line, or a content, that is longer than its limit, and as :func:`open_file`.
+    Raises InputError for a line or content above its limit, and as :func:`open_file`.
     """
     with open_file(path, limits) as file:
         lines: IO[bytes] = gzip.GzipFile(fileobj=file) if packed else file  # type: ignore[assignment]
@@ -141,9 +141,9 @@ def read_arrays(path: Path, limits: Limits) -> Arrays:
 
 @contextmanager
 def open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
-    """Open a zip file; raise InputError for one that unpacks to more than it may, and as :func:`open_file`.
+    """Open a zip file. Raises InputError for one above its limits, and as :func:`open_file`.
 
-    Whoever reads from it expects ARCHIVE_ERRORS.
+    Reading from it may raise ARCHIVE_ERRORS.
     """
     with open_file(path, limits) as file:
         if _directory_bytes(file) > limits.members * _DIRECTORY_BYTES:
@@ -154,7 +154,7 @@ def open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
 
 
 def _directory_bytes(file: IO[bytes]) -> int:
-    """Return the length of the directory at the end of a zip file, which zipfile would read at once."""
+    """Return the length of the directory of a zip file, which zipfile reads as a whole."""
     file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
     tail = file.read(_TAIL_BYTES)
     end = len(tail) - _END_BYTES
@@ -209,7 +209,7 @@ def _array(where: str, data: bytes) -> NDArray[np.generic]:
 
 
 def _is_regular(number: int) -> bool:
-    """Return whether it is a file, and none of the kernel's, which have no size and may be waited for as a pipe is."""
+    """Return whether a descriptor is a regular file and not one of the kernel, which has no size and may block."""
     status = os.fstat(number)
     if not stat.S_ISREG(status.st_mode) or status.st_size:
         return stat.S_ISREG(status.st_mode)

@@ -46,7 +46,7 @@ class Document:
     error: type[InputError] = InputError
     """Class of the errors raised for mistakes."""
     instead: Any = None
-    """What it says where that is no mapping."""
+    """The content if it is not a mapping."""
 
     def fail(self, loc: Loc, message: str) -> NoReturn:
         """Raise the error of a mistake, beginning with the file and, if known, the line."""
@@ -78,11 +78,11 @@ class Document:
             data = to_json(plain, inf_nan_mode="constants")
             value: T = adapter(cast(Hashable, kind)).validate_json(data, context=context)
         except ValidationError as error:
-            # What is missing has no line of its own.
+            # A missing key has no line.
             found = list(
                 mistakes(kind, error, line_of=lambda loc: self.lines.get(loc, self.lines.get(loc[:-1], 0)))
             )
-            # What was taken from elsewhere is not said if it is wrong there.
+            # Mistakes in this file before those in values that were taken from another one.
             self.refuse(one for one in found if not one[0] or one[0] in self.lines)
             self.refuse(found)
             raise AssertionError("pydantic reported no mistake") from None

@@ -25,7 +25,7 @@ from craftsim.experiments.bundle import write_bundles
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import wilson
-from craftsim.experiments.records import select
+from craftsim.experiments.records import Selected
 from craftsim.experiments.session import Session, open_session
 from craftsim.experiments.statistics import (
     RESULTS,
@@ -209,40 +209,32 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
     A group's name is the action, a slash and the context. A row is legal when all its attempts are; one whose trials
     have neither attempts nor errors has no prediction.
     """
-    results, kinds = dict[str, Counter[str]](), dict[str, Counter[str]]()
-    reasons, bundles = dict[str, dict[str, str]](), dict[str, list[str]]()
-    forbidden = set[str]()
+    told = dict[str, list[tuple[bool, str, str, str | None]]]()
     for record in records:
-        name, attempts = record["group"], record["attempts"]
-        counts = results.setdefault(name, Counter())
-        if not all(attempt["legal"] for attempt in attempts):
-            forbidden.add(name)
-        if record["bundle"]:
-            bundles.setdefault(name, []).append(record["bundle"])
-        if record["error"] is not None:
-            counts["errors"] += 1
-        elif attempts:
+        attempts, result, reason = record["attempts"], "errors" if record["error"] is not None else "", ""
+        if attempts and not result:
             worst = max(attempts, key=lambda attempt: RESULTS.index(Verdict(attempt["result"])))
-            counts[Verdict(worst["result"])] += 1
-            if worst["result"] != Verdict.AS_PREDICTED:
-                kind = kind_of(worst["reason"])
-                kinds.setdefault(name, Counter())[kind] += 1
-                reasons.setdefault(name, {}).setdefault(kind, worst["reason"])
+            result, reason = Verdict(worst["result"]), worst["reason"]
+        legal = all(attempt["legal"] for attempt in attempts)
+        told.setdefault(record["group"], []).append((legal, result, reason, record["bundle"]))
     rows = []
-    for name, counts in sorted(results.items()):
+    for name, trials in sorted(told.items()):
+        counts = Counter(result for _, result, _, _ in trials if result)
         good, failed, side_effect, unsafe, numerics = (counts[result] for result in RESULTS)
-        trials, legal, predicted = good + failed + side_effect + unsafe, name not in forbidden, bool(counts)
-        (commonest, n), *others = kinds.get(name, Counter()).most_common() or [("", 0)]
-        reason = reasons.get(name, {}).get(commonest, "")
+        n, predicted = good + failed + side_effect + unsafe, bool(counts)
+        legal = predicted and all(legal for legal, _, _, _ in trials)
+        reasons = [reason for _, result, reason, _ in trials if result in RESULTS[1:]]
+        kinds = Counter(map(kind_of, reasons))
+        (commonest, most), *others = kinds.most_common() or [("", 0)]
+        reason = next((reason for reason in reasons if kind_of(reason) == commonest), "")
         action, _, context = name.partition("/")
         rows.append(
             AuditRow(
-                *(action, context, legal and predicted, predicted),
-                *(trials, good, failed, side_effect, unsafe),
-                *wilson(good, trials),
-                verdict=judge(legal, predicted, trials, good).value,
-                reason=f"{reason} ({n} of {kinds[name].total()})" if others else reason,
-                bundles=tuple(bundles.get(name, ())),
+                *(action, context, legal, predicted, n, good, failed, side_effect, unsafe),
+                *wilson(good, n),
+                verdict=judge(legal, predicted, n, good).value,
+                reason=f"{reason} ({most} of {kinds.total()})" if others else reason,
+                bundles=tuple(bundle for _, _, _, bundle in trials if bundle),
                 numerics=numerics,
                 errors=counts["errors"],
             )
@@ -311,7 +303,7 @@ class Audit:
 
 def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
     """Return the records without those of actions begun all at once, of which the rules say nothing."""
-    return select(records, lambda record: not record["group"].endswith(_AT_ONCE))
+    return Selected(records, lambda record: not record["group"].endswith(_AT_ONCE))
 
 
 def corrected(

@@ -5,29 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
+from craftsim.experiments import sections as shared
+from craftsim.experiments import statistics
 from craftsim.experiments.bundle import TRAJECTORY
 from craftsim.experiments.intervals import CONFIDENCE
-from craftsim.experiments.sections import (
-    RESULTS,
-    comparison_notes,
-    duration_blocks,
-    error_drawing,
-    error_tables,
-    legality_table,
-    paired_sections,
-    precision_table,
-    provenance_section,
-    result_cells,
-    results_table,
-    run_notes,
-)
-from craftsim.experiments.statistics import (
-    Figures,
-    capped_steps,
-    error_counts,
-    legal_attempts,
-    retried,
-)
 from craftsim.reports.plots import BAD, CAUTION, GOOD, MUTED, rows_height_in, stacked_rows
 from craftsim.reports.report import (
     Block,
@@ -109,7 +90,7 @@ def audit_report(audit: Audit, command: str) -> Report:
         _disagreements("Conservative", conservative),
         _suspects(audit.suspects),
         _matrix(rows, figures),
-        *paired_sections(audit.comparison),
+        *shared.paired_sections(audit.comparison),
         *smallest_section(audit.smallest),
         *_groups(
             rows, RuleVerdict.UNSOUND, "The rules allow these, and physics refuses.", unsound, *striking_first
@@ -135,19 +116,19 @@ def audit_report(audit: Audit, command: str) -> Report:
             "Errors and durations",
             "Of what the rules allow and did as predicted.",
             [
-                results_table("By action", "action", figures.by_verb),
-                precision_table(figures.precision),
-                error_drawing(legal_attempts(judged_by_rules(audit.records))),
-                *duration_blocks(figures.durations),
+                shared.results_table("By action", "action", figures.by_verb),
+                shared.precision_table(figures.precision),
+                shared.error_drawing(statistics.legal_attempts(judged_by_rules(audit.records))),
+                *shared.duration_blocks(figures.durations),
             ],
         ),
-        provenance_section(command, audit.seed, audit.config),
+        shared.provenance_section(command, audit.seed, audit.config),
     ]
     named = ", ".join(f"{flag} {number}" for flag, number in audit.rows_by_flag.items())
     notes = [
         *([f"unsound rows by the correction that concerns them: {named}"] if named else []),
-        *run_notes(capped_steps(audit.records), retried(audit.records)),
-        *comparison_notes(audit.comparison),
+        *shared.run_notes(statistics.capped_steps(audit.records), statistics.retried(audit.records)),
+        *shared.comparison_notes(audit.comparison),
     ]
     decided = (
         RuleVerdict.UNSOUND,
@@ -166,12 +147,12 @@ def audit_report(audit: Audit, command: str) -> Report:
         ],
         sections,
         notes,
-        exit_code=int(bool(found[RuleVerdict.UNSOUND] or error_counts(audit.records))),
+        exit_code=int(bool(found[RuleVerdict.UNSOUND] or statistics.error_counts(audit.records))),
     )
 
 
 def _headline(audit: Audit) -> Headline:
-    found, errors = verdict_counts(audit.rows), sum(error_counts(audit.records).values())
+    found, errors = verdict_counts(audit.rows), sum(statistics.error_counts(audit.records).values())
     unsound, conservative = found[RuleVerdict.UNSOUND], found[RuleVerdict.CONSERVATIVE]
     allowed = unsound + found[RuleVerdict.SOUND]
     few = sum(row.provisional for row in audit.rows)
@@ -208,7 +189,7 @@ def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:
     return Section("suspects", "Suspects", lead, [table], terminal=True)
 
 
-def _matrix(rows: Sequence[AuditRow], figures: Figures) -> Section:
+def _matrix(rows: Sequence[AuditRow], figures: statistics.Figures) -> Section:
     actions = _by_action(rows)
     parts = {
         judgement.value: (
@@ -228,7 +209,11 @@ def _matrix(rows: Sequence[AuditRow], figures: Figures) -> Section:
         "A row is one action in situations that physics cannot tell apart. The action works there when at least "
         f"{100 * SOUND_SHARE:.0f} % of the trials did what was predicted, and nothing else."
     )
-    blocks: list[Block] = [legality_table(figures.matrix), drawing, *error_tables(figures.errors)]
+    blocks: list[Block] = [
+        shared.legality_table(figures.matrix),
+        drawing,
+        *shared.error_tables(figures.errors),
+    ]
     return Section("matrix", "Rules against physics", lead, blocks)
 
 
@@ -272,7 +257,7 @@ def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> D
     cells: list[tuple[Value, ...]] = []
     for row in rows:
         bundle = row.bundles[0] if row.bundles else ""
-        trials, *results = result_cells(row)
+        trials, *results = shared.result_cells(row)
         bar = (row.as_predicted / row.trials, row.wilson_low, row.wilson_high) if row.trials else None
         cells.append(
             (
@@ -284,7 +269,7 @@ def _row_table(rows: Sequence[AuditRow], verdict: str = "", note: str = "") -> D
             )
         )
     columns = (
-        *(Column("row", "path"), Column("physical reason", "wide"), *RESULTS, _INTERVAL),
+        *(Column("row", "path"), Column("physical reason", "wide"), *shared.RESULTS, _INTERVAL),
         Column("bundle", "path", "folder of a replay bundle: craftsim replay FOLDER"),
     )
     title = f"{verdict.capitalize()}: {count(len(rows), 'row')}" if verdict else ""

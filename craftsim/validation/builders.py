@@ -36,7 +36,7 @@ from craftsim.experiments.intervals import (
 )
 from craftsim.experiments.session import open_session
 from craftsim.reports.json_file import document
-from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
+from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, numbers
 from craftsim.validation.policies import PLANNER, RANDOM, make_policy, policy_digest
 
 DIFFICULTIES: Final = ("one level", "with a ramp", "two levels")
@@ -228,13 +228,8 @@ def _difference(first: Sequence[TrialRecord], second: Sequence[TrialRecord]) -> 
 
 
 def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_designs: int) -> Report:
-    names = ("built", "95 %", "in place, %", "95 %", "as predicted", "forbidden", "unreadable")
-    columns = (
-        Column("builder"),
-        Column("on"),
-        Column("designs"),
-        *(Column(name, "number") for name in names),
-    )
+    heads = ("designs", "built", "95 %", "in place, %", "95 %", "as predicted", "forbidden", "unreadable")
+    columns = (Column("builder"), Column("on"), *numbers(*heads))
     rows = [
         (builder, backend, difficulty, *_cells(one))
         for builder, of in figures["builders"].items()
@@ -254,10 +249,7 @@ def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_design
             (name, *(f"{share:+.2f}" for share in astuple(more)), f"{least:.2f}")
             for name, (more, least) in pairs.items()
         ]
-        head = (
-            Column("builder"),
-            *(Column(name, "number") for name in ("more built", "from", "to", "detectable")),
-        )
+        head = numbers("builder", "more built", "from", "to", "detectable")
         tables.append(DataTable(head, others, f"Compared with {first}, in physics, paired by design"))
     wrong = figures["errors"]
     lost = f"; {wrong} without a result, which --resume tries again" if wrong else ""

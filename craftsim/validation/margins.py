@@ -199,6 +199,16 @@ class MarginResult:
     tried: _Count
     """Number of trials run."""
 
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Sort key: the weakest scenario first."""
+        return _ENDS.index(self.end), self.margin or 0.0
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """The margin as report.json holds it, the end in capitals."""
+        return asdict(self) | {"end": self.end.replace(" ", "_").upper()}
+
 
 MARGINS: Final = Form(Judged, MarginResult | dict[Literal["stood"], tuple[_Count, ...]])
 """Schema of the records of a search for margins, and of a map's rows: how many trials pass, by horizontal level."""
@@ -329,11 +339,6 @@ class Margin:
         words = {"fails": "fails at nominal", "-": "no effect"}
         return words.get(self.number, f"{self.number} {self.axis.unit}")
 
-    @property
-    def rank(self) -> tuple[int, float]:
-        """Sort key: the weakest scenario first."""
-        return _ENDS.index(self.limit.end), self.limit.margin or 0.0
-
 
 @dataclass(frozen=True)
 class Margins:
@@ -353,7 +358,7 @@ class Margins:
     def weakest(self) -> dict[str, dict[str, Margin]]:
         """The weakest scenario by action and by name of the imperfection."""
         found: dict[str, dict[str, Margin]] = {one.action: {} for one in self.margins}
-        for one in sorted(self.margins, key=lambda one: one.rank):
+        for one in sorted(self.margins, key=lambda one: one.limit.rank):
             found[one.action].setdefault(one.axis.name, one)
         return found
 
@@ -361,7 +366,7 @@ class Margins:
     def with_effect(self) -> list[Imperfection]:
         """The imperfections that have an effect on any action."""
         tells = {one.axis for one in self.margins if one.limit.end != "no effect"}
-        ranked = sorted(self.margins, key=lambda one: -one.rank[0])
+        ranked = sorted(self.margins, key=lambda one: -one.limit.rank[0])
         return [axis for axis in dict.fromkeys(one.axis for one in ranked) if axis in tells]
 
     @property
@@ -411,24 +416,21 @@ def run_margins(
     experiment = Experiment(COMMAND, seed, config, items, find, MARGINS, TIMEOUT_S)
     with open_session(experiment, out, options) as session:
         records = session.run()
-        ended = [(one, r) for one, r in zip(searches, records, strict=False) if r["error"] is None]
-        margins = [
+        done = zip(searches, records, strict=False)
+        ended = [(one, r, MarginResult(**r["extra"])) for one, r in done if r["error"] is None]
+        bundles = write_bundles(session, _recipes(ended))
+        margins = tuple(
             Margin(
-                r["group"], r["context"] or "", one.axes[0], MarginResult(**r["extra"]), earlier.get(r["key"])
+                *(one.scenario.action, one.scenario.name, one.axes[0], limit),
+                *(earlier.get(record["key"]), bundles.get(record["index"], "")),
             )
-            for one, r in ended
-        ]
+            for one, record, limit in ended
+        )
         maps: dict[str, list[Sequence[int]]] = {}
         for record in records[len(searches) :]:
             maps.setdefault(record["context"] or "", []).append(record["extra"].get("stood", ()))
         whole = {name: stood for name, stood in maps.items() if all(stood)}
-        result = Margins(records, tuple(margins), whole, pair, config, seed)
-        folders = write_bundles(session, _recipes(result, ended))
-        bundled = [
-            replace(one, bundle=folders.get(record["index"], ""))
-            for one, (_, record) in zip(margins, ended, strict=True)
-        ]
-        result = replace(result, margins=tuple(bundled))
+        result = Margins(records, margins, whole, pair, config, seed)
         session.write_report({"margins": _figures(result)})
     return result
 
@@ -446,52 +448,38 @@ def _earlier(folder: Path | None, out: Path) -> dict[str, MarginResult]:
 
 
 def _recipes(
-    result: Margins, ended: Iterable[tuple[MarginSearch, TrialRecord]]
+    ended: Iterable[tuple[MarginSearch, TrialRecord, MarginResult]],
 ) -> dict[int, Callable[[], Recipe]]:
     """Return how the weakest scenario of each action fails for each imperfection, by the index of its record."""
-    shown = {(one.scenario, one.axis) for by_axis in result.weakest.values() for one in by_axis.values()}
+    shown = dict[tuple[str, Imperfection], int]()
     found: dict[int, Callable[[], Recipe]] = {}
-    for one, (search, record) in zip(result.margins, ended, strict=True):
-        limit = one.limit
-        if (one.scenario, one.axis) in shown and limit.trial is not None and record["attempts"]:
-            levels = () if limit.fails_at is None else ((one.axis, limit.fails_at),)
-            found[record["index"]] = partial(search.recipe, limit.trial, levels)
+    for search, record, limit in sorted(ended, key=lambda one: one[2].rank):
+        (axis,), index = search.axes, record["index"]
+        weakest = shown.setdefault((search.scenario.action, axis), index) == index
+        if weakest and limit.trial is not None and record["attempts"]:
+            levels = () if limit.fails_at is None else ((axis, limit.fails_at),)
+            found[index] = partial(search.recipe, limit.trial, levels)
     return found
 
 
 def _figures(result: Margins) -> dict[str, Any]:
     """Return the metrics of ``report.json``."""
+    pair = {
+        "axes": [axis.name for axis in result.pair],
+        "values": [values_of(axis) for axis in result.pair],
+        "of": result.map_trials,
+    }
     return {
         "share": SHARE,
         "confidence": confidence(result.config["trials"]),
         "scenarios": [
-            {
-                "action": one.action,
-                "scenario": one.scenario,
-                "axis": one.axis.name,
-                "figure": one.axis.figure,
-            }
-            | {"bundle": one.bundle, "before": one.before and _written(one.before)}
-            | _written(one.limit)
+            {"action": one.action, "scenario": one.scenario, "axis": one.axis.name, "figure": one.axis.figure}
+            | {"bundle": one.bundle, "before": one.before and one.before.figures, **one.limit.figures}
             for one in result.margins
         ],
         "weakest": {
             action: {name: {"scenario": one.scenario, "text": one.text} for name, one in by_axis.items()}
             for action, by_axis in result.weakest.items()
         },
-        "maps": [
-            {
-                "scenario": scenario,
-                "axes": [axis.name for axis in result.pair],
-                "values": [values_of(axis) for axis in result.pair],
-                "stood": stood,
-                "of": result.map_trials,
-            }
-            for scenario, stood in result.maps.items()
-        ],
+        "maps": [{"scenario": name, "stood": stood, **pair} for name, stood in result.maps.items()],
     }
-
-
-def _written(limit: MarginResult) -> dict[str, Any]:
-    """Return a margin as report.json holds it, the end in capitals."""
-    return asdict(limit) | {"end": limit.end.replace(" ", "_").upper()}

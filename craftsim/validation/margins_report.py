@@ -40,7 +40,7 @@ _SIDE_IN: Final = 5.4
 def margins_report(result: Margins, command: str) -> Report:
     """Return the report of a search; ``command`` is the command line that repeats it."""
     by_action: dict[str, list[Margin]] = {action: [] for action in result.weakest}
-    for one in sorted(result.margins, key=lambda one: one.rank):
+    for one in sorted(result.margins, key=lambda one: one.limit.rank):
         by_action[one.action].append(one)
     compared, trials = any(one.before for one in result.margins), result.config["trials"]
     return Report(
@@ -117,7 +117,7 @@ def _first_failures(result: Margins) -> Section:
     """Return the first failure for each imperfection, over all actions."""
     weakest = result.weakest.values()
     first = [
-        min((by[axis.name] for by in weakest if axis.name in by), key=lambda one: one.rank)
+        min((by[axis.name] for by in weakest if axis.name in by), key=lambda one: one.limit.rank)
         for axis in result.with_effect
     ]
     cases = [

@@ -32,16 +32,7 @@ from craftsim.models.randomization import NONE
 from craftsim.storage.folders import directory_within
 from craftsim.storage.limits import MINIMIZE_S
 from craftsim.storage.writing import write_whole
-from craftsim.validation.counterexample import (
-    WorldPart,
-    cropped,
-    distance,
-    grid_of,
-    lowered,
-    pieces_of,
-    without,
-    words_of,
-)
+from craftsim.validation import counterexample as parts
 
 FOLDER: Final = "smallest"
 """Subfolder of a run for minimized worlds."""
@@ -150,7 +141,7 @@ class Smallest:
         )
         self._left_s = MINIMIZE_S
         self._known: dict[str, bool] = {}
-        self._pieces, self._size = pieces_of(failing.grid, failing.car), failing.grid.size
+        self._pieces, self._size = parts.pieces_of(failing.grid, failing.car), failing.grid.size
         # What play led to need not be what a drawing may show; then no smaller world need be.
         self._drawn = "snapshot:" not in blueprint_text(self.grid)
         self._fails(self._pieces, self._size, self.action)
@@ -158,7 +149,7 @@ class Smallest:
     @property
     def grid(self) -> Grid:
         """The world."""
-        return grid_of(self._pieces, self._size)
+        return parts.grid_of(self._pieces, self._size)
 
     @property
     def minimal(self) -> bool:
@@ -168,7 +159,7 @@ class Smallest:
     @property
     def words(self) -> str:
         """The failure in one sentence."""
-        return words_of(self.grid, self.action, self.attempt.result, self._rules)
+        return parts.words_of(self.grid, self.action, self.attempt.result, self._rules)
 
     def run(self) -> None:
         """Remove pieces, lower the rest, and crop the map."""
@@ -181,12 +172,12 @@ class Smallest:
         heading_x = tuple(piece.turned(quarters) for piece in self._pieces)
         crops = product(((heading_x, action), (self._pieces, self.action)), _MARGINS)
         for (pieces, act), margins in crops:
-            if self._fails(*cropped(pieces, *margins), act):
+            if self._fails(*parts.cropped(pieces, *margins), act):
                 break
 
-    def _fails(self, pieces: Sequence[WorldPart], size: Cell, action: Action) -> bool:
+    def _fails(self, pieces: Sequence[parts.WorldPart], size: Cell, action: Action) -> bool:
         """Return whether the action of the first piece is legal in a world and fails; if so keep that world."""
-        grid = grid_of(pieces, size)
+        grid = parts.grid_of(pieces, size)
         text = blueprint_text(grid)
         key = f"{action.name} {text}"
         if key not in self._known:
@@ -223,7 +214,7 @@ class Smallest:
             n, before = min(n, len(others)), len(self._pieces)
             for i in range(n):
                 part = others[i * len(others) // n : (i + 1) * len(others) // n]
-                keep = without(self._pieces, part)
+                keep = parts.without(self._pieces, part)
                 if len(keep) < len(self._pieces):
                     self._fails(keep, self._size, self.action)
             if len(self._pieces) < before:
@@ -233,11 +224,11 @@ class Smallest:
             else:
                 n *= 2
 
-    def _others(self) -> list[WorldPart]:
+    def _others(self) -> list[parts.WorldPart]:
         """Return all pieces but the acting car and those below it, furthest first."""
         me, *others = self._pieces
-        free = (piece for piece in others if me in without(self._pieces, (piece,)))
-        return sorted(free, key=lambda piece: (-distance(piece, me.cell), piece.cell, piece.kind))
+        free = (piece for piece in others if me in parts.without(self._pieces, (piece,)))
+        return sorted(free, key=lambda piece: (-parts.distance(piece, me.cell), piece.cell, piece.kind))
 
     def _simplify(self) -> bool:
         """Remove a load, or lower everything by a level; return whether the failure remains."""
@@ -246,7 +237,7 @@ class Smallest:
             pieces = (*self._pieces[:place], bare, *self._pieces[place + 1 :])
             if piece.load != Kind.AIR and self._fails(pieces, self._size, self.action):
                 return True
-        lower = lowered(self._pieces)
+        lower = parts.lowered(self._pieces)
         return bool(lower) and self._fails(lower, self._size, self.action)
 
 

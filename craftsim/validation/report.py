@@ -2,32 +2,15 @@
 
 from __future__ import annotations
 
-from array import array
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from statistics import median
 from typing import Any, Final
 
 from craftsim.checking.attempt import Attempt, Verdict
+from craftsim.experiments import sections as shared
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.experiments.intervals import Proportion
-from craftsim.experiments.sections import (
-    comparison_notes,
-    duration_blocks,
-    error_drawing,
-    error_tables,
-    legality_table,
-    paired_sections,
-    policies_section,
-    precision_table,
-    provenance_section,
-    results_table,
-    run_notes,
-    success_drawing,
-    survival_section,
-)
 from craftsim.experiments.statistics import Figures, legal_attempts
 from craftsim.rendering.trajectory import SUFFIX
 from craftsim.reports.report import (
@@ -46,6 +29,7 @@ from craftsim.reports.report import (
     Value,
     count,
     interval,
+    numbers,
     percent,
     share_cells,
 )
@@ -78,30 +62,35 @@ def validation_report(result: Validation, command: str) -> Report:
     """Return the report of a validation; ``command`` is how it can be run again."""
     figures, records, builds = result.figures, result.records, result.builds
     runs = ((record["key"], [*map(Attempt.of, record["attempts"])]) for record in records)
-    of_plans = [] if builds else [survival_section(figures.survival), *policies_section(figures)]
+    of_plans = (
+        [] if builds else [shared.survival_section(figures.survival), *shared.policies_section(figures)]
+    )
     sections = [
         _builds(records) if builds else _results(figures, records),
         *_coverage(result.coverage),
-        *paired_sections(result.comparison),
+        *shared.paired_sections(result.comparison),
         *smallest_section(result.smallest),
         *([actions_section(runs, len(records))] if records else []),
-        failures_section(failures_of(records), error_tables(figures.errors)),
+        failures_section(failures_of(records), shared.error_tables(figures.errors)),
         *of_plans,
         Section(
             "errors",
             "Errors and forces",
             "Where physics agrees with the rules, how far it is from them in numbers.",
-            [precision_table(figures.precision), error_drawing(legal_attempts(records))],
+            [shared.precision_table(figures.precision), shared.error_drawing(legal_attempts(records))],
         ),
         Section(
             "durations",
             "Durations",
             "What a planner can count on; by action, load, ground and level.",
-            duration_blocks(figures.durations),
+            shared.duration_blocks(figures.durations),
         ),
-        provenance_section(command, result.seed, result.config),
+        shared.provenance_section(command, result.seed, result.config),
     ]
-    notes = [*run_notes(figures.capped_steps, figures.retried), *comparison_notes(result.comparison)]
+    notes = [
+        *shared.run_notes(figures.capped_steps, figures.retried),
+        *shared.comparison_notes(result.comparison),
+    ]
     if builds:
         title, about = "Building with re-planning", str(records[0]["context"])
         headline, key_figures, good = _built(builds, len(records)), _build_figures(builds), result.all_built
@@ -163,7 +152,7 @@ def _drift(figures: Figures) -> list[str]:
     return [f"Set down in the first, middle and last third of the runs: median {found} mm off."]
 
 
-def _results(figures: Figures, records: Iterable[TrialRecord]) -> Section:
+def _results(figures: Figures, records: Sequence[TrialRecord]) -> Section:
     blocks: list[Block] = [runs_table(records)]
     if len(figures.by_group) > 1:
         columns = ("runs", "runs that agree", SHARE[1].name, "actions", "actions as predicted", SHARE[1].name)
@@ -176,36 +165,35 @@ def _results(figures: Figures, records: Iterable[TrialRecord]) -> Section:
         ]
         heads = (Column("plan or policy", "path"), *(Column(name, "number") for name in columns))
         blocks.append(DataTable(heads, rows, "By plan or policy", most=0))
-    tables = legality_table(figures.matrix), results_table("By action", "action", figures.by_verb)
-    blocks += [*(replace(table, most=0) for table in tables), success_drawing(figures.by_verb)]
+    tables = (
+        shared.legality_table(figures.matrix),
+        shared.results_table("By action", "action", figures.by_verb),
+    )
+    blocks += [*(replace(table, most=0) for table in tables), shared.success_drawing(figures.by_verb)]
     return Section("results", "Results", _LEAD, blocks, terminal=True)
 
 
-def runs_table(records: Iterable[TrialRecord]) -> DataTable:
+def runs_table(records: Sequence[TrialRecord]) -> DataTable:
     """Return a table with a row for each world and each plan or policy."""
-    counts: dict[tuple[str, str], Counter[str]] = {}
-    makespans: dict[tuple[str, str], array[float]] = {}
-    for record in records:
-        key = record["context"] or "", record["group"]
-        n, extra = counts.setdefault(key, Counter()), record["extra"]
-        times = makespans.setdefault(key, array("d"))
-        n["runs"] += 1
-        if record["error"] is not None:
-            continue
-        times.append(extra.get("makespan_s", 0.0))
-        n["agree"] += record["agrees"]
-        n["actions"] += len(record["attempts"])
-        n["good"] += sum(not _disagrees(a) for a in record["attempts"])
-        n["with goals"] += all(goal in extra for goal in _GOALS)
-        n.update({goal: int(extra.get(goal, False)) for goal in _GOALS})
+    from pandas import DataFrame
+
+    told = (
+        {"world": r["context"] or "", "by": r["group"], "done": r["error"] is None, "agree": r["agrees"]}
+        | {"actions": len(r["attempts"]), "good": sum(not _disagrees(a) for a in r["attempts"])}
+        | {name: r["extra"].get(name) for name in _GOALS}
+        | {"makespan_s": r["extra"].get("makespan_s", 0.0)}
+        for r in records
+    )
     rows: list[tuple[Value, ...]] = []
-    for key, n in counts.items():
-        done = len(makespans[key])
-        known = done and n["with goals"] == done
-        goals = [f"{n[goal]}/{done}" if known else None for goal in _GOALS]
-        makespan = f"{median(makespans[key]):.1f}" if done else None
-        counted = [n[name] for name in ("runs", "agree", "actions", "good")]
-        rows.append((*key, *counted, *goals, makespan, n["runs"] - done))
+    for key, runs in DataFrame(told).groupby(["world", "by"], sort=False) if records else ():
+        done = runs[runs.done]
+        n = len(done)
+        counts = [int(done[name].sum()) for name in ("agree", "actions", "good")]
+        goals = [
+            f"{int(done[goal].sum())}/{n}" if n and done[goal].notna().all() else None for goal in _GOALS
+        ]
+        makespan = f"{done.makespan_s.median():.1f}" if n else None
+        rows.append((*key, len(runs), *counts, *goals, makespan, len(runs) - n))
     names = ("runs", "agree", "actions", "good", "goal", "rules", "makespan", "errors")
     return DataTable(
         (Column("world"), Column("plan or policy"), *(Column(name, "number") for name in names)),
@@ -270,7 +258,6 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
 def demo_report(
     buildings: Sequence[Building],
     command: str,
-    about: tuple[int, Mapping[str, Any]],
     document: Mapping[str, Any],
     films: Mapping[str, Path],
 ) -> Report:
@@ -279,8 +266,7 @@ def demo_report(
     Args:
         buildings: with their episodes.
         command: how it can be run again.
-        about: its seed and its configuration.
-        document: what ``report.json`` holds.
+        document: content of ``report.json``.
         films: of buildings, by their names.
     """
     figures = [one.figures for one in buildings]
@@ -309,9 +295,9 @@ def demo_report(
             actions_section(((one.name, one.attempts) for one in buildings), len(buildings)),
             *([failures_section(iter(failures), note=_RENDER)] if failures else []),
             *_films(buildings, films),
-            provenance_section(command, *about),
+            shared.provenance_section(command, document["seed"], document["config"]),
         ],
-        [*run_notes(*(sum(one[name] for one in figures) for name in ("capped_steps", "retried")))],
+        [*shared.run_notes(*(sum(one[name] for one in figures) for name in ("capped_steps", "retried")))],
         {f"Film of {name}" if len(films) > 1 else "Film": path for name, path in films.items()},
         document,
         0 if good else 1,
@@ -337,8 +323,7 @@ def _summary(buildings: Sequence[Building], figures: Sequence[Mapping[str, Any]]
             )
         )
     note = "s: makespan; at worst: mm, mrad of cars, set: mm of things set down, others: mm that bystanders moved"
-    names = ("ticks", "agree", "goal", "s", *_WORST.values())
-    columns = (Column("task"), *(Column(name, "number") for name in names))
+    columns = numbers("task", "ticks", "agree", "goal", "s", *_WORST.values())
     table = DataTable(columns, rows, "Built in physics, checked by the rules", note)
     return Section("buildings", "Buildings", _LEAD, [table], terminal=True)
 

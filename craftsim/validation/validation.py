@@ -31,18 +31,8 @@ from craftsim.options import Physics, Rollouts, Trials, changed
 from craftsim.planning import Planned, plan_building
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.skills.executor import Observer
-from craftsim.validation.choice import (
-    AUTO,
-    PLANNER,
-    PLAY,
-    World,
-    check_starts,
-    items_of,
-    plan_pilot,
-    policy_pilot,
-    replanning_pilot,
-    subjects_of,
-)
+from craftsim.validation import choice
+from craftsim.validation.choice import World
 from craftsim.validation.forms import BUILDS, RUNS
 from craftsim.validation.minimize import Counterexample, MinimizeProgress, minimize_failures
 from craftsim.validation.play import coverage_of
@@ -215,20 +205,21 @@ def validate(
         raise InputError(
             "several workers, an engine, resume, baseline, minimize and record need the folder 'out'"
         )
-    subjects = subjects_of(several, what.n_cars, what.n_blocks, what.max_steps)
-    if plan == AUTO:
-        pilots = [replanning_pilot(replanning, subjects)]
+    subjects = choice.subjects_of(several, what.n_cars, what.n_blocks, what.max_steps)
+    if plan == choice.AUTO:
+        pilots = [choice.replanning_pilot(replanning, subjects)]
     elif plan is not None:
         read = plan if isinstance(plan, Plan) else read_plan(Path(plan), subjects[0].n_cars)
-        pilots = [plan_pilot(read, order)]
+        pilots = [choice.plan_pilot(read, order)]
     elif actions is not None:
-        pilots = [plan_pilot(read_actions(Path(actions), subjects[0].n_cars), "sequential")]
+        pilots = [choice.plan_pilot(read_actions(Path(actions), subjects[0].n_cars), "sequential")]
     else:
-        default = PLAY if all(s.name == RANDOM for s in subjects) else PLANNER
+        default = choice.PLAY if all(s.name == RANDOM for s in subjects) else choice.PLANNER
         chosen = policy or default
         named = [chosen] if isinstance(chosen, str) or callable(chosen) else list(chosen)
         pilots = [
-            policy_pilot(one, subjects, order, physics.rules, timeout_s) for one in dict.fromkeys(named)
+            choice.policy_pilot(one, subjects, order, physics.rules, timeout_s)
+            for one in dict.fromkeys(named)
         ]
     folder = None if out is None else Path(out)
     setup = physics.setup()
@@ -243,14 +234,14 @@ def validate(
         "setup": setup,
         "digests": setup.digests,
     }
-    check_starts(subjects, setup, seed)
+    choice.check_starts(subjects, setup, seed)
     terms = {"out": folder and folder.resolve(), "observers": tuple(observers), "record": record}
-    items = list(items_of(subjects, pilots, trials, seed, setup, order=order, **terms))
-    form = BUILDS if plan == AUTO else RUNS
+    items = list(choice.items_of(subjects, pilots, trials, seed, setup, order=order, **terms))
+    form = BUILDS if plan == choice.AUTO else RUNS
     experiment = Experiment("validate", seed, config, items, do_run, form, timeout_s)
     how = campaign.run(progress)
     earlier = read_earlier(experiment, folder, how)
-    if plan == AUTO:
+    if plan == choice.AUTO:
         # Fail before the run starts if nothing can be built; finding out may take long.
         rng, rules = np.random.default_rng(seed), Rules(setup.rules)
         first = as_task(items[0].job.world).for_episode(rng)
@@ -262,7 +253,7 @@ def validate(
         comparison = None if earlier is None else compare_runs(earlier, session)
         smallest = () if minimize is None else minimize_failures(session, records, minimize)
         found: dict[str, Any] = {"coverage": coverage_of(records), "smallest": smallest}
-        if plan == AUTO:
+        if plan == choice.AUTO:
             found["builds"] = build_figures(records)
         session.write_report({"validation": figures, "paired": comparison, **found})
         if folder is not None:
@@ -305,12 +296,12 @@ def record_once(
     """
     if plan is not None and policy is not None:
         raise InputError("plan and policy exclude each other")
-    subjects = subjects_of([world])
+    subjects = choice.subjects_of([world])
     if plan is not None:
-        pilot = plan_pilot(read_plan(plan, subjects[0].n_cars), order)
+        pilot = choice.plan_pilot(read_plan(plan, subjects[0].n_cars), order)
     else:
-        pilot = policy_pilot(policy or PLANNER, subjects, order, setup.rules)
-    (item,) = items_of(subjects, [pilot], 1, seed, setup, order=order, record=True)
+        pilot = choice.policy_pilot(policy or choice.PLANNER, subjects, order, setup.rules)
+    (item,) = choice.items_of(subjects, [pilot], 1, seed, setup, order=order, record=True)
     trajectory = roll_out(item.job).trajectory
     assert trajectory is not None
     return trajectory

@@ -1,7 +1,7 @@
-"""Spawned processes: they ignore Ctrl-C, and do not import modules from the working folder.
+"""Spawned processes, which ignore Ctrl-C and do not import modules from the working folder.
 
-Python lets a process that runs ``-c``, as all of multiprocessing do, look for modules in the working folder first: a
-``multiprocessing.py`` there would run before anything of ours does.
+A process started with ``python -c``, as by multiprocessing, looks for modules in the working folder first, so that a
+``multiprocessing.py`` there would be executed.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Actor:
     def send(self, request: Any) -> None:
         """Send a request without waiting."""
         data = pickle.dumps(request)
-        with suppress(OSError):  # of a process that has died, which recv says
+        with suppress(OSError):  # if the process has died, recv raises
             self._requests.send_bytes(data)
         self.due += 1
 
@@ -104,11 +104,11 @@ class Actor:
 
 
 def _serve(requests: Connection, answers: Connection, make: Callable[[], Handler]) -> None:
-    """Answer requests, in a process of its own, until the process that asks is gone."""
+    """Answer requests in the worker until the parent process ends."""
     waiting: SimpleQueue[bytes] = SimpleQueue()
 
     def listen() -> None:
-        # In a thread of its own, so that nobody waits to be heard, and a process left alone ends in mid-work.
+        # In a thread, so that the parent never blocks, and the worker of a dead parent ends at once.
         while True:
             try:
                 waiting.put(requests.recv_bytes())
@@ -129,7 +129,7 @@ def _answer(handler: Handler, request: bytes) -> bytes:
         told = traceback.format_exc()
         try:
             data = pickle.dumps((False, error))
-            pickle.loads(data)  # which some errors do not stand
+            pickle.loads(data)  # fails for some errors
         except Exception:
             return pickle.dumps((False, CraftsimError(f"what a process raised cannot be sent:\n{told}")))
         return data
@@ -140,7 +140,7 @@ def spawn_context() -> SpawnContext:
 
     Its processes have the module path of this process at that moment.
     """
-    # The first queue or lock would start it, as any process of Python is started.
+    # Otherwise the first queue or lock starts it, with the usual path.
     with _safe_path():
         resource_tracker.ensure_running()
     return _Context()
@@ -152,7 +152,7 @@ class _Process(SpawnProcess):
         self._tells = reports_compiling()
         self._registering = tuple(REGISTERING)
         with _safe_path():
-            # Its first start would undo the block.
+            # Otherwise its first start unblocks the signal.
             resource_tracker.ensure_running()
             usual = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             try:
@@ -161,7 +161,7 @@ class _Process(SpawnProcess):
                 signal.pthread_sigmask(signal.SIG_SETMASK, usual)
 
     def run(self) -> None:
-        # What code of the user's starts from here looks for its modules as it does elsewhere.
+        # Processes that user code starts have the usual path.
         set_safe_path(self._inherited)
         if self._tells:
             report_compiling()
@@ -187,7 +187,7 @@ def defer_sigint() -> Iterator[None]:
     An ignored signal, as in a background job of a shell, stays ignored.
     """
     usual = signal.getsignal(signal.SIGINT)
-    # None is a handler that is not Python's, which could not be put back; only the main thread hears of signals.
+    # None is a handler of C code, which cannot be restored; only the main thread gets signals.
     if usual in (signal.SIG_IGN, None) or threading.current_thread() is not threading.main_thread():
         yield
         return

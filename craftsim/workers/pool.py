@@ -136,7 +136,7 @@ class Pool:
                         self._idle.append(self._running.pop(worker.actor))
                     else:
                         worker.send(timeout_s)
-                # The workers go on while their answers are used.
+                # Workers continue while their answers are used.
                 begin()
                 yield from settled
         finally:
@@ -144,7 +144,7 @@ class Pool:
                 self._kill(worker)
 
     def _begin(self, function: object, batch: _Batch, timeout_s: float) -> None:
-        # Interrupted in between, a process would be left of which nobody knows.
+        # An interrupt in between would leave an unknown process.
         with defer_sigint():
             worker = self._idle.pop() if self._idle else _Worker(self._kind(partial(_server, self._n)))
             self._running[worker.actor] = worker
@@ -185,7 +185,7 @@ class Pool:
 
 def _server(n_workers: int) -> Handler:
     """Return the handler in a worker, which applies the last function that it received."""
-    # Mesa's software renderer takes all processors otherwise, and the workers would be in each other's way.
+    # Otherwise Mesa's software renderer uses all processors in each worker.
     os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // n_workers)))
     function, done = None, 0
 
@@ -205,6 +205,6 @@ def _server(n_workers: int) -> Handler:
 def release_memory() -> None:
     """Return freed memory to the system, since a heap fragmented by many worlds lets a process grow."""
     gc.collect()
-    # Of glibc alone; other systems have none, or need none.
+    # Only glibc has it.
     if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
         trim(0)

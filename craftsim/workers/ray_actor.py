@@ -19,14 +19,14 @@ from craftsim.modules import REGISTERING, look_for_modules
 from craftsim.workers.actor import Handler, WorkerDiedError
 
 REACH_S: Final = 5.0
-"""How long a cluster may take to answer at its address."""
+"""Time limit of a connection to a cluster."""
 LOOK_S: Final = 2.0
-"""How often one looks whether its head is still there: where it is gone Ray would wait, and then end this process."""
+"""Interval of checks that the head is reachable; without it Ray waits, and then ends this process."""
 _HINT: Final = "Afterwards --resume goes on with what was finished; of worlds make the environment anew"
 
 
 class _Server:
-    """What runs on the cluster: a process that finds the modules that this process finds."""
+    """The process on the cluster, with the module path of this process."""
 
     def __init__(self, path: list[str], registering: list[str]) -> None:
         look_for_modules(path, registering)
@@ -42,10 +42,10 @@ class _Server:
 
 
 class RayActor:
-    """What :class:`craftsim.workers.actor.Actor` is, with a processor of the cluster to itself."""
+    """An actor like :class:`craftsim.workers.actor.Actor` on a processor of a Ray cluster."""
 
     def __init__(self, make: Callable[[], Handler]) -> None:
-        """Start it on whatever node, and return while it still starts; raises InputError without a cluster."""
+        """Start it on any node without waiting for it. Raises InputError without a cluster."""
         self._ray, self._head = connect()
         _check_reachable(self._head)
         server = self._ray.remote(num_cpus=1, max_restarts=0, scheduling_strategy="SPREAD")(_Server)
@@ -55,15 +55,15 @@ class RayActor:
 
     @property
     def due(self) -> int:
-        """Requests without an answer so far."""
+        """Number of unanswered requests."""
         return len(self._answers)
 
     def send(self, request: Any) -> None:
-        """Ask for something, and do not wait for it."""
+        """Send a request without waiting."""
         self._answers.append(self._server.answer.remote(request))
 
     def recv(self) -> Any:
-        """Wait for the next answer, and return it; raises WorkerDiedError, InputError, and what the handler raises."""
+        """Wait for the next answer and return it; raises WorkerDiedError, InputError, and the handler's exceptions."""
         self.wait([self], None)
         errors = self._ray.exceptions
         try:
@@ -77,17 +77,17 @@ class RayActor:
         return value
 
     def kill(self) -> None:
-        """End it at once."""
-        # Of a cluster that is gone nothing is left to be ended.
+        """Kill the process."""
+        # Nothing remains of a cluster that is gone.
         with contextlib.suppress(self._ray.exceptions.RayError, InputError):
             _check_reachable(self._head)
             self._ray.kill(self._server)
 
     @staticmethod
     def wait(actors: Sequence[RayActor], timeout_s: float | None) -> list[RayActor]:
-        """Return an actor of which :meth:`recv` need not wait, as soon as there is one, or none in that time.
+        """Return an actor with an answer, as soon as there is one, or none after the timeout.
 
-        Raises InputError where the head of the cluster is gone.
+        Raises InputError if the head of the cluster is not reachable.
         """
         if not actors:
             return []
@@ -102,9 +102,9 @@ class RayActor:
 
 
 def connect() -> tuple[Any, str]:
-    """Return Ray, connected to the cluster of RAY_ADDRESS or else to one on this machine, and the address of its head.
+    """Return Ray, connected to the cluster of RAY_ADDRESS or of this machine, and the address of its head.
 
-    Raises InputError: Ray is not installed, or there is no cluster, at the address that is given for instance.
+    Raises InputError if Ray is not installed or there is no cluster.
     """
     need("ray", "the engine 'ray' needs", "ray")
     import ray
@@ -123,33 +123,33 @@ def connect() -> tuple[Any, str]:
 
 
 def initialise(ray: Any, address: str, **options: Any) -> None:
-    """Have Ray connect to a cluster, or start one; its processes do not look for modules in the working folder."""
-    # They would in the folder in which this happens, and first.
+    """Connect Ray to a cluster, or start one; its processes import no modules from the working folder."""
+    # They look for modules first in the folder in which Ray is initialised.
     with contextlib.chdir("/"):
         ray.init(address, log_to_driver=False, **options)
 
 
 def processors() -> int:
-    """Return how many processors the cluster has, 1 at least; raises InputError without a cluster."""
+    """Return the number of processors of the cluster, at least 1. Raises InputError without a cluster."""
     ray, _ = connect()
     return max(1, int(ray.cluster_resources().get("CPU", 1)))
 
 
 def _address() -> str:
-    """Return RAY_ADDRESS, or where else Ray finds a cluster; raise ConnectionError where it finds none."""
+    """Return RAY_ADDRESS, or the address of another cluster. Raises ConnectionError if there is none."""
     given = os.environ.get("RAY_ADDRESS", "auto")
     if given != "auto":
         return given
-    # Ray has no public name for where "auto" leads: the last 'ray start' of this machine, though it may be gone.
+    # Ray has no public function for "auto": the last 'ray start' of this machine, which may be gone.
     from ray._private.services import canonicalize_bootstrap_address
 
     return str(canonicalize_bootstrap_address("auto"))
 
 
 def _check_reachable(address: str) -> None:
-    """Raise InputError where nobody listens at an address: Ray would try for over a minute.
+    """Raise InputError if an address is not reachable, since Ray would try for over a minute.
 
-    The address is of the form ``host:port`` or ``ray://host:port``; one without a port is left to Ray.
+    The address is ``host:port`` or ``ray://host:port``; one without a port is not checked.
     """
     try:
         parts = urlsplit(address if "://" in address else f"//{address}")

@@ -10,10 +10,9 @@ from craftsim import cli
 from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
 from craftsim.experiments.compare import alike, compare_paired, compare_with_reality
-from craftsim.experiments.intervals import Proportion, mean_maximum_rank_violation, wilson
+from craftsim.experiments.intervals import Proportion, agreement_of, mean_maximum_rank_violation, wilson
 from craftsim.experiments.records import Finished
 from craftsim.experiments.statistics import (
-    PolicyScore,
     as_predicted,
     attempts_frame,
     campaign_figures,
@@ -22,7 +21,6 @@ from craftsim.experiments.statistics import (
     plan_survival,
     policy_scores,
     precision,
-    rank_agreement,
     survival,
     trials_frame,
     write_durations,
@@ -162,8 +160,8 @@ def test_a_table_of_durations_is_written(tmp_path):
     assert path.read_text().splitlines()[1] == "LIFT,none,1,False,1,0.7,0.7,0.7,0.7,0.7", "no idle digits"
     assert len(path.read_text().splitlines()) == 1 + len(table) == 3
     row = table[1]
-    assert (row.verb, row.load, row.level, row.slope) == ("MOVE", "block", 2, True)
-    assert (row.n, row.mean_s, row.median_s, row.max_s) == (3, 3.0, 2.0, 6.0)
+    assert list(row.values())[:4] == ["MOVE", "block", 2, True]
+    assert (row["n"], row["mean_s"], row["median_s"], row["max_s"]) == (3, 3.0, 2.0, 6.0)
 
 
 def test_figures_have_a_place_in_a_report_and_errors_count_apart(tmp_path):
@@ -191,16 +189,16 @@ def test_kaplan_meier_of_published_data():
     ended = [6, 6, 6, 7, 10, 13, 16, 22, 23]
     censored = [6, 9, 10, 11, 17, 19, 20, 25, 32, 32, 34, 35]
     curve = _survival(ended, censored)
-    share = dict(zip(curve.actions, curve.share, strict=True))
+    share = dict(zip(curve["actions"], curve["share"], strict=True))
     published = {6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690, 16: 0.627, 22: 0.538, 23: 0.448}
     assert {n: share[n] for n in published} == pytest.approx(published, abs=5e-4)
     # The log-log band at 23 weeks, as by R's survfit(..., conf.type = "log-log").
-    at = curve.actions.index(23)
-    assert (curve.low[at], curve.high[at]) == pytest.approx((0.188, 0.680), abs=5e-4)
-    assert (curve.runs, curve.ended) == (21, 9)
+    at = curve["actions"].index(23)
+    assert (curve["low"][at], curve["high"][at]) == pytest.approx((0.188, 0.680), abs=5e-4)
+    assert (curve["runs"], curve["ended"]) == (21, 9)
     whole, none_left = _survival([], [5, 7]), _survival([1, 2], [])
-    assert (whole.actions, whole.share, whole.low) == ([5, 7], [1.0, 1.0], [None, None])
-    assert (none_left.share, none_left.low[-1], _survival([], []).runs) == ([0.5, 0.0], None, 0)
+    assert (whole["actions"], whole["share"], whole["low"]) == ([5, 7], [1.0, 1.0], [None, None])
+    assert (none_left["share"], none_left["low"][-1], _survival([], [])["runs"]) == ([0.5, 0.0], None, 0)
 
 
 @pytest.mark.parametrize(
@@ -230,7 +228,7 @@ def test_a_run_without_resync_ends_with_its_first_disagreement_and_with_it_when_
         (found["without_resync"], without_resync),
         (found["with_resync"], with_resync),
     ):
-        assert (curve.runs, curve.actions, curve.ended) == (1, [actions], ended)
+        assert (curve["runs"], curve["actions"], curve["ended"]) == (1, [actions], ended)
 
 
 def test_mmrv_by_hand():
@@ -246,25 +244,22 @@ def test_mmrv_by_hand():
 
 
 def test_correlations_by_hand_and_their_intervals():
-    scores = [
-        PolicyScore(str(i), x, y, 10) for i, (x, y) in enumerate([(0, 0.1), (0.5, 0.2), (0.6, 0.9), (1, 0.8)])
-    ]
-    found = rank_agreement(scores, seed=0)
+    found = agreement_of([0, 0.5, 0.6, 1], [0.1, 0.2, 0.9, 0.8], seed=0)
     assert found.spearman.value == pytest.approx(0.8)  # 1 - 6 * 2 / (4 * 15)
     assert found.pearson.value == pytest.approx(0.39 / (0.5075 * 0.5) ** 0.5)
     assert (found.pearson.low, found.pearson.high) == pytest.approx((-1, 1))  # four policies prove little
 
-    many = [PolicyScore(str(x), x / 12, (x + (x * 7) % 5) / 16, 10) for x in range(13)]
-    found = rank_agreement(many, seed=0)
+    many = [x / 12 for x in range(13)], [(x + (x * 7) % 5) / 16 for x in range(13)]
+    found = agreement_of(*many, seed=0)
     assert 0.5 < found.pearson.low < found.pearson.value < found.pearson.high < 1
-    assert rank_agreement(many, seed=0) == found
-    assert rank_agreement(many, seed=1).pearson != found.pearson
+    assert agreement_of(*many, seed=0) == found
+    assert agreement_of(*many, seed=1).pearson != found.pearson
 
 
 def test_correlations_of_policies_that_are_all_the_same_are_not_defined():
-    found = rank_agreement([PolicyScore(str(i), 0.5, 0.1 * i, 5) for i in range(4)], seed=0)
+    found = agreement_of([0.5] * 4, [0.1 * i for i in range(4)], seed=0)
     assert (found.pearson.value, found.pearson.low) == (None, None)
-    assert rank_agreement([PolicyScore("a", 1, 1, 5)] * 2, seed=0) is None
+    assert agreement_of([1, 1], [1, 1], seed=0) is None
 
 
 def test_scores_are_shares_of_episodes_by_policy():
@@ -281,8 +276,8 @@ def test_scores_are_shares_of_episodes_by_policy():
     ]
     records.append(episode("a", True, True, error="timeout"))
     assert policy_scores(trials_frame(records)) == [
-        PolicyScore("a", 0.0, 0.0, 1),
-        PolicyScore("b", 1.0, 0.5, 2),
+        {"policy": "a", "grid": 0.0, "physics": 0.0, "episodes": 1},
+        {"policy": "b", "grid": 1.0, "physics": 0.5, "episodes": 2},
     ]
 
 

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 import yaml
@@ -26,7 +26,7 @@ from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.state import AIR, F_LOAD, KIND
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.errors import suggestion
+from craftsim.errors import InputError, suggestion
 
 Concurrency = Literal["sequential", "concurrent", "until-wrong", "at-once"]
 """How the actions of a plan follow each other: one by one; as early as the dependencies allow; the same until something
@@ -167,7 +167,11 @@ def make_schedule(
         first: number of the first tick.
         after: order constraints of the plan. They come on top of what actions wait for anyway; one that names what the
             rules forbid constrains nothing, because that is left out.
+
+    Raises InputError for an unknown order.
     """
+    if order not in (known := get_args(Concurrency)):
+        raise InputError(f"no order {order!r}{suggestion(str(order), known)} (orders: {', '.join(known)})")
     steps: list[ScheduledAction] = []
     place: dict[tuple[int, int], int] = {}
     claimed = _Claimed()

@@ -2,10 +2,11 @@
 
 import json
 import math
+from contextlib import contextmanager
 
 import pytest
 
-from craftsim.cli import main
+from craftsim.cli import main, progress
 from craftsim.discrete.tasks import as_task
 from craftsim.discrete.tasks.starts import load_starts
 from craftsim.training.starts import with_starts
@@ -40,6 +41,43 @@ def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, monkey
     (reached,) = load_starts(tmp_path / "starts-random_strip.npz")
     with_starts(as_task("random_strip"), tmp_path / "starts-random_strip.npz")
     assert reached.n_cars == 2
+
+
+@pytest.mark.parametrize("policies", [(), ("random_breaking_barrier",)])  # of the latter actions are sampled
+def test_an_interrupted_run_goes_on_to_the_same_report(policies, tmp_path, monkeypatch):
+    monkeypatch.setattr(execution, "TASK_NAMES", ("strip", "block"))
+    monkeypatch.setattr(execution, "MODES", (execution.MODES[1], execution.REACHED))
+    asked = ["bench", "execution", *policies, *(["--worlds", "2"] if policies else []), "--out"]
+    done = []
+
+    @contextmanager
+    def interrupted(total):
+        def on_record(record):
+            done.append(record["key"])
+            if len(done) == total - 1:
+                raise KeyboardInterrupt
+
+        yield on_record
+
+    with monkeypatch.context() as cut:
+        cut.setattr(progress, "counting", lambda what: interrupted)
+        assert main([*asked, str(tmp_path / "cut")]) == 130
+    assert main([*asked, str(tmp_path / "cut"), "--resume", "--workers", "2"]) == 0
+    assert main([*asked, str(tmp_path / "whole")]) == 0
+    one, other = (json.loads((tmp_path / name / "report.json").read_text()) for name in ("cut", "whole"))
+    assert one.pop("wall").keys() == other.pop("wall").keys()
+    assert one == other
+    for starts in (tmp_path / "whole").glob("starts-*"):
+        assert starts.read_bytes() == (tmp_path / "cut" / starts.name).read_bytes()
+    lines = [json.loads(line) for line in (tmp_path / "cut" / "trials.jsonl").read_text().splitlines()]
+    assert {line["key"] for line in lines} > set(done)
+    assert len({line["key"] for line in lines}) == len(lines) == len(done) + 1
+
+
+def test_what_is_no_trained_policy_is_refused_before_anything_is_played(tmp_path, capsys):
+    assert main(["bench", "execution", "random", "--out", str(tmp_path / "out")]) == 2
+    assert "random" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "session.db").exists()
 
 
 def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():

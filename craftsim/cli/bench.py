@@ -72,6 +72,7 @@ def bench(
     concurrent, beside the predicted makespans. With policies: their success in synchronous and asynchronous execution
     on the grid and in physics, on the reduced drive with mild randomization, and at most 10 episodes as robots on
     rollers, on a workshop floor, behind a network (delay 30 ms, jitter 10 ms, loss 2 % each way). Starts are paired.
+    Can be resumed.
 
     builders: the share of 30 held-out designs that builders complete which read the world as text and answer in text,
     such as language models, given as 'module:function' from two texts to an answer; beside random play, the planner and
@@ -90,6 +91,7 @@ def bench(
             random times of their asynchronous episodes in mild physics, for 'craftsim train --set starts=FILE'.
     """
     from craftsim.cli.calibration import cells, measure
+    from craftsim.cli.progress import counting
     from craftsim.reports.json_file import document
 
     seed = chance.seed
@@ -98,13 +100,11 @@ def bench(
         from craftsim.validation.execution import plans_report, policies_report
 
         if policies:
-            n_episodes = EPISODES if worlds is None else worlds
-            return policies_report(policies, n_episodes, seed, campaign.workers, out).publish(out)
-        setup, designs = setup_of("mild", drive="reduced"), worlds or 0
-        asked = {"what": what, "designs": designs, "setup": setup}
-        return plans_report(designs, seed, setup, campaign.workers, asked).publish(out)
+            n, run = EPISODES if worlds is None else worlds, campaign.run(counting("episodes"))
+            return policies_report(policies, n, seed, out, run).publish(out)
+        setup, run = setup_of("mild", drive="reduced"), campaign.run(counting("plans"))
+        return plans_report(worlds or 0, seed, setup, out, run).publish(out)
     if what == "builders":
-        from craftsim.cli.progress import counting
         from craftsim.validation.builders import BASELINES, EACH, builders_report
 
         each = min(worlds or EACH, EACH)

@@ -86,9 +86,13 @@ def test_an_interrupted_run_goes_on_to_the_same_report(policies, tmp_path, monke
 
 
 def test_what_is_no_trained_policy_is_refused_before_anything_is_played(tmp_path, capsys):
-    assert main(["bench", "execution", "random", "--out", str(tmp_path / "out")]) == 2
-    assert "random" in capsys.readouterr().err
+    asked = ["bench", "execution", "random_strp", "--out", str(tmp_path / "out")]
+    assert main(asked) == 2
+    assert "random_strp: no such file; did you mean 'random_strip'?; shipped" in capsys.readouterr().err
     assert not (tmp_path / "out" / "session.db").exists()
+    for option in (["--resume"], ["--workers", "2"]):
+        assert main([*asked[:2], *option]) == 2
+        assert "go with --out" in capsys.readouterr().err
 
 
 def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():

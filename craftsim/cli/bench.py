@@ -16,6 +16,7 @@ from cyclopts import Parameter
 
 from craftsim.choices import RuleSet
 from craftsim.cli.text import print_safe
+from craftsim.errors import InputError
 from craftsim.options import OptionalDir, Seeded, Work, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
@@ -95,6 +96,8 @@ def bench(
     from craftsim.reports.json_file import document
 
     seed = chance.seed
+    if what in ("execution", "builders") and out is None and (campaign.resume or campaign.workers > 1):
+        raise InputError("--resume and --workers go with --out: the folder keeps what is finished")
     if what == "execution":
         from craftsim.checking.setup import setup_of
         from craftsim.validation.execution import plans_report, policies_report

@@ -93,6 +93,8 @@ def test_what_is_no_trained_policy_is_refused_before_anything_is_played(tmp_path
     for option in (["--resume"], ["--workers", "2"]):
         assert main([*asked[:2], *option]) == 2
         assert "go with --out" in capsys.readouterr().err
+    assert main(["bench", "rules", "strip"]) == 2
+    assert "bench rules takes no policies" in capsys.readouterr().err
 
 
 def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():

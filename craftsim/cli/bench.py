@@ -96,7 +96,10 @@ def bench(
     from craftsim.reports.json_file import document
 
     seed = chance.seed
-    if what in ("execution", "builders") and out is None and (campaign.resume or campaign.workers > 1):
+    if what not in ("execution", "builders"):
+        if policies:
+            raise InputError(f"bench {what} takes no policies; bench execution and bench builders do")
+    elif out is None and (campaign.resume or campaign.workers > 1):
         raise InputError("--resume and --workers go with --out: the folder keeps what is finished")
     if what == "execution":
         from craftsim.checking.setup import setup_of

@@ -138,7 +138,9 @@ def _orders(figures: dict[str, Any]) -> str:
         f"{one['value']:.2f} ({one['low']:.2f}-{one['high']:.2f}) times {name}"
         for name, one in compared.items()
     ]
-    planned = figures["as_predicted"]["ticks"]["trials"]
+    planned, again = figures["as_predicted"]["ticks"]["trials"], figures.get("reordered", {})
+    named = zip(("re-ordered as predicted", "in hindsight"), again.values(), strict=False)
+    said += [f"{name} {one['value']:.2f}" for name, one in named]
     return (
         f"{figures['compared']} of {planned} plans as predicted in all orders; makespans, asynchronously: "
         f"{', '.join(said)}"

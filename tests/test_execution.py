@@ -2,12 +2,19 @@
 
 import json
 import math
+from contextlib import contextmanager
 
+import numpy as np
 import pytest
 
-from craftsim.cli import main
-from craftsim.discrete.tasks import as_task
+from craftsim.cli import main, progress
+from craftsim.discrete.files.plan import read_plan
+from craftsim.discrete.files.shipped import shipped_plan
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import make_schedule
+from craftsim.discrete.tasks import as_task, make_task
 from craftsim.discrete.tasks.starts import load_starts
+from craftsim.planning.reordering import reordered
 from craftsim.training.starts import with_starts
 from craftsim.validation import execution
 from craftsim.validation.execution import plan_figures, ratio_of
@@ -19,6 +26,11 @@ def test_a_plan_is_executed_in_each_order_from_the_same_start(tmp_path, monkeypa
     (world,) = json.loads((tmp_path / "report.json").read_text())["figures"]["worlds"]
     orders = world["orders"]
     assert [one["agrees"] for one in orders.values()] == [True] * 3
+    planned_s, before_s, hindsight_s = (
+        world["reordered"][f"{n}_s"] for n in ("planned", "before", "hindsight")
+    )
+    assert planned_s == pytest.approx(orders["concurrent"]["executed_s"], abs=0.5)
+    assert planned_s >= hindsight_s <= before_s
     assert orders["sequential"]["executed_s"] > 1.5 * orders["concurrent"]["executed_s"]
     assert all(0.9 < one["executed_s"] / one["predicted_s"] < 1.4 for one in orders.values())
     assert "times sequential" in capsys.readouterr().out
@@ -42,6 +54,49 @@ def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, monkey
     assert reached.n_cars == 2
 
 
+@pytest.mark.parametrize("policies", [(), ("random_breaking_barrier",)])  # of the latter actions are sampled
+def test_an_interrupted_run_goes_on_to_the_same_report(policies, tmp_path, monkeypatch):
+    monkeypatch.setattr(execution, "TASK_NAMES", ("strip", "block"))
+    monkeypatch.setattr(execution, "MODES", (execution.MODES[1], execution.REACHED))
+    asked = ["bench", "execution", *policies, *(["--worlds", "2"] if policies else []), "--out"]
+    done = []
+
+    @contextmanager
+    def interrupted(total):
+        def on_record(record):
+            done.append(record["key"])
+            if len(done) == total - 1:
+                raise KeyboardInterrupt
+
+        yield on_record
+
+    with monkeypatch.context() as cut:
+        cut.setattr(progress, "counting", lambda what: interrupted)
+        assert main([*asked, str(tmp_path / "cut")]) == 130
+    assert main([*asked, str(tmp_path / "cut"), "--resume", "--workers", "2"]) == 0
+    assert main([*asked, str(tmp_path / "whole")]) == 0
+    one, other = (json.loads((tmp_path / name / "report.json").read_text()) for name in ("cut", "whole"))
+    assert one.pop("wall").keys() == other.pop("wall").keys()
+    assert one == other
+    for starts in (tmp_path / "whole").glob("starts-*"):
+        assert starts.read_bytes() == (tmp_path / "cut" / starts.name).read_bytes()
+    lines = [json.loads(line) for line in (tmp_path / "cut" / "trials.jsonl").read_text().splitlines()]
+    assert {line["key"] for line in lines} > set(done)
+    assert len({line["key"] for line in lines}) == len(lines) == len(done) + 1
+
+
+def test_what_is_no_trained_policy_is_refused_before_anything_is_played(tmp_path, capsys):
+    asked = ["bench", "execution", "random_strp", "--out", str(tmp_path / "out")]
+    assert main(asked) == 2
+    assert "random_strp: no such file; did you mean 'random_strip'?; shipped" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "session.db").exists()
+    for option in (["--resume"], ["--workers", "2"]):
+        assert main([*asked[:2], *option]) == 2
+        assert "go with --out" in capsys.readouterr().err
+    assert main(["bench", "rules", "strip"]) == 2
+    assert "bench rules takes no policies" in capsys.readouterr().err
+
+
 def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():
     def record(sequential_s, agrees=True):
         named = {"sequential": sequential_s, "ticks": sequential_s / 2, "concurrent": 2.0}
@@ -55,6 +110,29 @@ def test_only_worlds_that_go_as_predicted_in_all_orders_are_compared():
     assert (figures["compared"], figures["as_predicted"]["ticks"].successes) == (2, 2)
     assert figures["as_predicted"]["ticks"].trials == 3
     assert figures["concurrent_by"]["sequential"].value == pytest.approx(0.25)
+
+
+def test_reordering_finds_what_is_best_by_given_durations():
+    start = make_task("block").draw(np.random.default_rng(0))
+    plan = make_schedule(start, read_plan(shipped_plan("block"), 2).ticks, Rules("physical"))
+    order = reordered(start, plan, plan.durations_s, Rules("physical"))
+    better = make_schedule(start, plan.acting(order), Rules("physical"))
+    assert better.makespan() < 0.9 * plan.makespan()
+    assert not better.forbidden
+    assert better.final.same_visible(plan.final)
+    for car in range(2):
+        own = [index for index in order if plan.steps[index].car == car]
+        assert own == sorted(own)
+    slow = [20.0 if step.car else 1.0 for step in plan.steps]
+    again = reordered(start, plan, slow, Rules("physical"))
+    best = min((order, again, range(len(slow))), key=lambda one: _makespan(start, plan, one, slow))
+    assert _makespan(start, plan, again, slow) == _makespan(start, plan, best, slow)
+
+
+def _makespan(start, plan, order, durations_s):
+    return make_schedule(start, plan.acting(order), Rules("physical")).makespan(
+        [durations_s[k] for k in order]
+    )
 
 
 def test_a_ratio_is_a_geometric_mean_with_an_interval():

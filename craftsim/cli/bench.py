@@ -16,6 +16,7 @@ from cyclopts import Parameter
 
 from craftsim.choices import RuleSet
 from craftsim.cli.text import print_safe
+from craftsim.errors import InputError
 from craftsim.options import OptionalDir, Seeded, Work, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
@@ -72,6 +73,7 @@ def bench(
     concurrent, beside the predicted makespans. With policies: their success in synchronous and asynchronous execution
     on the grid and in physics, on the reduced drive with mild randomization, and at most 10 episodes as robots on
     rollers, on a workshop floor, behind a network (delay 30 ms, jitter 10 ms, loss 2 % each way). Starts are paired.
+    Can be resumed.
 
     builders: the share of 30 held-out designs that builders complete which read the world as text and answer in text,
     such as language models, given as 'module:function' from two texts to an answer; beside random play, the planner and
@@ -90,21 +92,25 @@ def bench(
             random times of their asynchronous episodes in mild physics, for 'craftsim train --set starts=FILE'.
     """
     from craftsim.cli.calibration import cells, measure
+    from craftsim.cli.progress import counting
     from craftsim.reports.json_file import document
 
     seed = chance.seed
+    if what not in ("execution", "builders"):
+        if policies:
+            raise InputError(f"bench {what} takes no policies; bench execution and bench builders do")
+    elif out is None and (campaign.resume or campaign.workers > 1):
+        raise InputError("--resume and --workers go with --out: the folder keeps what is finished")
     if what == "execution":
         from craftsim.checking.setup import setup_of
         from craftsim.validation.execution import plans_report, policies_report
 
         if policies:
-            n_episodes = EPISODES if worlds is None else worlds
-            return policies_report(policies, n_episodes, seed, campaign.workers, out).publish(out)
-        setup, designs = setup_of("mild", drive="reduced"), worlds or 0
-        asked = {"what": what, "designs": designs, "setup": setup}
-        return plans_report(designs, seed, setup, campaign.workers, asked).publish(out)
+            n, run = EPISODES if worlds is None else worlds, campaign.run(counting("episodes"))
+            return policies_report(policies, n, seed, out, run).publish(out)
+        setup, run = setup_of("mild", drive="reduced"), campaign.run(counting("plans"))
+        return plans_report(worlds or 0, seed, setup, out, run).publish(out)
     if what == "builders":
-        from craftsim.cli.progress import counting
         from craftsim.validation.builders import BASELINES, EACH, builders_report
 
         each = min(worlds or EACH, EACH)

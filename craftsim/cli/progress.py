@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from operator import itemgetter
+from threading import Event, Thread
 from typing import Any, Final
 
 LINE_EVERY_S: Final = 20.0
@@ -23,6 +24,27 @@ def counting(what: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> P
         good: whether a result counts as a success.
     """
     return partial(_count, what, good)
+
+
+@contextmanager
+def telling(lines: Callable[[], Iterable[str]], every_s: float) -> Iterator[None]:
+    """Print some lines from time to time, from a thread, until the block ends."""
+    from craftsim.reports.terminal import Terminal
+
+    over = Event()
+
+    def tell() -> None:
+        while not over.wait(every_s):
+            for line in lines():
+                Terminal().print(line, markup=False, soft_wrap=True)
+
+    thread = Thread(target=tell, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def without_error(record: Any) -> bool:

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from craftsim.cli.text import print_error, print_safe, warn_if_exposed
+from craftsim.errors import InputError
 from craftsim.options import Dir, Physics, number
 from craftsim.robots import LOOPBACK, PORT, need_network
 from craftsim.storage.folders import owning
@@ -26,6 +27,7 @@ def serve(
     delay_ms: Annotated[float, number(DELAY_MS, "MS")] = 0.0,
     jitter_ms: Annotated[float, number(DELAY_MS, "MS")] = 0.0,
     loss: Annotated[float, number(SHARE)] = 0.0,
+    silent: Annotated[tuple[str, ...], Parameter(metavar="CAR:SECONDS")] = (),
     pace: Annotated[float, number(PACE)] = 1.0,
     lockstep: bool = False,
     timeout: Annotated[float, number(PATIENCE_S, "SECONDS")] = 60.0,
@@ -44,6 +46,8 @@ def serve(
         delay_ms: network delay of a message in each direction; drawn from the seed, as jitter and loss.
         jitter_ms: half-width of the uniform distribution of the delay.
         loss: share of lost messages.
+        silent: a car that stops and does not answer any more after so many seconds of its clock, such as 1:5; may be
+            repeated.
         pace: seconds of the robots' time per second.
         lockstep: stop the robots' time until each measurement has been answered, so that a seed gives the same run on
             any machine.
@@ -63,7 +67,7 @@ def serve(
     from craftsim.robots.sockets import Host
     from craftsim.skills.fleet import PhysicsFleet
 
-    network = Network(delay_ms / 1e3, jitter_ms / 1e3, loss)
+    network = Network(delay_ms / 1e3, jitter_ms / 1e3, loss, tuple(map(_silent, silent)))
     setup = physics.setup()
     found = as_task(task)
     seeds = np.random.SeedSequence(physics.seed).spawn(4)
@@ -99,3 +103,13 @@ def serve(
     )
     print_safe(f"Report: {report}")
     return 0
+
+
+def _silent(text: str) -> tuple[int, float]:
+    car, _, seconds = text.partition(":")
+    try:
+        return int(car), float(seconds)
+    except ValueError:
+        raise InputError(
+            f"--silent {text}: allowed: a car and seconds, such as 1:5 for car 1 after 5 s"
+        ) from None

@@ -14,7 +14,7 @@ from cyclopts import Parameter
 
 from craftsim.choices import AlgoName, Backend, PresetName
 from craftsim.cli.app import FOLDER
-from craftsim.cli.progress import counting
+from craftsim.cli.progress import counting, telling
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError, suggestion
 from craftsim.options import Dir, OptionalDir, Record, Seeded, Shown, Work, number
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 INTERRUPTED: Final = 130
 LINE_EVERY_S: Final = 15.0
 """How often a run says how far it is where there is no terminal for a bar."""
+STUDY_EVERY_S: Final = 60.0
+"""How often a study says how far its runs are."""
 _BESIDES: Final[tuple[str, ...]] = ("cars", "blocks", "starts", "settings", "workers", "tensorboard")
 """What --set takes besides fields of the configuration and the algorithm's hyperparameters."""
 
@@ -353,11 +355,12 @@ def study(
     from craftsim.reports.json_file import document
     from craftsim.studies.report import study_report, write_markdown
     from craftsim.studies.results import figures_of, plot_results
-    from craftsim.studies.runs import run_study
+    from craftsim.studies.runs import run_study, under_way
     from craftsim.studies.study import read_study
 
-    asked, begun = read_study(what), time.perf_counter()
-    records = run_study(asked, out, work.run(counting("runs")), timeout)
+    asked, begun, since_s = read_study(what), time.perf_counter(), time.time()
+    with telling(lambda: under_way(asked, out, since_s), STUDY_EVERY_S):
+        records = run_study(asked, out, work.run(counting("runs")), timeout)
     figures = figures_of(asked, records)
     write_markdown(out / "study.md", asked, figures)
     pictures = plot_results(out, asked, figures)

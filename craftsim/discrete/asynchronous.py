@@ -445,6 +445,13 @@ class AsynchronousEpisodes(Episodes):
         """
         return self.legal() if self.depth is None else self.reachable()
 
+    def begins(self, actions: NDArray[np.int8]) -> NDArray[np.bool_]:
+        """Return which of some actions a car that decides may begin now, as :meth:`Episodes.begins`."""
+        out = np.zeros(actions.shape, np.bool_)
+        some = self.grids.cells, self.grids.cars, self.corrections, self.running
+        events.unblocked(*some, self._row, actions, out)
+        return out
+
     def some(self, rows: NDArray[np.integer]) -> Self:
         """Return some of the episodes to look at; what is done to them is not done to these."""
         other = super().some(rows)

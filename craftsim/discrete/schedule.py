@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 import yaml
@@ -26,7 +26,7 @@ from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.state import AIR, F_LOAD, KIND
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.errors import suggestion
+from craftsim.errors import InputError, suggestion
 
 Concurrency = Literal["sequential", "concurrent", "until-wrong", "at-once"]
 """How the actions of a plan follow each other: one by one; as early as the dependencies allow; the same until something
@@ -95,24 +95,35 @@ class Schedule:
     acts: tuple[tuple[int, int], ...] = ()
     """(tick, car) of all actions in the order of the plan."""
 
-    def times(self) -> NDArray[np.float64]:
-        """Return the start and the end of each step in seconds, shape (n, 2).
+    @property
+    def durations_s(self) -> list[float]:
+        """The time of each step that was measured for its action at nominal physics (:func:`nominal_durations`)."""
+        durations, cars = (
+            nominal_durations(),
+            ((s, s.before.cars[s.car], s.after.cars[s.car]) for s in self.steps),
+        )
+        return [float(durations[step.action, situation(before, after)]) for step, before, after in cars]
 
-        A step starts as soon as all that it waits for has ended, and takes the time that was measured for its action at
-        nominal physics (:func:`nominal_durations`): a longest path through the dependencies.
+    def times(self, durations_s: Sequence[float] | None = None) -> NDArray[np.float64]:
+        """Return the start and the end of each step in seconds, shape (n, 2): a longest path through the dependencies.
+
+        A step starts as soon as all that it waits for has ended, and takes its own time, or the one that is given.
         """
-        durations = nominal_durations()
+        durations_s = self.durations_s if durations_s is None else durations_s
         times, ends = np.zeros((len(self.steps), 2)), list[float]()
-        for index, step in enumerate(self.steps):
-            column = situation(step.before.cars[step.car], step.after.cars[step.car])
+        for index, (step, duration_s) in enumerate(zip(self.steps, durations_s, strict=True)):
             start = max(map(ends.__getitem__, step.waits_for), default=0.0)
-            ends.append(start + float(durations[step.action, column]))
+            ends.append(start + duration_s)
             times[index] = start, ends[index]
         return times
 
-    def makespan(self) -> float:
+    def makespan(self, durations_s: Sequence[float] | None = None) -> float:
         """Return when the last step ends, in seconds; 0 where there is none."""
-        return float(self.times()[:, 1].max(initial=0.0))
+        return float(self.times(durations_s)[:, 1].max(initial=0.0))
+
+    def acting(self, order: Iterable[int]) -> list[list[tuple[int, Action]]]:
+        """Return ticks of one action each, from which :func:`make_schedule` makes the same steps in another order."""
+        return [[(self.steps[index].car, self.steps[index].action)] for index in order]
 
     def critical(self) -> set[tuple[int, int]]:
         """Return the (tick, car) of actions that wait for one another from the start until all is done.
@@ -167,7 +178,11 @@ def make_schedule(
         first: number of the first tick.
         after: order constraints of the plan. They come on top of what actions wait for anyway; one that names what the
             rules forbid constrains nothing, because that is left out.
+
+    Raises InputError for an unknown order.
     """
+    if order not in (known := get_args(Concurrency)):
+        raise InputError(f"no order {order!r}{suggestion(str(order), known)} (orders: {', '.join(known)})")
     steps: list[ScheduledAction] = []
     place: dict[tuple[int, int], int] = {}
     claimed = _Claimed()

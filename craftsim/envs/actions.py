@@ -15,7 +15,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.kernel.batch import Cars, Cells, Mask, Queues
+from craftsim.discrete.kernel.batch import Cars, Cells, Queues
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
 from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
@@ -152,8 +152,9 @@ class ChoiceForm(ActionForm):
     """The primitive and registered actions, then "continue", then a column for each block, slope and free cell.
 
     Offered are objects that the car could reach without its load within the radius, in the order of their cells, and of
-    these the ones to which the action helper has a plan now. A choice puts the plan, made in the world that was
-    observed, into the helper's queue. While something is queued, "continue" alone is offered.
+    these the ones to which the action helper has a plan now that no running action stands against. A choice puts the
+    plan, made in the world that was observed, into the helper's queue. While something is queued, "continue" alone is
+    offered.
     """
 
     def __init__(self, own: Sequence[Action], choice: ObjectChoice, task: Task) -> None:
@@ -180,12 +181,14 @@ class ChoiceForm(ActionForm):
         """Return the offered actions, and find the choices of each car."""
         queued = episodes.queue[:, :, 0] >= 0
         shape = (*queued.shape, int(self.counts.sum()))
-        self._cells, offered = np.zeros((*shape, 3), np.int64), np.zeros(shape, np.bool_)
+        self._cells, first = np.zeros((*shape, 3), np.int64), np.full(shape, -1, np.int8)
         grids, choice = episodes.grids, self.choice
         world = grids.cells, grids.cars, episodes.corrections
         limits = choice.radius, choice.floor, _depth(episodes)
-        _find(*world, self._space, *limits, self.counts, self._cells, offered)
-        masks = np.concatenate([super().masks(episodes), queued[..., None], offered], axis=-1, dtype=np.int8)
+        plan = np.zeros(_depth(episodes) + 1, np.int8)
+        _find(*world, self._space, *limits, self.counts, plan, self._cells, first)
+        parts = super().masks(episodes), queued[..., None], episodes.begins(first)
+        masks = np.concatenate(parts, axis=-1, dtype=np.int8)
         masks[queued] = np.arange(self.n_actions) == self.go_on
         return masks
 
@@ -238,10 +241,14 @@ def _find(
     floor: bool,
     limit: int,
     counts: NDArray[np.int64],
+    plan: NDArray[np.int8],
     found: NDArray[np.int64],
-    offered: Mask,
+    first: NDArray[np.int8],
 ) -> None:
-    """Write the cells of each car's choices (B, n, choices, 3), and which of them the action helper can drive to."""
+    """Write the cells of each car's choices (B, n, choices, 3), and with which action the helper's plan to each begins.
+
+    Where it has none, ``first`` stays. ``plan`` (limit + 1,) is scratch.
+    """
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
         for me in range(cars.shape[1]):
@@ -252,7 +259,10 @@ def _find(
             for k in range(found.shape[2]):
                 x, y, z = found[i, me, k]
                 elsewhere = x != car.x or y != car.y or z != car.z
-                offered[i, me, k] = z > 0 and elsewhere and search(w, me, space, x, y, z, limit) >= 0
+                node = search(w, me, space, x, y, z, limit) if z > 0 and elsewhere else -1
+                if node >= 0:
+                    write_plan(space, node, plan)
+                    first[i, me, k] = plan[0]
 
 
 @compiled

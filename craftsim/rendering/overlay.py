@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
@@ -224,6 +225,10 @@ def _card(
     return np.asarray(found)
 
 
+_SPACE: Final = re.compile(r"\s+(?!(?<=\d )(?:mm|m|ms|s|N|rad|mrad|%)(?!\w))")
+"""Where a line may end."""
+
+
 @lru_cache(maxsize=32)
 def _font(size: int, weight: Literal["regular", "bold"] = "regular") -> ImageFont.FreeTypeFont:
     """Return DejaVu Sans, which comes with Matplotlib, ``size`` pixels high."""
@@ -237,9 +242,9 @@ def _wrap(
     draw: ImageDraw.ImageDraw, text: str, face: ImageFont.FreeTypeFont, width: int, most: int
 ) -> list[str]:
     """Return a text in lines that fit into a width in pixels, ``most`` of them at most; what is left out shows as an
-    ellipsis, and a word that is too long is broken."""
+    ellipsis, a word that is too long is broken, and a number stays with its unit."""
     lines = [""]
-    for word in text.split():
+    for word in _SPACE.split(text):
         joined = f"{lines[-1]} {word}".strip()
         if draw.textlength(joined, face) <= width:
             lines[-1] = joined

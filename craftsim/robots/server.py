@@ -56,7 +56,10 @@ _AT_ONCE: Final = 128
 
 @dataclass(frozen=True)
 class Network:
-    """What becomes of messages on their way, in each direction. Raises InputError for what cannot be."""
+    """What becomes of messages on their way, in each direction, and which cars fall silent.
+
+    Raises InputError for what cannot be.
+    """
 
     delay_s: float = 0.0
     """How long a message takes on average."""
@@ -64,6 +67,8 @@ class Network:
     """Half-width of the uniform distribution around it."""
     loss: float = 0.0
     """Share of the messages that never come."""
+    silent: tuple[tuple[int, float], ...] = ()
+    """Cars that stop and say nothing any more, each with the second of its clock from which on."""
 
     def __post_init__(self) -> None:
         if not (0 <= self.jitter_s <= self.delay_s <= 10 or self.delay_s == self.jitter_s == 0):
@@ -73,6 +78,9 @@ class Network:
             )
         if not 0 <= self.loss <= 1:
             raise InputError(f"a network that loses {self.loss:g} of its messages; allowed: 0 to 1")
+        for car, from_s in self.silent:
+            if not 0 <= from_s < math.inf:
+                raise InputError(f"car {car} falls silent after {from_s:g} s; allowed: 0 s or more")
 
 
 class Channel:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Seed, SetUp, Setup, set_up
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.errors import InputError
 from craftsim.models.measuring import CarMeasurement
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.fleet import Robot
@@ -27,17 +29,26 @@ _AWAITED: Final = 1000
 class SimulatedRobot:
     """A car of a PhysicsWorld."""
 
-    def __init__(self, world: PhysicsFleet, car: int) -> None:
-        """Take car number ``car`` with its sensors and motors."""
+    def __init__(self, world: PhysicsFleet, car: int, silent_s: float = math.inf) -> None:
+        """Take car number ``car`` with its sensors and motors; from ``silent_s`` of its clock on it does not answer."""
         self._world, self._car, self._slope = world, car, -1
+        self._silent_s, self._last = silent_s, world.sensors.measure(car)
 
-    def measure(self) -> CarMeasurement:
-        """Return its newest measurement."""
+    @property
+    def _now(self) -> CarMeasurement:
         return self._world.sensors.measure(self._car)
 
+    def measure(self) -> CarMeasurement:
+        """Return its newest measurement, the last one before it fell silent."""
+        if (now := self._now).time_s < self._silent_s:
+            self._last = now
+        return self._last
+
     def command(self, command: Command) -> None:
-        """Give its motors these speeds; a hinge turns while its plug is felt."""
+        """Give its motors these speeds, none once it is silent; a hinge turns while its plug is felt."""
         physics = self._world.physics
+        if self._now.time_s >= self._silent_s:
+            command = Command()
         self._world.motors.drive(self._car, command.wheels)
         physics.move_board(self._car, command.board)
         slope = self.measure().slope
@@ -49,9 +60,15 @@ class SimulatedRobot:
         self._slope = slope
 
 
-def simulated_robots(world: PhysicsFleet) -> tuple[Robot, ...]:
-    """Return a robot for each car of a PhysicsWorld."""
-    return tuple(SimulatedRobot(world, car) for car in range(len(world.physics.cars)))
+def simulated_robots(world: PhysicsFleet, silent: Iterable[tuple[int, float]] = ()) -> tuple[Robot, ...]:
+    """Return a robot for each car of a PhysicsWorld; some fall silent, each at a second of its clock.
+
+    Raises InputError for a car that there is not.
+    """
+    cars, since_s = range(len(world.physics.cars)), dict(silent)
+    if unknown := since_s.keys() - cars:
+        raise InputError(f"no car {min(unknown)} to fall silent; there are cars 0 to {cars[-1]}")
+    return tuple(SimulatedRobot(world, car, since_s.get(car, math.inf)) for car in cars)
 
 
 def simulated_referee(physics: PhysicsWorld) -> Callable[[float], TruePoses]:
@@ -88,7 +105,7 @@ def serve_simulated(
     """
     physics, (up, down) = world.physics, rngs
     return Service(
-        simulated_robots(world),
+        simulated_robots(world, network.silent),
         world.advance,
         (Channel(network, up), Channel(network, down)),
         send,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +13,7 @@ from craftsim.experiments.session import ALONE, run_experiment
 from craftsim.storage.folders import directory_within, owned
 from craftsim.studies.study import Study, StudyRun
 from craftsim.training.config import LEARNED
+from craftsim.training.curve import CURVE_FILE
 
 RUNS = "runs"
 
@@ -45,6 +47,21 @@ def run_study(
     config = {"study": asdict(study), "digests": digests}
     experiment = Experiment("study", 0, config, items, train_and_evaluate, timeout_s=timeout_s)
     return list(run_experiment(experiment, out, options))
+
+
+def under_way(study: Study, out: Path, since_s: float) -> list[str]:
+    """Return how far each unfinished training run is that was evaluated after a time of the clock, a line each."""
+    lines = []
+    for run in study.runs:
+        path = out / RUNS / run.key / CURVE_FILE
+        if not path.is_file() or path.stat().st_mtime < since_s:
+            continue
+        *_, last = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
+        steps, successes, episodes = (int(last[name]) for name in ("steps", "successes", "episodes"))
+        if steps < run.steps and successes < run.until * episodes:
+            so_far = f"{steps:,} of at most {run.steps:,} steps"
+            lines.append(f"{run.key}: {so_far}, {successes} of {episodes} episodes succeed")
+    return lines
 
 
 def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:

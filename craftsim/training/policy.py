@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.errors import InputError
+from craftsim.errors import InputError, suggestion
 from craftsim.extras import need
+from craftsim.storage.paths import exists
 
 if TYPE_CHECKING:
     from craftsim.discrete.rules import RuleSet
@@ -150,7 +151,7 @@ def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:
     is for policies whose actions are sampled.
 
     Raises:
-        InputError: the extra ``train`` is not installed, or the file is not a policy.
+        InputError: the extra ``train`` is not installed, there is no such policy, or the file is none.
 
     Example:
         >>> import craftsim
@@ -162,5 +163,9 @@ def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:
     need_torch()
     from craftsim.training.checkpoint import read_policy
 
+    names = shipped_policies()
+    if str(path).isidentifier() and path not in names and not exists(path):
+        close = suggestion(str(path)[:80], names)
+        raise InputError(f"{path}: no such file{close}; shipped policies are {', '.join(names)}")
     head, net = read_policy(policy_file(path))
     return TrainedPolicy(head.config, head.task, head.shape, net, seed)

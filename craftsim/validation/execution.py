@@ -22,6 +22,7 @@ from craftsim.checking.judge import Judge
 from craftsim.checking.setup import RANDOMIZE, Randomize, Seed, Setup, set_up
 from craftsim.choices import Backend, Drive, Execution, PlanOrder
 from craftsim.designs.drawn import random_start
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
@@ -31,18 +32,22 @@ from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Estimate, Proportion, mean_of
+from craftsim.experiments.session import open_session
 from craftsim.planning import NoPlanError, plan_building
+from craftsim.planning.reordering import reordered
 from craftsim.reports.json_file import document
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
 from craftsim.robots import need_network
-from craftsim.storage.folders import output_directory
-from craftsim.training.policy import TrainedPolicy, load_policy
-from craftsim.workers.pool import Pool, answered
+from craftsim.training.policy import load_policy
+from craftsim.validation.policies import policy_digest
 
 ORDERS: Final[tuple[PlanOrder, ...]] = get_args(PlanOrder)
 ROUNDS: Final = 20
 """Attempts at the plan of a random design; the best one is used."""
+TIMEOUT_S: Final = 3600.0
+"""After which a world or an episode counts as hanging."""
 
 
 PlanCase = tuple[str, int | None, int, Setup]
@@ -61,18 +66,43 @@ def _planned(case: PlanCase) -> tuple[Grid, Sequence[Sequence[Any]]]:
     return drawn.grid, plan.ticks
 
 
-def executed(case: PlanCase) -> dict[str, Any]:
+def executed(case: PlanCase) -> Result:
     """Return a world's makespans in physics, by order, each from the same start in the same physics."""
     name, _, seed, setup = case
     try:
         grid, ticks = _planned(case)
     except NoPlanError as error:
-        return {"world": name, "no_plan": str(error)}
-    orders = {order: _executed(set_up(grid, setup, Seed((seed,))), ticks, order) for order in ORDERS}
-    return {"world": name, "cars": grid.n_cars, "actions": sum(map(len, ticks)), "orders": orders}
+        return Result(agrees=False, extra={"world": name, "no_plan": str(error)})
+    orders, took_s = {}, list[float]()
+    for order in ORDERS:
+        orders[order], took_s = _executed(set_up(grid, setup, Seed((seed,))), ticks, order)
+    agrees = all(one["agrees"] for one in orders.values())
+    found = {"world": name, "cars": grid.n_cars, "actions": sum(map(len, ticks)), "orders": orders}
+    if agrees:
+        found["reordered"] = reordered_makespans(grid, ticks, took_s, Rules(setup.rules))
+    return Result(agrees=agrees, extra=found)
 
 
-def _executed(judge: Judge, ticks: Sequence[Sequence[Any]], order: PlanOrder) -> dict[str, float | bool]:
+def reordered_makespans(
+    grid: Grid, ticks: Sequence[Sequence[Any]], took_s: Sequence[float], rules: Rules
+) -> dict[str, float]:
+    """Return makespans, given how long each action took: of the plan, and re-ordered before and after the fact.
+
+    ``before_s`` is of the order that is best by predicted durations, ``hindsight_s`` of the one that is best by those
+    that actions took: what re-ordering on the way could come to at most.
+    """
+    plan = make_schedule(grid, ticks, rules)
+    found = {"planned_s": plan.makespan(took_s)}
+    for name, known in (("before_s", plan.durations_s), ("hindsight_s", None)):
+        order = reordered(grid, plan, known or took_s, rules)
+        plan, took_s = make_schedule(grid, plan.acting(order), rules), [took_s[k] for k in order]
+        found[name] = plan.makespan(took_s)
+    return {name: round(seconds, 3) for name, seconds in found.items()}
+
+
+def _executed(
+    judge: Judge, ticks: Sequence[Sequence[Any]], order: PlanOrder
+) -> tuple[dict[str, float | bool], list[float]]:
     predicted_s, attempts = 0.0, list[Attempt]()
     parts = [[joint] for joint in ticks if joint] if order == "ticks" else [ticks]
     how: Concurrency = "sequential" if order == "sequential" else "concurrent"
@@ -83,7 +113,8 @@ def _executed(judge: Judge, ticks: Sequence[Sequence[Any]], order: PlanOrder) ->
     end_s = max((attempt.start_s + attempt.duration_s for attempt in begun), default=0.0)
     took_s = end_s - min((attempt.start_s for attempt in begun), default=0.0)
     agrees = all(attempt.agrees for attempt in attempts)
-    return {"agrees": agrees, "predicted_s": round(predicted_s, 3), "executed_s": round(took_s, 3)}
+    found = {"agrees": agrees, "predicted_s": round(predicted_s, 3), "executed_s": round(took_s, 3)}
+    return found, [attempt.duration_s for attempt in attempts]
 
 
 def ratio_of(pairs: Iterable[tuple[float, float]]) -> Estimate:
@@ -110,18 +141,26 @@ def plan_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             order: ratio_of((one["concurrent"]["executed_s"], one[order]["executed_s"]) for one in good)
             for order in ORDERS[:-1]
         },
+        "reordered": {
+            f"{one}_by_{other}": ratio_of(
+                (r["reordered"][f"{one}_s"], r["reordered"][f"{other}_s"])
+                for r in planned
+                if "reordered" in r
+            )
+            for one, other in (("before", "planned"), ("hindsight", "before"))
+        },
         "worlds": list(records),
     }
 
 
-def plans_report(n_designs: int, seed: int, setup: Setup, workers: int, config: dict[str, Any]) -> Report:
+def plans_report(n_designs: int, seed: int, setup: Setup, out: Path | None, options: RunOptions) -> Report:
     """Execute the plans of the six tasks and of random designs in each order, and return the report."""
     cases: list[PlanCase] = [(name, None, seed, setup) for name in TASK_NAMES]
     cases += [(f"design {number}", number, seed, setup) for number in range(n_designs)]
-    with Pool(workers) as pool:
-        found = dict(pool.map_unordered(executed, cases))
-    records = [answered(found[one]) for one in cases]
-    figures = plan_figures(records)
+    items = [Trial(case[0], "plans", seed, case) for case in cases]
+    config = {"what": "execution", "designs": n_designs, "setup": setup}
+    found, lost = _run(Experiment("bench", seed, config, items, executed, timeout_s=TIMEOUT_S), out, options)
+    figures = plan_figures(records := found["plans"])
     if not figures["compared"]:
         raise InputError("no plan went as predicted in all orders, so that there is nothing to compare")
     rows = [
@@ -133,18 +172,40 @@ def plans_report(n_designs: int, seed: int, setup: Setup, workers: int, config: 
         Column("world"),
         *(Column(name, "number") for name in ("cars", "actions", *ORDERS)),
     )
-    note = "simulated seconds, and how much more than predicted; ! where an action did not do as predicted"
+    before, hindsight = map(_shown, figures["reordered"].values())
+    note = (
+        "simulated seconds, and how much more than predicted; ! where an action did not do as predicted. Concurrent, "
+        f"re-ordered: by predicted durations {before} times, and by actual ones, in hindsight, {hindsight} times that."
+    )
     table = DataTable(columns, rows, "Makespans", note)
     said = [f"{_shown(figures['concurrent_by'][order])} times {order}" for order in figures["concurrent_by"]]
     return Report(
         "Execution of plans",
         f"{len(rows)} plans in {len(ORDERS)} orders",
-        Headline("Measured", Tone.PLAIN, f"As early as dependencies allow a plan takes {', '.join(said)}."),
+        _headline(f"As early as dependencies allow a plan takes {', '.join(said)}", lost),
         sections=[
             Section("makespans", "Makespans", "Paired: same start, same physics.", [table], terminal=True)
         ],
         document=document(figures, command="bench", seed=seed, config=config),
     )
+
+
+def _run(
+    experiment: Experiment, out: Path | None, options: RunOptions
+) -> tuple[dict[str, list[dict[str, Any]]], int]:
+    """Run an experiment, and return the results by group, in the order of its trials, and how many trials have none."""
+    with open_session(experiment, out, options) as session:
+        records = list(session.run())
+    found: dict[str, list[dict[str, Any]]] = {record["group"]: [] for record in records}
+    for record in records:
+        if record["error"] is None:
+            found[record["group"]].append(record["extra"])
+    return found, sum(record["error"] is not None for record in records)
+
+
+def _headline(sentence: str, lost: int) -> Headline:
+    said = f"; {lost} without a result, which --resume tries again" if lost else ""
+    return Headline("Measured", Tone.CAUTION if lost else Tone.PLAIN, f"{sentence}{said}.")
 
 
 def _cell(one: Mapping[str, Any]) -> str:
@@ -191,14 +252,14 @@ PolicyCase = tuple[str, Mode, int]
 """A shipped policy or its path, how it is executed, and the seed of the start, which is the same in all modes."""
 
 
-def episode(case: PolicyCase) -> dict[str, Any]:
+def episode(case: PolicyCase) -> Result:
     """Play an episode and return its success, simulated seconds, decisions, and what went wrong.
 
     ``blocked`` counts decisions that a claim stood against, ``failed`` actions whose skill did not succeed; ``reached``
-    is the confirmed world at a time that is drawn.
+    is the confirmed world at a time that is drawn, in the mode :data:`REACHED`.
     """
     name, mode, seed = case
-    policy, env = _policy(name), _env(name, mode)
+    policy, env = load_policy(name, seed), _env(name, mode)
     observations, _ = env.reset(seed=seed)
     found: dict[str, Any] = {"success": False, "seconds": 0.0, "decisions": 0, "blocked": 0, "failed": 0}
     reached, begun_s = [(0.0, env.grid)], time.process_time()
@@ -216,21 +277,18 @@ def episode(case: PolicyCase) -> dict[str, Any]:
             reached.append((found["seconds"], env.core.episodes.confirmed[0].copy()))
     found["deadlock"] = str(info["deadlock"].words) if info.get("deadlock") else ""
     found["unreadable"] = "; ".join(info["problems"])
-    at_s = np.random.default_rng([seed, 1]).uniform(0.0, found["seconds"])
-    found["reached"] = [grid for time_s, grid in reached if time_s <= at_s][-1]
+    if mode == REACHED:
+        at_s = np.random.default_rng([seed, 1]).uniform(0.0, found["seconds"])
+        found["reached"] = blueprint_text([grid for time_s, grid in reached if time_s <= at_s][-1])
     found["cpu_s"] = time.process_time() - begun_s
-    return found | {"seconds": round(found["seconds"], 3)}
-
-
-@lru_cache(maxsize=8)
-def _policy(name: str) -> TrainedPolicy:
-    return load_policy(name)
+    found["seconds"] = round(found["seconds"], 3)
+    return Result(agrees=found["success"], extra=found)
 
 
 @lru_cache(maxsize=8)
 def _env(name: str, mode: Mode) -> Any:
     """Return the environment of a policy in a mode, kept for its next episode."""
-    config = _policy(name).config
+    config = load_policy(name).config
     options: dict[str, Any] = {"rule_set": config.rules, "helper_depth": config.helper_depth}
     if mode.backend == "physics":
         options |= {"drive": mode.drive, "randomization": RANDOMIZE[cast(Randomize, mode.randomize)][1]}
@@ -258,30 +316,39 @@ def policy_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def policies_report(
-    policies: Sequence[str | Path], episodes: int, seed: int, workers: int, out: Path | None = None
+    policies: Sequence[str], episodes: int, seed: int, out: Path | None, options: RunOptions
 ) -> Report:
     """Play so many episodes of each policy in each mode, from the same starts, and return the report.
 
     ``out`` takes a file a policy of worlds that it reached, each at a time that is drawn, as starts to train from.
+    Raises InputError for what is no trained policy.
     """
     need_network()
-    cases = [
-        (str(policy), mode, seed + number)
-        for policy in policies
+    policies = [*dict.fromkeys(policies)]
+    for name in policies:
+        load_policy(name)
+    config = {
+        "what": "execution",
+        "policies": {name: policy_digest(name) for name in policies},
+        "episodes": episodes,
+        "modes": MODES,
+    }
+    items = [
+        Trial(f"{name}, {mode}, {seed + n}", f"{name}, {mode}", seed + n, (name, mode, seed + n))
+        for name in policies
         for mode in MODES
-        for number in range(min(episodes, mode.most))
+        for n in range(min(episodes, mode.most))
     ]
-    with Pool(workers) as pool:
-        found = dict(pool.map_unordered(episode, cases, batch=min(10, episodes)))
+    found, lost = _run(Experiment("bench", seed, config, items, episode, timeout_s=TIMEOUT_S), out, options)
     figures: dict[str, Any] = {}
     tables = []
     names = ("success", "makespan, s", "blocked, %", "deadlocks", "failed")
     cpu_s: dict[str, dict[str, float]] = {}
     columns = (Column("mode"), *(Column(name, "number") for name in names))
-    for policy in map(str, policies):
+    for policy in policies:
         rows = []
         for mode in MODES:
-            some = [answered(found[one]) for one in cases if one[:2] == (policy, mode)]
+            some = found[f"{policy}, {mode}"]
             own = figures.setdefault(policy, {})[str(mode)] = policy_figures(some)
             share: Proportion = own["success"]
             shown = f"{share.successes}/{share.trials} ({share.wilson_low:.2f}-{share.wilson_high:.2f})"
@@ -289,9 +356,10 @@ def policies_report(
             blocked = f"{100 * own['blocked_share']:.1f}"
             cpu_s.setdefault(policy, {})[str(mode)] = sum(one["cpu_s"] for one in some)
             rows.append((str(mode), shown, makespan, blocked, str(own["deadlocks"]), str(own["failed"])))
-            if mode == REACHED and out is not None:
+            if mode == REACHED and out is not None and some:
                 name = re.sub(r"[^\w.-]+", "-", policy)
-                save_starts(output_directory(out) / f"starts-{name}.npz", [one["reached"] for one in some])
+                grids = [parse_blueprint(one["reached"], name).grid(np.random.default_rng(0)) for one in some]
+                save_starts(out / f"starts-{name}.npz", grids)
         spent = f"CPU time: {', '.join(f'{seconds:.0f} s' for seconds in cpu_s[policy].values())}"
         tables.append(DataTable(columns, rows, policy, spent))
     note = (
@@ -299,17 +367,17 @@ def policies_report(
         "stood against; failed: actions whose skill did not succeed. Network: as robots on rollers, on a "
         "workshop_floor, behind a network."
     )
-    sentence = f"{', '.join(map(str, policies))}: {len(MODES)} modes, from the same starts."
+    sentence = f"{', '.join(policies)}: {len(MODES)} modes, from the same starts"
     return Report(
         "Execution of policies",
         "synchronous and asynchronous, on the grid and in physics",
-        Headline("Measured", Tone.PLAIN, sentence),
+        _headline(sentence, lost),
         sections=[Section("modes", "Modes", note, tables, terminal=True)],
         document=document(
             {"modes": figures},
             command="bench",
             seed=seed,
-            config={"policies": [*map(str, policies)], "episodes": episodes, "modes": MODES},
+            config=config,
             wall={"cpu_s": cpu_s},
         ),
     )

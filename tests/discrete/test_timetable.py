@@ -9,6 +9,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule, nominal_durations
 from craftsim.discrete.tasks import make_task
+from craftsim.errors import InputError
 
 RULES = Rules("physical")
 
@@ -50,3 +51,9 @@ def test_nothing_takes_no_time(scene, car):
     schedule = make_schedule(scene([], [car(0, 0)]), [], RULES)
     assert schedule.times().shape == (0, 2)
     assert schedule.makespan() == 0.0
+
+
+@pytest.mark.parametrize("order", ["ticks", None])
+def test_an_unknown_order_is_named_with_those_that_there_are(scene, car, order):
+    with pytest.raises(InputError, match=f"no order {order!r}.*orders: sequential, concurrent"):
+        make_schedule(scene([], [car(0, 0)]), [[(0, Action.ROTATE_LEFT)]], RULES, order)

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+import craftsim
+from craftsim.discrete.asynchronous import BEGUN
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
@@ -219,3 +221,21 @@ def test_wrong_options_are_refused():
             parallel_env("strip", "grid", **options)
         with pytest.raises(InputError, match="radius: 0 is out of range"):
             ObjectChoice(radius=0)
+
+
+def test_a_choice_that_a_running_action_stands_against_is_not_offered():
+    task = make_task("strip", max_steps=20)
+    env = craftsim.env(task, "grid", execution="asynchronous", helper_depth=20, object_choice=EVERYWHERE)
+    rng, core, withheld = np.random.default_rng(0), env.core, 0
+    for seed in range(10):
+        env.reset(seed)
+        while core.turns:
+            car, mask = core.turns[0], env.observe(env.agent_selection)["action_mask"]
+            free = core.episodes.some(np.array([0]))
+            free.running.n_claims[:] = 0
+            withheld += int((core.form.masks(free)[0, car] > mask)[CONTINUE + 1 :].sum())
+            action = int(rng.choice(np.flatnonzero(mask)))
+            env.step(action)
+            if action > CONTINUE:
+                assert core.episodes.decisions.outcome[0, car] == BEGUN
+    assert withheld

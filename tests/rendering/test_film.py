@@ -1,5 +1,6 @@
 """Films show all of a trajectory or a plan, say what happened, and do not depend on who renders them."""
 
+import re
 from bisect import bisect_right
 from contextlib import nullcontext
 from dataclasses import replace
@@ -8,7 +9,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageDraw
 from recorded import record
 
 from craftsim import Trajectory
@@ -24,6 +25,7 @@ from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
 from craftsim.models.framing import box_corners
+from craftsim.rendering import overlay
 from craftsim.rendering.cameras import make_view, reached_m
 from craftsim.rendering.encode import VideoWriter
 from craftsim.rendering.film import IDLE, SPEEDS, FilmOptions, Frames, pace_of, predicted_worlds
@@ -358,3 +360,13 @@ def test_show_says_what_a_plan_takes_writes_its_pictures_and_names_what_is_forbi
     (tmp_path / "p.plan").write_text("0 0 DROP\n1 1 ROTATE_LEFT\n")
     assert main(["show", "strip", "--plan", str(tmp_path / "p.plan")]) == 1
     assert "forbidden: car 0 DROP in tick 0: the car carries nothing" in capsys.readouterr().out
+
+
+def test_lines_do_not_end_between_a_number_and_its_unit():
+    draw = ImageDraw.Draw(Image.new("RGB", (1, 1)))
+    for width in range(60, 200, 7):
+        lines = overlay._wrap(
+            draw, "cars moved by 0.11 mm, 5 % of 2 s at 3.5 mrad", overlay._font(11), width, 9
+        )
+        assert not [line for line in lines if re.match(r"mm|%|s\b|mrad", line)], lines
+        assert " ".join(lines) == "cars moved by 0.11 mm, 5 % of 2 s at 3.5 mrad"

@@ -1,21 +1,19 @@
 """A robot that stops answering is waited for, named, and built around; a policy drives the others on."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
-import pytest
 
 import craftsim
 from craftsim.checking.setup import set_up, setup_of
 from craftsim.discrete.files.blueprint import write_blueprint
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.robots import simulated
 from craftsim.robots.fleet import RobotFleet
 from craftsim.robots.server import Network
 from craftsim.robots.simulated import simulated_network, simulated_robots
 from craftsim.skills.outcome import Reason
-from craftsim.skills.skill import Command
 from craftsim.validation.replanning import Replanning
 from craftsim.validation.rollout import Run, roll_out
 from craftsim.validation.validation import read_goal
@@ -24,40 +22,9 @@ BUSY = Network(0.03, 0.01, 0.02)
 WHY = r"car {} has not answered since [.\d]+ s of its clock"
 
 
-class Silent:
-    """A robot that hears and says nothing any more from a time on, and stops."""
-
-    def __init__(self, robot, from_s):
-        self.robot, self.from_s = robot, from_s
-        self.last = robot.measure()
-
-    def measure(self):
-        now = self.robot.measure()
-        self.last = now if now.time_s < self.from_s else self.last
-        return self.last
-
-    def command(self, command):
-        self.robot.command(command if self.robot.measure().time_s < self.from_s else Command())
-
-
-@pytest.fixture
-def silent(monkeypatch):
-    """Return a function that lets some simulated robots fall silent at a time of their clock."""
-
-    def fall(cars, from_s):
-        def robots(world):
-            made = simulated_robots(world)
-            return tuple(Silent(one, from_s) if car in cars else one for car, one in enumerate(made))
-
-        monkeypatch.setattr(simulated, "simulated_robots", robots)
-
-    return fall
-
-
-def test_a_policy_goes_on_with_the_cars_that_answer_outside_the_claims_of_one_that_does_not(silent):
-    silent([1], 5.0)
+def test_a_policy_goes_on_with_the_cars_that_answer_outside_the_claims_of_one_that_does_not():
     policy = craftsim.load_policy("random_strip")
-    robots = simulated_network(BUSY)
+    robots = simulated_network(replace(BUSY, silent=((1, 5.0),)))
     env = craftsim.parallel_env("random_strip", drive="reduced", execution="asynchronous", robots=robots)
     seen, _ = env.reset(seed=0)
     found, claims, n_acts = [], [], 0
@@ -78,9 +45,8 @@ def test_a_policy_goes_on_with_the_cars_that_answer_outside_the_claims_of_one_th
     assert all((claimed == claims[0]).all() for claimed in claims)
 
 
-def test_an_episode_without_a_car_that_answers_ends(silent):
-    silent([0, 1], 1.0)
-    robots = simulated_network(BUSY)
+def test_an_episode_without_a_car_that_answers_ends():
+    robots = simulated_network(replace(BUSY, silent=((0, 1.0), (1, 1.0))))
     env = craftsim.parallel_env("block", drive="reduced", execution="asynchronous", robots=robots)
     env.reset(seed=0)
     while env.agents:
@@ -90,8 +56,7 @@ def test_an_episode_without_a_car_that_answers_ends(silent):
     assert infos["car_0"]["deadlock"].words == "car 0 does not answer; car 1 does not answer"
 
 
-def test_a_plan_is_made_anew_without_a_car_that_does_not_answer(silent, tmp_path):
-    silent([0], 1.0)
+def test_a_plan_is_made_anew_without_a_car_that_does_not_answer(tmp_path):
     grid = Grid.empty((5, 3, 1), n_cars=2)
     grid.kind[1, 1, 1] = Kind.BLOCK
     grid.cars[:, [CarField.X, CarField.Y]] = (0, 1), (4, 1)
@@ -99,7 +64,7 @@ def test_a_plan_is_made_anew_without_a_car_that_does_not_answer(silent, tmp_path
     write_blueprint(grid, tmp_path / "start.yaml")
     (tmp_path / "goal.yaml").write_text("block:\n  - {id: 0, x: 3, y: 1, z: 1}\n")
     task = read_goal(str(tmp_path / "start.yaml"), tmp_path / "goal.yaml")
-    where, setup = simulated_network(BUSY), setup_of(drive="reduced")
+    where, setup = simulated_network(replace(BUSY, silent=((0, 1.0),))), setup_of(drive="reduced")
     run = Run(key="one", world=task, by=Replanning(3, 3), seed=0, setup=setup, set_up=where)
     done = roll_out(run).episode
     assert done.ending["ended"] == "built", done.ending
@@ -114,8 +79,7 @@ def test_robots_of_this_process_are_lost_one_by_one_too():
     grid.cars[1, CarField.Y] = 1
     judge = set_up(grid, setup_of(drive="reduced"))
     world = judge.executor.fleet
-    first, second = simulated_robots(world)
-    fleet = RobotFleet((Silent(first, 0.3), second), world.advance, patience=10)
+    fleet = RobotFleet(simulated_robots(world, [(0, 0.3)]), world.advance, patience=10)
     executor = craftsim.Executor(judge.physics, fleet=fleet)
     ended = executor.run({0: Action.MOVE_FORWARD, 1: Action.ROTATE_LEFT})
     assert ended[0].reason is Reason.DISCONNECTED

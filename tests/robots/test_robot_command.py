@@ -83,6 +83,33 @@ def test_a_plan_is_carried_out_by_robots_in_another_process(tmp_path, capsys):
     assert served_figures["stopped_at_s"] == []
 
 
+def test_a_car_falls_silent_and_is_named(tmp_path, capsys):
+    plan = tmp_path / "short.plan"
+    plan.write_text(PLAN, encoding="utf-8")
+    options = ("--lockstep", "--once", "--silent", "1:0.5")
+    with served(tmp_path / "robot", *options) as (process, address):
+        words = ["demo", "--robot", address, "--plan", str(plan), "--drive", "reduced", "--no-video"]
+        assert main([*words, "--out", str(tmp_path / "demo")]) == 1
+        assert process.wait(60) == 0
+    assert "car 1 has not answered since 0.48 s of its clock" in capsys.readouterr().out
+    report = json.loads((tmp_path / "robot/report.json").read_text())
+    assert report["config"]["network"]["silent"] == [[1, 0.5]]
+
+
+@pytest.mark.parametrize(
+    ("silent", "said"),
+    [
+        ("1", "--silent 1: allowed: a car and seconds, such as 1:5"),
+        ("2:1", "no car 2 to fall silent; there are cars 0 to 1"),
+        ("1:-1", "car 1 falls silent after -1 s; allowed: 0 s or more"),
+        ("1:nan", "car 1 falls silent after nan s"),
+    ],
+)
+def test_what_cannot_fall_silent_is_refused(silent, said, tmp_path, capsys):
+    assert main(["robot", "serve", "--silent", silent, "--port", "0", "--out", str(tmp_path)]) == 2
+    assert said in capsys.readouterr().err
+
+
 def test_robots_and_who_drives_them_outlive_each_other(tmp_path, start):
     with served(tmp_path, "--lockstep", "--timeout", "3") as (process, address):
         words = [sys.executable, "-c", DRIVE.format(address=address)]

@@ -2,19 +2,23 @@
 
 import json
 import re
+import time
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 
 import pytest
 from owner import owner
 from sessions import cut_off
 
 from craftsim.cli import main
+from craftsim.cli.progress import telling
 from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
 from craftsim.studies.report import conclusions, runs_table
-from craftsim.studies.runs import RUNS, train_and_evaluate
+from craftsim.studies.runs import RUNS, train_and_evaluate, under_way
 from craftsim.studies.study import SHIPPED, Study, read_study
+from craftsim.training.curve import CURVE_FILE, CurvePoint, write_curve
 
 TEXT = """
 title: Tiny
@@ -59,6 +63,22 @@ def test_a_study_goes_on_without_doing_anything_twice(tiny, tmp_path, capsys):
     assert again["wall"]["cpu_s"] == whole["wall"]["cpu_s"]
     tiny.write_text(TEXT.replace("seeds: 2", "seeds: 3"))
     assert main(["study", str(tiny), "--out", str(out), "--resume"]) == 2
+
+
+def test_a_study_says_how_far_each_run_is_that_is_under_way(tiny, tmp_path, capsys):
+    asked = read_study(str(tiny))
+    for run, steps, successes in zip(asked.runs, (200, 400), (3, 4), strict=True):
+        folder = tmp_path / RUNS / run.key
+        folder.mkdir(parents=True)
+        point = CurvePoint(10, successes, 0.0, 5.0, 1, 0, 1, steps)
+        write_curve(folder / CURVE_FILE, [replace(point, steps=100), point])
+    told = ["strip/ippo/0: 200 of at most 400 steps, 3 of 10 episodes succeed"]
+    assert under_way(asked, tmp_path, 0.0) == told
+    assert under_way(asked, tmp_path, time.time() + 60) == []
+    said = Event()
+    with telling(lambda: said.set() or [*told, "[red]"], 0.01):
+        assert said.wait(60)
+    assert f"{told[0]}\n[red]\n" in capsys.readouterr().out
 
 
 def test_one_seed_has_no_interval():

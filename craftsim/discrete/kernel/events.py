@@ -222,6 +222,31 @@ def offer(
 
 
 @compiled
+def unblocked(
+    cells: Cells,
+    cars: Cars,
+    corrections: int,
+    running: Running,
+    row: Claims,
+    actions: NDArray[np.int8],
+    out: Mask,
+) -> None:
+    """Turn on in out (B, n, k) which of ``actions`` (B, n, k), legal ones or -1, a car that decides could begin now
+    beside what runs."""
+    for i in range(cells.shape[0]):
+        w = World(cells[i], cars[i], corrections)
+        for car in range(w.cars.shape[0]):
+            if running.action[i, car] != DECIDES:
+                continue
+            pose = pose_of(w, car)
+            others = neighbours(w, running, i, pose)
+            for k in range(actions.shape[2]):
+                action = int(np.int64(actions[i, car, k]))
+                if action >= 0 and not blocked(w, running, i, others, pose, action, row, 0):
+                    out[i, car, k] = True
+
+
+@compiled
 def decide_in(
     i: int,
     w: World,

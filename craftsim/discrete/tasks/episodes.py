@@ -260,6 +260,10 @@ class Episodes:
         mask[..., Action.STOP] |= ~mask.any(-1)
         return mask
 
+    def begins(self, actions: NDArray[np.int8]) -> NDArray[np.bool_]:
+        """Return which of some actions a car may begin now, (B, n, k), legal ones, or -1 where there is none."""
+        return np.asarray(actions >= 0)
+
     def entity_rows(self) -> NDArray[np.int32]:
         """Return (B, n_observed, 13): what is where, as :mod:`craftsim.discrete.tasks.observation` lays it out."""
         return entity_rows(self.grids, self.layout, self.designs)

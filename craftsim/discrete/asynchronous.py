@@ -14,7 +14,7 @@ from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST, conflict, write_box
+from craftsim.discrete.kernel.claims import MOST
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -134,7 +134,6 @@ class AsynchronousEpisodes(Episodes):
             np.zeros((b, n), np.bool_),
             np.zeros((b, n, MOST, 4), np.int16),
             np.zeros((b, n), np.int64),
-            np.zeros((b, n, 6), np.int16),
         )
         self.decisions = Decisions(
             np.full((b, n), _STOP, np.int64),
@@ -241,7 +240,6 @@ class AsynchronousEpisodes(Episodes):
                 more = ((0, 0), (0, 0), (0, len(claims) - most), (0, 0))
                 self.running = running = running._replace(claims=np.pad(running.claims, more))
             running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
-            write_box(claims, len(claims), running.box[i, car])
             running.action[i, car] = action
             self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
             column = int(situation(before.cars[car], after.cars[car]))
@@ -250,7 +248,8 @@ class AsynchronousEpisodes(Episodes):
         return result
 
     def _clash(self, i: int, needs: Footprint) -> bool:
-        return bool(events.clashes(self.running, i, needs.claims()))
+        claims = needs.claims()
+        return any(events.clashes(self.running, i, other, claims) for other in range(self.n_cars))
 
     def advance(self) -> Ends:
         """Let time pass in each world to its next event, for which all cars must have decided."""
@@ -486,7 +485,7 @@ class AsynchronousEpisodes(Episodes):
 
     def _waits_for(self, i: int, car: int, action: int | None) -> dict[int, str]:
         """Return why a car cannot act, by each other car without which it could; ``action`` is what it asked for."""
-        grid, running, found = self.grid(i), self.running, dict[int, str]()
+        grid, found = self.grid(i), dict[int, str]()
         for other in range(self.n_cars):
             without = grid.copy()
             without.cars[other, CarField.Z] += 2 * grid.size[2]
@@ -494,9 +493,8 @@ class AsynchronousEpisodes(Episodes):
                 if other == car or other in found or one >= N_ACTIONS or one == _STOP:
                     continue
                 if not batch.reason(grid.cells, grid.cars, self.corrections, car, one):
-                    needs = Footprint.built_in(grid, car, one).claims()
-                    theirs = running.claims[i, other], running.n_claims[i, other], running.box[i, other]
-                    if conflict(needs, len(needs), *theirs):
+                    needs = Footprint.built_in(grid, car, one)
+                    if events.clashes(self.running, i, other, needs.claims()):
                         found[other] = f"its claims stand against {one.name}"
                 elif not batch.reason(without.cells, without.cars, self.corrections, car, one):
                     found[other] = str(explain(grid, self.corrections, car, one))

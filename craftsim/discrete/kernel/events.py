@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.batch import NO_HELPER, Cars, Cells, Mask, Queues
-from craftsim.discrete.kernel.claims import Claims, claims_of, conflict, write_box
+from craftsim.discrete.kernel.claims import Claims, claims_of, conflict
 from craftsim.discrete.kernel.codes import (
     FIRST_MOVE,
     FOLD,
@@ -36,6 +36,7 @@ from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
     F_SLOPE,
+    FOOT,
     FSLOPE,
     Pose,
     World,
@@ -69,8 +70,6 @@ class Running(NamedTuple):
     """(B, n, rows, 4)."""
     n_claims: NDArray[np.int64]
     """(B, n): rows of these; none while a car waits or decides."""
-    box: NDArray[np.int16]
-    """(B, n, 6): the least and the greatest x, y and z of these."""
 
 
 class Decisions(NamedTuple):
@@ -132,15 +131,6 @@ def moment(seconds: float) -> float:
 
 
 @compiled
-def near(running: Running, i: int, car: int, x0: int, x1: int, y0: int, y1: int, z0: int, z1: int) -> bool:
-    """Return whether a car's action runs that claims something within a box."""
-    if running.n_claims[i, car] == 0:
-        return False
-    box = running.box[i, car]
-    return not (x1 < box[0] or x0 > box[1] or y1 < box[2] or y0 > box[3] or z1 < box[4] or z0 > box[5])
-
-
-@compiled
 def reach_of(w: World, car: Pose, action: int) -> int:
     """Return how many cells beside a car's way a legal action may claim any."""
     if car.load != AIR or (
@@ -151,14 +141,23 @@ def reach_of(w: World, car: Pose, action: int) -> int:
 
 
 @compiled
+def within(claim: NDArray[np.int16], x0: int, x1: int, y0: int, y1: int, z: int) -> bool:
+    """Return whether a claim may be one against an action of a car at level z, of which these are the reaches."""
+    return x0 <= claim[0] <= x1 and y0 <= claim[1] <= y1 and z - 2 <= claim[2] <= z + 3
+
+
+@compiled
 def neighbours(w: World, running: Running, i: int, car: Pose) -> int:
     """Return which cars run what could stand against any action of a car, a bit each; the last bit is of many."""
     found = 0
-    reach = max(1, reach_of(w, car, LIFT), reach_of(w, car, FIRST_MOVE) + 1)
+    # Onto a ramp a car claims what is 3 cells ahead.
+    reach = max(3 if car.slope == 0 else 1, reach_of(w, car, LIFT), reach_of(w, car, FIRST_MOVE) + 1)
     x0, x1, y0, y1 = car.x - reach, car.x + reach, car.y - reach, car.y + reach
     for other in range(running.action.shape[1]):
-        if near(running, i, other, x0, x1, y0, y1, car.z - 2, car.z + 3):
-            found |= 1 << min(other, 62)
+        for k in range(running.n_claims[i, other]):
+            if within(running.claims[i, other, k], x0, x1, y0, y1, car.z):
+                found |= 1 << min(other, 62)
+                break
     return found
 
 
@@ -177,24 +176,30 @@ def blocked(
     if FIRST_MOVE <= action <= LAST_MOVE:
         m = MOVE_DIRECTIONS[action - FIRST_MOVE]
         dx, dy = dir_x(m), dir_y(m)
+        x, y = car.x + dx, car.y + dy
+        if car.slope == 0 and (kind_at(w, x, y, car.z) == FOOT or kind_at(w, x, y, car.z - 1) == BODY):
+            dx, dy = 3 * dx, 3 * dy
     x0, x1 = min(car.x, car.x + dx) - reach, max(car.x, car.x + dx) + reach
     y0, y1 = min(car.y, car.y + dy) - reach, max(car.y, car.y + dy) + reach
     for other in range(running.action.shape[1]):
-        if others & (1 << min(other, 62)) and near(running, i, other, x0, x1, y0, y1, car.z - 2, car.z + 3):
-            if count == 0:
-                count = claims_of(w, car, action, row)
-            theirs = running.claims[i, other], running.n_claims[i, other], running.box[i, other]
-            if conflict(row, count, theirs[0], theirs[1], theirs[2]):
-                return True
+        if not others & (1 << min(other, 62)):
+            continue
+        for k in range(running.n_claims[i, other]):
+            claim = running.claims[i, other, k]
+            if within(claim, x0, x1, y0, y1, car.z):
+                if count == 0:
+                    count = claims_of(w, car, action, row)
+                if conflict(row, count, claim[0], claim[1], claim[2], claim[3]):
+                    return True
     return False
 
 
 @compiled
-def clashes(running: Running, i: int, row: Claims) -> bool:
-    """Return whether a claim of what runs in a world stands against an action with the claims ``row``, for Python."""
-    for other in range(running.action.shape[1]):
-        theirs = running.claims[i, other], running.n_claims[i, other], running.box[i, other]
-        if conflict(row, len(row), theirs[0], theirs[1], theirs[2]):
+def clashes(running: Running, i: int, other: int, row: Claims) -> bool:
+    """Return whether what a car of a world runs stands against an action with the claims ``row``, for Python."""
+    for k in range(running.n_claims[i, other]):
+        claim = running.claims[i, other, k]
+        if conflict(row, len(row), claim[0], claim[1], claim[2], claim[3]):
             return True
     return False
 
@@ -283,7 +288,6 @@ def decide_in(
                 if result == BEGUN:
                     apply(w, car, due)
                     running.n_claims[i, car] = count
-                    write_box(claims, count, running.box[i, car])
                     sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
                     column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
                     end_s = now_s + durations.nominal_s[due, column] * durations.factor[i, car]

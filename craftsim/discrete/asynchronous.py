@@ -14,7 +14,7 @@ from craftsim.discrete.footprint import Footprint
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST, conflict, write_box
+from craftsim.discrete.kernel.claims import MOST
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -24,9 +24,12 @@ from craftsim.discrete.kernel.events import (
     RUNS,
     WAITS,
     Decisions,
-    EventTimes,
+    Durations,
+    Ends,
     Running,
+    Worlds,
 )
+from craftsim.discrete.kernel.search import SearchBuffers
 from craftsim.discrete.kernel.state import DERIVED_MARKS
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.reasons import explain
@@ -68,8 +71,7 @@ class Timing:
     @property
     def nominal_s(self) -> NDArray[np.float64]:
         """(actions, 4): durations by action and situation, before jitter."""
-        table = nominal_durations()
-        return np.ones_like(table) if self.equal else table
+        return np.ones_like(nominal_durations()) if self.equal else nominal_durations()
 
     def factors(self, rng: np.random.Generator, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Draw by how much some durations differ from the nominal ones."""
@@ -132,7 +134,6 @@ class AsynchronousEpisodes(Episodes):
             np.zeros((b, n), np.bool_),
             np.zeros((b, n, MOST, 4), np.int16),
             np.zeros((b, n), np.int64),
-            np.zeros((b, n, 6), np.int16),
         )
         self.decisions = Decisions(
             np.full((b, n), _STOP, np.int64),
@@ -142,7 +143,7 @@ class AsynchronousEpisodes(Episodes):
         )
         self._unknown = np.full((len(ACTIONS), len(SITUATIONS)), np.inf)
         self._same = np.ones((b, n)), np.zeros((b, n), np.bool_)
-        self._wait_s = np.array([self.timing.wait_s])
+        self._wait_s = self.timing.wait_s
         self._row = np.zeros((MOST, 4), np.int16)
         self._plan = np.zeros((self.depth or 0) + 1, np.int8)
 
@@ -160,7 +161,13 @@ class AsynchronousEpisodes(Episodes):
         """Start the episodes ``rows`` anew; all their cars decide."""
         super().begin(rows, starts)
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
-        events.restart(np.asarray(rows, np.int64), self.running, self.decisions, self.time_s)
+        self.time_s[rows], self.decisions.made[rows], self.decisions.outcome[rows] = 0.0, 0, RUNS
+        self.running.action[rows], self.running.n_claims[rows] = DECIDES, 0
+
+    @property
+    def _worlds(self) -> Worlds:
+        confirmed, committed = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
+        return Worlds(confirmed, committed, self.running, self.decisions, self.queue, self.time_s)
 
     def grid(self, i: int) -> Grid:
         """Return a copy of a committed world, with its marks."""
@@ -186,50 +193,40 @@ class AsynchronousEpisodes(Episodes):
         What the rules forbid, or what a claim stands against, becomes a wait.
         """
         turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
-        clock = self._draw() if timed else EventTimes(self.time_s, self._unknown, *self._same, self._wait_s)
+        durations = self._draw() if timed else Durations(self._unknown, *self._same, self._wait_s)
         out = np.full(acts.shape, RUNS, np.int64)
-        some = np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else ()
-        done = 0
-        for i in [*some, len(self)]:
-            self._decide(slice(done, i), turns, acts, clock, out)
-            done = i + 1
-            for place in range(turns.shape[1] if i < len(self) else 0):
-                car = int(turns[i, place])
-                queued = self.depth is not None and self.queue[i, car, 0] >= 0
-                if self.running.action[i, car] == DECIDES and acts[i, car] >= N_ACTIONS and not queued:
-                    out[i, car] = self._decide_own(i, car, int(acts[i, car]), clock)
-                else:
-                    self._decide(slice(i, i + 1), turns[:, place : place + 1], acts, clock, out)
+        self._decide_with_own(turns, acts, durations, out)
+        self._decide(0, len(self), turns, acts, durations, out)
         return out
 
-    def _draw(self) -> EventTimes:
+    def _draw(self) -> Durations:
         """Draw how long what begins now takes, and what fails."""
         (factor, fails), timing = self._same, self.timing
         factor = timing.factors(self.rng, factor.shape) if timing.jitter else factor
         fails = timing.fails(self.rng, factor.shape) if timing.failures else fails
-        return EventTimes(self.time_s, timing.nominal_s, factor, fails, self._wait_s)
+        return Durations(timing.nominal_s, factor, fails, self._wait_s)
 
-    def _decide(self, worlds: slice, turns: Any, acts: Any, clock: EventTimes, out: Any) -> None:
-        depth = NO_HELPER if self.depth is None else self.depth
-        events.decide(
-            self.grids.world(self.corrections),
-            self.running,
-            self.decisions,
-            clock,
-            np.ascontiguousarray(turns),
-            acts,
-            self.queue,
-            self._space,
-            depth,
-            worlds.start,
-            worlds.stop,
-            out,
-        )
+    @property
+    def _search(self) -> tuple[SearchBuffers, int]:
+        """Scratch of the action helper, and its search depth."""
+        return self._space, NO_HELPER if self.depth is None else self.depth
 
-    def _decide_own(self, i: int, car: int, action: int, clock: EventTimes) -> int:
-        """Let a car begin a registered action, which is a user's code."""
+    def _decide(self, first: int, end: int, turns: Any, acts: Any, durations: Durations, out: Any) -> None:
+        events.decide(self._worlds, durations, turns, acts, *self._search, first, end, out)
+
+    def _decide_with_own(self, turns: Any, acts: Any, durations: Durations, out: Any) -> None:
+        """Let the cars of those worlds decide in which one asks for a registered action, which is a user's code."""
+        for i in np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else ():
+            for car in turns[i].tolist():
+                queued = self.depth is not None and self.queue[i, car, 0] >= 0
+                if self.running.action[i, car] == DECIDES and acts[i, car] >= N_ACTIONS and not queued:
+                    out[i, car] = self._decide_own(i, car, int(acts[i, car]), durations)
+                else:
+                    self._decide(i, i + 1, np.full((len(acts), 1), car), acts, durations, out)
+
+    def _decide_own(self, i: int, car: int, action: int, durations: Durations) -> int:
         running, before = self.running, self.grid(i)
-        result, end_s = ILLEGAL, clock.time_s[i] + clock.wait_s[0]
+        result, end_s = ILLEGAL, self.time_s[i] + durations.wait_s
         running.turn[i, car], running.action[i, car] = running.turn[i].max() + 1, _STOP
         if not own_reason(before, self.corrections, car, action):
             after = before.copy()
@@ -243,38 +240,46 @@ class AsynchronousEpisodes(Episodes):
                 more = ((0, 0), (0, 0), (0, len(claims) - most), (0, 0))
                 self.running = running = running._replace(claims=np.pad(running.claims, more))
             running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
-            write_box(claims, len(claims), running.box[i, car])
             running.action[i, car] = action
             self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
             column = int(situation(before.cars[car], after.cars[car]))
-            end_s = clock.time_s[i] + clock.nominal_s[action, column] * clock.factor[i, car]
-        events.note(running, self.decisions, clock, i, car, action, result, end_s)
+            end_s = self.time_s[i] + durations.nominal_s[action, column] * durations.factor[i, car]
+        events.note(self._worlds, durations, i, car, action, result, end_s)
         return result
 
     def _clash(self, i: int, needs: Footprint) -> bool:
-        return bool(events.clashes(self.running, i, needs.claims()))
+        claims = needs.claims()
+        return any(events.clashes(self.running, i, other, claims) for other in range(self.n_cars))
 
-    def advance(
-        self,
-    ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
-        """Let time pass in each world to its next event, for which all cars must have decided.
+    def advance(self) -> Ends:
+        """Let time pass in each world to its next event, for which all cars must have decided."""
+        ends = self._ends()
+        kept = self._with_own()
+        events.advance(self._worlds, ends)
+        self._end_own(kept, ends)
+        return ends
 
-        Returns which decisions have ended (B, n), the time since the event before (B,), and that since each decision
-        (B, n). Of what has ended that has failed which ``running`` says.
-        """
-        own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else ()
-        kept = {i: (self._marked(self.confirmed[i]), self.running.action[i].copy()) for i in own}
+    def _ends(self) -> Ends:
         shape = self.running.action.shape
-        ended, duration_s, elapsed_s = np.empty(shape, np.bool_), np.empty(len(self)), np.empty(shape)
-        worlds = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
-        events.advance(*worlds, self.running, self.queue, self.time_s, duration_s, elapsed_s, ended)
-        failed = ended & self.running.fails
-        for i, (grid, actions) in kept.items():
+        return Ends(
+            np.empty(len(self)),
+            np.empty(shape, np.int64),
+            np.empty(shape, np.bool_),
+            np.empty(shape, np.bool_),
+        )
+
+    def _with_own(self) -> dict[int, Grid]:
+        """Return the confirmed worlds in which registered actions run, which do not end by themselves."""
+        own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else ()
+        return {i: self._marked(self.confirmed[i]) for i in own}
+
+    def _end_own(self, worlds: dict[int, Grid], ends: Ends) -> None:
+        """Carry out what has ended in worlds with registered actions."""
+        for i, grid in worlds.items():
             for car in np.argsort(self.running.turn[i]):
-                if ended[i, car] and not failed[i, car]:
-                    self._enforce(grid, int(car), int(actions[car]))
+                if ends.ended[i, car] and not ends.failed[i, car]:
+                    self._enforce(grid, int(car), int(ends.doing[i, car]))
             self.confirm(i, grid)
-        return ended, duration_s, elapsed_s
 
     def step(
         self,
@@ -289,37 +294,20 @@ class AsynchronousEpisodes(Episodes):
         With ``offered`` (B, n, actions), what the cars have chosen from, deadlocks are found sooner. A second costs
         ``time_weight``.
         """
-        before = self.worlds_before()
+        before, ends = self.worlds_before(), self._ends()
         order = self.draw_order() if order is None else order
-        if self.own or before is not None:
-            outcome = self.decide(actions, order)
-            doing = self.running.action.copy()
-            ended, duration_s, elapsed_s = self.advance()
-        else:
-            doing = self.running.action
-            ended, outcome = np.empty(doing.shape, np.bool_), np.full(doing.shape, RUNS, np.int64)
-            duration_s, elapsed_s = np.empty(len(self)), np.empty(doing.shape)
-            events.step(
-                self.confirmed.world(self.corrections),
-                self.grids.world(self.corrections),
-                self.running,
-                self.decisions,
-                self._draw(),
-                np.ascontiguousarray(order, np.int64),
-                np.ascontiguousarray(actions, np.int64),
-                self.queue,
-                self._space,
-                NO_HELPER if self.depth is None else self.depth,
-                outcome,
-                duration_s,
-                elapsed_s,
-                ended,
-            )
-        steps = self.settle(before, doing, ended, duration_s, time_weight)
-        earned, waited = np.empty_like(elapsed_s), np.empty(len(self), np.bool_)
+        turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
+        durations, outcome = self._draw(), np.full(acts.shape, RUNS, np.int64)
+        self._decide_with_own(turns, acts, durations, outcome)
+        kept = self._with_own()
+        events.step(self._worlds, durations, turns, acts, *self._search, outcome, ends)
+        self._end_own(kept, ends)
+        steps = self.settle(before, ends, time_weight)
+        elapsed_s, earned = np.empty(acts.shape), np.empty(acts.shape)
+        waited, deadlock = np.empty(len(self), np.bool_), np.zeros(len(self), np.bool_)
         masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)
-        events.close(self.running, self.decisions, masks, ended, steps.done, elapsed_s, earned, waited)
-        deadlock = np.zeros(len(self), np.bool_)
+        cars = self.running, self.decisions, self.time_s
+        events.close(*cars, masks, ends.ended, steps.reward, steps.done, elapsed_s, earned, waited)
         for i in np.flatnonzero(waited).tolist():
             deadlock[i] = self.deadlock(i) is not None
         return Event(
@@ -328,9 +316,9 @@ class AsynchronousEpisodes(Episodes):
             steps.success,
             steps.applied,
             steps.order,
-            duration_s=duration_s,
+            duration_s=ends.duration_s,
             outcome=outcome,
-            failed=ended & self.running.fails,
+            failed=ends.failed,
             elapsed_s=elapsed_s,
             earned=earned,
             deadlock=deadlock,
@@ -384,34 +372,31 @@ class AsynchronousEpisodes(Episodes):
     def settle(
         self,
         before: Grid | None,
-        actions: NDArray[np.integer],
-        ended: NDArray[np.bool_],
-        duration_s: NDArray[np.float64],
+        ends: Ends,
         time_weight: float,
         problems: tuple[str, ...] = (),
     ) -> Steps:
-        """Score an event: as many decisions as cars count as a tick. What it earns is added to the decisions', too.
+        """Score an event: as many decisions as cars count as a tick.
 
         What a tick costs in which nothing changes is charged for each usual tick of time.
 
         Args:
             before: what :meth:`worlds_before` returned before it.
-            actions: (B, n), what the cars were doing.
-            ended: (B, n), whose actions have ended; waits count.
-            duration_s: (B,), since the event before.
+            ends: what it has ended.
             time_weight: cost of a second.
             problems: why the worlds cannot be read as grids any more.
         """
         self.t = np.maximum(self.decisions.made - 1, 0) // max(self.n_cars, 1)
-        seen, applied = [], ended
+        seen, applied, duration_s = [], ends.ended, ends.duration_s
         if self.corrections & DERIVED_MARKS and self.takes_functions:
             self.confirmed.derive_marks()
         if before is not None:
             # The rules forbid a STOP on a ramp.
             stood = (self.decisions.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
-            applied = ended & ((actions != _STOP) | stood)
-            took = np.where(ended & (actions != _STOP), self.time_s[:, None] - self.running.began_s, 0.0)
-            done = np.where(ended, actions, _STOP)
+            acted = ends.ended & (ends.doing != _STOP)
+            applied = acted | (ends.ended & stood)
+            took = np.where(acted, self.time_s[:, None] - self.running.began_s, 0.0)
+            done = np.where(ends.ended, ends.doing, _STOP)
             seen = [
                 self.transition(i, before[i], done[i], applied[i], took[i], duration_s[i], problems=problems)
                 for i in range(len(self))
@@ -422,10 +407,7 @@ class AsynchronousEpisodes(Episodes):
             idle, _ = rule.of_tick(potential, potential, self.t, given)
             more = np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
             steps = replace(steps, reward=steps.reward + more)
-        if time_weight:
-            steps = replace(steps, reward=steps.reward - time_weight * duration_s)
-        self.decisions.earned[:] += steps.reward[:, None]
-        return steps
+        return replace(steps, reward=steps.reward - time_weight * duration_s) if time_weight else steps
 
     @property
     def takes_functions(self) -> bool:
@@ -510,7 +492,7 @@ class AsynchronousEpisodes(Episodes):
 
     def _waits_for(self, i: int, car: int, action: int | None) -> dict[int, str]:
         """Return why a car cannot act, by each other car without which it could; ``action`` is what it asked for."""
-        grid, running, found = self.grid(i), self.running, dict[int, str]()
+        grid, found = self.grid(i), dict[int, str]()
         for other in range(self.n_cars):
             without = grid.copy()
             without.cars[other, CarField.Z] += 2 * grid.size[2]
@@ -518,9 +500,8 @@ class AsynchronousEpisodes(Episodes):
                 if other == car or other in found or one >= N_ACTIONS or one == _STOP:
                     continue
                 if not batch.reason(grid.cells, grid.cars, self.corrections, car, one):
-                    needs = Footprint.built_in(grid, car, one).claims()
-                    theirs = running.claims[i, other], running.n_claims[i, other], running.box[i, other]
-                    if conflict(needs, len(needs), *theirs):
+                    needs = Footprint.built_in(grid, car, one)
+                    if events.clashes(self.running, i, other, needs.claims()):
                         found[other] = f"its claims stand against {one.name}"
                 elif not batch.reason(without.cells, without.cars, self.corrections, car, one):
                     found[other] = str(explain(grid, self.corrections, car, one))
@@ -530,13 +511,20 @@ class AsynchronousEpisodes(Episodes):
         """Return what each car sees of what all are doing, and of what is claimed.
 
         That is (B, n, n, 2), of each car what it does, -1 if it decides, and the seconds since that began; and
-        (B, n, L, W, H + 1), 1 for each cell that what runs has claimed, a view of the same for all cars.
+        (B, n, L, W, H + 1), 1 for each cell that what runs has claimed. Both are views of the same for all cars.
         """
-        n = self.n_cars
-        doing = np.empty((len(self), n, n, 2), np.float32)
-        claimed = np.zeros(self.grids.cells.shape[:4], np.int8)
+        cars = self.running.action.shape
+        doing, claimed = np.empty((*cars, 2), np.float32), np.zeros(self.grids.cells.shape[:4], np.int8)
         events.show(self.running, self.time_s, doing, claimed)
-        return doing, np.broadcast_to(claimed[:, None], (len(self), n, *claimed.shape[1:]))
+        return _shared(doing, cars[1]), _shared(claimed, cars[1])
+
+
+def _shared(array: NDArray[Any], n_cars: int) -> NDArray[Any]:
+    """Return what is so of each world (B, ...) as what each car sees, (B, n, ...): a view that cannot be written to."""
+    strides, shape = array.strides, array.shape
+    view = np.ndarray((shape[0], n_cars, *shape[1:]), array.dtype, array, 0, (strides[0], 0, *strides[1:]))
+    view.flags.writeable = False
+    return view
 
 
 def _stuck(masks: NDArray[Any]) -> NDArray[np.bool_]:

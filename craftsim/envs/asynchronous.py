@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
 from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, Deadlock
+from craftsim.discrete.kernel.events import Ends
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.starts import Starts
@@ -52,7 +53,7 @@ class AsynchronousCore(Core):
         self._stale = False
         self._take_turns()
         shared = {"success": False, "duration_s": 0.0, "problems": (), "deadlock": None}
-        return self._infos(shared, np.zeros(self.n_cars, np.bool_), set())
+        return self._infos(shared, *np.zeros((2, self.n_cars), np.bool_))
 
     def _take_turns(self) -> None:
         decides = self.episodes.decides[0]
@@ -102,7 +103,7 @@ class AsynchronousCore(Core):
             raise InputError(f"cars {self.turns} have not decided")
         episodes, running = self.episodes, self.episodes.running
         before, began_s = episodes.worlds_before(), float(episodes.time_s[0])
-        actions, ended = running.action.copy(), np.zeros(self.n_cars, np.bool_)
+        doing, ended = running.action.copy(), np.zeros(self.n_cars, np.bool_)
         infos: dict[int, dict[str, Any]] = {}
         problems: tuple[str, ...] = ()
         while not (ended.any() or problems or episodes.lost.all()):
@@ -113,12 +114,12 @@ class AsynchronousCore(Core):
             infos, problems = infos | happened.infos, happened.problems
         lost = {car: {"lost": why} for car, why in happened.lost.items()}
         self._found = [infos.get(car, {}) | lost.get(car, {}) for car in range(self.n_cars)]
-        failed = {car for car, info in infos.items() if info.get("failed")}
-        episodes.queue[0, list(failed)] = -1  # what was planned starts from where the car is not
+        failed = np.array([bool(infos.get(car, {}).get("failed")) for car in range(self.n_cars)])
+        episodes.queue[0, failed] = -1  # what was planned starts from where the car is not
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)
-        steps = episodes.settle(
-            before, actions, ended[None], np.array([duration_s]), self.options.time_weight, problems
-        )
+        ends = Ends(np.array([duration_s]), doing, ended[None], failed[None])
+        steps = episodes.settle(before, ends, self.options.time_weight, problems)
+        episodes.decisions.earned[:] += steps.reward
         self._look()
         self._stale = False
         self._show()
@@ -135,7 +136,7 @@ class AsynchronousCore(Core):
         return CoreStep(float(steps.reward[0]), terminated, truncated, by_car, np.argsort(running.turn[0]))
 
     def _infos(
-        self, shared: dict[str, Any], ended: NDArray[np.bool_], failed: set[int]
+        self, shared: dict[str, Any], ended: NDArray[np.bool_], failed: NDArray[np.bool_]
     ) -> list[dict[str, Any]]:
         """Return the infos by car after an event: ``ended`` (n,) are whose decisions have, ``failed`` whose actions."""
         episodes = self.episodes
@@ -151,7 +152,7 @@ class AsynchronousCore(Core):
                 "decides": bool(decides[car]),
                 "elapsed_s": round(float(elapsed_s[car]), 6),
                 "earned": float(earned[car]),
-                "failed": car in failed,
+                "failed": bool(failed[car]),
                 **shared,
             }
             for car, mask in enumerate(self.masks.copy())

@@ -102,8 +102,7 @@ def test_batches_of_equal_durations_give_what_ticks_give(task, n_cars, options):
         actions = (rng.random(masks.shape) * masks).argmax(-1)
         order, queued = ticks.draw_order(), ticks.queue[:, :, 0] >= 0
         out = events.decide(actions, order)
-        events.advance()
-        one = events.settle(None, actions, np.ones_like(queued), np.ones(n), 0.0)
+        one = events.settle(None, events.advance(), 0.0)
         # A car that goes on with the queue of the helper cannot be made to wait in ticks.
         same &= ~((out == BLOCKED) & (queued | (depth is not None))).any(1)
         two = ticks.step(np.where(out == BLOCKED, STOP, actions), order)
@@ -160,9 +159,9 @@ def test_what_is_offered_is_what_a_schedule_lets_run_beside_the_rest(task):
                     running[i, car] = footprint(grid, then, car, Action(actions[i, car]))
                     grid = then
             assert grid.same_visible(episodes.grids[i])
-        ended, *_ = episodes.advance()
-        episodes.settle(None, actions, ended, np.zeros(6), 0.0)
-        running = {key: needs for key, needs in running.items() if not ended[key]}
+        ends = episodes.advance()
+        episodes.settle(None, ends, 0.0)
+        running = {key: needs for key, needs in running.items() if not ends.ended[key]}
         for i in range(6):
             committed = episodes.confirmed[i].copy()
             for car in np.argsort(episodes.running.turn[i]).tolist():

@@ -127,16 +127,6 @@ def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
 
 
 @compiled
-def write_box(claims: Claims, count: int, box: NDArray[np.int16]) -> None:
-    """Write the least and the greatest x, y and z of claims into box (6,)."""
-    for axis in range(3):
-        least = greatest = int(np.int64(claims[0, axis]))
-        for k in range(1, count):
-            least, greatest = min(least, claims[k, axis]), max(greatest, claims[k, axis])
-        box[2 * axis], box[2 * axis + 1] = least, greatest
-
-
-@compiled
 def write_claims(
     cells: NDArray[np.int16], cars: NDArray[np.int16], corrections: int, car: int, action: int, out: Claims
 ) -> int:
@@ -146,29 +136,19 @@ def write_claims(
 
 
 @compiled(inline=False)
-def conflict(
-    first: Claims, n_first: int, second: Claims, n_second: int, second_box: NDArray[np.int16]
-) -> bool:
-    """Return whether two actions with these claims must not run at the same time; for the box see :func:`write_box`."""
-    x0, x1, y0, y1 = second_box[0] - 1, second_box[1] + 1, second_box[2] - 1, second_box[3] + 1
-    z0, z1 = second_box[4], second_box[5]
+def conflict(first: Claims, n_first: int, x: int, y: int, z: int, theirs: int) -> bool:
+    """Return whether an action with the claims ``first`` must not run beside one that claims ``theirs`` in a cell."""
     for i in range(n_first):
-        x, y, z, mine = first[i, 0], first[i, 1], first[i, 2], first[i, 3]
-        if x < x0 or x > x1 or y < y0 or y > y1 or z < z0 or z > z1:
+        apart = abs(first[i, 0] - x) + abs(first[i, 1] - y)
+        if apart > 1 or first[i, 2] != z:
             continue
-        for k in range(n_second):
-            if second[k, 2] != z:
-                continue
-            apart = abs(second[k, 0] - x) + abs(second[k, 1] - y)
-            if apart > 1:
-                continue
-            theirs = second[k, 3]
-            if mine & theirs & LOADS:
-                return True
-            if apart == 0 and (
-                mine & theirs & SPACE
-                or (mine & CHANGES and theirs & (CHANGES | RELIES))
-                or (mine & RELIES and theirs & CHANGES)
-            ):
-                return True
+        mine = first[i, 3]
+        if mine & theirs & LOADS:
+            return True
+        if apart == 0 and (
+            mine & theirs & SPACE
+            or (mine & CHANGES and theirs & (CHANGES | RELIES))
+            or (mine & RELIES and theirs & CHANGES)
+        ):
+            return True
     return False

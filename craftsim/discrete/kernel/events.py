@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.batch import NO_HELPER, Cars, Cells, Mask, Queues
-from craftsim.discrete.kernel.claims import Claims, claims_of, conflict, write_box
+from craftsim.discrete.kernel.claims import Claims, claims_of, conflict
 from craftsim.discrete.kernel.codes import (
     FIRST_MOVE,
     FOLD,
@@ -36,6 +36,7 @@ from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
     F_SLOPE,
+    FOOT,
     FSLOPE,
     Pose,
     World,
@@ -69,8 +70,6 @@ class Running(NamedTuple):
     """(B, n, rows, 4)."""
     n_claims: NDArray[np.int64]
     """(B, n): rows of these; none while a car waits or decides."""
-    box: NDArray[np.int16]
-    """(B, n, 6): the least and the greatest x, y and z of these."""
 
 
 class Decisions(NamedTuple):
@@ -86,34 +85,49 @@ class Decisions(NamedTuple):
     """(B, n): the rewards since then."""
 
 
-class EventTimes(NamedTuple):
-    """Times of B worlds, and how long what begins now takes."""
+class Worlds(NamedTuple):
+    """B asynchronous worlds, all of what time changes."""
 
+    confirmed: World
+    """The effects of all that has ended."""
+    committed: World
+    """The same, and the effects of all that runs."""
+    running: Running
+    decisions: Decisions
+    queues: Queues
     time_s: NDArray[np.float64]
     """(B,): now."""
+
+
+class Durations(NamedTuple):
+    """How long what begins now takes."""
+
     nominal_s: NDArray[np.float64]
-    """(actions, 4): durations by action and situation, infinite where they are not known before an action ends."""
+    """(actions, 4): by action and situation, infinite where they are not known before an action ends."""
     factor: NDArray[np.float64]
-    """(B, n): of durations, by car."""
+    """(B, n): of these, by car."""
     fails: NDArray[np.bool_]
     """(B, n): whether what a car begins now fails."""
-    wait_s: NDArray[np.float64]
-    """(1,)."""
+    wait_s: float
+
+
+class Ends(NamedTuple):
+    """What an event of B worlds has ended."""
+
+    duration_s: NDArray[np.float64]
+    """(B,): the time since the event before."""
+    doing: NDArray[np.int64]
+    """(B, n): what each car did until then, as in Running."""
+    ended: Mask
+    """(B, n): whose actions have ended; waits count."""
+    failed: Mask
+    """(B, n): whose actions have ended without effect."""
 
 
 @compiled
 def moment(seconds: float) -> float:
     """Return a time rounded to microseconds: what ends together then ends at the same time, however it was added."""
     return math.floor(seconds * 1e6 + 0.5) / 1e6
-
-
-@compiled
-def near(running: Running, i: int, car: int, x0: int, x1: int, y0: int, y1: int, z0: int, z1: int) -> bool:
-    """Return whether a car's action runs that claims something within a box."""
-    if running.n_claims[i, car] == 0:
-        return False
-    box = running.box[i, car]
-    return not (x1 < box[0] or x0 > box[1] or y1 < box[2] or y0 > box[3] or z1 < box[4] or z0 > box[5])
 
 
 @compiled
@@ -127,14 +141,23 @@ def reach_of(w: World, car: Pose, action: int) -> int:
 
 
 @compiled
+def within(claim: NDArray[np.int16], x0: int, x1: int, y0: int, y1: int, z: int) -> bool:
+    """Return whether a claim may be one against an action of a car at level z, of which these are the reaches."""
+    return x0 <= claim[0] <= x1 and y0 <= claim[1] <= y1 and z - 2 <= claim[2] <= z + 3
+
+
+@compiled
 def neighbours(w: World, running: Running, i: int, car: Pose) -> int:
     """Return which cars run what could stand against any action of a car, a bit each; the last bit is of many."""
     found = 0
-    reach = max(1, reach_of(w, car, LIFT), reach_of(w, car, FIRST_MOVE) + 1)
+    # Onto a ramp a car claims what is 3 cells ahead.
+    reach = max(3 if car.slope == 0 else 1, reach_of(w, car, LIFT), reach_of(w, car, FIRST_MOVE) + 1)
     x0, x1, y0, y1 = car.x - reach, car.x + reach, car.y - reach, car.y + reach
     for other in range(running.action.shape[1]):
-        if near(running, i, other, x0, x1, y0, y1, car.z - 2, car.z + 3):
-            found |= 1 << min(other, 62)
+        for k in range(running.n_claims[i, other]):
+            if within(running.claims[i, other, k], x0, x1, y0, y1, car.z):
+                found |= 1 << min(other, 62)
+                break
     return found
 
 
@@ -153,24 +176,30 @@ def blocked(
     if FIRST_MOVE <= action <= LAST_MOVE:
         m = MOVE_DIRECTIONS[action - FIRST_MOVE]
         dx, dy = dir_x(m), dir_y(m)
+        x, y = car.x + dx, car.y + dy
+        if car.slope == 0 and (kind_at(w, x, y, car.z) == FOOT or kind_at(w, x, y, car.z - 1) == BODY):
+            dx, dy = 3 * dx, 3 * dy
     x0, x1 = min(car.x, car.x + dx) - reach, max(car.x, car.x + dx) + reach
     y0, y1 = min(car.y, car.y + dy) - reach, max(car.y, car.y + dy) + reach
     for other in range(running.action.shape[1]):
-        if others & (1 << min(other, 62)) and near(running, i, other, x0, x1, y0, y1, car.z - 2, car.z + 3):
-            if count == 0:
-                count = claims_of(w, car, action, row)
-            theirs = running.claims[i, other], running.n_claims[i, other], running.box[i, other]
-            if conflict(row, count, theirs[0], theirs[1], theirs[2]):
-                return True
+        if not others & (1 << min(other, 62)):
+            continue
+        for k in range(running.n_claims[i, other]):
+            claim = running.claims[i, other, k]
+            if within(claim, x0, x1, y0, y1, car.z):
+                if count == 0:
+                    count = claims_of(w, car, action, row)
+                if conflict(row, count, claim[0], claim[1], claim[2], claim[3]):
+                    return True
     return False
 
 
 @compiled
-def clashes(running: Running, i: int, row: Claims) -> bool:
-    """Return whether a claim of what runs in a world stands against an action with the claims ``row``, for Python."""
-    for other in range(running.action.shape[1]):
-        theirs = running.claims[i, other], running.n_claims[i, other], running.box[i, other]
-        if conflict(row, len(row), theirs[0], theirs[1], theirs[2]):
+def clashes(running: Running, i: int, other: int, row: Claims) -> bool:
+    """Return whether what a car of a world runs stands against an action with the claims ``row``, for Python."""
+    for k in range(running.n_claims[i, other]):
+        claim = running.claims[i, other, k]
+        if conflict(row, len(row), claim[0], claim[1], claim[2], claim[3]):
             return True
     return False
 
@@ -248,32 +277,30 @@ def unblocked(
 
 @compiled
 def decide_in(
+    worlds: Worlds,
     i: int,
-    w: World,
-    running: Running,
-    decisions: Decisions,
-    clock: EventTimes,
+    durations: Durations,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
-    queues: Queues,
     space: SearchBuffers,
     depth: int,
     out: NDArray[np.int64],
 ) -> None:
     """Let the cars order[i] of a world begin what they have decided on, in their order; see :func:`decide`."""
+    running, queues, now_s = worlds.running, worlds.queues, worlds.time_s[i]
+    w = World(worlds.committed.cells[i], worlds.committed.cars[i], worlds.committed.corrections)
     turn = 0
     for car in range(w.cars.shape[0]):
         turn = max(turn, running.turn[i, car])
     for place in range(order.shape[1]):
         car = order[i, place]
         if running.action[i, car] != DECIDES:
-            out[i, car] = RUNS
             continue
         due, queued = actions[i, car], queues[i, car, 0] >= 0
         if depth != NO_HELPER:
             due = due_of(w, car, due, queues[i, car], space, depth)
         turn += 1
-        result, end_s, now_s = WAITS, clock.time_s[i] + clock.wait_s[0], clock.time_s[i]
+        result, end_s = WAITS, now_s + durations.wait_s
         if due == STOP:
             result = WAITS if actions[i, car] == STOP or queued else ILLEGAL
         else:
@@ -286,10 +313,9 @@ def decide_in(
                 if result == BEGUN:
                     apply(w, car, due)
                     running.n_claims[i, car] = count
-                    write_box(claims, count, running.box[i, car])
                     sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
                     column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
-                    end_s = now_s + clock.nominal_s[due, column] * clock.factor[i, car]
+                    end_s = now_s + durations.nominal_s[due, column] * durations.factor[i, car]
         if depth != NO_HELPER and due != STOP:
             if result == BEGUN:
                 if queues[i, car, 0] >= 0:
@@ -297,19 +323,16 @@ def decide_in(
             elif result == ILLEGAL or not queued:
                 queues[i, car, :] = -1
         running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
-        note(running, decisions, clock, i, car, actions[i, car], result, end_s)
+        note(worlds, durations, i, car, actions[i, car], result, end_s)
         out[i, car] = result
 
 
 @compiled
 def decide(
-    committed: World,
-    running: Running,
-    decisions: Decisions,
-    clock: EventTimes,
+    worlds: Worlds,
+    durations: Durations,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
-    queues: Queues,
     space: SearchBuffers,
     depth: int,
     first: int,
@@ -318,143 +341,97 @@ def decide(
 ) -> None:
     """Let the cars order[i] of the worlds from ``first`` to ``end`` begin what they have decided on, in their order.
 
-    ``actions`` and ``out`` are by car, (B, n); out tells what became of each decision. Cells and cars have the effects
-    of what has begun from here on, but marks are not derived.
+    ``actions`` and ``out`` are by car, (B, n); out tells what became of each decision, and stays for other cars. The
+    committed worlds have the effects of what has begun from here on, but marks are not derived.
     """
     for i in range(first, end):
-        w = World(committed.cells[i], committed.cars[i], committed.corrections)
-        decide_in(i, w, running, decisions, clock, order, actions, queues, space, depth, out)
+        decide_in(worlds, i, durations, order, actions, space, depth, out)
 
 
 @compiled
 def note(
-    running: Running,
-    decisions: Decisions,
-    clock: EventTimes,
-    i: int,
-    car: int,
-    asked: int,
-    result: int,
-    end_s: float,
+    worlds: Worlds, durations: Durations, i: int, car: int, asked: int, result: int, end_s: float
 ) -> None:
     """Write down a decision, whatever became of it."""
-    running.began_s[i, car] = clock.time_s[i]
+    running, decisions = worlds.running, worlds.decisions
+    running.began_s[i, car] = worlds.time_s[i]
     running.ends_s[i, car] = moment(end_s) if end_s < math.inf else end_s
-    running.fails[i, car] = result == BEGUN and clock.fails[i, car]
+    running.fails[i, car] = result == BEGUN and durations.fails[i, car]
     decisions.asked[i, car], decisions.outcome[i, car], decisions.earned[i, car] = asked, result, 0.0
     decisions.made[i] += 1
 
 
 @compiled
-def restart(
-    rows: NDArray[np.int64], running: Running, decisions: Decisions, time_s: NDArray[np.float64]
-) -> None:
-    """Let all cars of some worlds decide, at time 0; what a decision overwrites stays."""
-    for i in rows:
-        time_s[i] = 0.0
-        decisions.made[i] = 0
-        for car in range(running.action.shape[1]):
-            running.action[i, car], running.n_claims[i, car] = DECIDES, 0
-            decisions.outcome[i, car] = RUNS
-
-
-@compiled
-def following(running: Running, i: int, turn: int) -> int:
-    """Return the car of a world whose action began next after a turn; -1 if there is none."""
+def following(running: Running, i: int, ended: Mask, which: bool, turn: int) -> int:
+    """Return the car of a world whose action began next after a turn, of those that have ``ended`` or not; -1: none."""
     found = -1
     for car in range(running.action.shape[1]):
-        if running.turn[i, car] > turn and (found < 0 or running.turn[i, car] < running.turn[i, found]):
+        later = ended[i, car] == which and running.turn[i, car] > turn
+        if later and (found < 0 or running.turn[i, car] < running.turn[i, found]):
             found = car
     return found
 
 
 @compiled
-def advance_in(
-    i: int,
-    confirmed: World,
-    committed: World,
-    running: Running,
-    queues: Queues,
-    time_s: NDArray[np.float64],
-    duration_s: NDArray[np.float64],
-    elapsed_s: NDArray[np.float64],
-    ended: Mask,
-) -> None:
+def advance_in(worlds: Worlds, i: int, ends: Ends) -> None:
     """Advance a world to its next event; see :func:`advance`."""
-    before_s = time_s[i]
-    time_s[i] = running.ends_s[i, 0]
-    for car in range(1, running.action.shape[1]):
-        time_s[i] = min(time_s[i], running.ends_s[i, car])
-    duration_s[i] = moment(time_s[i] - before_s)
-    for car in range(running.action.shape[1]):
-        elapsed_s[i, car] = moment(time_s[i] - running.began_s[i, car])
-    w = World(confirmed.cells[i], confirmed.cars[i], confirmed.corrections)
-    failed, turn = False, 0
-    for _ in range(running.action.shape[1]):
-        car = following(running, i, turn)
-        turn = running.turn[i, car]
-        action = running.action[i, car]
-        ended[i, car] = action == STOP or running.ends_s[i, car] <= time_s[i]
-        if not ended[i, car]:
-            continue
-        if running.fails[i, car]:
-            failed = True
-            queues[i, car, :] = -1
-        elif action < STOP:
-            apply(w, car, action)
+    running, n_cars = worlds.running, worlds.running.action.shape[1]
+    now_s = running.ends_s[i, 0]
+    for car in range(1, n_cars):
+        now_s = min(now_s, running.ends_s[i, car])
+    ends.duration_s[i] = moment(now_s - worlds.time_s[i])
+    worlds.time_s[i] = now_s
+    any_failed = False
+    for car in range(n_cars):
+        ends.doing[i, car] = running.action[i, car]
+        ends.ended[i, car] = running.action[i, car] == STOP or running.ends_s[i, car] <= now_s
+        ends.failed[i, car] = ends.ended[i, car] and running.fails[i, car]
+        any_failed |= ends.failed[i, car]
+    w = World(worlds.confirmed.cells[i], worlds.confirmed.cars[i], worlds.confirmed.corrections)
+    car = following(running, i, ends.ended, True, 0)
+    while car >= 0:
+        if ends.failed[i, car]:
+            worlds.queues[i, car, :] = -1
+        elif running.action[i, car] < STOP:
+            apply(w, car, running.action[i, car])
         running.action[i, car], running.n_claims[i, car] = DECIDES, 0
-    if failed:
-        commit(confirmed, committed, running, i)
+        car = following(running, i, ends.ended, True, running.turn[i, car])
+    if any_failed:
+        commit(worlds, i, ends.ended)
 
 
 @compiled
-def advance(
-    confirmed: World,
-    committed: World,
-    running: Running,
-    queues: Queues,
-    time_s: NDArray[np.float64],
-    duration_s: NDArray[np.float64],
-    elapsed_s: NDArray[np.float64],
-    ended: Mask,
-) -> None:
-    """Advance each world, in which no car decides, to its next event; write its time (B,), and what has ended (B, n).
+def advance(worlds: Worlds, ends: Ends) -> None:
+    """Advance each world, in which no car decides, to its next event.
 
-    ``duration_s`` (B,) is the time since the event before, ``elapsed_s`` (B, n) that since a car's decision.
     What has ended is applied to the confirmed worlds in the order in which it began; a wait ends with any event. Where
     something failed, the committed worlds are made anew. Registered actions change nothing here. Marks are not derived.
     """
-    for i in range(time_s.shape[0]):
-        advance_in(i, confirmed, committed, running, queues, time_s, duration_s, elapsed_s, ended)
+    for i in range(worlds.time_s.shape[0]):
+        advance_in(worlds, i, ends)
 
 
 @compiled
 def step(
-    confirmed: World,
-    committed: World,
-    running: Running,
-    decisions: Decisions,
-    clock: EventTimes,
+    worlds: Worlds,
+    durations: Durations,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
-    queues: Queues,
     space: SearchBuffers,
     depth: int,
     out: NDArray[np.int64],
-    duration_s: NDArray[np.float64],
-    elapsed_s: NDArray[np.float64],
-    ended: Mask,
+    ends: Ends,
 ) -> None:
     """Do both, :func:`decide` and :func:`advance`, world by world."""
-    for i in range(duration_s.shape[0]):
-        w = World(committed.cells[i], committed.cars[i], committed.corrections)
-        decide_in(i, w, running, decisions, clock, order, actions, queues, space, depth, out)
-        advance_in(i, confirmed, committed, running, queues, clock.time_s, duration_s, elapsed_s, ended)
+    for i in range(worlds.time_s.shape[0]):
+        decide_in(worlds, i, durations, order, actions, space, depth, out)
+        advance_in(worlds, i, ends)
 
 
 @compiled
-def commit(confirmed: World, committed: World, running: Running, i: int) -> None:
-    """Make a committed world anew: the confirmed one with the effects of what runs."""
+def commit(worlds: Worlds, i: int, ended: Mask) -> None:
+    """Make a committed world anew: the confirmed one with the effects of what runs, which has not ``ended``."""
+    confirmed, committed, running = worlds.confirmed, worlds.committed, worlds.running
     for x in range(committed.cells.shape[1]):
         for y in range(committed.cells.shape[2]):
             for z in range(committed.cells.shape[3]):
@@ -464,29 +441,28 @@ def commit(confirmed: World, committed: World, running: Running, i: int) -> None
         for field in range(committed.cars.shape[2]):
             committed.cars[i, car, field] = confirmed.cars[i, car, field]
     w = World(committed.cells[i], committed.cars[i], committed.corrections)
-    turn = 0
-    for _ in range(running.action.shape[1]):
-        car = following(running, i, turn)
-        if car < 0:
-            break
-        turn = running.turn[i, car]
-        if 0 <= running.action[i, car] < STOP:
+    car = following(running, i, ended, False, 0)
+    while car >= 0:
+        if running.action[i, car] < STOP:
             apply(w, car, running.action[i, car])
+        car = following(running, i, ended, False, running.turn[i, car])
 
 
 @compiled
 def close(
     running: Running,
     decisions: Decisions,
+    time_s: NDArray[np.float64],
     offered: NDArray[np.int8],
     ended: Mask,
+    reward: NDArray[np.float64],
     done: Mask,
     elapsed_s: NDArray[np.float64],
     earned: NDArray[np.float64],
     waited: Mask,
 ) -> None:
-    """Write what each decision has earned that has ended, or whose episode is ``done`` (B,), and 0 for the others in
-    both ``elapsed_s`` and ``earned`` (B, n); and in which worlds there may be a deadlock.
+    """Add the reward (B,) to what all decisions have earned; write of each that has ended, or whose episode is ``done``
+    (B,), the time since then and the sum, 0 for the others (B, n); and in which worlds there may be a deadlock.
 
     That takes that all cars have waited, or are lost. Where none was offered anything else, (B, n, actions), that is so
     still, and where one has asked in vain it can ask again.
@@ -494,9 +470,11 @@ def close(
     for i in range(done.shape[0]):
         waited[i], vain, stuck = True, False, True
         for car in range(running.action.shape[1]):
-            if not (ended[i, car] or done[i]):
-                elapsed_s[i, car] = 0.0
-            earned[i, car] = decisions.earned[i, car] if ended[i, car] or done[i] else 0.0
+            decisions.earned[i, car] += reward[i]
+            elapsed_s[i, car] = earned[i, car] = 0.0
+            if ended[i, car] or done[i]:
+                elapsed_s[i, car] = moment(time_s[i] - running.began_s[i, car])
+                earned[i, car] = decisions.earned[i, car]
             outcome = decisions.outcome[i, car]
             lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf
             waited[i] = waited[i] and (outcome in (WAITS, ILLEGAL) or lost)
@@ -512,14 +490,13 @@ def close(
 def show(
     running: Running, time_s: NDArray[np.float64], doing: NDArray[np.float32], out: NDArray[np.int8]
 ) -> None:
-    """Write what each car sees all do, action and seconds (B, n, n, 2), and 1 for claimed cells (B, L, W, H + 1)."""
+    """Write what each car does, action and seconds (B, n, 2), and 1 for each claimed cell (B, L, W, H + 1)."""
     length, width, layers = out.shape[1:]
     for i in range(out.shape[0]):
         for car in range(doing.shape[1]):
             action = running.action[i, car]
-            seconds = 0.0 if action == DECIDES else time_s[i] - running.began_s[i, car]
-            for me in range(doing.shape[1]):
-                doing[i, me, car, 0], doing[i, me, car, 1] = action, seconds
+            doing[i, car, 0] = action
+            doing[i, car, 1] = 0.0 if action == DECIDES else time_s[i] - running.began_s[i, car]
             for k in range(running.n_claims[i, car]):
                 claim = running.claims[i, car, k]
                 x, y, z = claim[0], claim[1], claim[2]

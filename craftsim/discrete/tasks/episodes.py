@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -102,7 +101,8 @@ class Episodes:
 
     def some(self, rows: NDArray[np.integer]) -> Self:
         """Return some of the episodes to look at; what is done to them is not done to these."""
-        other = copy(self)
+        other = object.__new__(type(self))
+        other.__dict__ |= self.__dict__
         other.grids, other.designs, other.queue = self.grids[rows], self.designs[rows], self.queue[rows]
         return other
 

@@ -426,10 +426,11 @@ class Judge:
             excused.update(n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting)
         errors[list(excused)] = -math.inf
         largest, names = dict.fromkeys(BYSTANDER_ERRORS, 0.0), dict.fromkeys(BYSTANDER_ERRORS, "")
-        for error, values in zip(BYSTANDER_ERRORS, errors.T, strict=True):
-            row = int(values.argmax())  # nan is the largest
-            if values[row] != -math.inf:
-                largest[error], names[error] = float(values[row]), self._names[row]
+        worst = errors.argmax(axis=0)  # nan is the largest
+        values = errors[worst, np.arange(len(worst))].tolist()
+        for error, row, value in zip(BYSTANDER_ERRORS, worst.tolist(), values, strict=True):
+            if value != -math.inf:
+                largest[error], names[error] = value, self._names[row]
         return largest, names
 
     def _world_cause(self, before: Grid, predicted: Grid, gave_up: int) -> Cause:

@@ -361,8 +361,7 @@ class AsynchronousEpisodes(Episodes):
         ended = np.zeros(self.n_cars, np.bool_)
         ended[list(cars)] = True
         ended &= ~gone
-        ended |= waits & ((running.ends_s[i] <= time_s + 1e-6) | ended.any())
-        if ended.any():
+        if ended.any() or (waits & (running.ends_s[i] <= time_s + 1e-6)).any():
             ended |= waits
         running.action[i, ended], running.n_claims[i, ended] = DECIDES, 0
         self.confirm(i, confirmed)

@@ -229,9 +229,10 @@ def begin(judge: Judge, car: int, action: Action, tick: int = 0) -> None:
     """
     if car in judge.running:
         raise InputError(f"car {car} cannot begin {action.name}: its {judge.running[car].action.name} runs")
-    schedule = make_schedule(judge.committed, [[(car, action)]], judge.rules, first=tick)
+    world = judge.committed
+    schedule = make_schedule(world, [[(car, action)]], judge.rules, first=tick)
     if schedule.forbidden:
-        raise InputError(str(judge.rules.explain(judge.committed, car, action)))
+        raise InputError(str(judge.rules.explain(world, car, action)))
     judge.begin(schedule.steps[0])
 
 

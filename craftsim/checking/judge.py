@@ -46,6 +46,7 @@ SETTLED_M_S: Final = 0.01
 SETTLE_S: Final = 1.0
 """Time for things to come to rest after the last action, before the world is read."""
 
+_apart: Final = plain(apart)
 Joint = Sequence[tuple[int, Action]]
 """(car, action) in acting order."""
 OnChange = Callable[[dict[int, ScheduledAction]], None]
@@ -414,7 +415,10 @@ class Judge:
         """
         n_cars, rows = self._n_cars, self._rows
         errors = np.full((len(rows), len(BYSTANDER_ERRORS)), -math.inf)
-        errors[:, :2] = list(map(plain(apart), one.poses.tolist(), rows.tolist()))
+        errors[:, :2] = 0.0
+        moved = (one.poses != rows).any(axis=1)
+        if moved.any():
+            errors[moved, :2] = list(map(_apart, one.poses[moved].tolist(), rows[moved].tolist()))
         errors[:, 2:4] = self._drift.furthest
         errors[n_cars:, 4:] = np.where(self._known, -math.inf, self.reading.bounded)
         excused = acting | one.meant | swaying
@@ -422,10 +426,11 @@ class Judge:
             excused.update(n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting)
         errors[list(excused)] = -math.inf
         largest, names = dict.fromkeys(BYSTANDER_ERRORS, 0.0), dict.fromkeys(BYSTANDER_ERRORS, "")
-        for error, values in zip(BYSTANDER_ERRORS, errors.T, strict=True):
-            row = int(values.argmax())  # nan is the largest
-            if values[row] != -math.inf:
-                largest[error], names[error] = float(values[row]), self._names[row]
+        worst = errors.argmax(axis=0)  # nan is the largest
+        values = errors[worst, np.arange(len(worst))].tolist()
+        for error, row, value in zip(BYSTANDER_ERRORS, worst.tolist(), values, strict=True):
+            if value != -math.inf:
+                largest[error], names[error] = value, self._names[row]
         return largest, names
 
     def _world_cause(self, before: Grid, predicted: Grid, gave_up: int) -> Cause:

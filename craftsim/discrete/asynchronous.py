@@ -341,15 +341,15 @@ class AsynchronousEpisodes(Episodes):
             confirmed: what is so now.
             lost: cars that nothing can drive from now on; for good.
         """
-        running, gone = self.running, np.isin(np.arange(self.n_cars), list(lost))
+        running, gone = self.running, np.zeros(self.n_cars, np.bool_)
+        gone[list(lost)] = True
         running.action[i, gone], running.ends_s[i, gone] = _STOP, np.inf
         waits = (running.action[i] == _STOP) & ~gone
         self.time_s[i] = time_s
         ended = np.zeros(self.n_cars, np.bool_)
         ended[list(cars)] = True
         ended &= ~gone
-        ended |= waits & ((running.ends_s[i] <= time_s + 1e-6) | ended.any())
-        if ended.any():
+        if ended.any() or (waits & (running.ends_s[i] <= time_s + 1e-6)).any():
             ended |= waits
         running.action[i, ended], running.n_claims[i, ended] = DECIDES, 0
         self.confirm(i, confirmed)

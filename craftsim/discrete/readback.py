@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -44,6 +44,8 @@ Vector = Sequence[float]
 Axes = tuple[Vector, Vector, Vector]
 """Of a turned body: forward, left and up, (x, y, z) each in the world frame."""
 _axes_of: Final[Callable[..., Axes]] = plain(body_axes)
+_kept: Final = lru_cache(maxsize=4096)
+"""For what rests: it sleeps, and its pose stays equal to the last bit."""
 _Seat = tuple[int, Axes, float, float]
 """What a carried object sits on: the car, its axes, how far off its centre line and how high above it."""
 
@@ -146,22 +148,24 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
     grid = Grid.empty(size, len(poses.car_positions))
     grid.kind[tuple(walls.T)] = Kind.WALL
     cars, objects, problems = [], [], []
-    car_axes = [_axes_of(*quaternion) for quaternion in poses.car_quaternions.tolist()]
-    for car, position in enumerate(poses.car_positions.tolist()):
-        fit, grid.cars[car], notes = _read_car(size, position, car_axes[car])
+    car_axes = []
+    measured_cars = zip(poses.car_positions.tolist(), poses.car_quaternions.tolist(), strict=True)
+    for car, (position, quaternion) in enumerate(measured_cars):
+        fit, grid.cars[car], axes, notes = _read_car(size, tuple(position), tuple(quaternion))
         cars.append(fit)
+        car_axes.append(axes)
         problems += [f"car {car} {note}" for note in notes]
     seats = _seats(poses, car_axes)
-    measured = zip(
-        poses.kinds, poses.positions.tolist(), poses.quaternions.tolist(), poses.hinges, strict=True
-    )
+    places = poses.positions.tolist(), poses.quaternions.tolist(), poses.hinges.tolist()
+    measured = zip(map(int, poses.kinds), *places, strict=True)
     for index, (kind, position, quaternion, hinge) in enumerate(measured):
-        fit, yaw, notes = _read_object(
-            grid, int(kind), position, _axes_of(*quaternion), float(hinge), seats.get(index)
-        )
+        if index in seats:
+            fit, notes = _read_carried(grid, kind, position, quaternion, hinge, seats[index])
+        else:
+            hinge = hinge if kind == FSLOPE else 0.0  # nan is equal to nothing that is kept
+            fit, yaw, own = _read_standing(size, kind, tuple(position), tuple(quaternion), hinge)
+            notes = (*own, *_stand(grid, kind, fit.cell, yaw, hinge))
         objects.append(fit)
-        if index not in seats:
-            notes += _stand(grid, int(kind), fit.cell, yaw, float(hinge))
         problems += [f"{poses.name(index)} {note}" for note in notes]
     grid.derive_marks()
     return Reading(grid, tuple(cars), tuple(objects), tuple(problems))
@@ -199,9 +203,12 @@ def _level(height: float, top: int, notes: list[str]) -> tuple[int, float]:
     return min(max(level, 1), top), excess
 
 
-def _read_car(size: Cell, position: Vector, axes: Axes) -> tuple[CellFit, tuple[int, ...], list[str]]:
-    """Return how a car fits into a map of a size, its row of the grid, and what is wrong with it."""
-    forward, left, up = axes
+@_kept
+def _read_car(
+    size: Cell, position: Vector, quaternion: Vector
+) -> tuple[CellFit, tuple[int, ...], Axes, tuple[str, ...]]:
+    """Return how a car fits into a map of a size, its row of the grid, its axes, and what is wrong with it."""
+    forward, left, up = axes = _axes_of(*quaternion)
     notes: list[str] = []
     x, y, offset = _column(size, position, notes)
     yaw, turned = nearest_yaw(math.atan2(forward[1], forward[0]))
@@ -219,7 +226,7 @@ def _read_car(size: Cell, position: Vector, axes: Axes) -> tuple[CellFit, tuple[
     z, excess = _level(height, size[2] + 1, notes)  # a car may be above the top level
     tilt = math.sqrt(off_incline * off_incline + roll * roll)
     fit = CellFit((x, y, z), offset, turned, None, excess, tilt, 0.0, 0.0)
-    return fit, (x, y, z, yaw, AIR, 0, slope), notes
+    return fit, (x, y, z, yaw, AIR, 0, slope), axes, tuple(notes)
 
 
 def _seats(poses: Poses, car_axes: list[Axes]) -> dict[int, _Seat]:
@@ -235,43 +242,58 @@ def _seats(poses: Poses, car_axes: list[Axes]) -> dict[int, _Seat]:
     return found
 
 
-def _read_object(
-    grid: Grid, kind: int, position: Vector, axes: Axes, hinge: float, seat: _Seat | None
-) -> tuple[CellFit, int, list[str]]:
-    """Return how an object fits into a world that has its cars, its yaw, and what is wrong with it; load its car."""
-    forward, _, up = axes
-    notes: list[str] = []
+def _turned(kind: int, axes: Axes, hinge: float) -> tuple[int, float, float, list[str]]:
+    """Return an object's yaw, its turn away from that, how far its hinge is from a stop, and what is wrong."""
+    forward = axes[0]
     yaw, turned = nearest_yaw(math.atan2(forward[1], forward[0]))
     folded = kind != FSLOPE or hinge > math.pi / 2
     ajar = abs(hinge - (math.pi if folded else 0.0)) if kind == FSLOPE else 0.0
-    if ajar > HINGE_TOLERANCE_RAD:
-        notes.append(f"is half open: its hinge stands at {hinge:.2f} rad")
-    if seat is not None:
-        car, car_axes, offset, height = seat
-        row = grid.cars[car]
-        x, y, z, car_yaw, load, _, slope = row.tolist()
-        if load != AIR:
-            notes.append(f"is a second load on car {car}")
-        row[CarField.LOAD], row[CarField.LOAD_YAW] = kind, yaw if kind == FSLOPE else 0
-        if offset > SEAT_TOLERANCE_M:
-            notes.append(f"sits {offset * 1e3:.0f} mm off its seat on car {car}")
-        if abs(turned) > HEADING_TOLERANCE_RAD:
-            notes.append(f"is turned by {turned:+.2f} rad on car {car}")
-        _, heading = nearest_yaw(math.atan2(_dot(car_axes[1], forward), _dot(car_axes[0], forward)))
-        tilt = _arc(math.acos, _dot(car_axes[2], up))
-        nose_up = math.copysign(INCLINE_RAD, car_axes[0][2]) if slope else 0.0
-        lean = [-math.sin(nose_up) * step for step in DIRECTIONS[car_yaw].tolist()]
-        reach = _reach(position, (x, y, z), turned, up, height, lean)
-        return CellFit((x, y, z), offset, heading, car, height, tilt, ajar, reach), yaw, notes
-    x, y, offset = _column(grid.size, position, notes)
-    z, height = _level(position[2], grid.size[2], notes)
+    notes = [f"is half open: its hinge stands at {hinge:.2f} rad"] if ajar > HINGE_TOLERANCE_RAD else []
+    return yaw, turned, ajar, notes
+
+
+def _read_carried(
+    grid: Grid, kind: int, position: Vector, quaternion: Vector, hinge: float, seat: _Seat
+) -> tuple[CellFit, tuple[str, ...]]:
+    """Return how an object sits on a car of a world that has its cars, and what is wrong with it; load the car."""
+    axes = _axes_of(*quaternion)
+    yaw, turned, ajar, notes = _turned(kind, axes, hinge)
+    forward, _, up = axes
+    car, car_axes, offset, height = seat
+    row = grid.cars[car]
+    x, y, z, car_yaw, load, _, slope = row.tolist()
+    if load != AIR:
+        notes.append(f"is a second load on car {car}")
+    row[CarField.LOAD], row[CarField.LOAD_YAW] = kind, yaw if kind == FSLOPE else 0
+    if offset > SEAT_TOLERANCE_M:
+        notes.append(f"sits {offset * 1e3:.0f} mm off its seat on car {car}")
+    if abs(turned) > HEADING_TOLERANCE_RAD:
+        notes.append(f"is turned by {turned:+.2f} rad on car {car}")
+    _, heading = nearest_yaw(math.atan2(_dot(car_axes[1], forward), _dot(car_axes[0], forward)))
+    tilt = _arc(math.acos, _dot(car_axes[2], up))
+    nose_up = math.copysign(INCLINE_RAD, car_axes[0][2]) if slope else 0.0
+    lean = [-math.sin(nose_up) * step for step in DIRECTIONS[car_yaw].tolist()]
+    reach = _reach(position, (x, y, z), turned, up, height, lean)
+    return CellFit((x, y, z), offset, heading, car, height, tilt, ajar, reach), tuple(notes)
+
+
+@_kept
+def _read_standing(
+    size: Cell, kind: int, position: Vector, quaternion: Vector, hinge: float
+) -> tuple[CellFit, int, tuple[str, ...]]:
+    """Return how an object that no car carries fits into a map of a size, its yaw, and what is wrong with it."""
+    axes = _axes_of(*quaternion)
+    yaw, turned, ajar, notes = _turned(kind, axes, hinge)
+    up = axes[2]
+    x, y, offset = _column(size, position, notes)
+    z, height = _level(position[2], size[2], notes)
     tilt = _arc(math.acos, up[2])
     if tilt > TILT_TOLERANCE_RAD:
         notes.append(f"leans by {tilt:.2f} rad")
     if abs(turned) > HEADING_TOLERANCE_RAD:
         notes.append(f"is turned by {turned:+.2f} rad")
     reach = _reach(position, (x, y, z), turned, up, 0.0, [0.0, 0.0])
-    return CellFit((x, y, z), offset, turned, None, height, tilt, ajar, reach), yaw, notes
+    return CellFit((x, y, z), offset, turned, None, height, tilt, ajar, reach), yaw, tuple(notes)
 
 
 def _stand(grid: Grid, kind: int, cell: Cell, yaw: int, hinge: float) -> list[str]:
@@ -301,7 +323,7 @@ def _reach(position: Vector, cell: Cell, turned: float, up: Vector, lifted: floa
 
 def _put(grid: Grid, cell: Cell, kind: int, yaw: int, notes: list[str]) -> None:
     """Put a part of an object into a cell."""
-    length, width, _ = grid.size
+    length, width = grid.cells.shape[:2]
     if not (0 <= cell[0] < length and 0 <= cell[1] < width):
         notes.append(f"reaches outside the area, into {cell}")
         return

@@ -203,7 +203,7 @@ def make_schedule(
                 case "at-once":
                     waits = (i for i, step in enumerate(steps) if step.tick < tick)
                 case "concurrent" | "until-wrong":
-                    waits = claimed.before(car, needs)
+                    waits = claimed.before(car, needs) if steps else ()
             place[tick, car] = len(steps)
             claimed.add(len(steps), car, needs)
             steps.append(ScheduledAction(tick, car, action, grid, then, needs, frozenset(waits) | asked))

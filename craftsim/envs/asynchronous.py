@@ -69,7 +69,8 @@ class AsynchronousCore(Core):
         if self.turns[:1] != [car]:
             raise InputError(f"car {car} does not decide now; {self.turns[:1]} does")
         checked([action], (1,), self.form.n_actions)
-        episodes, before = self.episodes, self.grid
+        episodes = self.episodes
+        before = episodes.grids.cars[0, car].copy()
         chosen = np.full((1, self.n_cars), _STOP, np.int64)
         chosen[0, car] = action
         numbers, queued = self.form.begin(episodes, chosen)
@@ -78,7 +79,8 @@ class AsynchronousCore(Core):
         strayed = outcome == WAITS and not (queued is not None and queued[0, car])
         self._wrong[car] = action != _STOP and (outcome == ILLEGAL or strayed)
         if outcome == BEGUN:
-            self.backend.begin(car, Action(episodes.running.action[0, car]), before)
+            begun = Action(episodes.running.action[0, car])
+            self.backend.begin(car, begun, before, episodes.grids.cars[0, car])
         del self.turns[0]
         self._stale = True
 
@@ -143,19 +145,21 @@ class AsynchronousCore(Core):
         decides, outcome = episodes.decides[0], episodes.decisions.outcome[0]
         elapsed_s = np.where(ended, episodes.time_s[0] - episodes.running.began_s[0], 0.0)
         earned = np.where(ended, episodes.decisions.earned[0], 0.0)
+        columns = (self._wrong, outcome == BLOCKED, decides, elapsed_s, earned, failed)
+        rows = zip(self._found, self.masks.copy(), *(column.tolist() for column in columns), strict=True)
         return [
             {
-                **self._found[car],
+                **found,
                 "action_mask": mask,
-                "illegal": bool(self._wrong[car]),
-                "blocked": bool(outcome[car] == BLOCKED),
-                "decides": bool(decides[car]),
-                "elapsed_s": round(float(elapsed_s[car]), 6),
-                "earned": float(earned[car]),
-                "failed": bool(failed[car]),
+                "illegal": wrong,
+                "blocked": blocked,
+                "decides": turn,
+                "elapsed_s": round(seconds, 6),
+                "earned": reward,
+                "failed": went_wrong,
                 **shared,
             }
-            for car, mask in enumerate(self.masks.copy())
+            for found, mask, wrong, blocked, turn, seconds, reward, went_wrong in rows
         ]
 
 

@@ -97,14 +97,16 @@ class GridBackend:
         self._running: dict[int, tuple[float, Action, bool]] = {}
         return grid
 
-    def begin(self, car: int, action: Action, committed: Grid) -> None:
-        """Let an idle car begin an action now, while others may be in the middle of theirs.
+    def begin(
+        self, car: int, action: Action, before: NDArray[np.integer], after: NDArray[np.integer]
+    ) -> None:
+        """Let an idle car begin a legal action now, while others may be in the middle of theirs.
 
-        It must be legal in ``committed``: the confirmed world with the effects of what runs.
+        ``before`` and ``after`` (7,) are the car in the committed world: the confirmed one with the effects of what
+        runs.
         """
-        timing, after = self._timing, self._rules.enforce(committed, car, action)
+        timing, column = self._timing, situation(before, after)
         factor, fails = timing.factors(self._rng, ()), bool(timing.fails(self._rng, ()))
-        column = situation(committed.cars[car], after.cars[car])
         end_s = moment(self._now_s + float(timing.nominal_s[action, column] * factor))
         self._running[car] = end_s, action, fails
 

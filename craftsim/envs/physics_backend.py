@@ -134,7 +134,9 @@ class PhysicsBackend:
             contacts=None if log is None else tuple(log.contacts),
         )
 
-    def begin(self, car: int, action: Action, committed: Grid) -> None:
+    def begin(
+        self, car: int, action: Action, before: NDArray[np.integer], after: NDArray[np.integer]
+    ) -> None:
         """Let the car's skill begin, on what the judge itself takes to be committed."""
         now_s = self.judge.physics.time_s
         if now_s not in self._starts_s[-1:]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Annotated, Literal
 
 from craftsim.storage.limits import Range
@@ -68,7 +69,7 @@ class SimulationConfig:
                 f"timestep_s ({self.timestep_s})"
             )
 
-    @property
+    @cached_property
     def steps_per_period(self) -> int:
         """Number of physics steps between two commands."""
         return round(self.control_period_s / self.timestep_s)

@@ -78,7 +78,9 @@ class SkillSetup:
 
     def on(self, terrain: Terrain) -> SkillSetup:
         """Return the same for a move on other ground."""
-        return replace(self, terrain=terrain)
+        other = replace(self, terrain=terrain)
+        vars(other)["constants"] = self.constants  # they depend on all but the ground
+        return other
 
     def carefully(self) -> SkillSetup:
         """Return the same for driving as slowly as on an uneven floor."""

@@ -216,9 +216,9 @@ def test_a_batch_is_its_worlds_one_by_one(helper_depth):
             self.i, self.begin, self.nominal_s = i, backend.begin, timing.nominal_s
             backend.begin, backend._timing = self.of, self
 
-        def of(self, car, action, committed):
+        def of(self, car, action, *rows):
             self.car = car
-            self.begin(car, action, committed)
+            self.begin(car, action, *rows)
 
         def factors(self, rng, shape):
             return drawn.factors[self.i, self.car]

@@ -8,6 +8,8 @@ nothing is left has the order, backwards. Where nothing can be taken a ramp is m
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Collection, Iterator
 from functools import lru_cache
 from heapq import heappop, heappush
@@ -32,6 +34,10 @@ _CONFIGURATIONS: Final = 100
 """Configurations of ramps from which a way to some things is searched on."""
 _SEARCHES: Final = 12
 """Searches for an order, each of which tries equally good steps in another order."""
+
+
+class OutOfTimeError(Exception):
+    """The time for a search is over."""
 
 
 class Placing(NamedTuple):
@@ -79,6 +85,8 @@ class Assembly:
 
     def __init__(self, base: Grid, rules: Rules) -> None:
         self.base, self.rules, self.graphs = base, rules, MoveGraphs(rules)
+        self.until_s = math.inf
+        """The monotonic time after which :meth:`has_room` raises OutOfTimeError, so that all that asks it ends."""
         self.grid = lru_cache(512)(self._make_grid)
         """The world in which some things stand."""
         self._graph = lru_cache(512)(self._make_graph)
@@ -124,6 +132,8 @@ class Assembly:
 
     def has_room(self, grid: Grid, thing: Piece) -> bool:
         """Return whether a thing can stand in its place: free, in the area, borne, and so that a car may act there."""
+        if time.monotonic() > self.until_s:
+            raise OutOfTimeError
         for cell in thing.cells if thing.kind == Kind.BODY else thing.cells[:1]:
             x, y, z = cell
             if not grid.inside(cell) or grid.kind_at(cell) != Kind.AIR:

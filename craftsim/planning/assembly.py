@@ -8,15 +8,19 @@ nothing is left has the order, backwards. Where nothing can be taken a ramp is m
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Collection, Iterator
 from functools import lru_cache
+from heapq import heappop, heappush
+from itertools import groupby
 from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.grid import Grid, Kind, Piece, beside
+from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph, MoveGraphs
 from craftsim.discrete.rules import Rules
@@ -24,10 +28,16 @@ from craftsim.discrete.rules import Rules
 State = frozenset[Piece]
 """What stands of a building."""
 
-_TRIES: Final = 200
-"""Steps of one backward search for an order, beyond six for each object."""
+_TRIES: Final = 60
+"""Choices of one backward search for an order."""
+_CONFIGURATIONS: Final = 100
+"""Configurations of ramps from which a way to some things is searched on."""
 _SEARCHES: Final = 12
 """Searches for an order, each of which tries equally good steps in another order."""
+
+
+class OutOfTimeError(Exception):
+    """The time for a search is over."""
 
 
 class Placing(NamedTuple):
@@ -75,6 +85,8 @@ class Assembly:
 
     def __init__(self, base: Grid, rules: Rules) -> None:
         self.base, self.rules, self.graphs = base, rules, MoveGraphs(rules)
+        self.until_s = math.inf
+        """The monotonic time after which :meth:`has_room` raises OutOfTimeError, so that all that asks it ends."""
         self.grid = lru_cache(512)(self._make_grid)
         """The world in which some things stand."""
         self._graph = lru_cache(512)(self._make_graph)
@@ -120,6 +132,8 @@ class Assembly:
 
     def has_room(self, grid: Grid, thing: Piece) -> bool:
         """Return whether a thing can stand in its place: free, in the area, borne, and so that a car may act there."""
+        if time.monotonic() > self.until_s:
+            raise OutOfTimeError
         for cell in thing.cells if thing.kind == Kind.BODY else thing.cells[:1]:
             x, y, z = cell
             if not grid.inside(cell) or grid.kind_at(cell) != Kind.AIR:
@@ -144,10 +158,13 @@ class Assembly:
             n_slopes: how many slopes there are; those that the goal does not have may serve for building.
             rng: decides between steps that are equally good.
         """
-        for i in range(_SEARCHES):
-            path = self._search(goal, fixed, n_slopes, rng, from_below=i % 4 == 3)
+        for _ in range(_SEARCHES):
+            search = _Deconstruction(self, fixed, n_slopes, rng)
+            path = search.run(goal)
             if path is not None:
                 return self._without_needless(tuple(reversed(path)), fixed)
+            if search.complete:
+                return None
         return None
 
     def _without_needless(self, order: Order, state: State) -> Order:
@@ -173,79 +190,7 @@ class Assembly:
             i += 1
         return order
 
-    def _search(
-        self, goal: State, fixed: State, n_slopes: int, rng: np.random.Generator, from_below: bool
-    ) -> list[Placing] | None:
-        """Return the steps from the last to the first; ``from_below``: the lowest level may go while others stand."""
-        seen: set[State] = {goal}
-        path: list[Placing] = []
-        states, branches = [goal], [self._options(goal, fixed, n_slopes, rng, from_below)]
-        for _ in range(_TRIES + 6 * len(goal)):
-            if states[-1] == fixed:
-                return path
-            step = next(branches[-1], None)
-            if step is None:
-                branches.pop()
-                states.pop()
-                if not branches:
-                    return None
-                path.pop()
-                continue
-            before = step.before(states[-1])
-            if before not in seen:
-                seen.add(before)
-                path.append(step)
-                states.append(before)
-                branches.append(self._options(before, fixed, n_slopes, rng, from_below))
-        return None
-
-    def _options(
-        self, state: State, fixed: State, n_slopes: int, rng: np.random.Generator, from_below: bool
-    ) -> Iterator[Placing]:
-        """Yield the steps that may have come last, the likeliest first."""
-        rest = sorted(state - fixed)
-        rest = [rest[i] for i in rng.permutation(len(rest))]
-        ramps = [thing for thing in rest if thing.kind == Kind.BODY]
-        things = [thing for thing in rest if thing.kind != Kind.BODY]
-        upper = [thing for thing in things if thing.cell[2] > 1]
-        highest = max((thing.cell[2] for thing in things), default=0)
-        ramps_left = n_slopes - sum(thing.load == Kind.FSLOPE for thing in state)
-        # A ramp goes as soon as it leads nowhere that is still to be built.
-        yield from self._last(state, [thing for thing in ramps if thing.cell[2] >= highest])
-        barren: dict[Placing, None] = {}
-        for level in range(highest, 1, -1):
-            here = [thing for thing in upper if thing.cell[2] == level]
-            yield from self._last(state, here)
-            if ramps_left > 0 and here:
-                places = list(self._ramp_places(self.grid(state)))
-                for i in rng.permutation(len(places)):
-                    step = Placing(places[i], taken=True)
-                    if self._serves(state, step, here):
-                        yield step
-                    else:
-                        barren[step] = None
-        # A ramp elsewhere may do; the floor level comes last, for what stands on it is driven on.
-        yield from self._last(state, [thing for thing in ramps if thing.cell[2] < highest])
-        yield from (step for step in barren if self.possible(step.before(state), step))
-        if from_below or not upper:
-            yield from self._last(state, [thing for thing in things if thing.cell[2] == 1])
-
-    def _last(self, state: State, things: list[Piece]) -> Iterator[Placing]:
-        """Yield the placings of some things that may have come last."""
-        for thing in things:
-            if self.possible(state - {thing}, step := Placing(thing)):
-                yield step
-
-    def _serves(self, state: State, step: Placing, upper: list[Piece]) -> bool:
-        """Return whether a ramp may have been taken away last, and before it some thing of a level been put there."""
-        before = step.before(state)
-        return (
-            _ramps_to(upper[0].cell[2], before)
-            and self.possible(before, step)
-            and any(self.possible(before - {thing}, Placing(thing)) for thing in upper)
-        )
-
-    def _ramp_places(self, grid: Grid) -> Iterator[Piece]:
+    def ramp_places(self, grid: Grid) -> Iterator[Piece]:
         """Yield where an unfolded slope has room and leads up to a block, the lowest first."""
         for z in range(1, grid.size[2] + 1):
             for x, y in np.argwhere(grid.kind[:, :, z] == Kind.BLOCK).tolist():
@@ -255,6 +200,147 @@ class Assembly:
                     ramp = Piece(Kind.BODY, beside((x, y, z), yaw), yaw)
                     if self.has_room(grid, ramp):
                         yield ramp
+
+
+class _Deconstruction:
+    """A search for an order, from the last step to the first.
+
+    What is on the highest level is taken as soon as it can be, since it bears nothing and only bars the way: only in
+    what is taken from below it is there a choice. The ramps in between can be moved as one likes, too, as they come and
+    go by the same ways; which are worth to be put there follows from where cars could drive on each level.
+    """
+
+    def __init__(self, assembly: Assembly, fixed: State, n_slopes: int, rng: np.random.Generator) -> None:
+        self.assembly, self.fixed, self.n_slopes, self.rng = assembly, fixed, n_slopes, rng
+        self.complete = True
+        """Whether everything was tried, so that there is no order where none was found."""
+
+    def run(self, goal: State) -> list[Placing] | None:
+        """Return the steps from the last to the first, None where none are found."""
+        path: list[Placing] = []
+        state, seen = goal, set[State]()
+        branches: list[tuple[int, Iterator[list[Placing]]]] = []
+        for _ in range(_TRIES):
+            state = self._cleared(state, path)
+            if state == self.fixed:
+                return path
+            things = frozenset(thing for thing in state if thing.kind != Kind.BODY)
+            if things not in seen:
+                seen.add(things)
+                branches.append((len(path), self._from_below(state)))
+            steps = None
+            while branches and steps is None:
+                n_steps, options = branches[-1]
+                steps = next(options, None)
+                if steps is None:
+                    branches.pop()
+            if steps is None:
+                return None
+            path[n_steps:] = steps
+            state = goal
+            for step in path:
+                state = step.before(state)
+        self.complete = False
+        return None
+
+    def _cleared(self, state: State, path: list[Placing]) -> State:
+        """Take whatever can be taken from the highest level, add the steps to the path, and return what is left."""
+        while True:
+            highest = self._rest(state)[0]
+            step = next(self._last(state, highest), None)
+            steps = [step] if step else next(self._ways(state, highest), None)
+            if steps is None:
+                return state
+            for step in steps:
+                state = step.before(state)
+            path += steps
+
+    def _from_below(self, state: State) -> Iterator[list[Placing]]:
+        """Yield steps that take something from below the highest level, the likeliest first."""
+        for here in self._rest(state)[1:]:
+            yield from ([step] for step in self._last(state, here))
+            for steps in self._ways(state, here):
+                before = state
+                for step in steps:
+                    before = step.before(before)
+                yield from ([*steps, step] for step in self._last(before, here))
+
+    def _rest(self, state: State) -> list[list[Piece]]:
+        """Return what may be taken of a building by level, the highest first, in random order but for the ramps.
+
+        They come first: on the highest level they lead nowhere that is still to be built.
+        """
+        rest = sorted(state - self.fixed)
+        rest = [rest[i] for i in self.rng.permutation(len(rest))]
+        rest.sort(key=lambda thing: (-thing.cell[2], thing.kind != Kind.BODY))
+        return [list(here) for _, here in groupby(rest, lambda thing: thing.cell[2])] or [[]]
+
+    def _last(self, state: State, things: list[Piece]) -> Iterator[Placing]:
+        """Yield the placings of some things that may have come last."""
+        for thing in things:
+            if self.assembly.possible(state - {thing}, step := Placing(thing)):
+                yield step
+
+    def _ways(self, state: State, things: list[Piece]) -> Iterator[list[Placing]]:
+        """Yield how to move ramps so that one of some things, all on one level, can be taken.
+
+        A best-first search, by the number of levels without a ramp that may lead on.
+        """
+        if not things or things[0].cell[2] == 1:
+            return
+        level = things[0].cell[2]
+        useful = self._useful(state, things)
+        queue: list[tuple[int, int, State, list[Placing]]] = [(0, 0, state, [])]
+        seen = {state}
+        for _ in range(_CONFIGURATIONS):
+            if not queue:
+                return
+            _, _, here, steps = heappop(queue)
+            for step in self._moves(here, useful):
+                before = step.before(here)
+                if before in seen or not self.assembly.possible(before, step):
+                    continue
+                seen.add(before)
+                missing = sum(useful[k].isdisjoint(before) for k in range(1, level))
+                if not missing and next(self._last(before, things), None):
+                    yield [*steps, step]
+                heappush(queue, (missing, len(seen), before, [*steps, step]))
+        self.complete = False
+
+    def _moves(self, state: State, useful: dict[int, set[Piece]]) -> Iterator[Placing]:
+        """Yield the ramps that may be put somewhere or taken away, those first that may lead up."""
+        if self.n_slopes > sum(thing.load == Kind.FSLOPE for thing in state):
+            places = list(self.assembly.ramp_places(self.assembly.grid(state)))
+            for i in self.rng.permutation(len(places)):
+                if places[i] in useful.get(places[i].cell[2], ()):
+                    yield Placing(places[i], taken=True)
+        ramps = [thing for thing in state - self.fixed if thing.kind == Kind.BODY]
+        yield from map(Placing, sorted(ramps, key=lambda ramp: -ramp.cell[2]))
+
+    def _useful(self, state: State, things: list[Piece]) -> dict[int, set[Piece]]:
+        """Return by level the ramps from which a car might come to some things, all on one level, up further ramps."""
+        ramps = {thing for thing in state if thing.kind == Kind.BODY}
+        bare = state - ramps
+        grid = self.assembly.grid(bare)
+        ramps.update(self.assembly.ramp_places(grid))
+        graph = self.assembly.graphs.graph(grid, things[-1].load)
+        around = {
+            cell for thing in things for yaw in range(4) if grid.inside(cell := beside(thing.cell, yaw))
+        }
+        goals = [
+            graph.node(cell, yaw) for cell in around.union(thing.cell for thing in things) for yaw in range(4)
+        ]
+        useful: dict[int, set[Piece]] = {}
+        for level in range(things[0].cell[2] - 1, 0, -1):
+            distances = graph.distances_to(goals)
+            useful[level] = {
+                ramp
+                for ramp in ramps
+                if ramp.cell[2] == level and distances[graph.node(_landing(ramp), ramp.yaws[0])] < UNREACHABLE
+            }
+            graph = self.assembly.graphs.graph(grid, Kind.FSLOPE)
+            goals = [node for ramp in sorted(useful[level]) for node in graph.nodes(ramp)]
+        return useful
 
 
 def _ramps_to(level: int, state: State) -> bool:
@@ -268,3 +354,9 @@ def _outside(grid: Grid, graph: MoveGraph) -> NDArray[np.int64]:
     _, pieces = cv2.connectedComponents(free, connectivity=4)
     sizes = np.bincount(pieces.ravel(), minlength=2)
     return graph.floor_nodes(pieces == 1 + np.argmax(sizes[1:]))
+
+
+def _landing(ramp: Piece) -> Cell:
+    """Return where a car comes to that drives up a ramp."""
+    x, y, z = beside(ramp.cell, ramp.yaws[0])
+    return x, y, z + 1

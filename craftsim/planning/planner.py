@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -19,7 +20,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
-from craftsim.planning.assembly import Assembly, Order, State, without_things
+from craftsim.planning.assembly import Assembly, Order, OutOfTimeError, State, without_things
 from craftsim.planning.building import Construction, Style
 from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
 from craftsim.planning.joint_plan import Saved, Ticks, Turn
@@ -37,6 +38,8 @@ _EQUAL_S: Final = 1e-9
 """Tolerance for equal times."""
 _ORDERS: Final = 100
 """Number of orders of assembly that are kept to choose from."""
+_DRAWN: Final = 8
+"""Number of platforms that are drawn for one order; all but the last use what stands in them as it is."""
 _FRESH: Final = 8
 """Number of attempts from scratch before the search continues from the best of them."""
 _ANEW: Final = 0.4
@@ -89,7 +92,7 @@ def plan_building(
         rules: ``physical`` unless others are given.
         objective: what is to be small, the time until all is done or the sum of all actions' durations.
         rounds: attempts; with the same seed and rounds the plan is the same unless time runs out.
-        time_s: no attempt begins after so many seconds, once there is a plan.
+        time_s: the attempts end after so many seconds, or after six times as many while there is no plan.
         seed: of all that is decided by chance.
         exact: search a small world for a plan of least work, too, which takes longer than a few attempts; a goal
             without a building is always searched for so.
@@ -190,13 +193,13 @@ class _Search:
                 return self.best
         try:
             for number in range(1, rounds + 1):
+                self.assembly.until_s = begun + time_s * (6 if self.best is None else 1)
                 self._attempt(number)
                 report(number, self.best)
-                late = time.monotonic() - begun
-                if late > time_s and (self.best is not None or late > 6 * time_s):
-                    break
                 if self.best is not None and self.best.makespan_s <= self._bound + _EQUAL_S:
                     break
+        except OutOfTimeError:
+            pass
         except KeyboardInterrupt:
             if self.best is None:
                 raise
@@ -229,23 +232,24 @@ class _Search:
             yield from platforms(self.start, self.goal.platform, self.rng)
         while self.goal.building is not None:
             yield self.goal.building
+        raise NoPlanError(
+            "no plan: a goal without a drawing is searched for only by rules whose marks follow from what is there"
+        )
 
     def _draw_order(self) -> tuple[Order, State] | None:
         """Return an order of assembly and what of it stands, a new one while there are few."""
         n_kept = len(self._orders)
         if n_kept and (n_kept >= _ORDERS or self.rng.random() < 0.5):
             return self._orders[int(self.rng.integers(n_kept))]
-        building = next(self._buildings, None)
-        if building is None:
-            raise NoPlanError(
-                "no plan: a goal without a drawing is searched for only by rules whose marks follow from what is there"
-            )
-        check_supplies(self.start, building)
-        for kept in dict.fromkeys([building & self._standing, frozenset[Piece]()]):
-            order = self.assembly.find_order(building, kept, self._n_slopes, self.rng)
-            if order is not None:
-                self._orders.append((order, kept))
-                return order, kept
+        n = _DRAWN if self.goal.platform else 2
+        for i, building in enumerate(islice(self._buildings, n)):
+            check_supplies(self.start, building)
+            kept = building & self._standing if i < n - 1 else frozenset[Piece]()
+            if kept or i == n - 1:
+                order = self.assembly.find_order(building, kept, self._n_slopes, self.rng)
+                if order is not None:
+                    self._orders.append((order, kept))
+                    return order, kept
         return None
 
     def _attempt(self, number: int) -> None:

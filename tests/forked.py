@@ -21,13 +21,6 @@ from typing import Any, Final
 from craftsim.discrete.kernel import code_cache
 from craftsim.workers import actor
 
-_IMPORTED: Final = [
-    *("craftsim.validation.rollout", "craftsim.validation.validation", "craftsim.experiments.session"),
-    *("craftsim.envs.vector", "craftsim.cli.app", "craftsim.reports.report"),
-    # The second is what torch imports when the first optimizer is made.
-    *("craftsim.training.trainer", "torch._dynamo", "pandas", "scipy.stats", "matplotlib.figure"),
-    "warm",
-]
 _SPAWNED: Final = actor._Process
 _ENVIRONMENT: Final = dict(os.environ)
 
@@ -69,7 +62,7 @@ def _ensure_running() -> None:
 
 def _context() -> Any:
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(_IMPORTED)
+    context.set_forkserver_preload(["warm"])
     return context
 
 

@@ -38,7 +38,7 @@ class _Worker(actor._Process):
 
     @staticmethod
     def _Popen(process: Any) -> Any:
-        _ensure_running()
+        ensure_running()
         return ForkServerProcess._Popen(process)
 
 
@@ -48,7 +48,7 @@ def _set_environment(environment: dict[str, str]) -> None:
     code_cache.folder.cache_clear()
 
 
-def _ensure_running() -> None:
+def ensure_running() -> None:
     """Start the process that is copied, with the environment of the tests and not that of one of them."""
     if forkserver._forkserver._forkserver_pid is None:
         now = dict(os.environ)
@@ -109,7 +109,7 @@ def start(
 ) -> ForkServerProcess:
     """Start ``craftsim`` with options, or a script, whose output goes to files that are there."""
     context = _context()
-    _ensure_running()
+    ensure_running()
     names = ("_forkserver_address", "_forkserver_authkey")  # the second from Python 3.14 on
     server = {name: value for name in names if (value := getattr(forkserver._forkserver, name, None))}
     arguments = (server, [*map(str, words)], str(Path(cwd).resolve()), dict(os.environ), out, err)

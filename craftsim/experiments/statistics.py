@@ -278,13 +278,13 @@ def survival(actions: NDArray[np.int64], ended: NDArray[np.bool_]) -> Survival:
         actions: (n,) number of actions of each run.
         ended: (n,) whether the run ended with its last action; otherwise it is censored.
     """
-    from scipy.stats import CensoredData, ecdf
-
     n = len(actions)
     if not ended.any():
         times = np.unique(actions).tolist()
         nowhere: list[float | None] = [None] * len(times)
         return Survival(n, 0, times, [1.0] * len(times), nowhere, nowhere)
+    from scipy.stats import CensoredData, ecdf
+
     curve = ecdf(CensoredData(actions[ended], right=actions[~ended])).sf
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The confidence interval is undefined")

@@ -9,7 +9,7 @@ TORCH ?= torch==2.13.0
 CONSTRAINTS ?= constraints.txt
 # The tests of "make newest", unless ARGS names others.
 QUICK := tests/test_cli.py tests/test_report.py tests/test_storage.py tests/discrete tests/models tests/rendering
-PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
+PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check $(COMPILE) $(addprefix --constraint ,$(CONSTRAINTS))
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test slow bench lint style types suite compiled format docs hooks importtime golden mutants plants fuzz faults soak campaigns gallery machines neighbours results engines constraints newest recipes packages wheel libraries clean
@@ -24,6 +24,8 @@ demo: $(VENV)/installed libraries  ## Build the simple two-story building in phy
 # Tests run beside one another, and not beside threads of their own; what one process has compiled, all read.
 test newest: export OMP_NUM_THREADS := 1
 test newest: export PYTHONDONTWRITEBYTECODE :=
+# Modules are compiled when they are imported, which most of those of torch, Ray and others never are.
+test newest: export COMPILE := --no-compile
 test: libraries  ## Lint, type-check and run all tests, from a fresh checkout (ARGS are passed to pytest)
 	@$(MAKE) --no-print-directory -j2 style compiled
 	@$(MAKE) --no-print-directory -j2 types suite

@@ -1,11 +1,15 @@
 """Sphinx configuration: Markdown pages by MyST, the API reference from docstrings, the furo theme."""
 
+import gc
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
 
 import craftsim
+
+# Most of what is read stays until the end: looking for garbage among it often is in vain.
+gc.set_threshold(200_000)
 
 project = "craftsim"
 author = "The craftsim developers"

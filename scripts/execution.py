@@ -27,7 +27,7 @@ TASKS: Final = ("random_strip", "random_block", "random_simple_two_story", "rand
 SET: Final = {"random_breaking_barrier": ("critic=0.005", "acting=sampled")}
 """Further settings of a task."""
 WAYS: Final = ("synchronous", "asynchronous", "starts")
-"""Of training: in ticks, asynchronously, and in ticks with every second episode from a world of asynchronous physics."""
+"""Of training: in ticks, asynchronously, in ticks with every second episode from a world of asynchronous physics."""
 STEPS: Final = 1_000_000
 EPISODES: Final = 40
 """Starts of the comparison: those of the seeds from 0."""

@@ -562,7 +562,10 @@ def plot_curves(runs: list[dict[str, Any]], key: str, path: Path) -> None:
             curves = [np.array(run["curve"]).T for run in runs if (run["task"], run[key]) == (task, line)]
             if curves:
                 at = np.unique(np.concatenate([steps for steps, _ in curves]))
-                at = at[(at >= max(steps[0] for steps, _ in curves)) & (at <= min(steps[-1] for steps, _ in curves))]
+                at = at[
+                    (at >= max(steps[0] for steps, _ in curves))
+                    & (at <= min(steps[-1] for steps, _ in curves))
+                ]
                 success = np.mean([np.interp(at, *curve) for curve in curves], axis=0)
                 panel.plot(at / 1000, success, color=f"C{number}", label=line)
         panel.set_title(task)

@@ -8,6 +8,7 @@ import subprocess
 import forked
 import pytest
 
+from craftsim.modules import REGISTERING
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
 
 # What a shell runs in the background ignores Ctrl-C, and so does all that it starts; tests send it to what they start.
@@ -43,6 +44,14 @@ def _forked_workers():
     forked.workers(True)
     yield
     forked.stop()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _registering():
+    """Let workers import what tests of the same module register, and no other: a test module imports much."""
+    kept = REGISTERING[:]
+    yield
+    REGISTERING[:] = kept
 
 
 @pytest.fixture

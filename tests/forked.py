@@ -1,4 +1,4 @@
-"""Processes without their second of imports: copies of one that has imported craftsim and run nothing of it.
+"""Processes without their second of imports: copies of one that has imported craftsim and loaded compiled code.
 
 A command, a script, or a worker that a test starts here is a process of its own with a fresh state. What Python does
 before the first import of ours (``-P``, ``NUMBA_DISABLE_JIT``) and how signals find a worker need a real start.
@@ -18,14 +18,11 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
 
+from craftsim.discrete.kernel import code_cache
 from craftsim.workers import actor
 
-_IMPORTED: Final = [
-    *("craftsim.validation.rollout", "craftsim.validation.validation", "craftsim.experiments.session"),
-    *("craftsim.envs.vector", "craftsim.cli.app", "craftsim.reports.report"),
-    *("craftsim.training.trainer", "pandas", "scipy.stats", "matplotlib.figure"),
-]
 _SPAWNED: Final = actor._Process
+_ENVIRONMENT: Final = dict(os.environ)
 
 
 class _Worker(actor._Process):
@@ -36,18 +33,36 @@ class _Worker(actor._Process):
         super().start()
 
     def run(self) -> None:
-        os.environ.clear()
-        os.environ.update(self._environment)
+        _set_environment(self._environment)
         super().run()
 
     @staticmethod
     def _Popen(process: Any) -> Any:
+        ensure_running()
         return ForkServerProcess._Popen(process)
+
+
+def _set_environment(environment: dict[str, str]) -> None:
+    os.environ.clear()
+    os.environ.update(environment)
+    code_cache.folder.cache_clear()
+
+
+def ensure_running() -> None:
+    """Start the process that is copied, with the environment of the tests and not that of one of them."""
+    if forkserver._forkserver._forkserver_pid is None:
+        now = dict(os.environ)
+        path = os.pathsep.join([str(Path(__file__).parent), _ENVIRONMENT.get("PYTHONPATH", "")])
+        _set_environment(_ENVIRONMENT | {"PYTHONPATH": path})
+        try:
+            forkserver._forkserver.ensure_running()
+        finally:
+            _set_environment(now)
 
 
 def _context() -> Any:
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(_IMPORTED)
+    context.set_forkserver_preload(["warm"])
     return context
 
 
@@ -67,8 +82,7 @@ def stop() -> None:
 def _perform(
     server: dict[str, Any], words: Sequence[str], folder: str, environment: dict[str, str], out: str, err: str
 ) -> None:
-    os.environ.clear()
-    os.environ.update(environment)
+    _set_environment(environment)
     os.chdir(folder)
     # What this one starts is a copy of the same process, which is there.
     vars(forkserver._forkserver).update(server, ensure_running=lambda: None)
@@ -95,7 +109,7 @@ def start(
 ) -> ForkServerProcess:
     """Start ``craftsim`` with options, or a script, whose output goes to files that are there."""
     context = _context()
-    forkserver.ensure_running()
+    ensure_running()
     names = ("_forkserver_address", "_forkserver_authkey")  # the second from Python 3.14 on
     server = {name: value for name in names if (value := getattr(forkserver._forkserver, name, None))}
     arguments = (server, [*map(str, words)], str(Path(cwd).resolve()), dict(os.environ), out, err)

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -36,6 +37,11 @@ EVERY = [words for words in EVERY if words[0] not in ALONE or len(words) == 2]
 
 def _arguments(words):
     """Return what a command takes."""
+    return _arguments_of(tuple(words))
+
+
+@cache
+def _arguments_of(words):
     app = cli_app.make_app()
     found, name = cli_app._command(app, words)
     with app.app_stack(name):
@@ -369,27 +375,24 @@ def test_each_shell_gets_a_script_with_all_commands(shell, capsys):
         assert subprocess.run([program, "-n"], input=script, text=True, check=False).returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("line", "expected"),
-    [
+def test_bash_completes_commands_options_and_values(capsys, tmp_path):
+    cli.main(["completion", "bash"])
+    (tmp_path / "completion").write_text(capsys.readouterr().out)
+    for line, expected in (
         ("craftsim val", {"validate"}),
         ("craftsim audit mar", {"margins"}),
         ("craftsim validate --rand", {"--randomize"}),
         ("craftsim validate --drive r", {"rollers", "reduced"}),
         ("craftsim robot identify --held", {"--held-out"}),
-    ],
-)
-def test_bash_completes_commands_options_and_values(line, expected, capsys, tmp_path):
-    cli.main(["completion", "bash"])
-    (tmp_path / "completion").write_text(capsys.readouterr().out)
-    words = line.split()
-    program = f"""source {tmp_path}/completion
+    ):
+        words = line.split()
+        program = f"""source {tmp_path}/completion
 COMP_WORDS=({" ".join(words)}); COMP_CWORD={len(words) - 1}; COMP_LINE='{line}'; COMP_POINT={len(line)}
 _craftsim craftsim {words[-1]} {words[-2]}
 printf '%s\\n' "${{COMPREPLY[@]}}"
 """
-    child = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=True)
-    assert {word.strip() for word in child.stdout.split()} == expected
+        child = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=True)
+        assert {word.strip() for word in child.stdout.split()} == expected, line
 
 
 def test_a_shell_that_is_not_known_is_refused(capsys):

@@ -100,7 +100,7 @@ def test_the_same_seed_gives_the_same_report(demo):
 def test_the_film_plays_in_a_browser(demo, folder):
     import av
 
-    assert demo(*FAST, own=OWN, video=True)[0] == 0
+    assert demo(*FAST, own={"task": FLAT, "plan": "0 0 MOVE_RIGHT\n"}, video=True)[0] == 0
     with av.open("out/own.mp4") as film:
         stream = film.streams.video[0]
         assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")

@@ -185,13 +185,17 @@ def test_a_plan_with_a_registered_action_is_validated_audited_and_replayed(push,
     monkeypatch.chdir(tmp_path)
     craftsim.write_blueprint(_before_a_block(), "world.yaml")
     Path("mine.plan").write_text("0 0 PUSH\n1 0 MOVE_LEFT\n2 0 MOVE_RIGHT\n3 0 PUSH\n", encoding="utf-8")
-    result = craftsim.validate("world.yaml", plan="mine.plan", randomize="none", trials=1, order="ticks")
+    fast = {"randomize": "none", "drive": "reduced"}
+    result = craftsim.validate("world.yaml", plan="mine.plan", trials=1, order="ticks", **fast)
     assert result.agrees
     assert [a.action for a in result.attempts].count("PUSH") == 2
     # In a process of its own: a command line offers the actions that were registered before it was loaded.
     shutil.copy(Path(__file__).parent / "push.py", "push.py")
-    words = "--plugins push audit --rules physical --actions PUSH --only legal --randomize none --trials 1 --workers 2"
-    done = forked.run("craftsim", *words.split(), "--out", "audit")
+    words = (
+        "--plugins push audit --rules physical --actions PUSH --only legal --trials 1 --workers 2 --out audit"
+    )
+    options = (word for name, value in fast.items() for word in (f"--{name}", value))
+    done = forked.run("craftsim", *words.split(), *options)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 of " in done.stdout
     recipe = Recipe(blueprint_text(_before_a_block()), (Step.single(0, 0, push),))
@@ -206,7 +210,7 @@ def test_commands_import_plugins_first(tmp_path):
     craftsim.write_blueprint(_before_a_block(), tmp_path / "world.yaml")
     (tmp_path / "mine.plan").write_text("0 0 PUSH\n", encoding="utf-8")
     (tmp_path / "push.py").write_text((Path(__file__).parent / "push.py").read_text("utf-8"), "utf-8")
-    words = ["validate", "world.yaml", "--plan", "mine.plan", "--randomize", "none"]
+    words = ["validate", "world.yaml", "--plan", "mine.plan", "--randomize", "none", "--drive", "reduced"]
 
     def run(*arguments):
         done = forked.run("craftsim", *arguments, cwd=tmp_path)

@@ -147,10 +147,18 @@ def _say_it(answer):
     answer.put(os.environ.get("PYTHONSAFEPATH"))
 
 
+def _dotted(node):
+    """Return a name with dots as it is written; an empty one for what is no name."""
+    after = ""
+    while isinstance(node, ast.Attribute):
+        node, after = node.value, f".{node.attr}{after}"
+    return f"{node.id}{after}" if isinstance(node, ast.Name) else ""
+
+
 def _names(tree):
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute | ast.Name):
-            yield ast.unparse(node)
+            yield _dotted(node)
         elif isinstance(node, ast.ImportFrom):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 

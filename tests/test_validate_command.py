@@ -12,6 +12,7 @@ from sessions import cut_off
 from craftsim import cli
 from craftsim.checking import setup
 from craftsim.checking.attempt import Thresholds
+from craftsim.cli import films
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
 from craftsim.validation import rollout as run
@@ -167,7 +168,8 @@ def test_what_the_reading_does_not_show_disagrees_nevertheless(folder, capsys, m
 
 
 @pytest.mark.usefixtures("rendering", "here")
-def test_films_of_every_run_and_none_of_an_earlier_campaign(folder):
+def test_films_of_every_run_and_none_of_an_earlier_campaign(folder, monkeypatch):
+    monkeypatch.setattr(films, "SIZE", (320, 180))
     (folder / "short.txt").write_text("0 STOP\n")
     words = [
         "empty.yaml",

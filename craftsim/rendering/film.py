@@ -144,8 +144,18 @@ class Frames:
         if n_title <= number < n_title + len(self.times):
             number -= n_title
             return self.at(float(self.times[number]), float(self._factors[number]))
-        card = title_card if number < n_title else end_card
-        return self._joined([card(pane.trajectory, pane.tile.size, pane.last) for pane in self._panes])
+        return self._title if number < n_title else self._end
+
+    @cached_property
+    def _title(self) -> Frame:
+        return self._card(title_card)
+
+    @cached_property
+    def _end(self) -> Frame:
+        return self._card(end_card)
+
+    def _card(self, draw: Callable[[Trajectory, tuple[int, int], Frame], Frame]) -> Frame:
+        return self._joined([draw(pane.trajectory, pane.tile.size, pane.last) for pane in self._panes])
 
     def at(self, time_s: float, factor: float | None = None) -> Frame:
         """Return the picture of a moment, with its captions.

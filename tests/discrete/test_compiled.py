@@ -5,8 +5,10 @@ import subprocess
 import sys
 import weakref
 from collections import Counter
+from contextlib import contextmanager
 from pathlib import Path
 
+import forked
 import numpy as np
 import pytest
 from numba import config
@@ -85,14 +87,31 @@ def test_the_cache_depends_on_code_callees_and_constants_alone():
         assert {name for name, a, b in zip(names, before, after, strict=True) if a != b} == set(changed)
 
 
-def run(folder, code, own=OWN, **environment):
-    """Run Python code beside own.py, and return what it prints."""
+@contextmanager
+def _environment(folder, own, environment):
+    """Let processes that are started find own.py in a folder, and no cache but what the environment names."""
     (folder / "own.py").write_text(own)
-    kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    words = [sys.executable, "-c", code]
-    return subprocess.run(
-        words, cwd=folder, env=kept | environment, capture_output=True, text=True, check=True
-    ).stdout
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("NUMBA_CACHE_DIR", raising=False)
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        yield
+
+
+def run(folder, code, own=OWN, **environment):
+    """Run Python code beside own.py in a process that has compiled nothing yet, and return what it prints."""
+    (folder / "call.py").write_text(code)
+    with _environment(folder, own, environment):
+        done = forked.run(folder / "call.py", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def run_anew(folder, code, **environment):
+    """Do the same in a process that imports numba."""
+    with _environment(folder, OWN, environment):
+        words = [sys.executable, "-c", code]
+        return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=True).stdout
 
 
 COUNT = "import own; print(own.outer(1), sum(map(len, (own.outer.stats.cache_misses, own.inner.stats.cache_misses))))"
@@ -132,7 +151,7 @@ def test_a_folder_that_others_may_write_to_is_not_used(tmp_path):
 @needs_compiler
 def test_code_for_any_processor_that_a_wheel_brings_is_read_and_not_compiled(tmp_path):
     made, own = tmp_path / "made", tmp_path / "own"
-    assert run(tmp_path, COUNT, NUMBA_CACHE_DIR=str(made), NUMBA_CPU_NAME="generic") == "8 2\n"
+    assert run_anew(tmp_path, COUNT, NUMBA_CACHE_DIR=str(made), NUMBA_CPU_NAME="generic") == "8 2\n"
     shipped = f"code_cache.SHIPPED = pathlib.Path({str(made / 'craftsim-compiled')!r}); "
     code = "import pathlib; from craftsim.discrete.kernel import code_cache; " + shipped + COUNT
     assert run(tmp_path, code, NUMBA_CACHE_DIR=str(own)) == "8 0\n"
@@ -154,15 +173,15 @@ def test_old_files_are_removed(tmp_path):
 
 @needs_compiler
 def test_of_many_processes_one_compiles_and_the_others_read_what_it_left(tmp_path):
-    (tmp_path / "own.py").write_text(OWN)
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-c", COUNT], cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True
-        )
-        for _ in range(3)
-    ]
-    assert sorted(process.communicate(timeout=60)[0] for process in processes) == ["8 0\n", "8 0\n", "8 2\n"]
+    (tmp_path / "call.py").write_text(COUNT)
+    said = [tmp_path / f"said{number}" for number in range(3)]
+    for file in said:
+        file.touch()
+    with _environment(tmp_path, OWN, {"NUMBA_CACHE_DIR": str(tmp_path)}):
+        processes = [forked.start(tmp_path / "call.py", cwd=tmp_path, out=str(file)) for file in said]
+    for process in processes:
+        process.join(60)
+    assert sorted(file.read_text() for file in said) == ["8 0\n", "8 0\n", "8 2\n"]
 
 
 @needs_compiler
@@ -170,7 +189,7 @@ def test_a_file_of_the_working_folder_does_not_say_where_the_cache_is(tmp_path):
     """What is in a cache is unpickled, which runs code."""
     (tmp_path / ".numba_config.yaml").write_text(f"cache_dir: {tmp_path / 'planted'}\n")
     for place in ({}, {"NUMBA_CACHE_DIR": str(tmp_path / "named")}):
-        assert run(tmp_path, COUNT, XDG_CACHE_HOME=str(tmp_path / "usual"), **place) == "8 2\n"
+        assert run_anew(tmp_path, COUNT, XDG_CACHE_HOME=str(tmp_path / "usual"), **place) == "8 2\n"
         assert not (tmp_path / "planted").exists()
         assert (tmp_path / "usual").exists()
         assert (tmp_path / "named").exists() == bool(place)

@@ -4,6 +4,7 @@ import urllib.request
 from contextlib import closing
 from dataclasses import replace
 
+import forked
 import gymnasium
 import numpy as np
 import pytest
@@ -219,8 +220,12 @@ def test_gymnasium_accepts_the_central_form():
 
 
 def test_gymnasium_runs_physics_in_processes():
+    forked.ensure_running()
     envs = gymnasium.make_vec(
-        GYMNASIUM_IDS["strip"], num_envs=2, vectorization_mode="async", vector_kwargs={"context": "spawn"}
+        GYMNASIUM_IDS["strip"],
+        num_envs=2,
+        vectorization_mode="async",
+        vector_kwargs={"context": "forkserver"},
     )
     with closing(envs):
         observations, _ = envs.reset(seed=[5, 5])

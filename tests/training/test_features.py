@@ -148,7 +148,8 @@ def test_networks_that_look_from_a_car_serve_more_cars():
     assert _values(net, seen, mask).shape == (4, 3, 15)
 
 
-def test_a_policy_that_looks_from_a_car_plays_other_tasks_that_show_their_design(tmp_path):
+def test_a_policy_that_looks_from_a_car_plays_other_tasks_that_show_their_design(tmp_path, monkeypatch):
+    monkeypatch.setattr("craftsim.designs.tasks.POOL", 10)
     trainer = Trainer(TrainConfig("designs", worlds=1, width=4, network="relative"))
     trainer.save(tmp_path)
     policy = load_policy(tmp_path)

@@ -31,7 +31,7 @@ def _greedy(algo):
     seen = Seen(torch.full((1, 9, 2, 3), learner.net.encoder.absent, dtype=torch.int32), offers)
     ends = torch.ones(1, 9, dtype=torch.bool)
     batch = Rollout(seen, seen, actions[None], PAYOFF[actions[:, 0], actions[:, 1]][None], ends, ends)
-    for _ in range(600):
+    for _ in range(300):
         learner.minimize(learner.loss(batch))
     return tuple(learner.net(seen)[0, 0].argmax(-1).tolist())
 

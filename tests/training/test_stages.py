@@ -22,6 +22,7 @@ def _config(**options):
 def _registered(monkeypatch):
     """Make a stage known by its name."""
     monkeypatch.setattr("craftsim.discrete.tasks.registry._REGISTERED", {})
+    monkeypatch.setattr("craftsim.designs.tasks.POOL", 60)
     craftsim.register_task(replace(craftsim.designs_task(difficulty=(0.0, 0.0)), name="easy_designs"))
 
 

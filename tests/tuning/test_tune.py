@@ -131,7 +131,7 @@ def test_the_page_holds_all_drawings_and_says_why_gains_are_kept(monkeypatch, tm
     assert "the front of time, energy" in text
 
 
-ARGUMENTS = ["tune", "board", "--evaluations", "6", "--trials", "1", "--seed", "3"]
+ARGUMENTS = ["tune", "board", "--evaluations", "6", "--trials", "1", "--seed", "3", "--drive", "reduced"]
 
 
 def test_a_tuning_that_was_cut_off_goes_on_and_ends_as_one_of_two_workers_does(tmp_path, monkeypatch):

@@ -178,7 +178,7 @@ def flag_at_goal(grids: Grid, designs: Targets, layout: Layout) -> Bools:
 
 def three_high(grids: Grid, designs: Targets, layout: Layout) -> Bools:
     """Return whether three blocks stand on one another from the floor."""
-    found: Bools = _stacks(grids).any(axis=(1, 2))
+    found: Bools = _stacks(grids).sum(axis=(1, 2)) > 0
     return found
 
 

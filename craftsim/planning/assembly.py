@@ -30,8 +30,8 @@ State = frozenset[Piece]
 
 _TRIES: Final = 60
 """Choices of one backward search for an order."""
-_CONFIGURATIONS: Final = 100
-"""Configurations of ramps from which a way to some things is searched on."""
+_CONFIGURATIONS: Final = 600
+"""Configurations of ramps that are looked at for a way to some things."""
 _SEARCHES: Final = 12
 """Searches for an order, each of which tries equally good steps in another order."""
 
@@ -214,6 +214,8 @@ class _Deconstruction:
         self.assembly, self.fixed, self.n_slopes, self.rng = assembly, fixed, n_slopes, rng
         self.complete = True
         """Whether everything was tried, so that there is no order where none was found."""
+        self.n_left = 0
+        """How many ramps stay where they are when all is done, since nobody could take them away."""
 
     def run(self, goal: State) -> list[Placing] | None:
         """Return the steps from the last to the first, None where none are found."""
@@ -223,7 +225,7 @@ class _Deconstruction:
         for _ in range(_TRIES):
             state = self._cleared(state, path)
             if state == self.fixed:
-                return path
+                return path[self.n_left :]
             things = frozenset(thing for thing in state if thing.kind != Kind.BODY)
             if things not in seen:
                 seen.add(things)
@@ -249,6 +251,9 @@ class _Deconstruction:
             highest = self._rest(state)[0]
             step = next(self._last(state, highest), None)
             steps = [step] if step else next(self._ways(state, highest), None)
+            if steps is None and not path:
+                steps = next(self._ways(state, highest, left=True), None)
+                self.n_left = len(steps or ())
             if steps is None:
                 return state
             for step in steps:
@@ -281,30 +286,36 @@ class _Deconstruction:
             if self.assembly.possible(state - {thing}, step := Placing(thing)):
                 yield step
 
-    def _ways(self, state: State, things: list[Piece]) -> Iterator[list[Placing]]:
+    def _ways(self, state: State, things: list[Piece], left: bool = False) -> Iterator[list[Placing]]:
         """Yield how to move ramps so that one of some things, all on one level, can be taken.
 
-        A best-first search, by the number of levels without a ramp that may lead on.
+        A best-first search, by the number of levels without a ramp that may lead on. Ramps that are ``left`` in the
+        end need not be taken away.
         """
         if not things or things[0].cell[2] == 1:
             return
-        level = things[0].cell[2]
         useful = self._useful(state, things)
-        queue: list[tuple[int, int, State, list[Placing]]] = [(0, 0, state, [])]
+        queue = [(0, 0, state, list[Placing]())]
         seen = {state}
         for _ in range(_CONFIGURATIONS):
             if not queue:
                 return
             _, _, here, steps = heappop(queue)
-            for step in self._moves(here, useful):
-                before = step.before(here)
-                if before in seen or not self.assembly.possible(before, step):
+            if steps:
+                ramp = steps[-1].thing
+                check = (here - {ramp}, Placing(ramp)) if left else (here, steps[-1])
+                if not self.assembly.possible(*check):
                     continue
-                seen.add(before)
-                missing = sum(useful[k].isdisjoint(before) for k in range(1, level))
-                if not missing and next(self._last(before, things), None):
-                    yield [*steps, step]
-                heappush(queue, (missing, len(seen), before, [*steps, step]))
+                if all(map(here.intersection, useful.values())) and next(self._last(here, things), None):
+                    yield steps
+            for step in self._moves(here, useful):
+                if left and not step.taken:
+                    continue
+                before = step.before(here)
+                if before not in seen:
+                    seen.add(before)
+                    missing = sum(ramps.isdisjoint(before) for ramps in useful.values())
+                    heappush(queue, (missing, len(seen), before, [*steps, step]))
         self.complete = False
 
     def _moves(self, state: State, useful: dict[int, set[Piece]]) -> Iterator[Placing]:

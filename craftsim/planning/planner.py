@@ -353,6 +353,8 @@ class _Search:
         )
 
     def _why(self, rounds: int) -> str:
+        if time.monotonic() > self.assembly.until_s:
+            return "no plan found in time; try a longer time limit, fewer cars or a smaller design"
         if not self._orders:
             return (
                 "no plan found: no order in which everything can be put to its place; perhaps some place cannot be "

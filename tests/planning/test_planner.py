@@ -1,5 +1,6 @@
 """Plans from designs: legal, whole, reproducible, and refused with a reason."""
 
+import time
 from itertools import pairwise
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from craftsim import cli
 from craftsim.designs.drawn import random_start, random_structure
+from craftsim.designs.library import make_design
 from craftsim.designs.starts import make_start
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.files.plan import read_plan
@@ -107,6 +109,27 @@ def test_what_stands_in_the_way_is_moved():
     grid.derive_marks()
     design = Design.of("corridor", [(5, 0, 1), (4, 0, 1), (3, 0, 1)], [])
     assert obeys(grid, plan_building(grid, design, RULES, rounds=ROUNDS), design.satisfied)
+
+
+def test_a_time_limit_holds_within_an_attempt():
+    start = make_start(make_design("wall", (25, 2, 2)), 8, np.random.default_rng(0))
+    begun_s = time.process_time()
+    with pytest.raises(NoPlanError, match="in time"):
+        plan_building(start.grid, start.design, RULES, time_s=0.1)
+    assert time.process_time() - begun_s < 2
+
+
+def test_a_ramp_that_nobody_could_take_away_stays():
+    # The last block of the fourth level stands on the landing of the ramp to it.
+    rng = np.random.default_rng(2)
+    start = make_start(random_structure((10, 10, 4), rng), 4, rng)
+    goal = frozenset(target._replace(yaw=0) for target in start.design.targets)
+    assembly = Assembly(without_things(start.grid), RULES)
+    state = frozenset()
+    for step in assembly.find_order(goal, state, 3, np.random.default_rng(0)):
+        assert assembly.possible(state, step)
+        state = step.after(state)
+    assert state > goal
 
 
 def test_nothing_is_done_where_the_goal_is_reached():

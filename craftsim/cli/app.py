@@ -142,7 +142,8 @@ def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
     document = read_document(file).plain
     options = document.get("options", {})
     command = document.get("command", words[0])
-    if not isinstance(options, dict) or not isinstance(command, str):
+    known = document.keys() <= {"command", "versions", "options"}
+    if not known or not isinstance(options, dict) or not isinstance(command, str):
         raise InputError(
             f"{file}: allowed are 'command', 'versions' and 'options', a mapping from names to values"
         )

@@ -148,6 +148,18 @@ def test_a_number_outside_of_its_range_or_no_choice_is_refused_before_anything_i
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["audit", "strip"], "'strip' is too much: see craftsim audit --help"),
+        (["train", "strip", "--set"], "--set requires at least 1"),
+        (["robot", "serve", "--silent", "--once"], "--silent requires at least 1"),
+    ],
+)
+def test_words_that_are_too_many_or_too_few_are_named(words, said, capsys):
+    assert said in _refused(words, capsys)
+
+
 def test_there_are_few_options():
     every = {tuple(words): _arguments(words) for words in EVERY}
     listed = [

@@ -212,7 +212,7 @@ def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> Sen
 
 def _is_preset(given: str | Path, what: str) -> bool:
     """Return whether this is the name of a preset. Raises InputError for an unknown name without a file suffix."""
-    if given not in RANDOMIZE and not Path(given).suffix:
+    if given not in RANDOMIZE and not Path(str(given)).suffix:
         known = ", ".join(RANDOMIZE)
         raise InputError(
             f"unknown {what} '{given}'{suggestion(str(given), RANDOMIZE)}; there are {known}, or give a YAML file"

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final, get_args, get_type_hints
 
 import cyclopts
-from cyclopts import App, Parameter, UnknownOptionError, ValidationError
+from cyclopts import App, Parameter, UnknownOptionError, UnusedCliTokensError, ValidationError
 from cyclopts.config import Dict
 
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
@@ -38,7 +38,7 @@ def make_app() -> App:
         name="craftsim",
         version_flags=(),
         help_format="plaintext",
-        default_parameter=Parameter(negative_iterable=(), consume_multiple=True),
+        default_parameter=Parameter(negative_iterable=(), consume_multiple=1),
         result_action="return_value",
     )
     for name, text in COMMANDS.items():
@@ -103,6 +103,9 @@ def _said(error: cyclopts.CycloptsError) -> str:
     ):
         outside = next((one for one in argument.tokens if _outside(one.value, allowed)), argument.tokens[0])
         return f"{outside.keyword or argument.name} is {outside.value}; allowed: {allowed}"
+    if isinstance(error, UnusedCliTokensError):
+        words = " ".join(error.command_chain or ())
+        return f"'{shlex.join(error.unused_tokens or ())}' is too much: see craftsim {words} --help"
     text = " ".join(str(error).split())
     if isinstance(error, UnknownOptionError) and "Did you mean" not in text:
         named = [name for one in error.argument_collection for name in one.names if name.startswith("--")]
@@ -139,7 +142,8 @@ def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
     document = read_document(file).plain
     options = document.get("options", {})
     command = document.get("command", words[0])
-    if not isinstance(options, dict) or not isinstance(command, str):
+    known = document.keys() <= {"command", "versions", "options"}
+    if not known or not isinstance(options, dict) or not isinstance(command, str):
         raise InputError(
             f"{file}: allowed are 'command', 'versions' and 'options', a mapping from names to values"
         )

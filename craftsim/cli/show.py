@@ -125,10 +125,11 @@ def show(
 
 
 def _say_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
+    from craftsim.reports.report import count
+
     length, width, height = size
-    print_safe(
-        f"{length} x {width} cells, {height} levels: {', '.join(f'{n} {what}' for what, n in counts.items())}"
-    )
+    said = ", ".join(count(n, what.removesuffix("s")) for what, n in counts.items())
+    print_safe(f"{length} x {width} cells, {count(height, 'level')}: {said}")
 
 
 def _export(spec_of: Callable[[Machines], MjSpec], files: Iterable[Path], drive: Drive) -> None:

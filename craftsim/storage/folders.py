@@ -40,6 +40,10 @@ def output_directory(out: Path) -> Path:
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise InputError(
+            f"cannot make the output directory {out}: it is a file; choose another one"
+        ) from error
     except (OSError, ValueError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or error
         raise InputError(f"cannot make the output directory {out}: {reason}") from error

@@ -192,8 +192,9 @@ def validate(
     what, physics, campaign = changed((what, physics, campaign), options)
     plan, actions, policy, order = what.plan, what.actions, what.policy, what.order
     trials, seed, timeout_s = campaign.trials, physics.seed, what.timeout_s
-    if trials < 1 or campaign.workers < 1 or not timeout_s > 0:
-        raise InputError("trials and workers must be at least 1, timeout_s above 0")
+    whole = all(isinstance(one, int | np.integer) and one > 0 for one in (trials, campaign.workers))
+    if not whole or not timeout_s > 0:
+        raise InputError("trials and workers must be whole numbers of at least 1, timeout_s above 0")
     several = [worlds] if isinstance(worlds, World) else list(worlds)
     given = [name for name, value in (("plan", plan), ("actions", actions), ("policy", policy)) if value]
     if len(given) > 1:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from drawn import draw
 
+import craftsim
 from craftsim.checking.attempt import Thresholds
 from craftsim.checking.setup import RANDOMIZE, Setup, set_up, setup_of, widened
 from craftsim.discrete.grid import Kind
@@ -74,6 +75,11 @@ def test_a_mistake_in_a_file_is_named(tmp_path, text, message):
 def test_a_word_that_is_no_preset_is_named():
     with pytest.raises(InputError, match=r"unknown randomization 'milld'.*mild.*workshop_floor"):
         setup_of("milld")
+    with pytest.raises(InputError, match="unknown randomization '7'"):
+        setup_of(7)
+    for trials in (0, float("nan"), 1.5):
+        with pytest.raises(InputError, match="whole numbers of at least 1"):
+            craftsim.validate("strip", trials=trials)
 
 
 def _grid(y=1):

@@ -112,7 +112,8 @@ def own_defaults(command: Command) -> Command:
             kind = make_dataclass(
                 usual.__name__, own, bases=(usual,), namespace=place, frozen=True, kw_only=True
             )
-            command.__annotations__[name], command.__kwdefaults__[name] = kind, kind()
+            command.__annotations__[name] = kind
+            command.__kwdefaults__ = {**(command.__kwdefaults__ or {}), name: kind()}
     return command
 
 

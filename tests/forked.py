@@ -52,7 +52,7 @@ def ensure_running() -> None:
     """Start the process that is copied, with the environment of the tests and not that of one of them."""
     if forkserver._forkserver._forkserver_pid is None:
         now = dict(os.environ)
-        path = os.pathsep.join([str(Path(__file__).parent), _ENVIRONMENT.get("PYTHONPATH", "")])
+        path = os.pathsep.join(filter(None, [str(Path(__file__).parent), _ENVIRONMENT.get("PYTHONPATH")]))
         _set_environment(_ENVIRONMENT | {"PYTHONPATH": path})
         try:
             forkserver._forkserver.ensure_running()

@@ -38,7 +38,6 @@ MEASURED: Final = {
     "audit_published": "audit --quick --drive reduced",
     "margins": "audit margins --quick",
     "execution_plans": "bench execution --worlds 100",
-    "execution_policies": "bench execution random_strip random_block random_simple_two_story random_breaking_barrier",
     "builders": "bench builders",
 }
 """What is measured, each in less than four minutes of CPU time but for execution."""

@@ -60,7 +60,6 @@ def tables() -> dict[str, str]:
     return {
         "physics": physics_table(),
         "margins": margins_table(),
-        "execution": execution_table(),
         "execution_trained": trained_table(),
         "builders": builders_table(),
         "engines": table(*engines.table_of(_read(engines.STORED))),
@@ -147,21 +146,6 @@ def _orders(figures: dict[str, Any]) -> str:
     )
 
 
-def execution_table() -> str:
-    """Return how often policies succeed in each mode of execution, and how long that takes."""
-    found = _read(RUNS / "execution_policies.json")["figures"]["modes"]
-    modes = list(next(iter(found.values())))
-    rows = [
-        (
-            f"`{policy}`",
-            *(f"{of[mode]['success']['rate']:.2f}, {of[mode]['makespan_s']:.1f} s" for mode in modes),
-        )
-        for policy, of in found.items()
-    ]
-    starts = next(iter(found.values()))[modes[0]]["success"]["trials"]
-    return f"Success over {starts} starts, and makespan.\n\n" + table(("policy", *modes), *rows)
-
-
 def trained_table() -> str:
     """Return the success of policies trained in ticks and asynchronously, over seeds of training, in each mode."""
     found: dict[tuple[str, str], dict[str, list[dict[str, Any]]]] = {}
@@ -169,24 +153,29 @@ def trained_table() -> str:
         for policy, by_mode in _read(path)["figures"]["modes"].items():
             task, how, _ = policy.rsplit("-", 2)
             for mode, one in by_mode.items():
-                found.setdefault((task, how), {}).setdefault(mode, []).append(one["success"])
+                found.setdefault((task, how), {}).setdefault(mode, []).append(one)
     modes = [*dict.fromkeys(mode for by_mode in found.values() for mode in by_mode)]
-    most = max(len(some) for by_mode in found.values() for some in by_mode.values())
+    starts = found[min(found)][modes[0]][0]["success"]["trials"]
 
-    def cell(some: list[dict[str, Any]]) -> str:
-        """Return the mean over seeds, or, where few were played, how many episodes of how many succeeded."""
-        if len(some) == most:
-            return _over_seeds([one["rate"] for one in some])
-        return f"{sum(one['successes'] for one in some)} of {sum(one['trials'] for one in some)}"
+    def cell(shares: list[dict[str, Any]]) -> str:
+        """Return the mean over seeds, or, of policies that play few episodes, how many of how many succeed."""
+        if all(share["trials"] == starts for share in shares):
+            return _over_seeds([share["rate"] for share in shares]) if shares else ""
+        return f"{sum(share['successes'] for share in shares)} of {sum(share['trials'] for share in shares)}"
 
-    rows = [
-        (f"`{task}`", how, len(by_mode[modes[0]]), *(cell(by_mode[mode]) for mode in modes))
-        for (task, how), by_mode in sorted(found.items())
-    ]
-    starts = found[min(found)][modes[0]][0]["trials"]
-    return f"{starts} starts a policy, the same for all.\n\n" + table(
-        ("task", "trained", "seeds", *modes), *rows
-    )
+    rows = []
+    for (task, how), by_mode in sorted(found.items()):
+        shares = [cell([one["success"] for one in by_mode.get(mode, ())]) for mode in modes]
+        apart = by_mode[modes[2]]
+        makespan_s, blocked = (
+            mean(one["makespan_s"] for one in apart),
+            mean(one["blocked_share"] for one in apart),
+        )
+        costs = f"{makespan_s:.1f}", f"{100 * blocked:.1f}", sum(one["deadlocks"] for one in apart)
+        rows.append((f"`{task}`", how, len(apart), *shares, *costs))
+    head = ("task", "trained", "seeds", *modes, "makespan, s", "blocked, %", "deadlocks")
+    played = f"{starts} starts a policy, the same for all; the last three columns are of {modes[2]}."
+    return played + "\n\n" + table(head, *rows)
 
 
 def _over_seeds(rates: list[float]) -> str:
@@ -553,7 +542,10 @@ def plot() -> None:
 
 
 def plot_curves(runs: list[dict[str, Any]], key: str, path: Path) -> None:
-    """Draw learning curves, the mean over seeds, a panel a task and a line for each value of a key."""
+    """Draw learning curves, the mean over seeds, a panel a task and a line for each value of a key.
+
+    A run that has ended counts on with its last evaluation.
+    """
     tasks, lines = (sorted({run[name] for run in runs}) for name in ("task", key))
     figure = Figure((3.6 * len(tasks), 3.2), layout="constrained")
     panels = figure.subplots(1, len(tasks), sharey=True, squeeze=False)[0]
@@ -562,16 +554,13 @@ def plot_curves(runs: list[dict[str, Any]], key: str, path: Path) -> None:
             curves = [np.array(run["curve"]).T for run in runs if (run["task"], run[key]) == (task, line)]
             if curves:
                 at = np.unique(np.concatenate([steps for steps, _ in curves]))
-                at = at[
-                    (at >= max(steps[0] for steps, _ in curves))
-                    & (at <= min(steps[-1] for steps, _ in curves))
-                ]
+                at = at[at >= max(steps[0] for steps, _ in curves)]
                 success = np.mean([np.interp(at, *curve) for curve in curves], axis=0)
                 panel.plot(at / 1000, success, color=f"C{number}", label=line)
         panel.set_title(task)
         panel.set_xlabel("1000 steps")
     panels[0].set_ylabel("success in evaluations")
-    panels[-1].legend(fontsize="small")
+    max(panels, key=lambda panel: len(panel.lines)).legend(fontsize="small")
     figure.savefig(path, dpi=110)
 
 

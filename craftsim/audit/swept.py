@@ -41,6 +41,39 @@ _STEP_M: Final = 0.01
 """Step of a car on a ramp."""
 
 
+class Solid(NamedTuple):
+    """A convex solid of a part."""
+
+    name: str
+    points: NDArray[np.float64]
+    """(n, 3) corners in the part's frame, its joint at zero; curved faces have corners on them."""
+    jointed: bool
+    """Whether the part's joint moves it, as a car's board or a slope's flap."""
+
+
+class CollisionShape(NamedTuple):
+    """The solids of a part, and its joint."""
+
+    solids: tuple[Solid, ...]
+    hinge: bool = False
+    """Whether the joint is a hinge; otherwise it slides."""
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    anchor: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def joint(self, position: float) -> Pose:
+        """Return the transform of the jointed solids at a position in metres or radians."""
+        if self.hinge:
+            turn: Pose = trimesh.transformations.rotation_matrix(position, self.axis, self.anchor)
+            return turn
+        slide: Pose = trimesh.transformations.translation_matrix(position * np.array(self.axis))
+        return slide
+
+    def posed(self, pose: Pose, joint: float) -> list[NDArray[np.float64]]:
+        """Return the corners of each solid in the world, given the part's pose and joint position."""
+        moved = pose @ self.joint(joint)
+        return [trimesh.transform_points(s.points, moved if s.jointed else pose) for s in self.solids]
+
+
 def pose_of(placement: Placement) -> Pose:
     """Return the pose of a part as a transform."""
     pose: Pose = trimesh.transformations.quaternion_matrix(placement.quaternion)
@@ -49,34 +82,33 @@ def pose_of(placement: Placement) -> Pose:
 
 
 @lru_cache(maxsize=64)
-def _model(kind: str, machines: Machines) -> mujoco.MjModel:
-    """Return the model of a part: smartcar, block, flag, slope or wall; a car is the first of the machines'."""
-    return machine_spec(kind, machines, visual=False).compile()
+def shape_of(kind: str, machines: Machines) -> CollisionShape:
+    """Return the solids of a part: smartcar, block, flag, slope or wall.
 
-
-@lru_cache(maxsize=512)
-def solids_of(kind: str, machines: Machines, joint: float) -> dict[str, NDArray[np.float64]]:
-    """Return the corners (n, 3) of each solid of a part by name, in the part's frame.
-
-    ``joint`` is the position of its own joint, a car's board or a slope's hinge. Visual geometry is left out. A wheel
-    is the cylinder round its rollers; curved faces have corners on them.
+    A wheel is the cylinder round its rollers. Visual geometry is left out, and a car is the first of the machines'.
     """
-    model = _model(kind, machines)
+    model = machine_spec(kind, machines, visual=False).compile()
     data = mujoco.MjData(model)
-    for own in (model.joint(number) for number in range(model.njnt)):
-        if own.name in ("board", "hinge"):
-            data.qpos[own.qposadr] = joint
-    mujoco.mj_kinematics(model, data)
+    mujoco.mj_forward(model, data)
     root = model.body(kind).id
     base = np.linalg.inv(_transform(data.xpos[root], data.xmat[root]))
-    solids = {}
+    own = [j for j in range(model.njnt) if model.joint(j).name in ("board", "hinge")]
+    solids = []
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
         touches = model.geom_contype[geom] or model.geom_conaffinity[geom]
-        if body and touches and not model.body(body).name.startswith("roller_"):
-            pose = base @ _transform(data.geom_xpos[geom], data.geom_xmat[geom])
-            solids[model.geom(geom).name] = trimesh.transform_points(_mesh(model, geom).vertices, pose)
-    return solids
+        if not (body and touches) or model.body(body).name.startswith("roller_"):
+            continue
+        pose = base @ _transform(data.geom_xpos[geom], data.geom_xmat[geom])
+        points = trimesh.transform_points(_mesh(model, geom).vertices, pose)
+        jointed = any(model.jnt_bodyid[j] == body for j in own)
+        solids.append(Solid(model.geom(geom).name, points, jointed))
+    if not own:
+        return CollisionShape(tuple(solids))
+    hinge = model.jnt_type[own[0]] == mujoco.mjtJoint.mjJNT_HINGE
+    axis = base[:3, :3] @ data.xaxis[own[0]]
+    anchor = trimesh.transform_points(data.xanchor[own], base)[0]
+    return CollisionShape(tuple(solids), bool(hinge), tuple(axis), tuple(anchor))
 
 
 def _transform(position: NDArray[np.float64], rotation: NDArray[np.float64]) -> Pose:
@@ -194,10 +226,11 @@ def _bounds(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float6
 
 def convexes_of(placement: Placement, machines: Machines) -> list[Convex]:
     """Return the solids of a placed part."""
-    solids, pose = solids_of(placement.kind, machines, placement.joint), pose_of(placement)
+    shape = shape_of(placement.kind, machines)
+    points = shape.posed(pose_of(placement), placement.joint)
     return [
-        Convex(f"{placement.kind} {name}", trimesh.transform_points(points, pose))
-        for name, points in solids.items()
+        Convex(f"{placement.kind} {solid.name}", corners)
+        for solid, corners in zip(shape.solids, points, strict=True)
     ]
 
 
@@ -205,11 +238,12 @@ def sweep(situation: Situation, machines: Machines) -> Solids:
     """Return the swept volume of a bare situation: convex hulls of the moving solids at consecutive poses."""
     pieces = []
     for kind, poses, joints in _tracks(situation, machines):
-        posed = [(solids_of(kind, machines, joint), pose) for pose, joint in zip(poses, joints, strict=True)]
-        for name in posed[0][0]:
-            path = [trimesh.transform_points(solids[name], pose) for solids, pose in posed]
+        shape = shape_of(kind, machines)
+        corners = [shape.posed(p, j) for p, j in zip(poses, joints, strict=True)]
+        for number, solid in enumerate(shape.solids):
+            path = [points[number] for points in corners]
             if not all(np.allclose(points, path[0]) for points in path):
-                pieces += [Convex(f"{kind} {name}", np.vstack(pair)) for pair in pairwise(path)]
+                pieces += [Convex(f"{kind} {solid.name}", np.vstack(pair)) for pair in pairwise(path)]
     return Solids(pieces)
 
 

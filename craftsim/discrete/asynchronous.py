@@ -23,11 +23,11 @@ from craftsim.discrete.kernel.events import (
     ILLEGAL,
     RUNS,
     WAITS,
+    AsynchronousWorlds,
     Decisions,
     Durations,
     Ends,
     Running,
-    Worlds,
 )
 from craftsim.discrete.kernel.search import SearchBuffers
 from craftsim.discrete.kernel.state import DERIVED_MARKS
@@ -165,9 +165,9 @@ class AsynchronousEpisodes(Episodes):
         self.running.action[rows], self.running.n_claims[rows] = DECIDES, 0
 
     @property
-    def _worlds(self) -> Worlds:
+    def _worlds(self) -> AsynchronousWorlds:
         confirmed, committed = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
-        return Worlds(confirmed, committed, self.running, self.decisions, self.queue, self.time_s)
+        return AsynchronousWorlds(confirmed, committed, self.running, self.decisions, self.queue, self.time_s)
 
     def grid(self, i: int) -> Grid:
         """Return a copy of a committed world, with its marks."""

@@ -402,7 +402,7 @@ def _check_places(out: Path) -> None:
     if os.path.lexists(out / store.OLD):
         version = store.old_manifest(out)["versions"].get("craftsim")
         raise InputError(
-            f"{out} holds a run of craftsim {reprlib.repr(version)}, with which this one "
+            f"{out} holds a run of craftsim {reprlib.repr(version)}, with which this one"
             " cannot go on; choose another --out, or move it away (--against can still read it)"
         )
     trials = out / store.TRIALS

@@ -21,7 +21,7 @@ from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.config import Acting
 from craftsim.training.curve import EvaluationResult
-from craftsim.training.networks import CarNet, Memory
+from craftsim.training.networks import CarNet, RecurrentState
 from craftsim.training.rollouts import TRAINED_JITTER, Seen
 
 _FACTOR: Final = np.int64(6364136223846793005)
@@ -105,7 +105,7 @@ def evaluate_in_physics(
             goes_on = ~(terminated | truncated)
             ids = ids[goes_on]
             if memory is not None:
-                memory = Memory(*(part[torch.from_numpy(goes_on)] for part in memory))
+                memory = RecurrentState(*(part[torch.from_numpy(goes_on)] for part in memory))
     return _played(won, total, ticks, repetitions)
 
 
@@ -124,7 +124,7 @@ def choose_actions(
     observations: NDArray[np.integer],
     masks: NDArray[np.generic],
     noise: NDArray[np.float64] | None = None,
-    memory: Memory | None = None,
+    memory: RecurrentState | None = None,
 ) -> NDArray[np.int64]:
     """Return (..., n): for every car the offered action that the network rates highest.
 

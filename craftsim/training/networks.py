@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _MIXING_WIDTH: Final = 32
 
 
-class Memory(NamedTuple):
+class RecurrentState(NamedTuple):
     """What a recurrent policy remembers of episodes, changed in place."""
 
     hidden: Tensor
@@ -46,13 +46,13 @@ class CarNet(nn.Module):
             self.last = nn.Embedding(N_ACTIONS + 1, shape.width)
             self.cell = nn.GRUCell(shape.width, shape.width)
 
-    def memory(self, *cars: int) -> Memory | None:
+    def memory(self, *cars: int) -> RecurrentState | None:
         """Return what cars (..., n) remember as their episodes begin; None for a policy that remembers nothing."""
         if not self.recurrent:
             return None
-        return Memory(torch.zeros(*cars, self.width), torch.full(cars, N_ACTIONS))
+        return RecurrentState(torch.zeros(*cars, self.width), torch.full(cars, N_ACTIONS))
 
-    def forward(self, seen: Seen, memory: Memory | None = None) -> Tensor:
+    def forward(self, seen: Seen, memory: RecurrentState | None = None) -> Tensor:
         """Return (..., n, 15), those of actions that are not offered -inf; a memory's state is updated."""
         encoded = self.encode(seen)
         if memory is not None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from craftsim.discrete.rules import RuleSet
     from craftsim.discrete.tasks import Task
     from craftsim.training.config import TrainConfig
-    from craftsim.training.networks import CarNet, Memory
+    from craftsim.training.networks import CarNet, RecurrentState
     from craftsim.training.shape import Shape, TaskIdentity
 
 PACKAGES: Final = ("torch",)
@@ -58,7 +58,7 @@ class TrainedPolicy:
         self.shape = shape
         self.net = net
         self._checked: Task | None = None
-        self._memory: Memory | None = None
+        self._memory: RecurrentState | None = None
 
     def reset(self) -> None:
         """Forget the episode, as a recurrent policy must before the next one; craftsim's environments see to that."""

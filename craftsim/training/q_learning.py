@@ -19,7 +19,7 @@ from torch.nn.functional import mse_loss
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.errors import InputError
 from craftsim.training.learner import Learner, drawn_offers, of_actions
-from craftsim.training.networks import CarNet, JointNet, Memory, QMixer
+from craftsim.training.networks import CarNet, JointNet, QMixer, RecurrentState
 from craftsim.training.rollouts import Rollout, Seen, lambda_returns
 from craftsim.training.settings import QSettings
 from craftsim.training.shape import Shape
@@ -94,7 +94,7 @@ class QLearner(Learner):
         }[algo]
         self.optimizer = torch.optim.Adam(self.online.parameters(), settings.learning_rate, fused=True)
         self.replay = ReplayMemory(shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent)
-        self.acting: Memory | None = None
+        self.acting: RecurrentState | None = None
 
     def begin(self, worlds: Tensor) -> None:
         """Forget the episodes that were in these worlds."""

@@ -294,7 +294,8 @@ def test_an_episode_is_run_again_bit_for_bit_from_its_recipe():
             claimed = any(conflict(other.footprint, step.footprint) for other in judge.running.values())
             if car in judge.running or claimed or rng.random() < 0.3:
                 continue
-            backend.begin(car, step.action, judge.committed)
+            row = judge.committed.cars[car]
+            backend.begin(car, step.action, row, row)
             n_begun += 1
         ended = backend.advance(judge.physics.time_s + 1.0)
         assert set(ended.infos) == set(ended.cars)

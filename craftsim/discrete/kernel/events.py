@@ -85,7 +85,7 @@ class Decisions(NamedTuple):
     """(B, n): the rewards since then."""
 
 
-class Worlds(NamedTuple):
+class AsynchronousWorlds(NamedTuple):
     """B asynchronous worlds, all of what time changes."""
 
     confirmed: World
@@ -277,7 +277,7 @@ def unblocked(
 
 @compiled
 def decide_in(
-    worlds: Worlds,
+    worlds: AsynchronousWorlds,
     i: int,
     durations: Durations,
     order: NDArray[np.int64],
@@ -329,7 +329,7 @@ def decide_in(
 
 @compiled
 def decide(
-    worlds: Worlds,
+    worlds: AsynchronousWorlds,
     durations: Durations,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
@@ -350,7 +350,7 @@ def decide(
 
 @compiled
 def note(
-    worlds: Worlds, durations: Durations, i: int, car: int, asked: int, result: int, end_s: float
+    worlds: AsynchronousWorlds, durations: Durations, i: int, car: int, asked: int, result: int, end_s: float
 ) -> None:
     """Write down a decision, whatever became of it."""
     running, decisions = worlds.running, worlds.decisions
@@ -373,7 +373,7 @@ def following(running: Running, i: int, ended: Mask, which: bool, turn: int) -> 
 
 
 @compiled
-def advance_in(worlds: Worlds, i: int, ends: Ends) -> None:
+def advance_in(worlds: AsynchronousWorlds, i: int, ends: Ends) -> None:
     """Advance a world to its next event; see :func:`advance`."""
     running, n_cars = worlds.running, worlds.running.action.shape[1]
     now_s = running.ends_s[i, 0]
@@ -401,7 +401,7 @@ def advance_in(worlds: Worlds, i: int, ends: Ends) -> None:
 
 
 @compiled
-def advance(worlds: Worlds, ends: Ends) -> None:
+def advance(worlds: AsynchronousWorlds, ends: Ends) -> None:
     """Advance each world, in which no car decides, to its next event.
 
     What has ended is applied to the confirmed worlds in the order in which it began; a wait ends with any event. Where
@@ -413,7 +413,7 @@ def advance(worlds: Worlds, ends: Ends) -> None:
 
 @compiled
 def step(
-    worlds: Worlds,
+    worlds: AsynchronousWorlds,
     durations: Durations,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
@@ -429,7 +429,7 @@ def step(
 
 
 @compiled
-def commit(worlds: Worlds, i: int, ended: Mask) -> None:
+def commit(worlds: AsynchronousWorlds, i: int, ended: Mask) -> None:
     """Make a committed world anew: the confirmed one with the effects of what runs, which has not ``ended``."""
     confirmed, committed, running = worlds.confirmed, worlds.committed, worlds.running
     for x in range(committed.cells.shape[1]):

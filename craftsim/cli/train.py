@@ -68,16 +68,16 @@ def train(
     ended by itself.
 
     Settings for --set, each as NAME=VALUE, with their defaults: worlds (parallel worlds; 32 in physics; on the grid 500
-    for ippo and mappo, 100 for pqn, 25 for the others), network (map, or relative, for any number of cars), width (of
-    the layers; 128), rules (physical), helper_depth (search depth of the action helper; none), execution (synchronous,
-    or asynchronous for ippo and mappo on the grid), evaluate_every (steps; ten rollouts), evaluation_episodes (500 on
-    the grid, 64 in physics), novelty (exploration bonus for new buildings; 0), explore (ticks of random exploration
-    before learning; 0), imitate (number of the planner's plans for imitation before learning; 0), shown_share (share of
-    episodes that start along such a plan; 0.5), starts (a plan or a file of reached worlds for every second episode),
-    pretrained (initial policy), stages (easier tasks first, separated by commas), stage_steps (steps on each), acting
-    (greedy or sampled evaluation), cars, blocks, in physics drive (reduced), randomize (none) and workers (one per
-    processor), tensorboard (true writes its log), settings (a YAML file of hyperparameters), and every hyperparameter
-    of the algorithm, such as learning_rate.
+    for ippo and mappo, 100 for pqn, 25 for the others), network (map, or relative, for any number of cars), recurrent
+    (true remembers, for iql, vdn, qmix and qtran; false), width (of the layers; 128), rules (physical), helper_depth
+    (search depth of the action helper; none), execution (synchronous, or asynchronous for ippo and mappo on the grid),
+    evaluate_every (steps; ten rollouts), evaluation_episodes (500 on the grid, 64 in physics), novelty (exploration
+    bonus for new buildings; 0), explore (ticks of random exploration before learning; 0), imitate (number of the
+    planner's plans for imitation before learning; 0), shown_share (share of episodes that start along such a plan;
+    0.5), starts (a plan or a file of reached worlds for every second episode), pretrained (initial policy), stages
+    (easier tasks first, separated by commas), stage_steps (steps on each), acting (greedy or sampled evaluation), cars,
+    blocks, in physics drive (reduced), randomize (none) and workers (one per processor), tensorboard (true writes its
+    log), settings (a YAML file of hyperparameters), and every hyperparameter of the algorithm, such as learning_rate.
 
     Args:
         task: name of a task, such as strip or random_strip, a task file, or module:factory.
@@ -190,6 +190,8 @@ def _config(given: dict[str, Any], besides: dict[str, Any], run: Protocol, **fla
                 f"(settings: {', '.join(known)})"
             )
     chosen = {name: value for name, value in given.items() if name in named}
+    if chosen.get("recurrent") in ("true", "false"):
+        chosen["recurrent"] = chosen["recurrent"] == "true"
     if "stages" in chosen:
         chosen["stages"] = tuple(str(chosen["stages"]).split(","))
     hyperparameters = (

@@ -159,13 +159,12 @@ def _play_policies(
     need_torch()
     from craftsim.training.evaluation import evaluate
     from craftsim.training.policy import load_policy
-    from craftsim.training.shape import Shape
 
     games = []
     for path in policies:
         policy = load_policy(path)
         for asked in _tasks_of(path, policy, tasks, (cars, blocks, area or None)):
-            shape = Shape.of(asked, policy.shape.width, policy.shape.network)
+            shape = policy.shape.of_task(asked)
             if not policy.shape.fits(shape):
                 raise InputError(
                     f"{path}: its network is for {policy.shape}, task '{asked.name}' is of {shape}; a network serves "

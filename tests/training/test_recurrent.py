@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from craftsim.cli import main
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
@@ -65,6 +66,18 @@ def test_a_policy_forgets_the_episode_before(trained, tmp_path):
         trained.learner.net, worlds.vectors(), worlds.offered(), memory=memory
     )[0].tolist()
     assert (memory.last < N_ACTIONS).all()
+
+
+def test_policies_that_learnt_values_are_evaluated_on_the_grid(trained, tmp_path):
+    trained.save(tmp_path)
+    words = ["validate", "strip", "--backend", "grid", "--trials", "2", "--policy"]
+    assert main([*words, str(tmp_path), "--out", str(tmp_path / "out")]) == 0
+
+
+def test_settings_of_a_command_may_be_true_or_false(tmp_path):
+    words = ["--steps", "80", "--set", "recurrent=true", "worlds=1", "width=4", "--episodes", "1", "--out"]
+    assert main(["train", "strip", "--algo", "vdn", *words, str(tmp_path)]) == 0
+    assert load_policy(tmp_path).net.recurrent
 
 
 def test_other_algorithms_have_no_memory():

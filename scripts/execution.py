@@ -1,6 +1,6 @@
 """Train policies in ticks, asynchronously, and in ticks from worlds that asynchronous physics reached; compare them.
 
-python scripts/execution.py --seeds 5                     # goes on where it was interrupted: ten hours of CPU time
+python scripts/execution.py --seeds 5                     # goes on where it was interrupted: hours
 python scripts/execution.py random_block --seeds 1
 
 Each policy then plays the same starts in all modes of ``craftsim bench execution``. What that comes to is stored in
@@ -16,6 +16,9 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
+from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.validation.execution import REACHED, episode
 
@@ -71,7 +74,9 @@ def reached(policy: Path) -> Path:
     """Return a file of worlds that a policy reaches in asynchronous physics, each at a time that is drawn."""
     path = policy / "reached.npz"
     if not path.exists():
-        save_starts(path, [episode((str(policy), REACHED, seed))["reached"] for seed in REACHED_FROM])
+        played = [episode((str(policy), REACHED, seed)) for seed in REACHED_FROM]
+        worlds = [parse_blueprint(one.extra["reached"], policy.name) for one in played]
+        save_starts(path, [world.grid(np.random.default_rng(0)) for world in worlds])
     return path
 
 

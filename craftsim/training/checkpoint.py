@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 RUN_FILE: Final = "run.pt"
 FORMAT: Final = 6
-RUN_FORMAT: Final = 8
+RUN_FORMAT: Final = 9
 """Of policies and of runs; raised whenever older files cannot be read any more."""
 TABLE: Final = "encoder.table.weight"
 ROWS: Final = "encoder.table.rows"

@@ -235,7 +235,7 @@ def play(
 ) -> Rollout:
     """Return a rollout of all worlds from their present states.
 
-    ``act`` maps observations to actions (B, n); ``begin`` is told, as a mask (B,), in which worlds an episode begins.
+    ``act`` maps observations to actions (B, n); ``begin`` gets a mask (B,) of the worlds in which an episode begins.
     """
     columns: list[tuple[Any, ...]] = []
     now = _look(worlds, encoder)

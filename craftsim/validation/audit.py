@@ -209,16 +209,16 @@ def audit_rows(records: Iterable[TrialRecord]) -> list[AuditRow]:
     A group's name is the action, a slash and the context. A row is legal when all its attempts are; one whose trials
     have neither attempts nor errors has no prediction.
     """
-    told = dict[str, list[tuple[bool, str, str, str | None]]]()
+    by_row = dict[str, list[tuple[bool, str, str, str | None]]]()
     for record in records:
         attempts, result, reason = record["attempts"], "errors" if record["error"] is not None else "", ""
         if attempts and not result:
             worst = max(attempts, key=lambda attempt: RESULTS.index(Verdict(attempt["result"])))
             result, reason = Verdict(worst["result"]), worst["reason"]
         legal = all(attempt["legal"] for attempt in attempts)
-        told.setdefault(record["group"], []).append((legal, result, reason, record["bundle"]))
+        by_row.setdefault(record["group"], []).append((legal, result, reason, record["bundle"]))
     rows = []
-    for name, trials in sorted(told.items()):
+    for name, trials in sorted(by_row.items()):
         counts = Counter(result for _, result, _, _ in trials if result)
         good, failed, side_effect, unsafe, numerics = (counts[result] for result in RESULTS)
         n, predicted = good + failed + side_effect + unsafe, bool(counts)

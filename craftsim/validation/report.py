@@ -177,7 +177,7 @@ def runs_table(records: Sequence[TrialRecord]) -> DataTable:
     """Return a table with a row for each world and each plan or policy."""
     from pandas import DataFrame
 
-    told = (
+    figures = (
         {"world": r["context"] or "", "by": r["group"], "done": r["error"] is None, "agree": r["agrees"]}
         | {"actions": len(r["attempts"]), "good": sum(not _disagrees(a) for a in r["attempts"])}
         | {name: r["extra"].get(name) for name in _GOALS}
@@ -185,7 +185,7 @@ def runs_table(records: Sequence[TrialRecord]) -> DataTable:
         for r in records
     )
     rows: list[tuple[Value, ...]] = []
-    for key, runs in DataFrame(told).groupby(["world", "by"], sort=False) if records else ():
+    for key, runs in DataFrame(figures).groupby(["world", "by"], sort=False) if records else ():
         done = runs[runs.done]
         n = len(done)
         counts = [int(done[name].sum()) for name in ("agree", "actions", "good")]

@@ -116,7 +116,7 @@ RUNS = {
     "a long curve": (("head", "curve", [0] * 30_000), "key 'curve"),
     "a count": (("head", "iteration", "seven"), "key 'iteration'"),
     "a time": (("head", "cpu_s", -1.0), "-1.0 s of CPU; allowed: 0 or more"),
-    "an older file": (("craftsim", 7), "written in format 7, by another version of craftsim; this version reads 8"),
+    "an older file": (("craftsim", 7), "written in format 7, by another version of craftsim; this version reads 9"),
     "a configuration": (("head", "config", "width", 10**9), "key 'config.width': 1000000000 is out of range"),
     "novelty": (("novelty", torch.zeros(5)), "'novelty' is torch.float32"),
 }  # fmt: skip

@@ -111,6 +111,11 @@ class Pool:
         def begin() -> None:
             while len(self._running) < self._n and (one := again.popleft() if again else next(new, None)):
                 self._begin(function, one, timeout_s)
+            # A cluster that has lost a node may never start a worker.
+            for worker in [worker for worker in self._running.values() if not worker.has_batch]:
+                if self._idle:
+                    self._kill(worker)
+                    self._begin(function, worker.batch, timeout_s)
 
         try:
             begin()

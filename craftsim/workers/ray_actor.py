@@ -170,4 +170,4 @@ def _check_reachable(address: str) -> None:
 
 
 def _first_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[0]
+    return str(getattr(error, "cause", None) or error).strip().splitlines()[0]

@@ -30,6 +30,11 @@ def square(job):
     return job * job if isinstance(job, int) else "squared"
 
 
+def never():
+    """Make no handler: such a worker answers nothing, as one on a cluster without a free processor."""
+    time.sleep(3600)
+
+
 class Counter:
     """Counts the jobs that its worker has done for it."""
 

@@ -74,3 +74,18 @@ def test_jobs_are_taken_when_a_worker_is_free_and_who_stops_early_leaves_no_work
         answers.close()
         assert list(pool.map_unordered(jobs.square, [4])) == [(4, 16)]
     assert _gone(pid)
+
+
+def test_a_worker_that_never_starts_holds_no_job_back():
+    with Pool(2) as pool:
+        actor, made = pool._kind, []
+
+        class OneStarts(actor):
+            def __init__(self, make):
+                super().__init__(jobs.never if made else make)
+                made.append(self)
+
+        pool._kind = OneStarts
+        found = dict(pool.map_unordered(jobs.square, range(6), batch=2))
+    assert found == {job: job * job for job in range(6)}
+    assert len(made) == 2

@@ -70,6 +70,9 @@ def tables() -> dict[str, str]:
         },
         "benchmarks": benchmark_tables(_read(RESULTS / "benchmarks.json")),
         "large": large_table(_read(RESULTS / "large.json")),
+        "campaign": campaign_table(
+            _read(RESULTS / "campaign.json"), _read(RESULTS / "benchmarks.json")["benchmarks"]
+        ),
         "structures": structures_table(_read(RESULTS / "structures.json")),
         "paper": paper_table(),
         "studies": studies_table(),
@@ -353,6 +356,28 @@ def _benchmark(cases: list[dict[str, Any]]) -> str:
         (*kept, *columns),
         *((*key, *(row.get(column, "") for column in columns)) for key, row in rows.items()),
     )
+
+
+def campaign_table(campaign: dict[str, Any], benchmarks: Iterable[dict[str, Any]]) -> str:
+    """Return what a campaign took on a cluster and in one process, and what a million trials of the audit would take."""
+    trial = next(one for one in benchmarks if one["fullname"].endswith("test_a_trial[reduced]"))
+    trial_s, rows = trial["stats"]["median"], []
+    for engine in ("ray", "local"):
+        run = campaign[engine]
+        million_h = 1e6 * (trial_s + run["overhead_s"]) / 3600
+        rows.append(
+            {
+                "engine": engine,
+                "trials": f"{campaign['trials']:,}",
+                "lost or twice": campaign["trials"] - campaign["distinct"],
+                "CPU of a trial": f"{1e3 * campaign['trial_s']:.1f} ms",
+                "overhead": f"{1e3 * run['overhead_s']:.1f} ms",
+                "memory of the campaign": "{:.0f} MB, {:.0f} MB".format(*run["campaign_mb"]),
+                "a million trials of the audit": f"{million_h:.0f} CPU h",
+                f"on {PROCESSORS} processors": f"{60 * million_h / PROCESSORS:.0f} min",
+            }
+        )
+    return named(rows)
 
 
 def large_table(report: dict[str, Any]) -> str:

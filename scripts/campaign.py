@@ -1,0 +1,209 @@
+"""Run a campaign on a Ray cluster of two nodes: kill a node on the way, then the campaign, and resume it.
+
+    python scripts/campaign.py                     # 100,000 trials
+    python scripts/campaign.py --trials 2000
+
+A trial is an episode of random legal play on the grid, so short that the campaign itself is measured. The same trials
+run in one local process, too; both must have equal records, with no trial lost or done twice. Of the figures, stored in
+docs/results/campaign.json, scripts/results.py makes a table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from craftsim.cli.bench import pick
+from craftsim.discrete.tasks import make_task
+from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
+from craftsim.experiments.records import TRIALS
+from craftsim.experiments.session import run_experiment
+from craftsim.reports.json_file import versions
+
+ROOT: Final = Path(__file__).parents[1]
+STORED: Final = ROOT / "docs" / "results" / "campaign.json"
+TASK, TICKS = "complex_two_story", 10
+BATCH: Final = 20
+"""Trials sent to a worker together."""
+NODE_DIES, CAMPAIGN_DIES = 0.3, 0.6
+"""Parts of the trials that are done when a node and the campaign are killed."""
+SAMPLE: Final = 1000
+"""Trials of which the CPU time is measured by itself."""
+
+
+@cache
+def world() -> Episodes:
+    """Return the world in which a worker plays."""
+    return Episodes(make_task(TASK), np.random.default_rng(0))
+
+
+def play(seed: int) -> Result:
+    """Play an episode; it agrees if nothing that was offered is refused."""
+    episodes = world()
+    episodes.rng = np.random.default_rng(seed)
+    episodes.reset()
+    refused = 0
+    for _ in range(TICKS):
+        actions = pick(episodes.rng, episodes.legal())
+        # One car after the other: what an earlier one does may forbid what a later one was offered.
+        refused += int((~episodes.step(actions).applied[:, 0]).sum())
+    end = hashlib.sha256(episodes.grids.cells.tobytes() + episodes.grids.cars.tobytes())
+    return Result(True, extra={"refused": refused, "end": end.hexdigest()})
+
+
+def work(engine: str, out: str, trials: int) -> None:
+    """Run or resume the campaign."""
+    items = [Trial(f"episode {seed}", TASK, seed, seed) for seed in range(trials)]
+    experiment = Experiment("campaign", 0, {"ticks": TICKS}, items, play, batch=BATCH)
+    options = RunOptions(2 if engine == "ray" else 1, "ray" if engine == "ray" else "local", resume=True)
+    run_experiment(experiment, Path(out), options)
+
+
+class Processes:
+    """CPU time and memory of all processes that descend from this one, those that have ended included."""
+
+    def __init__(self) -> None:
+        """Start with nothing."""
+        self.cpu_s: dict[int, float] = {}
+        """By process, when it was last seen."""
+        self.memory: dict[int, list[int]] = {}
+        """Bytes of the campaign and of all processes together, by the number of trials done."""
+
+    def look(self, campaign: int, done: int) -> None:
+        """Bring all up to date."""
+        memory = {os.getpid(): 0}
+        for folder in sorted(Path("/proc").glob("[0-9]*"), key=lambda path: int(path.name)):
+            try:
+                fields = (folder / "stat").read_text().rpartition(")")[2].split()
+            except (FileNotFoundError, ProcessLookupError):
+                continue
+            if int(fields[1]) in memory:
+                memory[int(folder.name)] = int(fields[21]) * os.sysconf("SC_PAGE_SIZE")
+                self.cpu_s[int(folder.name)] = sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+        self.memory[done] = [memory.get(campaign, 0), sum(memory.values())]
+
+    def figures(self) -> dict[str, Any]:
+        """Return the CPU time of all, and the memory in MB after a tenth and nine tenths of the trials."""
+        last, found = max(self.memory), {}
+        for place, name in enumerate(("campaign_mb", "together_mb")):
+            found[name] = [
+                self.memory[min(self.memory, key=lambda done: abs(done - part * last))][place] / 1e6
+                for part in (0.1, 0.9)
+            ]
+        return {"cpu_s": sum(self.cpu_s.values()), **found}
+
+
+class Campaign:
+    """A process that runs the campaign in a folder."""
+
+    def __init__(self, engine: str, out: Path, trials: int, address: str = "") -> None:
+        """Start it."""
+        code = f"import campaign; campaign.work({engine!r}, {str(out)!r}, {trials})"
+        path = os.pathsep.join(map(str, (Path(__file__).parent.resolve(), ROOT.resolve())))
+        environment = os.environ | {"RAY_ADDRESS": address, "OMP_NUM_THREADS": "1", "PYTHONPATH": path}
+        self.lines = out / TRIALS
+        self.trials = trials
+        self.process = subprocess.Popen([sys.executable, "-P", "-c", code], env=environment)
+
+    def until(self, part: float, processes: Processes) -> None:
+        """Wait until a part of the trials is done."""
+        while self.process.poll() is None:
+            processes.look(self.process.pid, done := self.done)
+            print(f"{done} of {self.trials}", flush=True)
+            if done >= part * self.trials and part < 1:
+                return
+            time.sleep(1.0)
+        if self.process.returncode:
+            sys.exit("the campaign failed")
+
+    @property
+    def done(self) -> int:
+        """Number of trials in the folder."""
+        return self.lines.read_bytes().count(b"\n") if self.lines.exists() else 0
+
+
+def on_cluster(out: Path, trials: int) -> dict[str, Any]:
+    """Run the campaign on a cluster that loses a node, kill and resume it; return what that took."""
+    from ray.cluster_utils import Cluster
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
+    processes = Processes()
+    began_s = time.monotonic()
+    try:
+        campaign = Campaign("ray", out, trials, cluster.address)
+        campaign.until(NODE_DIES, processes)
+        cluster.remove_node(nodes.pop(), allow_graceful=False)
+        campaign.until(CAMPAIGN_DIES, processes)
+        campaign.process.kill()
+        campaign.process.wait()
+        kept = campaign.done
+        cluster.add_node(num_cpus=1)
+        campaign = Campaign("ray", out, trials, cluster.address)
+        campaign.until(1, processes)
+        took_s = time.monotonic() - began_s
+    finally:
+        cluster.shutdown()
+    return {"kept": kept, "clock_s": took_s, **processes.figures()}
+
+
+def in_one_process(out: Path, trials: int) -> dict[str, Any]:
+    """Run the campaign in one local worker; return what that took."""
+    processes = Processes()
+    began_s = time.monotonic()
+    Campaign("local", out, trials).until(1, processes)
+    took_s = time.monotonic() - began_s
+    return {"clock_s": took_s, **processes.figures()}
+
+
+def records(out: Path) -> list[dict[str, Any]]:
+    """Return the records of a run."""
+    return [json.loads(line) for line in (out / TRIALS).read_text(encoding="utf-8").splitlines()]
+
+
+def trial_s() -> float:
+    """Return the CPU time of a trial without a campaign."""
+    play(0)
+    began_s = time.process_time()
+    for seed in range(SAMPLE):
+        play(seed)
+    return (time.process_time() - began_s) / SAMPLE
+
+
+def main() -> int:
+    """Run both, compare the records, print and store the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--trials", type=int, default=100_000)
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "campaign")
+    asked = parser.parse_args()
+    shutil.rmtree(asked.out, ignore_errors=True)
+    own_s = trial_s()
+    found: dict[str, Any] = {"trials": asked.trials, "trial_s": own_s, "versions": versions()}
+    found["ray"] = on_cluster(asked.out / "ray", asked.trials)
+    found["local"] = in_one_process(asked.out / "local", asked.trials)
+    both = [records(asked.out / engine) for engine in ("ray", "local")]
+    found["distinct"] = len({record["key"] for record in both[0]})
+    found["equal"] = both[0] == both[1]
+    found["errors"] = sum(record["error"] is not None for record in both[0])
+    for engine in ("ray", "local"):
+        found[engine]["overhead_s"] = found[engine]["cpu_s"] / asked.trials - own_s
+    print(json.dumps(found, indent=1))
+    if asked.trials == parser.get_default("trials"):
+        STORED.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    return 0 if found["equal"] and found["distinct"] == asked.trials and not found["errors"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -359,7 +359,7 @@ def _benchmark(cases: list[dict[str, Any]]) -> str:
 
 
 def campaign_table(campaign: dict[str, Any], benchmarks: Iterable[dict[str, Any]]) -> str:
-    """Return what a campaign took on a cluster and in one process, and what a million trials of the audit would take."""
+    """Return what a campaign took on a cluster and in one process, and what a million audit trials would take."""
     trial = next(one for one in benchmarks if one["fullname"].endswith("test_a_trial[reduced]"))
     trial_s, rows = trial["stats"]["median"], []
     for engine in ("ray", "local"):

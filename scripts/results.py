@@ -16,7 +16,7 @@ from typing import Any, Final
 import engines
 import numpy as np
 from matplotlib.figure import Figure
-from measure_results import MEASURED
+from measure_results import MEASURED, is_older
 from scipy.stats import ttest_1samp
 
 from craftsim.experiments.intervals import Proportion
@@ -52,6 +52,9 @@ def main() -> None:
         SIX.sub(lambda found: f"{found[1]}\n{six_results()}\n{found[2]}", readme), encoding="utf-8"
     )
     plot()
+    older = [name for name in MEASURED if is_older(RUNS / f"{name}.json")]
+    if older:
+        print(f"older than the code: {', '.join(older)}; scripts/measure_results.py measures them again")
 
 
 def tables() -> dict[str, str]:

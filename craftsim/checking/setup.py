@@ -213,7 +213,8 @@ def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> Sen
 def _is_preset(given: str | Path, what: str) -> bool:
     """Return whether this is the name of a preset. Raises InputError for an unknown name without a file suffix."""
     if given not in RANDOMIZE and not Path(str(given)).suffix:
-        known = ", ".join(RANDOMIZE)
+        levels = f" (levels 0 to {len(RANDOMIZE) - 1})" if str(given).isdigit() else ""
+        known = ", ".join(RANDOMIZE) + levels
         raise InputError(
             f"unknown {what} '{given}'{suggestion(str(given), RANDOMIZE)}; there are {known}, or give a YAML file"
         )

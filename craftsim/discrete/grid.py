@@ -102,8 +102,13 @@ class Grid:
 
     @classmethod
     def empty(cls, size: Cell, n_cars: int = 0) -> Self:
-        """Return a world of size (L, W, H) with bare ground; its cars wait to be placed, all at (0, 0, 1)."""
+        """Return a world of size (L, W, H) with bare ground; its cars wait to be placed, all at (0, 0, 1).
+
+        Raises InputError for a size below 1.
+        """
         length, width, height = size
+        if min(size) < 1:
+            raise InputError(f"the size of a grid is {size}; allowed: 1 or more cells along each axis")
         grid = cls(
             np.zeros((length, width, height + 1, len(CellField)), np.int16),
             np.zeros((n_cars, len(CarField)), np.int16),

@@ -208,6 +208,8 @@ def _found(
         return make_task(text, n_cars=n_cars, n_blocks=n_blocks)
     if is_file(text) or text.endswith((".yaml", ".yml")):
         return read_task(text, n_cars, n_blocks)
+    if Path(text).is_dir():
+        raise InputError(f"'{text}' is a folder; give a file .yaml, or one of the tasks {names}")
     hint, others = suggestion(text[:80], task_names()), ", or module:factory" if may_import else ""
     raise InputError(f"unknown task '{text}'{hint}; there are {names}, a file .yaml{others}")
 

@@ -15,8 +15,6 @@ from craftsim.discrete.kernel.state import World, derive_marks
 from craftsim.discrete.kinds import CARRIED, NAMES, CarField, CellField, Kind
 from craftsim.errors import InputError
 
-__all__ = ["KINDS_WITH_YAW", "SECOND_PART", "CarField", "Cell", "Grid", "Kind", "Piece", "beside"]
-
 KINDS_WITH_YAW: Final = (Kind.FSLOPE, Kind.GEAR, Kind.BODY, Kind.FOOT)
 
 SECOND_PART: Final = {Kind.FSLOPE: Kind.GEAR, Kind.BODY: Kind.FOOT}
@@ -49,6 +47,12 @@ def beside(cell: Cell, yaw: int) -> Cell:
     """Return the next cell in direction yaw (any integer, taken modulo 4)."""
     dx, dy = _STEPS[yaw % 4]
     return cell[0] + dx, cell[1] + dy, cell[2]
+
+
+def cell_of(grid: Grid, car: int) -> Cell:
+    """Return the cell of a car of a single world."""
+    x, y, z = grid.cars[car, : CarField.YAW].tolist()
+    return x, y, z
 
 
 class Piece(NamedTuple):

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
-from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import SUCCESSORS, node_of
-from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, SUPPORTS, Pose, World, kind_at
+from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, SUPPORTS, Pose, World, after, kind_at
 from craftsim.discrete.kinds import CellField, Correction
 from craftsim.discrete.rules import Rules
 

@@ -14,9 +14,8 @@ import pytest
 from numba import config
 
 import craftsim
-from craftsim.discrete import footprint, grid, reasons, rules
-from craftsim.discrete.actions import Action
-from craftsim.discrete.footprint import Footprint
+from craftsim.discrete import actions, grid, reasons, rules
+from craftsim.discrete.actions import Action, built_in
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kernel import batch, claims, code_cache, jit
 from craftsim.discrete.kernel import state as marks
@@ -261,7 +260,7 @@ def test_plain_python_gives_what_compiled_code_gives(monkeypatch):
         (rules, "_step", batch.step),
         (reasons, "_reason", batch.reason),
         (grid, "_derive_marks", marks.derive_marks),
-        (footprint, "_write_claims", claims.write_claims),
+        (actions, "_write_claims", claims.write_claims),
         (rewards, "_score_building", scores.score_buildings),
     ):
 
@@ -285,15 +284,15 @@ def test_plain_python_gives_what_compiled_code_gives(monkeypatch):
             for car, action in every:
                 if not legal.legal(world, car, action):
                     continue
-                Footprint.built_in(world, car, Action(action))
+                built_in(world, car, Action(action))
                 after = legal.apply(world, car, Action(action))
             after.derive_marks()
     for name in ("simple_two_story", "complex_two_story"):
         env = craftsim.parallel_env(name, "grid")
         seen, _ = env.reset(seed=0)
         for _ in range(5):
-            actions = {a: int(rng.choice(np.flatnonzero(one["action_mask"]))) for a, one in seen.items()}
-            seen, *_ = env.step(actions)
+            chosen = {a: int(rng.choice(np.flatnonzero(one["action_mask"]))) for a, one in seen.items()}
+            seen, *_ = env.step(chosen)
     assert len(calls) == 6, calls
 
 

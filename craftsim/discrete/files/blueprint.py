@@ -281,11 +281,8 @@ class Blueprint:
                 raise BlueprintError(
                     f"{self.path}: {number} {what} asked for; it lists {listed}, allowed: {listed} to {most}"
                 )
-        counted = replace(
-            self,
-            n_cars=self.n_cars if n_cars is None else n_cars,
-            n_blocks=self.n_blocks if n_blocks is None else n_blocks,
-        )
+        given: dict[str, Any] = {"n_cars": n_cars, "n_blocks": n_blocks}
+        counted = replace(self, **{name: count for name, count in given.items() if count is not None})
         _check_values(counted)
         return counted
 
@@ -320,11 +317,9 @@ def blueprint_of(document: Document) -> Blueprint:
     things = list(file.objects())
     cars = sorted((entry.id, ("smartcar", i), entry.row) for i, entry in enumerate(file.smartcar))
     goal = file.goal[0] if file.goal else None
-    notes = []
-    if file.legged_robot is not None or file.legged_robot_num is not None:
-        notes.append("legged robots are ignored: there are none in this world")
-    if len(file.goal) > 1:
-        notes.append("only the first goal is used")
+    legged = file.legged_robot is not None or file.legged_robot_num is not None
+    notes = ["legged robots are ignored: there are none in this world"] * legged
+    notes += ["only the first goal is used"] * (len(file.goal) > 1)
     blueprint = Blueprint(
         path=document.path,
         size=size,

@@ -8,7 +8,6 @@ the corrections in the order of their codes: so the reason is a correction only 
 from __future__ import annotations
 
 from craftsim.discrete.kernel import codes as code
-from craftsim.discrete.kernel.effects import apply, moved
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.state import (
     AIR,
@@ -40,6 +39,7 @@ from craftsim.discrete.kernel.state import (
     WALL,
     Pose,
     World,
+    apply,
     below_leaning,
     car_field,
     car_in,
@@ -52,6 +52,7 @@ from craftsim.discrete.kernel.state import (
     is_landing,
     kind_at,
     leans_into,
+    moved,
     occupant_of,
     pose_of,
     reaches_up,

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.codes import FIRST_MOVE, LAST_MOVE, MOVE_DIRECTIONS, ROTATE_LEFT, STOP
-from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import REASON_BIT, legal_actions
-from craftsim.discrete.kernel.state import FSLOPE, Pose, World, dir_x, dir_y, pose_of
+from craftsim.discrete.kernel.state import FSLOPE, Pose, World, after, dir_x, dir_y, pose_of
 from craftsim.discrete.kinds import Action
 
 SUCCESSORS = (

@@ -22,7 +22,6 @@ from craftsim.discrete.kernel.state import (
     FLAG,
     FOOT,
     FSLOPE,
-    GEAR,
     KIND,
     Cars,
     Cells,
@@ -79,30 +78,6 @@ def score_buildings(
             elif kind != FOOT:
                 score += thing
         out[i] = score + completion if finished else score
-
-
-@compiled
-def score_buildings_as_published(
-    cells: Cells, cars: Cars, designs: NDArray[np.int64], completion: float, out: NDArray[np.float64]
-) -> None:
-    """Write how far each building is as CraftEnv's code computes it (docs/rules.md#goal-score) into out (B,)."""
-    for i in range(out.shape[0]):
-        w = World(cells[i], cars[i], 0)
-        score = 0.0
-        hits = wanted = 0
-        for row in range(designs.shape[1]):
-            kind, x, y, z, _ = designs[i, row]
-            if kind == AIR:
-                continue
-            wanted += 1
-            if kind == BLOCK and z == 2:
-                score += 1.0
-            if z >= w.cells.shape[2] - 1:
-                continue
-            there = kind_at(w, x, y, z)
-            if there == kind or (kind == BLOCK and there == GEAR):
-                hits += 1
-        out[i] = score + hits + (completion if hits == wanted else 0.0)
 
 
 @compiled

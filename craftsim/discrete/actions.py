@@ -65,9 +65,8 @@ class ActionSpec:
     beyond: int | None = None
     """Relative direction in which it matters whether a block is in the cell after the next."""
     legality: Legality | None = None
-    """Of a registered action; that of the 15 is compiled."""
     effect: Effect | None = None
-    """The same."""
+    """Of a registered action; those of the 15 are compiled."""
     footprint: Callable[[Grid, Grid, int], Footprint] | None = None
     """The same: what it needs beyond what the car needs where it stands, (before, after, car) -> footprint."""
     duration_s: float = 0.0
@@ -81,28 +80,22 @@ class ActionSpec:
         return bool(self.duration) or self.skill is not None
 
 
-def _stands(grid: Grid, car: int, *kinds: Kind) -> bool:
-    """Return whether one of some kinds is in the cell of a car."""
-    return grid.kind_at(cell_of(grid, car)) in kinds
+def _needs(what: str, *kinds: Kind) -> Callable[[Grid, int], str]:
+    """Return what says why there is nothing to try without one of some kinds in the car's cell."""
+    return lambda grid, car: (
+        "" if grid.kind_at(cell_of(grid, car)) in kinds else f"there is nothing to {what}"
+    )
 
 
 def _nothing_to_lift(grid: Grid, car: int) -> str:
-    lifted = grid.cars[car, CarField.LOAD] == Kind.AIR and _stands(grid, car, *CARRIED)
-    return "" if lifted else "there is nothing to lift"
+    loaded = grid.cars[car, CarField.LOAD] != Kind.AIR
+    return "there is nothing to lift" if loaded else _needs("lift", *CARRIED)(grid, car)
 
 
 def _nothing_to_drop(grid: Grid, car: int) -> str:
     if grid.cars[car, CarField.LOAD] == Kind.AIR:
         return "there is nothing to drop"
     return "nothing stands on a slope" if grid.cars[car, CarField.SLOPE] else ""
-
-
-def _nothing_to_fold(grid: Grid, car: int) -> str:
-    return "" if _stands(grid, car, Kind.BODY) else "there is nothing to fold"
-
-
-def _nothing_to_unfold(grid: Grid, car: int) -> str:
-    return "" if _stands(grid, car, Kind.FSLOPE) else "there is nothing to unfold"
 
 
 def _move(action: Action) -> ActionSpec:
@@ -115,8 +108,10 @@ def _move(action: Action) -> ActionSpec:
 ACTIONS: Final[dict[Action, ActionSpec]] = {
     Action.LIFT: ActionSpec("LIFT", "lift", "lift", _nothing_to_lift, over=True),
     Action.DROP: ActionSpec("DROP", "drop", "drop", _nothing_to_drop),
-    Action.FOLD: ActionSpec("FOLD", "fold", "fold", _nothing_to_fold, over=True, beyond=2),
-    Action.UNFOLD: ActionSpec("UNFOLD", "unfold", "unfold", _nothing_to_unfold, over=True, beyond=2),
+    Action.FOLD: ActionSpec("FOLD", "fold", "fold", _needs("fold", Kind.BODY), over=True, beyond=2),
+    Action.UNFOLD: ActionSpec(
+        "UNFOLD", "unfold", "unfold", _needs("unfold", Kind.FSLOPE), over=True, beyond=2
+    ),
     Action.ROTATE_LEFT: ActionSpec("ROTATE_LEFT", "rotate left", "rotate"),
     Action.ROTATE_RIGHT: ActionSpec("ROTATE_RIGHT", "rotate right", "rotate"),
     **{action: _move(action) for action in sorted(MOVE_DIRECTION)},
@@ -185,9 +180,8 @@ def carry_out(grid: Grid, car: int, action: int) -> None:
     assert spec.effect is not None
     result: object = spec.effect(grid, car)
     if result is not None:
-        raise InputError(
-            f"{spec.verb}: effect(grid, car) must change the grid and return None, not {result!r}"
-        )
+        words = "effect(grid, car) must change the grid and return None"
+        raise InputError(f"{spec.verb}: {words}, not {result!r}")
     grid.cells[..., CellField.OCCUPANT :] = -1, 0  # derived below, of a world that compiled code can look at
     try:
         check_values(grid)

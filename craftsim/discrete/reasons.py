@@ -12,7 +12,7 @@ from string import Formatter
 from typing import Any, Final
 
 from craftsim.discrete.actions import is_own, own_reason
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside, cell_of
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kernel.jit import seldom
@@ -172,13 +172,12 @@ def explain(grid: Grid, corrections: int, car: int, action: Action) -> Explanati
     """Return why an action of a car is forbidden under some corrections, or that it is legal."""
     if is_own(action):
         words = own_reason(grid, corrections, car, action)
-        x, y, z = grid.cars[car, : CarField.YAW].tolist()
-        return Explanation(action, words, None, ((x, y, z),) if words else ())
+        return Explanation(action, words, None, (cell_of(grid, car),) if words else ())
 
-    def why(cells: object, cars: object) -> int:
-        return int(_reason(cells, cars, int(corrections), car, int(action)))  # type: ignore[arg-type]
+    def why(grid: Grid) -> int:
+        return _reason(grid.cells, grid.cars, int(corrections), car, int(action))
 
-    found = why(grid.cells, grid.cars)
+    found = why(grid)
     if found == code.LEGAL:
         return Explanation(action)
     reason = REASONS[found & ((1 << code.DETAIL_BITS) - 1)]
@@ -186,23 +185,23 @@ def explain(grid: Grid, corrections: int, car: int, action: Action) -> Explanati
     if reason.correction is None:
         cells = tuple(case.place(name) for name in reason.cells)
         return Explanation(action, case.format(reason.words), None, cells)
-    things = list(_in_the_way(grid, car, lambda cells, cars: why(cells, cars) == code.LEGAL))
+    things = list(_in_the_way(grid, car, lambda without: why(without) == code.LEGAL))
     named = "; ".join(text for _, text in things)
     words = reason.words + (f": {named}" if named else "")
     cells = tuple(dict.fromkeys(cell for cell, _ in things)) or (case.place("own"),)
     return Explanation(action, words, reason.correction, cells, reason.heading)
 
 
-def _in_the_way(grid: Grid, car: int, legal: Callable[[object, object], bool]) -> Iterator[tuple[Cell, str]]:
+def _in_the_way(grid: Grid, car: int, legal: Callable[[Grid], bool]) -> Iterator[tuple[Cell, str]]:
     """Yield each thing and each other car nearby without which the action is legal, with its cell."""
-    x, y, z = grid.cars[car, : CarField.YAW].tolist()
+    x, y, z = cell_of(grid, car)
     for other, row in enumerate(grid.cars.tolist()):
-        cell = (row[CarField.X], row[CarField.Y], row[CarField.Z])
+        cell = cell_of(grid, other)
         if other == car or max(abs(cell[0] - x), abs(cell[1] - y)) > _NEAR:
             continue
         without = grid.copy()
         without.cars[other, CarField.Z] += grid.size[2] + 1 + _NEAR
-        if legal(without.cells, without.cars):
+        if legal(without):
             load = "" if row[CarField.LOAD] == Kind.AIR else f" with {NAMES[Kind(row[CarField.LOAD])]}"
             yield cell, f"car {other}{load} is in {cell}"
     length, width, height = grid.size
@@ -214,7 +213,7 @@ def _in_the_way(grid: Grid, car: int, legal: Callable[[object, object], bool]) -
                     continue
                 without = grid.copy()
                 without.kind[cx, cy, cz] = Kind.AIR
-                if legal(without.cells, without.cars):
+                if legal(without):
                     yield (cx, cy, cz), f"{NAMES[kind]} is in {(cx, cy, cz)}"
 
 
@@ -223,8 +222,8 @@ class _Case(Formatter):
 
     def __init__(self, grid: Grid, car: int, action: Action, detail: int) -> None:
         self.grid, self.car, self.detail = grid, car, detail
-        self.own: Cell = tuple(grid.cars[car, : CarField.YAW].tolist())
-        _, _, _, self.yaw, self.load, self.load_yaw, _ = grid.cars[car].tolist()
+        *_, self.yaw, self.load, self.load_yaw, _ = grid.cars[car].tolist()
+        self.own = cell_of(grid, car)
         self.direction = MOVE_DIRECTION.get(action, 0)
         self.turn = 1 if action == Action.ROTATE_LEFT else -1
 
@@ -250,9 +249,8 @@ class _Case(Formatter):
             above = self.format_field((x, y, z + 1), "what")
             return "so says its mark, left by past events" if above == "nothing" else above
         if format_spec == "blocker":
-            places = self.grid.cars[:, : CarField.YAW].tolist()
-            for car, place in enumerate(places):
-                if car != self.car and tuple(place) == cell:
+            for car in range(self.grid.n_cars):
+                if car != self.car and cell_of(self.grid, car) == cell:
                     return f"car {car}"
             return "a gear that another car carries" if named == "nothing" else named
         return named
@@ -266,11 +264,6 @@ class _Case(Formatter):
         return _PLACES[name](self)
 
 
-def _other(case: _Case) -> Cell:
-    x, y, z = case.grid.cars[case.detail, : CarField.YAW].tolist()
-    return x, y, z
-
-
 def _ahead(case: _Case, cells: int) -> Cell:
     """Return the cell so many ahead in the direction of a move."""
     return beside(_ahead(case, cells - 1), case.direction) if cells else case.own
@@ -281,8 +274,10 @@ _PLACES: Final[dict[str, Callable[[_Case], Cell]]] = {
     "foot": lambda case: beside(case.own, int(case.grid.yaw[case.own])),
     "side": lambda case: beside(case.own, case.detail),
     "corner": lambda case: beside(beside(case.own, case.load_yaw), case.load_yaw + case.turn),
-    "other": _other,
-    "other gear": lambda case: beside(_other(case), int(case.grid.cars[case.detail, CarField.LOAD_YAW])),
+    "other": lambda case: cell_of(case.grid, case.detail),
+    "other gear": lambda case: beside(
+        case.place("other"), int(case.grid.cars[case.detail, CarField.LOAD_YAW])
+    ),
     "swept": lambda case: beside(beside(case.own, case.yaw + 2), case.direction),
     "target": lambda case: _ahead(case, 1),
     "second": lambda case: _ahead(case, 2),

@@ -108,8 +108,8 @@ class Rules:
         after = grid.copy()
         if is_own(action):
             carry_out(after, car, action)
-            return after
-        batch.enforce(after.cells, after.cars, int(self.corrections), car, int(action))
+        else:
+            batch.enforce(after.cells, after.cars, int(self.corrections), car, int(action))
         return after
 
     def tick(self, grid: Grid, joint: Joint) -> tuple[Grid, NDArray[np.bool_]]:
@@ -127,8 +127,7 @@ class Rules:
                 else:
                     after, applied[0, i : i + 1] = self.tick(after, [(car, action)])
             return after, applied[0]
-        turns = np.array([car for car, _ in joint], np.int64)[None]
-        acts = np.array([int(action) for _, action in joint], np.int64)[None]
+        turns, acts = np.array(joint, np.int64).reshape(-1, 2).T.copy()[:, None]
         _step(after.cells[None], after.cars[None], int(self.corrections), turns, acts, applied)
         return after, applied[0]
 

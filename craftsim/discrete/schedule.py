@@ -99,11 +99,9 @@ class Schedule:
     @property
     def durations_s(self) -> list[float]:
         """The time of each step that was measured for its action at nominal physics (:func:`nominal_durations`)."""
-        durations, cars = (
-            nominal_durations(),
-            ((s, s.before.cars[s.car], s.after.cars[s.car]) for s in self.steps),
-        )
-        return [float(durations[step.action, situation(before, after)]) for step, before, after in cars]
+        table = nominal_durations()
+        columns = (situation(step.before.cars[step.car], step.after.cars[step.car]) for step in self.steps)
+        return [float(table[s.action, column]) for s, column in zip(self.steps, columns, strict=True)]
 
     def times(self, durations_s: Sequence[float] | None = None) -> NDArray[np.float64]:
         """Return the start and the end of each step in seconds, shape (n, 2): a longest path through the dependencies.

@@ -70,6 +70,8 @@ def test_documents_are_merged():
 
 
 CAR, OTHER, BLOCK = "x: 0, y: 2, z: 1, yaw: 0", "id: 1, x: 2, y: 0", "{id: 1, x: 1, y: 0, z: 2}"
+SLOPE = "fold_slope:\n  - {id: 0, x: 2, y: 2, z: 1, yaw: 3}\n"
+WALLED = "{id: 0, x: 4, y: 3, z: 1}"
 MISTAKES = (
     ("slope_num: 1\n", "", "b.yaml: key 'slope_num' is missing; required: area_length"),
     ("slope_num: 1", "slop_num: 1", r":5: unknown key 'slop_num'; did you mean 'slope_num'\?; allowed: "),
@@ -83,6 +85,15 @@ MISTAKES = (
     (OTHER, "id: 1, x: 0, y: 2", r":14: .*car 1 is at .* where car 0 is \(line 13\)"),
     (CAR, "x: 0, y: 2, z: 2, yaw: 0", ":13: .*stands in the air"),
     (CAR, "x: 2, y: 2, z: 1, yaw: 0", ":13: .*yaw 0 under a slope; allowed: 1"),
+    ("yaw: 2}\n", "yaw: 2, slope: 1}\n", "slope 1 and"),
+    ("yaw: 2}\n", "yaw: 2, slope: 2}\n", "slope 2 needs"),
+    ("yaw: 2}\n", "yaw: 2, load: blok}\n", "unknown value 'blok'; did you mean 'block'"),
+    (
+        f"{SLOPE}smartcar:\n  - {{id: 0, {CAR}}}",
+        f"smartcar:\n  - {{id: 0, {CAR}, load: fold_slope}}",
+        r"the gear of its slope would be at \(-1, 2, 1\), outside",
+    ),
+    ("smartcar:", f"wall: [{WALLED}]\ngoal: [{WALLED}]\nsmartcar:", "goal .* inside a wall"),
 )
 
 
@@ -91,17 +102,6 @@ def test_a_mistake_is_told_with_file_line_and_what_is_allowed():
         assert old in GOOD
         with pytest.raises(BlueprintError, match=message):
             parse_blueprint(GOOD.replace(old, new, 1), "b.yaml")
-
-
-def test_a_goal_inside_a_wall_and_cars_that_do_not_fit_slopes_are_told():
-    walled = GOOD + "wall: [{id: 0, x: 4, y: 3, z: 1}]\ngoal: [{id: 0, x: 4, y: 3, z: 1}]\n"
-    with pytest.raises(BlueprintError, match=r"goal .* inside a wall"):
-        parse_blueprint(walled, "b.yaml")
-    for slope, message in ((1, "slope 1 and"), (2, "slope 2 needs")):
-        with pytest.raises(BlueprintError, match=message):
-            parse_blueprint(GOOD.replace("yaw: 2}\n", f"yaw: 2, slope: {slope}}}\n"), "b.yaml")
-    with pytest.raises(BlueprintError, match=r"unknown value 'blok'; did you mean 'block'"):
-        parse_blueprint(GOOD.replace("yaw: 2}\n", "yaw: 2, load: blok}\n"), "b.yaml")
 
 
 RANDOM = """\
@@ -161,12 +161,3 @@ def test_a_wrong_goal_file_is_told_with_its_line(tmp_path):
         path.write_text(text)
         with pytest.raises(BlueprintError, match=f"goal.yaml{message}" if message[0] == ":" else message):
             read_design(path).check_fits((4, 4, 3))
-
-
-def test_a_carried_slope_whose_gear_would_be_outside_the_area_is_refused():
-    drawing = "area_length: 3\narea_width: 3\narea_height: 1\nblock_num: 0\nslope_num: 1\nsmartcar_num: 1\n"
-    car = "smartcar:\n  - {{id: 0, x: {x}, y: 1, z: 1, yaw: 0, load: fold_slope, load_yaw: 2}}\n"
-    goal = "goal:\n  - {id: 0, x: -1, y: -2, z: 1}\n"
-    assert parse_blueprint(drawing + car.format(x=1) + goal, "mine.yaml").n_cars == 1
-    with pytest.raises(BlueprintError, match=r"the gear of its slope would be at \(-1, 1, 1\), outside"):
-        parse_blueprint(drawing + car.format(x=0) + goal, "mine.yaml")

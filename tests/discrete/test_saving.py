@@ -4,16 +4,11 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from craftsim.discrete.conformance import read_records, recorded_grid
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import TASK_NAMES, make_task
-
-from .worldgen import play, random_world
 
 DATA = Path(__file__).parents[1] / "data"
 
@@ -35,14 +30,6 @@ def test_recorded_worlds_of_all_kinds_are_saved_and_read_back_the_same():
         assert_same(read_back(text), grid)
         snapshots += "snapshot" in text
     assert snapshots > 20
-
-
-@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
-@given(st.integers(0, 2**32 - 1))
-def test_a_running_world_is_saved_and_read_back_the_same(seed):
-    rng = np.random.default_rng(seed)
-    for _, grid in play(Rules("published"), random_world(rng), rng, 20):
-        assert_same(read_back(blueprint_text(grid)), grid)
 
 
 def test_the_start_of_a_task_needs_no_snapshot_and_keeps_its_goal(rng):

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import PlainValidator, ValidationInfo
 
-from craftsim.discrete.files.placement import Placement, build_grid
-from craftsim.discrete.files.sense import CarRow, check_sense, outside
+from craftsim.discrete.files.placement import CarRow, Placement, build_grid, check_sense, outside
 from craftsim.discrete.files.shipped import find
 from craftsim.discrete.grid import (
     MAX_CARS,

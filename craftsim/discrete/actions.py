@@ -2,7 +2,7 @@
 and effect are functions in Python.
 
 When one of the 15 is legal and what it changes is compiled (``craftsim/discrete/kernel``), with the words for why it is
-forbidden in ``craftsim/discrete/reasons.py``; the skills that perform them stand in ``craftsim/skills/library.py``,
+forbidden in ``craftsim/discrete/rules.py``; the skills that perform them stand in ``craftsim/skills/library.py``,
 their nominal durations in ``craftsim/data/durations.yaml``. Skills and durations are checked against this table.
 """
 

@@ -9,21 +9,11 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import (
-    ACTIONS,
-    Footprint,
-    built_in,
-    carry_out,
-    claims_of,
-    footprint,
-    is_own,
-    own_columns,
-    own_reason,
-)
+from craftsim.discrete.actions import ACTIONS, built_in, carry_out, claims_of, footprint, is_own, own_reason
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST
+from craftsim.discrete.kernel.claims import MOST, Claims
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -40,7 +30,7 @@ from craftsim.discrete.kernel.events import (
 )
 from craftsim.discrete.kernel.state import DERIVED_MARKS
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.reasons import explain
+from craftsim.discrete.rules import explain
 from craftsim.discrete.schedule import SITUATIONS, nominal_durations, situation
 from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.discrete.tasks.rewards import Reward
@@ -219,16 +209,11 @@ class AsynchronousEpisodes(Episodes):
                     events.decide(self._worlds, durations, turn, acts, i, i + 1, out)
 
     def _decide_own(self, i: int, car: int, action: int, durations: Durations) -> int:
-        running, before = self.running, self.grid(i)
-        result, end_s = ILLEGAL, self.time_s[i] + durations.wait_s
+        running, before = self.running, self.grids.cars[i, car].copy()
+        end_s = self.time_s[i] + durations.wait_s
         running.turn[i, car], running.action[i, car] = running.turn[i].max() + 1, _STOP
-        if not own_reason(before, self.corrections, car, action):
-            after = before.copy()
-            carry_out(after, car, action)
-            needs = footprint(before, after, car, Action(action))
-            result = BLOCKED if self._clash(i, needs) else BEGUN
+        result, after, claims = self._try_own(i, car, action)
         if result == BEGUN:
-            claims = claims_of(needs)
             most = running.claims.shape[2]
             if len(claims) > most:
                 more = ((0, 0), (0, 0), (0, len(claims) - most), (0, 0))
@@ -236,14 +221,21 @@ class AsynchronousEpisodes(Episodes):
             running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
             running.action[i, car] = action
             self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
-            column = int(situation(before.cars[car], after.cars[car]))
+            column = int(situation(before, after.cars[car]))
             end_s = self.time_s[i] + durations.nominal_s[action, column] * durations.factor[i, car]
         events.note(self._worlds, durations, i, car, action, result, end_s)
         return result
 
-    def _clash(self, i: int, needs: Footprint) -> bool:
-        claims = claims_of(needs)
-        return any(events.clashes(self.running, i, other, claims) for other in range(self.n_cars))
+    def _try_own(self, i: int, car: int, action: int) -> tuple[int, Grid, Claims]:
+        """Return whether a registered action of a car could begin now, the world after it, and its claims."""
+        before = self.grid(i)
+        after = before.copy()
+        if own_reason(before, self.corrections, car, action):
+            return ILLEGAL, after, claims_of({})
+        carry_out(after, car, action)
+        claims = claims_of(footprint(before, after, car, Action(action)))
+        clashes = any(events.clashes(self.running, i, other, claims) for other in range(self.n_cars))
+        return BLOCKED if clashes else BEGUN, after, claims
 
     def advance(self) -> Ends:
         """Let time pass in each world to its next event, for which all cars must have decided."""
@@ -341,11 +333,7 @@ class AsynchronousEpisodes(Episodes):
             batch.enforce(grid.cells, grid.cars, self.corrections, car, action)
 
     def settle(
-        self,
-        before: Grid | None,
-        ends: Ends,
-        time_weight: float,
-        problems: tuple[str, ...] = (),
+        self, before: Grid | None, ends: Ends, time_weight: float, problems: tuple[str, ...] = ()
     ) -> Steps:
         """Score an event: as many decisions as cars count as a tick.
 
@@ -417,18 +405,11 @@ class AsynchronousEpisodes(Episodes):
         events.offer(self.grids.world(self.corrections), self.running, *scratch, depth, out)
         if not self.own:
             return out
-        mask = own_columns(out, self.grids, self.corrections, self.own)
-        for i, car, k in np.argwhere(mask[..., N_ACTIONS:]).tolist():
-            mask[i, car, N_ACTIONS + k] = bool(self.decides[i, car]) and not self._blocks(i, car, self.own[k])
+        mask = np.concatenate([out, np.zeros((*out.shape[:2], len(self.own)), np.bool_)], axis=-1)
+        for i, car in np.argwhere(self.decides).tolist():
+            for k, action in enumerate(self.own, N_ACTIONS):
+                mask[i, car, k] = self._try_own(i, car, action)[0] == BEGUN
         return mask
-
-    def _blocks(self, i: int, car: int, action: Action) -> bool:
-        if not self.running.n_claims[i].any():
-            return False
-        before = self.grid(i)
-        after = before.copy()
-        carry_out(after, car, action)
-        return self._clash(i, footprint(before, after, car, action))
 
     def deadlock(self, i: int) -> Deadlock | None:
         """Return why nothing can go on in a world at an event, or None where something can.

@@ -62,8 +62,7 @@ class MoveGraph:
 
     def nodes(self, thing: Piece) -> list[int]:
         """Return the nodes of a car below a thing."""
-        first = node_number(self.size, thing.cell, 0)
-        return [first + yaw for yaw in thing.yaws]
+        return [self.node(thing.cell, yaw) for yaw in thing.yaws]
 
     def nearest(self, distances: Distances, thing: Piece) -> int:
         """Return the distance of the states below a thing."""

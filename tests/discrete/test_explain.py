@@ -4,8 +4,7 @@ import numpy as np
 
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action, Correction
-from craftsim.discrete.reasons import REASONS
-from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules import REASONS, Rules
 
 from .worldgen import play, random_world
 

@@ -176,7 +176,8 @@ class _File:
             if plain.get(key, ()) is None:
                 del plain[key]
             elif key in ("flag", "goal") and isinstance(entries := plain.get(key), list):
-                plain[key] = [None if _is_no_cell(entry) else entry for entry in entries]
+                cells = ([e.get(axis) for axis in "xyz"] if isinstance(e, dict) else () for e in entries)
+                plain[key] = [None if (*at,) == NO_CELL else e for e, at in zip(entries, cells, strict=True)]
         return replace(document, plain=plain).to(cls, count=Range(0, length * width * height), **ranges)
 
     def objects(self) -> Iterator[tuple[Loc, Piece]]:
@@ -194,10 +195,6 @@ class _File:
                 if entry is not None and entry.id is not None and first.setdefault(entry.id, i) != i:
                     line = document.lines.get((key, first[entry.id]))
                     yield (key, i), f"{key_words((key, i, 'id'))}: {entry.id} is taken, see line {line}"
-
-
-def _is_no_cell(entry: Any) -> bool:
-    return isinstance(entry, dict) and tuple(entry.get(axis) for axis in "xyz") == NO_CELL
 
 
 KEYS: Final = [one.name for one in fields(_File)]

@@ -1,4 +1,4 @@
-"""Numbers of actions, and of what may forbid one: codes of reasons; :mod:`craftsim.discrete.reasons` has their words.
+"""Numbers of actions, and of what may forbid one: codes of reasons; :mod:`craftsim.discrete.rules` has their words.
 
 Codes of the published rules come first, then those of corrections.
 """

@@ -34,7 +34,6 @@ from craftsim.discrete.kernel.search import (
 from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
-    F_SLOPE,
     FOOT,
     FSLOPE,
     Pose,
@@ -315,7 +314,7 @@ def decide(
                     if result == BEGUN:
                         apply(w, car, due)
                         running.n_claims[i, car] = count
-                        sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
+                        sloping = pose.slope > 0 or pose_of(w, car).slope > 0
                         column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
                         end_s = now_s + durations.nominal_s[due, column] * durations.factor[i, car]
             if depth != NO_HELPER and due != STOP:

@@ -13,11 +13,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.jit import seldom
-from craftsim.discrete.kernel.tasks import (
-    flag_distances,
-    largest_platforms,
-    score_buildings,
-)
+from craftsim.discrete.kernel.tasks import flag_distances, largest_platforms, score_buildings
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.starts import Targets

@@ -4,7 +4,7 @@ import dataclasses
 
 from generated import TABLES, allowed, command_names, docstrings
 
-from craftsim.discrete.reasons import REASONS
+from craftsim.discrete.rules import REASONS
 from craftsim.models.sensing import SensorNoise
 from craftsim.skills.gains import SECTIONS
 from craftsim.storage import limits

@@ -17,9 +17,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.footprint import cell_of
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
-from craftsim.discrete.grid import Cell, Grid, Kind
+from craftsim.discrete.grid import Cell, Grid, Kind, cell_of
 from craftsim.discrete.kernel.jit import Record, compiled, records
 from craftsim.discrete.kernel.state import KIND
 from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at

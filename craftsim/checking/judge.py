@@ -23,6 +23,7 @@ from craftsim.checking.attempt import (
 from craftsim.checking.contacts import ContactLog, handled, under, unexpected_contacts
 from craftsim.checking.drift import Drift, apart
 from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.kernel.claims import CHANGES
 from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import (
@@ -123,7 +124,7 @@ class Judge:
     def confirmed(self) -> Grid:
         """The world as it was read last, without what running actions have changed of it.
 
-        Their cars, and the cells of their footprints' ``changes``, are as they were when they began.
+        Their cars, and the cells that their footprints say they change, are as they were when they began.
         """
         if not self._running:
             return self.grid
@@ -131,8 +132,8 @@ class Judge:
         for car, one in self._running.items():
             began = one.reading.grid
             grid.cars[car] = began.cars[car]
-            for cell in one.step.footprint.changes:
-                if all(0 <= at < n for at, n in zip(cell, grid.cells.shape, strict=False)):
+            for cell, bits in one.step.footprint.items():
+                if bits & CHANGES and all(0 <= at < n for at, n in zip(cell, grid.cells.shape, strict=False)):
                     grid.cells[cell] = began.cells[cell]
         grid.derive_marks()
         return grid

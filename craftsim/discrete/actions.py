@@ -2,7 +2,7 @@
 and effect are functions in Python.
 
 When one of the 15 is legal and what it changes is compiled (``craftsim/discrete/kernel``), with the words for why it is
-forbidden in ``craftsim/discrete/reasons.py``; the skills that perform them stand in ``craftsim/skills/library.py``,
+forbidden in ``craftsim/discrete/rules.py``; the skills that perform them stand in ``craftsim/skills/library.py``,
 their nominal durations in ``craftsim/data/durations.yaml``. Skills and durations are checked against this table.
 """
 
@@ -17,14 +17,24 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.footprint import Footprint, cell_of
-from craftsim.discrete.grid import Cell, Grid, check_values
+from craftsim.discrete.grid import Cell, Grid, cell_of, check_values
+from craftsim.discrete.kernel.claims import CHANGES, LOADS, MOST, SPACE, Claims, write_claims
 from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kernel.jit import seldom
 from craftsim.discrete.kernel.state import DERIVED_MARKS
 from craftsim.discrete.kinds import CARRIED, MOVE_DIRECTION, Action, CarField, CellField, Kind, add_action
 from craftsim.errors import InputError
 from craftsim.modules import note_registering
 
+_write_claims = seldom(write_claims)
+
+Footprint = dict[Cell, int]
+"""What an action needs of the world while it runs: cells (x, y, z), each with bits of its claims.
+
+Two actions of different cars may run at the same time when neither sweeps space that the other sweeps, neither changes
+an object that the other relies on, and no two loads in motion pass side by side, where 2.5 mm of air are too little
+for two moving machines.
+"""
 Legality = Callable[[Grid, int], str | None]
 """(grid, car) -> why the car cannot do it now, in words; None or "" if it can."""
 Effect = Callable[[Grid, int], None]
@@ -55,9 +65,8 @@ class ActionSpec:
     beyond: int | None = None
     """Relative direction in which it matters whether a block is in the cell after the next."""
     legality: Legality | None = None
-    """Of a registered action; that of the 15 is compiled."""
     effect: Effect | None = None
-    """The same."""
+    """Of a registered action; those of the 15 are compiled."""
     footprint: Callable[[Grid, Grid, int], Footprint] | None = None
     """The same: what it needs beyond what the car needs where it stands, (before, after, car) -> footprint."""
     duration_s: float = 0.0
@@ -71,28 +80,22 @@ class ActionSpec:
         return bool(self.duration) or self.skill is not None
 
 
-def _stands(grid: Grid, car: int, *kinds: Kind) -> bool:
-    """Return whether one of some kinds is in the cell of a car."""
-    return grid.kind_at(cell_of(grid, car)) in kinds
+def _needs(what: str, *kinds: Kind) -> Callable[[Grid, int], str]:
+    """Return what says why there is nothing to try without one of some kinds in the car's cell."""
+    return lambda grid, car: (
+        "" if grid.kind_at(cell_of(grid, car)) in kinds else f"there is nothing to {what}"
+    )
 
 
 def _nothing_to_lift(grid: Grid, car: int) -> str:
-    lifted = grid.cars[car, CarField.LOAD] == Kind.AIR and _stands(grid, car, *CARRIED)
-    return "" if lifted else "there is nothing to lift"
+    loaded = grid.cars[car, CarField.LOAD] != Kind.AIR
+    return "there is nothing to lift" if loaded else _needs("lift", *CARRIED)(grid, car)
 
 
 def _nothing_to_drop(grid: Grid, car: int) -> str:
     if grid.cars[car, CarField.LOAD] == Kind.AIR:
         return "there is nothing to drop"
     return "nothing stands on a slope" if grid.cars[car, CarField.SLOPE] else ""
-
-
-def _nothing_to_fold(grid: Grid, car: int) -> str:
-    return "" if _stands(grid, car, Kind.BODY) else "there is nothing to fold"
-
-
-def _nothing_to_unfold(grid: Grid, car: int) -> str:
-    return "" if _stands(grid, car, Kind.FSLOPE) else "there is nothing to unfold"
 
 
 def _move(action: Action) -> ActionSpec:
@@ -105,8 +108,10 @@ def _move(action: Action) -> ActionSpec:
 ACTIONS: Final[dict[Action, ActionSpec]] = {
     Action.LIFT: ActionSpec("LIFT", "lift", "lift", _nothing_to_lift, over=True),
     Action.DROP: ActionSpec("DROP", "drop", "drop", _nothing_to_drop),
-    Action.FOLD: ActionSpec("FOLD", "fold", "fold", _nothing_to_fold, over=True, beyond=2),
-    Action.UNFOLD: ActionSpec("UNFOLD", "unfold", "unfold", _nothing_to_unfold, over=True, beyond=2),
+    Action.FOLD: ActionSpec("FOLD", "fold", "fold", _needs("fold", Kind.BODY), over=True, beyond=2),
+    Action.UNFOLD: ActionSpec(
+        "UNFOLD", "unfold", "unfold", _needs("unfold", Kind.FSLOPE), over=True, beyond=2
+    ),
     Action.ROTATE_LEFT: ActionSpec("ROTATE_LEFT", "rotate left", "rotate"),
     Action.ROTATE_RIGHT: ActionSpec("ROTATE_RIGHT", "rotate right", "rotate"),
     **{action: _move(action) for action in sorted(MOVE_DIRECTION)},
@@ -175,9 +180,8 @@ def carry_out(grid: Grid, car: int, action: int) -> None:
     assert spec.effect is not None
     result: object = spec.effect(grid, car)
     if result is not None:
-        raise InputError(
-            f"{spec.verb}: effect(grid, car) must change the grid and return None, not {result!r}"
-        )
+        words = "effect(grid, car) must change the grid and return None"
+        raise InputError(f"{spec.verb}: {words}, not {result!r}")
     grid.cells[..., CellField.OCCUPANT :] = -1, 0  # derived below, of a world that compiled code can look at
     try:
         check_values(grid)
@@ -316,8 +320,8 @@ def _touching(touched: Touched) -> Callable[[Grid, Grid, int], Footprint]:
     """Return the footprint of the cells that a user's function names: swept, changed, and a moving load in each."""
 
     def of_cells(before: Grid, after: Grid, car: int) -> Footprint:
-        cells = frozenset((int(x), int(y), int(z)) for x, y, z in touched(before, after, car))
-        return Footprint(cells, cells, frozenset(), cells)
+        cells = ((int(x), int(y), int(z)) for x, y, z in touched(before, after, car))
+        return dict.fromkeys(cells, SPACE | CHANGES | LOADS)
 
     return of_cells
 
@@ -342,6 +346,22 @@ def footprint(before: Grid, after: Grid, car: int, action: Action) -> Footprint:
     """Return the footprint of a legal action, given the predicted worlds before and after it."""
     own = ACTIONS[action].footprint
     if own is None:
-        return Footprint.built_in(before, car, action)
-    ends = Footprint.built_in(before, car, Action.STOP) | Footprint.built_in(after, car, Action.STOP)
-    return ends | own(before, after, car)
+        return built_in(before, car, action)
+    found = own(before, after, car)
+    for ends in built_in(before, car, Action.STOP), built_in(after, car, Action.STOP):
+        found |= {cell: bits | found.get(cell, 0) for cell, bits in ends.items()}
+    return found
+
+
+def built_in(grid: Grid, car: int, action: int) -> Footprint:
+    """Return what a legal action of the 15 needs in a world; STOP needs what the car needs where it stands."""
+    rows, found = np.empty((MOST, 4), np.int16), Footprint()
+    count = _write_claims(grid.cells, grid.cars, 0, car, int(action), rows)
+    for x, y, z, bits in rows[:count].tolist():
+        found[x, y, z] = bits | found.get((x, y, z), 0)
+    return found
+
+
+def claims_of(needs: Footprint) -> Claims:
+    """Return a footprint as claims (cells, 4), rows (x, y, z, bits)."""
+    return np.array([(*cell, bits) for cell, bits in sorted(needs.items())], np.int16).reshape(-1, 4)

@@ -9,12 +9,11 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import ACTIONS, carry_out, footprint, is_own, own_columns, own_reason
-from craftsim.discrete.footprint import Footprint
+from craftsim.discrete.actions import ACTIONS, built_in, carry_out, claims_of, footprint, is_own, own_reason
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST
+from craftsim.discrete.kernel.claims import MOST, Claims
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -29,26 +28,13 @@ from craftsim.discrete.kernel.events import (
     Ends,
     Running,
 )
-from craftsim.discrete.kernel.search import SearchBuffers
 from craftsim.discrete.kernel.state import DERIVED_MARKS
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.reasons import explain
+from craftsim.discrete.rules import explain
 from craftsim.discrete.schedule import SITUATIONS, nominal_durations, situation
 from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.discrete.tasks.rewards import Reward
 from craftsim.discrete.tasks.starts import Starts
-
-__all__ = [
-    "BEGUN",
-    "BLOCKED",
-    "DECIDES",
-    "ILLEGAL",
-    "RUNS",
-    "WAITS",
-    "AsynchronousEpisodes",
-    "Deadlock",
-    "Timing",
-]
 
 USUAL_TICK_S: Final = 1.0
 """About what a move takes: what is said of a tick, a cost or a discount, is said of so much time."""
@@ -141,9 +127,6 @@ class AsynchronousEpisodes(Episodes):
             np.zeros(b, np.int64),
             np.zeros((b, n)),
         )
-        self._unknown = np.full((len(ACTIONS), len(SITUATIONS)), np.inf)
-        self._same = np.ones((b, n)), np.zeros((b, n), np.bool_)
-        self._wait_s = self.timing.wait_s
         self._row = np.zeros((MOST, 4), np.int16)
         self._plan = np.zeros((self.depth or 0) + 1, np.int8)
 
@@ -167,7 +150,16 @@ class AsynchronousEpisodes(Episodes):
     @property
     def _worlds(self) -> AsynchronousWorlds:
         confirmed, committed = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
-        return AsynchronousWorlds(confirmed, committed, self.running, self.decisions, self.queue, self.time_s)
+        return AsynchronousWorlds(
+            confirmed,
+            committed,
+            self.running,
+            self.decisions,
+            self.queue,
+            self.time_s,
+            self._space,
+            NO_HELPER if self.depth is None else self.depth,
+        )
 
     def grid(self, i: int) -> Grid:
         """Return a copy of a committed world, with its marks."""
@@ -193,26 +185,17 @@ class AsynchronousEpisodes(Episodes):
         What the rules forbid, or what a claim stands against, becomes a wait.
         """
         turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
-        durations = self._draw() if timed else Durations(self._unknown, *self._same, self._wait_s)
-        out = np.full(acts.shape, RUNS, np.int64)
+        timing, out = self.timing, np.full(acts.shape, RUNS, np.int64)
+        if not timed:
+            nominal_s = np.full((len(ACTIONS), len(SITUATIONS)), np.inf)
+            drawn = np.ones(acts.shape), np.zeros(acts.shape, np.bool_)
+        else:
+            nominal_s = timing.nominal_s
+            drawn = timing.factors(self.rng, acts.shape), timing.fails(self.rng, acts.shape)
+        durations = Durations(nominal_s, *drawn, timing.wait_s)
         self._decide_with_own(turns, acts, durations, out)
-        self._decide(0, len(self), turns, acts, durations, out)
+        events.decide(self._worlds, durations, turns, acts, 0, len(self), out)
         return out
-
-    def _draw(self) -> Durations:
-        """Draw how long what begins now takes, and what fails."""
-        (factor, fails), timing = self._same, self.timing
-        factor = timing.factors(self.rng, factor.shape) if timing.jitter else factor
-        fails = timing.fails(self.rng, factor.shape) if timing.failures else fails
-        return Durations(timing.nominal_s, factor, fails, self._wait_s)
-
-    @property
-    def _search(self) -> tuple[SearchBuffers, int]:
-        """Scratch of the action helper, and its search depth."""
-        return self._space, NO_HELPER if self.depth is None else self.depth
-
-    def _decide(self, first: int, end: int, turns: Any, acts: Any, durations: Durations, out: Any) -> None:
-        events.decide(self._worlds, durations, turns, acts, *self._search, first, end, out)
 
     def _decide_with_own(self, turns: Any, acts: Any, durations: Durations, out: Any) -> None:
         """Let the cars of those worlds decide in which one asks for a registered action, which is a user's code."""
@@ -222,19 +205,15 @@ class AsynchronousEpisodes(Episodes):
                 if self.running.action[i, car] == DECIDES and acts[i, car] >= N_ACTIONS and not queued:
                     out[i, car] = self._decide_own(i, car, int(acts[i, car]), durations)
                 else:
-                    self._decide(i, i + 1, np.full((len(acts), 1), car), acts, durations, out)
+                    turn = np.full((len(acts), 1), car)
+                    events.decide(self._worlds, durations, turn, acts, i, i + 1, out)
 
     def _decide_own(self, i: int, car: int, action: int, durations: Durations) -> int:
-        running, before = self.running, self.grid(i)
-        result, end_s = ILLEGAL, self.time_s[i] + durations.wait_s
+        running, before = self.running, self.grids.cars[i, car].copy()
+        end_s = self.time_s[i] + durations.wait_s
         running.turn[i, car], running.action[i, car] = running.turn[i].max() + 1, _STOP
-        if not own_reason(before, self.corrections, car, action):
-            after = before.copy()
-            carry_out(after, car, action)
-            needs = footprint(before, after, car, Action(action))
-            result = BLOCKED if self._clash(i, needs) else BEGUN
+        result, after, claims = self._try_own(i, car, action)
         if result == BEGUN:
-            claims = needs.claims()
             most = running.claims.shape[2]
             if len(claims) > most:
                 more = ((0, 0), (0, 0), (0, len(claims) - most), (0, 0))
@@ -242,44 +221,37 @@ class AsynchronousEpisodes(Episodes):
             running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
             running.action[i, car] = action
             self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
-            column = int(situation(before.cars[car], after.cars[car]))
+            column = int(situation(before, after.cars[car]))
             end_s = self.time_s[i] + durations.nominal_s[action, column] * durations.factor[i, car]
         events.note(self._worlds, durations, i, car, action, result, end_s)
         return result
 
-    def _clash(self, i: int, needs: Footprint) -> bool:
-        claims = needs.claims()
-        return any(events.clashes(self.running, i, other, claims) for other in range(self.n_cars))
+    def _try_own(self, i: int, car: int, action: int) -> tuple[int, Grid, Claims]:
+        """Return whether a registered action of a car could begin now, the world after it, and its claims."""
+        before = self.grid(i)
+        after = before.copy()
+        if own_reason(before, self.corrections, car, action):
+            return ILLEGAL, after, claims_of({})
+        carry_out(after, car, action)
+        claims = claims_of(footprint(before, after, car, Action(action)))
+        clashes = any(events.clashes(self.running, i, other, claims) for other in range(self.n_cars))
+        return BLOCKED if clashes else BEGUN, after, claims
 
     def advance(self) -> Ends:
         """Let time pass in each world to its next event, for which all cars must have decided."""
-        ends = self._ends()
-        kept = self._with_own()
-        events.advance(self._worlds, ends)
-        self._end_own(kept, ends)
-        return ends
-
-    def _ends(self) -> Ends:
         shape = self.running.action.shape
-        return Ends(
-            np.empty(len(self)),
-            np.empty(shape, np.int64),
-            np.empty(shape, np.bool_),
-            np.empty(shape, np.bool_),
-        )
-
-    def _with_own(self) -> dict[int, Grid]:
-        """Return the confirmed worlds in which registered actions run, which do not end by themselves."""
+        masks = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
+        ends = Ends(np.empty(len(self)), np.empty(shape, np.int64), *masks)
+        # Registered actions do not end by themselves.
         own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else ()
-        return {i: self._marked(self.confirmed[i]) for i in own}
-
-    def _end_own(self, worlds: dict[int, Grid], ends: Ends) -> None:
-        """Carry out what has ended in worlds with registered actions."""
+        worlds = {i: self._marked(self.confirmed[i]) for i in own}
+        events.advance(self._worlds, ends)
         for i, grid in worlds.items():
-            for car in np.argsort(self.running.turn[i]):
+            for car in np.argsort(self.running.turn[i]).tolist():
                 if ends.ended[i, car] and not ends.failed[i, car]:
-                    self._enforce(grid, int(car), int(ends.doing[i, car]))
+                    self._enforce(grid, car, int(ends.doing[i, car]))
             self.confirm(i, grid)
+        return ends
 
     def step(
         self,
@@ -294,16 +266,11 @@ class AsynchronousEpisodes(Episodes):
         With ``offered`` (B, n, actions), what the cars have chosen from, deadlocks are found sooner. A second costs
         ``time_weight``.
         """
-        before, ends = self.worlds_before(), self._ends()
-        order = self.draw_order() if order is None else order
-        turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
-        durations, outcome = self._draw(), np.full(acts.shape, RUNS, np.int64)
-        self._decide_with_own(turns, acts, durations, outcome)
-        kept = self._with_own()
-        events.step(self._worlds, durations, turns, acts, *self._search, outcome, ends)
-        self._end_own(kept, ends)
+        before = self.worlds_before()
+        outcome = self.decide(actions, self.draw_order() if order is None else order)
+        ends = self.advance()
         steps = self.settle(before, ends, time_weight)
-        elapsed_s, earned = np.empty(acts.shape), np.empty(acts.shape)
+        elapsed_s, earned = np.empty(outcome.shape), np.empty(outcome.shape)
         waited, deadlock = np.empty(len(self), np.bool_), np.zeros(len(self), np.bool_)
         masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)
         cars = self.running, self.decisions, self.time_s
@@ -311,11 +278,7 @@ class AsynchronousEpisodes(Episodes):
         for i in np.flatnonzero(waited).tolist():
             deadlock[i] = self.deadlock(i) is not None
         return Event(
-            steps.reward,
-            steps.done,
-            steps.success,
-            steps.applied,
-            steps.order,
+            **vars(steps),
             duration_s=ends.duration_s,
             outcome=outcome,
             failed=ends.failed,
@@ -359,8 +322,8 @@ class AsynchronousEpisodes(Episodes):
         """Replace a confirmed world, and make the committed one of it anew, with the effects of what runs."""
         self.confirmed.cells[i], self.confirmed.cars[i] = confirmed.cells, confirmed.cars
         grid = confirmed.copy()
-        for car in np.argsort(self.running.turn[i]):
-            self._enforce(grid, int(car), int(self.running.action[i, car]))
+        for car in np.argsort(self.running.turn[i]).tolist():
+            self._enforce(grid, car, int(self.running.action[i, car]))
         self.grids.cells[i], self.grids.cars[i] = grid.cells, grid.cars
 
     def _enforce(self, grid: Grid, car: int, action: int) -> None:
@@ -370,11 +333,7 @@ class AsynchronousEpisodes(Episodes):
             batch.enforce(grid.cells, grid.cars, self.corrections, car, action)
 
     def settle(
-        self,
-        before: Grid | None,
-        ends: Ends,
-        time_weight: float,
-        problems: tuple[str, ...] = (),
+        self, before: Grid | None, ends: Ends, time_weight: float, problems: tuple[str, ...] = ()
     ) -> Steps:
         """Score an event: as many decisions as cars count as a tick.
 
@@ -430,8 +389,7 @@ class AsynchronousEpisodes(Episodes):
     def begins(self, actions: NDArray[np.int8]) -> NDArray[np.bool_]:
         """Return which of some actions a car that decides may begin now, as :meth:`Episodes.begins`."""
         out = np.zeros(actions.shape, np.bool_)
-        some = self.grids.cells, self.grids.cars, self.corrections, self.running
-        events.unblocked(*some, self._row, actions, out)
+        events.unblocked(self.grids.world(self.corrections), self.running, self._row, actions, out)
         return out
 
     def some(self, rows: NDArray[np.integer]) -> Self:
@@ -443,22 +401,15 @@ class AsynchronousEpisodes(Episodes):
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.zeros((len(self), self.n_cars, N_ACTIONS), np.bool_)
-        some = self.grids.cells, self.grids.cars, self.corrections, self.running
-        events.offer(*some, self._row, self._plan, self._space, depth, out)
+        scratch = self._row, self._plan, self._space
+        events.offer(self.grids.world(self.corrections), self.running, *scratch, depth, out)
         if not self.own:
             return out
-        mask = own_columns(out, self.grids, self.corrections, self.own)
-        for i, car, k in np.argwhere(mask[..., N_ACTIONS:]).tolist():
-            mask[i, car, N_ACTIONS + k] = bool(self.decides[i, car]) and not self._blocks(i, car, self.own[k])
+        mask = np.concatenate([out, np.zeros((*out.shape[:2], len(self.own)), np.bool_)], axis=-1)
+        for i, car in np.argwhere(self.decides).tolist():
+            for k, action in enumerate(self.own, N_ACTIONS):
+                mask[i, car, k] = self._try_own(i, car, action)[0] == BEGUN
         return mask
-
-    def _blocks(self, i: int, car: int, action: Action) -> bool:
-        if not self.running.n_claims[i].any():
-            return False
-        before = self.grid(i)
-        after = before.copy()
-        carry_out(after, car, action)
-        return self._clash(i, footprint(before, after, car, action))
 
     def deadlock(self, i: int) -> Deadlock | None:
         """Return why nothing can go on in a world at an event, or None where something can.
@@ -470,7 +421,8 @@ class AsynchronousEpisodes(Episodes):
         waited = self.decides[i] & ((outcome == WAITS) | (outcome == ILLEGAL)) | lost
         if not waited.all() or (self.queue[i, :, 0] >= 0).any():
             return None
-        stuck = bool(_stuck(self.some(np.array([i])).offered())[0])
+        offered = self.some(np.array([i])).offered()
+        stuck = not np.delete(offered, _STOP, axis=-1).any()
         if not stuck and (outcome != ILLEGAL)[~lost].any():
             return None
         asked = self.decisions.asked[i]
@@ -500,8 +452,8 @@ class AsynchronousEpisodes(Episodes):
                 if other == car or other in found or one >= N_ACTIONS or one == _STOP:
                     continue
                 if not batch.reason(grid.cells, grid.cars, self.corrections, car, one):
-                    needs = Footprint.built_in(grid, car, one)
-                    if events.clashes(self.running, i, other, needs.claims()):
+                    claims = claims_of(built_in(grid, car, one))
+                    if events.clashes(self.running, i, other, claims):
                         found[other] = f"its claims stand against {one.name}"
                 elif not batch.reason(without.cells, without.cars, self.corrections, car, one):
                     found[other] = str(explain(grid, self.corrections, car, one))
@@ -516,18 +468,6 @@ class AsynchronousEpisodes(Episodes):
         cars = self.running.action.shape
         doing, claimed = np.empty((*cars, 2), np.float32), np.zeros(self.grids.cells.shape[:4], np.int8)
         events.show(self.running, self.time_s, doing, claimed)
-        return _shared(doing, cars[1]), _shared(claimed, cars[1])
-
-
-def _shared(array: NDArray[Any], n_cars: int) -> NDArray[Any]:
-    """Return what is so of each world (B, ...) as what each car sees, (B, n, ...): a view that cannot be written to."""
-    strides, shape = array.strides, array.shape
-    view = np.ndarray((shape[0], n_cars, *shape[1:]), array.dtype, array, 0, (strides[0], 0, *strides[1:]))
-    view.flags.writeable = False
-    return view
-
-
-def _stuck(masks: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return (B,): in which worlds no car has an action but to wait, by masks (B, n, actions)."""
-    stuck: NDArray[np.bool_] = masks.sum((1, 2)) <= masks[:, :, _STOP].sum(1)
-    return stuck
+        b, n = cars
+        shared = np.broadcast_to(doing[:, None], (b, n, n, 2))
+        return shared, np.broadcast_to(claimed[:, None], (b, n, *claimed.shape[1:]))

@@ -62,12 +62,10 @@ Plan = Annotated[list[ActionNumber], Field(max_length=limits.RECORDED_DEPTH + 1)
 KINDS: Final = {name: int(Kind[name.upper()]) for name in get_args(KindName)}
 
 Record = dict[str, Any]
-"""What :class:`RecordKeys` allows."""
+"""What :class:`_RecordKeys` allows."""
 
 
-class RecordedPiece(NamedTuple):
-    """What is in a cell."""
-
+class _RecordedPiece(NamedTuple):
     kind: KindName
     x: Coordinate
     y: Coordinate
@@ -75,9 +73,7 @@ class RecordedPiece(NamedTuple):
     yaw: Coordinate = 0
 
 
-class RecordedCar(TypedDict):
-    """A car of a recorded state."""
-
+class _RecordedCar(TypedDict):
     x: Coordinate
     y: Coordinate
     z: Coordinate
@@ -87,42 +83,38 @@ class RecordedCar(TypedDict):
     slope: Annotated[int, Field(ge=0, le=2)]
 
 
-class RecordedMarks(TypedDict):
+class _RecordedMarks(TypedDict):
     """The marks that do not follow from what is there."""
 
     on: Listed[tuple[Coordinate, Coordinate, Coordinate, Occupant]]
     back: Listed[tuple[Coordinate, Coordinate, Coordinate, Flag]]
 
 
-class RecordedState(TypedDict):
-    """A world."""
-
-    objs: Listed[RecordedPiece]
-    cars: Annotated[Listed[RecordedCar], Field(max_length=limits.RECORDED_CARS)]
-    dev: RecordedMarks
+class _RecordedState(TypedDict):
+    objs: Listed[_RecordedPiece]
+    cars: Annotated[Listed[_RecordedCar], Field(max_length=limits.RECORDED_CARS)]
+    dev: _RecordedMarks
 
 
-class RecordedPlans(TypedDict):
-    """What one car can reach, and how."""
-
+class _RecordedPlans(TypedDict):
     mask: Mask
     plans: dict[Literal["6", "7", "8", "9"], Plan | None]
 
 
-class RecordKeys(TypedDict):
+class _RecordKeys(TypedDict):
     """The keys that are compared; others are passed over."""
 
     __pydantic_config__ = ConfigDict(strict=True, extra="ignore", allow_inf_nan=False)  # type: ignore[misc]
 
     size: tuple[int, int, int]
-    before: RecordedState
+    before: _RecordedState
     ep: NotRequired[Annotated[str, Field(pattern="^[A-Za-z0-9_.:/ -]{0,80}$")]]
     t: NotRequired[Ticks]
     tags: NotRequired[Listed[Annotated[str, Field(max_length=40)]]]
     joint: NotRequired[Listed[tuple[CarNumber, ActionNumber]]]
     mask: NotRequired[Listed[Mask]]
     applied: NotRequired[Listed[Flag]]
-    after: NotRequired[RecordedState]
+    after: NotRequired[_RecordedState]
     task: NotRequired[TaskName]
     goal: NotRequired[Place]
     hit_before: NotRequired[bool]
@@ -131,7 +123,7 @@ class RecordKeys(TypedDict):
     max_steps: NotRequired[Ticks]
     obs: NotRequired[Listed[Row]]
     depth: NotRequired[Annotated[int, Field(ge=0, le=limits.RECORDED_DEPTH)]]
-    cars: NotRequired[Listed[RecordedPlans]]
+    cars: NotRequired[Listed[_RecordedPlans]]
 
 
 _NEEDS: Final = {
@@ -142,7 +134,7 @@ _NEEDS: Final = {
 """What else a record with a key must have."""
 
 
-_RECORDS: Final = TypeAdapter[Any](RecordKeys)
+_RECORDS: Final = TypeAdapter[Any](_RecordKeys)
 
 
 def parse_record(line: bytes) -> Record:
@@ -229,11 +221,9 @@ class Checker:
         self.exact = rules.rule_set == "published"
         self.uncorrected = Rules(rules.rule_set, Correction.derived_marks)
         """The physical rules before physics corrected them: nothing but the bookkeeping differs from published."""
-        self.records = 0
-        self.skipped = 0
-        """Records with a quirk tag, which the physical rule set need not follow."""
-        self.corrected = 0
-        """Ticks in which a correction of the physical rule set changes what is legal or what follows."""
+        self.records = self.skipped = self.corrected = 0
+        """Of these skipped for a quirk tag, which the physical rule set need not follow, and ticks in which a
+        correction of it changes what is legal or what follows."""
         self.checks, self.mismatches = Counter[str](), Counter[str]()
         """By what was compared."""
         self.actions, self.applied = Counter[str](), Counter[str]()
@@ -264,20 +254,16 @@ class Checker:
                 return
             after, applied = self.rules.tick(before, record["joint"])
             expected = recorded_grid(record["size"], record["after"])
-            self._compare(
-                where, self._tick(record, before, expected, after, applied), before, expected, after
-            )
+            found = self._tick(record, before, expected, after, applied)
+            self._compare(where, found, before, expected, after)
         if "depth" in record:
             self._compare(where, self._plans(record, before), before)
 
     def _is_corrected(self, joint: list[tuple[int, int]], before: Grid) -> bool:
         """Return whether a correction changes what is legal at the start of a tick, or what the tick leads to."""
-        both = []
-        for rules in (self.rules, self.uncorrected):
-            after, applied = rules.tick(before, joint)
-            both.append((rules.mask(before).tolist(), applied.tolist(), after))
-        (mask, applied, after), (plain_mask, plain_applied, plain_after) = both
-        return not (mask == plain_mask and applied == plain_applied and after.same_visible(plain_after))
+        (after, applied), (plain, as_plain) = (r.tick(before, joint) for r in (self.rules, self.uncorrected))
+        same = np.array_equal(self.rules.mask(before), self.uncorrected.mask(before))
+        return not (same and np.array_equal(applied, as_plain) and after.same_visible(plain))
 
     def _compare(self, where: str, comparisons: Iterator[_Comparison], *grids: Grid) -> None:
         for who, what, actions, expected, got in comparisons:
@@ -324,8 +310,7 @@ class Checker:
 def _masks(what: str, expected: list[str], got: NDArray[np.bool_]) -> Iterator[_Comparison]:
     for car, (wanted, row) in enumerate(zip(expected, got.tolist(), strict=True)):
         bits = "".join("1" if legal else "0" for legal in row)
-        wrong = [] if wanted == bits else [a.name for a in Action if wanted[a] != bits[a]]
-        yield f" car {car}", what, wrong, wanted, bits
+        yield f" car {car}", what, [a.name for a in Action if wanted[a] != bits[a]], wanted, bits
 
 
 def _objects(grid: Grid, odd: NDArray[np.bool_]) -> list[tuple[Any, ...]]:
@@ -353,8 +338,7 @@ def _episode(record: Record, before: Grid, after: Grid) -> Iterator[tuple[str, A
     layout, designs = _layout(record, task, before), targets_of(task.design)[None]
     reward = Reward("flag_nearness", "published_barrier") if "goal" in record else task.reward
     assert isinstance(reward, Reward)
-    assert isinstance(reward.potential, str)
-    measure = POTENTIALS[reward.potential]
+    measure = POTENTIALS[str(reward.potential)]
     earlier, later = (measure(grid[None], designs, layout) for grid in (before, after))
     given = np.array([record.get("hit_before", False)])
     got, _ = reward.of_tick(earlier, later, np.array([record["t"]]), given)

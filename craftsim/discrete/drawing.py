@@ -9,7 +9,7 @@ from rich.color import Color
 from rich.style import Style
 from rich.text import Text
 
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, cell_of
 from craftsim.discrete.kinds import KINDS
 
 Rgb = tuple[float, float, float]
@@ -56,15 +56,11 @@ def car_colour(car: int) -> Rgb:
     return CAR_COLOURS[car % len(CAR_COLOURS)]
 
 
-def _car_style(car: int) -> Style:
-    return Style(bold=True, color=Color.from_rgb(*(255 * part for part in car_colour(car))))
-
-
 def cars_by_cell(grid: Grid) -> dict[Cell, list[int]]:
     """Return the ids of the cars in each cell that has any."""
     cells: dict[Cell, list[int]] = {}
-    for car, row in enumerate(grid.cars):
-        cells.setdefault((int(row[CarField.X]), int(row[CarField.Y]), int(row[CarField.Z])), []).append(car)
+    for car in range(grid.n_cars):
+        cells.setdefault(cell_of(grid, car), []).append(car)
     return cells
 
 
@@ -75,10 +71,9 @@ def _cell_text(grid: Grid, cell: Cell, cars: list[int], goal: bool) -> Text:
         sign += ARROWS[grid.yaw[cell]]
     text = Text(sign, KINDS[kind].style)
     for car in cars:
-        row = grid.cars[car]
-        text.append(
-            f"{car}{ARROWS[row[CarField.YAW]]}{KINDS[Kind(row[CarField.LOAD])].letter}", _car_style(car)
-        )
+        row, colour = grid.cars[car], Color.from_rgb(*(255 * part for part in car_colour(car)))
+        load = KINDS[Kind(row[CarField.LOAD])].letter
+        text.append(f"{car}{ARROWS[row[CarField.YAW]]}{load}", Style(bold=True, color=colour))
     if goal:
         text.append("*", "bold magenta")
     return text

@@ -15,8 +15,6 @@ from craftsim.discrete.kernel.state import World, derive_marks
 from craftsim.discrete.kinds import CARRIED, NAMES, CarField, CellField, Kind
 from craftsim.errors import InputError
 
-__all__ = ["KINDS_WITH_YAW", "SECOND_PART", "CarField", "Cell", "Grid", "Kind", "Piece", "beside"]
-
 KINDS_WITH_YAW: Final = (Kind.FSLOPE, Kind.GEAR, Kind.BODY, Kind.FOOT)
 
 SECOND_PART: Final = {Kind.FSLOPE: Kind.GEAR, Kind.BODY: Kind.FOOT}
@@ -49,6 +47,12 @@ def beside(cell: Cell, yaw: int) -> Cell:
     """Return the next cell in direction yaw (any integer, taken modulo 4)."""
     dx, dy = _STEPS[yaw % 4]
     return cell[0] + dx, cell[1] + dy, cell[2]
+
+
+def cell_of(grid: Grid, car: int) -> Cell:
+    """Return the cell of a car of a single world."""
+    x, y, z = grid.cars[car, : CarField.YAW].tolist()
+    return x, y, z
 
 
 class Piece(NamedTuple):
@@ -212,22 +216,19 @@ class Grid:
 
     def derive_marks(self) -> None:
         """Overwrite both marks with what follows from the visible state."""
-        for cells, cars in (
-            [(self.cells, self.cars)] if self.cells.ndim == 4 else zip(self.cells, self.cars, strict=True)
-        ):
+        batch = self[None] if self.cells.ndim == 4 else self
+        for cells, cars in zip(batch.cells, batch.cars, strict=True):
             _derive_marks(World(cells, cars, 0))
 
     def same_visible(self, other: Grid) -> bool:
         """Return whether objects and cars are equal; marks are not compared."""
-        return (
-            np.array_equal(self.kind, other.kind)
-            and np.array_equal(self.yaw, other.yaw)
-            and np.array_equal(self.cars, other.cars)
-        )
+        one, two = (grid.cells[..., : CellField.OCCUPANT] for grid in (self, other))
+        return np.array_equal(one, two) and np.array_equal(self.cars, other.cars)
 
     def same_marks(self, other: Grid) -> bool:
         """Return whether both marks are equal in every cell."""
-        return np.array_equal(self.occupant, other.occupant) and np.array_equal(self.landing, other.landing)
+        one, two = (grid.cells[..., CellField.OCCUPANT :] for grid in (self, other))
+        return np.array_equal(one, two)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return copies of the arrays as files have them, by name: kind, yaw, cars, top and back (FILE_DTYPES)."""

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
-from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import SUCCESSORS, node_of
-from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, SUPPORTS, Pose, World, kind_at
+from craftsim.discrete.kernel.state import BODY, FOOT, FSLOPE, SUPPORTS, Pose, World, after, kind_at
 from craftsim.discrete.kinds import CellField, Correction
 from craftsim.discrete.rules import Rules
 
@@ -63,8 +62,7 @@ class MoveGraph:
 
     def nodes(self, thing: Piece) -> list[int]:
         """Return the nodes of a car below a thing."""
-        first = node_number(self.size, thing.cell, 0)
-        return [first + yaw for yaw in thing.yaws]
+        return [self.node(thing.cell, yaw) for yaw in thing.yaws]
 
     def nearest(self, distances: Distances, thing: Piece) -> int:
         """Return the distance of the states below a thing."""

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, get_args
+from string import Formatter
+from typing import Any, Final, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.choices import RuleSet as RuleSet
 from craftsim.discrete.actions import act_own, as_own, carry_out, is_own, own_columns, own_reason
-from craftsim.discrete.grid import Grid
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside, cell_of
 from craftsim.discrete.kernel import batch
+from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.jit import seldom
 from craftsim.discrete.kernel.search import search_buffers
-from craftsim.discrete.kinds import MOVE_DIRECTION, Action, Correction
-from craftsim.discrete.reasons import Explanation, explain
+from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action, Correction
 from craftsim.errors import InputError, suggestion
 
 RULE_SETS: Final[dict[RuleSet, Correction]] = {"published": Correction(0), "physical": ~Correction(0)}
@@ -108,8 +110,8 @@ class Rules:
         after = grid.copy()
         if is_own(action):
             carry_out(after, car, action)
-            return after
-        batch.enforce(after.cells, after.cars, int(self.corrections), car, int(action))
+        else:
+            batch.enforce(after.cells, after.cars, int(self.corrections), car, int(action))
         return after
 
     def tick(self, grid: Grid, joint: Joint) -> tuple[Grid, NDArray[np.bool_]]:
@@ -127,8 +129,7 @@ class Rules:
                 else:
                     after, applied[0, i : i + 1] = self.tick(after, [(car, action)])
             return after, applied[0]
-        turns = np.array([car for car, _ in joint], np.int64)[None]
-        acts = np.array([int(action) for _, action in joint], np.int64)[None]
+        turns, acts = np.array(joint, np.int64).reshape(-1, 2).T.copy()[:, None]
         _step(after.cells[None], after.cars[None], int(self.corrections), turns, acts, applied)
         return after, applied[0]
 
@@ -196,3 +197,278 @@ def has_room(grid: Grid) -> bool:
     """Return whether what each car carries is clear of all else by the rules: else no play of them leads there."""
     world = grid.world(RULE_SETS["physical"])
     return all(batch.has_room(world, car) for car in range(grid.n_cars))
+
+
+# Why an action is forbidden, in words. The published rules' reasons come first. Where only a correction of the physical
+# set forbids, it is also said which single thing or car nearby is in the way: one without which the action is legal.
+
+_reason = seldom(batch.reason)
+_NEAR: Final = 3
+"""How many columns away, and how many levels, something may be that a correction looks at."""
+
+
+@dataclass(frozen=True)
+class RuleReason:
+    """A row of the table."""
+
+    words: str
+    """Its fields are places of :data:`_PLACES`: ``{place}`` is their cell, ``{place:what}`` what is there, see
+    :meth:`_Case.format_field`. ``{car}`` is the car that the reason names, ``{load}`` the own load."""
+    cells: tuple[str, ...] = ("own",)
+    """The places concerned."""
+    correction: Correction | None = None
+    """What forbids it where the published rules do not."""
+    heading: str = ""
+    """Of docs/rules.md, where the correction is explained."""
+
+
+def _stands_on(place: str) -> RuleReason:
+    return RuleReason(f"something stands on {{{place}}}: {{{place}:occupant}}", (place, f"above {place}"))
+
+
+def _corrects(correction: str, heading: str, words: str) -> RuleReason:
+    return RuleReason(words, correction=Correction[correction], heading=heading)
+
+
+REASONS: Final[dict[int, RuleReason]] = {
+    code.NEVER: RuleReason("cars do not move diagonally"),
+    code.ON_SLOPE: RuleReason("on a slope a car can only move forward"),
+    code.CARRIES: RuleReason("the car carries {load}"),
+    code.CARRIES_NOTHING: RuleReason("the car carries nothing"),
+    code.NOTHING_TO_LIFT: RuleReason("there is nothing to lift in {own}{own:if any}"),
+    code.THING_ON_TOP: _stands_on("own"),
+    code.ABOVE_TOP_LEVEL: RuleReason("{own} is above the top level, where nothing can be put down"),
+    code.NO_RAMP_HERE: RuleReason("there is no unfolded slope in {own}: {own:what}"),
+    code.CAR_ON_OWN_FOOT: RuleReason("car {car} is on the foot in {foot}", ("foot",)),
+    code.NO_SLOPE_HERE: RuleReason("there is no folded slope in {own}: {own:what}"),
+    code.FOOT_BLOCKED: RuleReason("the foot has no room in {foot}: {foot:what}", ("foot",)),
+    code.FOOT_UNSUPPORTED: RuleReason(
+        "the foot has nothing to stand on in {under foot}: {under foot:what}", ("foot",)
+    ),
+    code.LANDING_BELOW_FOOT: RuleReason("{under foot} is the landing of a ramp", ("under foot",)),
+    code.LANDING_BELOW_BODY: RuleReason("{under own} is the landing of a ramp", ("under own",)),
+    code.TURN_UNDER_SLOPE: RuleReason("a car cannot turn under {own:what} in {own}"),
+    code.LOAD_HITS_THING: RuleReason("the load would hit {side:what} in {side}", ("side",)),
+    code.SLOPE_HITS_CORNER: RuleReason("the slope would hit {corner:what} in {corner}", ("corner",)),
+    code.LOAD_HITS_LOAD: RuleReason("the load would hit that of car {car} in {other}", ("other",)),
+    code.LOAD_HITS_GEAR: RuleReason(
+        "the load would hit the gear that car {car} carries in {other gear}", ("other gear",)
+    ),
+    code.FORWARD_ONLY: RuleReason("from under {own:what} in {own} a car can only move forward"),
+    code.NOT_SIDEWAYS: RuleReason("from under {own:what} in {own} a car cannot move sideways"),
+    code.NO_FLOOR: RuleReason(
+        "there is nothing to stand on in {under target}: {under target:what}", ("target",)
+    ),
+    code.IN_THE_WAY: RuleReason("{target:what} is in {target}", ("target",)),
+    code.CAR_THERE: RuleReason("car {car} is in {target}", ("target",)),
+    code.GEAR_THERE: RuleReason("another car carries a gear in {target}", ("target",)),
+    code.GEAR_NO_ROOM: RuleReason("the gear of the load has no room in {swept}: {swept:blocker}", ("swept",)),
+    code.LOAD_NOT_UNDER: RuleReason("a load does not fit under {target:what} in {target}", ("target",)),
+    code.ENTERED_SIDEWAYS: RuleReason("{target:what} in {target} cannot be entered sideways", ("target",)),
+    code.HIGH_SIDE_ONLY: RuleReason(
+        "{target:what} in {target} is entered backwards, from its high side only", ("target",)
+    ),
+    code.LOAD_NOT_THROUGH_GEAR: RuleReason("a load does not pass {target:what} in {target}", ("target",)),
+    code.NO_DESCENT_FROM: RuleReason("from a cell with {own:what} no ramp is driven down"),
+    code.DOWN_FORWARD_ONLY: RuleReason(
+        "the ramp in {under target} is driven down forward, in its own direction, only", ("under target",)
+    ),
+    code.THING_ON_BODY_BELOW: _stands_on("under target"),
+    code.CAR_ON_FOOT_BELOW: RuleReason(
+        "car {car} is on the foot of the ramp in {under second}", ("under second",)
+    ),
+    code.NO_FLOOR_AT_END: RuleReason(
+        "the ramp ends in {under third}, where there is nothing to stand on", ("under third",)
+    ),
+    code.THING_AT_END: _stands_on("under under third"),
+    code.NO_ASCENT_FROM: RuleReason("from a cell with {own:what} no ramp is driven up"),
+    code.UP_FORWARD_ONLY: RuleReason(
+        "the ramp in {target} is driven up forward, from its low end, only", ("target",)
+    ),
+    code.CAR_ON_FOOT: RuleReason("car {car} is on the foot of the ramp in {target}", ("target",)),
+    code.THING_ON_BODY: _stands_on("second"),
+    code.NO_LANDING: RuleReason("the ramp has no landing in {third}: {third:what}", ("third",)),
+    code.CAR_ON_LANDING: RuleReason("car {car} is on the landing, in {above third}", ("above third",)),
+    code.NO_ROOM_ON_LANDING: RuleReason(
+        "there is no room above the landing, in {above third}: {above third:what}", ("above third",)
+    ),
+    code.FLAP_HITS: _corrects("swinging_flap", "flap", "the flap would meet something on its way"),
+    code.TURNING_LOAD_HITS: _corrects(
+        "turning_load", "turning-load", "the load would hit a car, or a load that leans, as it turns"
+    ),
+    code.LEANING_LOAD_HITS: _corrects(
+        "leaning_load", "leaning-load", "a load that leans on a ramp would meet something"
+    ),
+    code.OTHER_RAMP: _corrects("own_ramp", "own-ramp", "on a ramp a car goes on along that ramp only"),
+    code.RAMP_UNDER_GEAR: _corrects(
+        "ramp_below_gear", "through-a-gear", "a ramp below a gear is driven down in its own direction only"
+    ),
+    code.REACHING_LOAD_HITS: _corrects(
+        "reaching_load", "reaching-load", "something would meet a load that reaches in from another level"
+    ),
+    code.WALL_OVERHEAD: _corrects("overhead_wall", "overhead-wall", "there is a wall overhead"),
+    code.GEARS_CROSS: _corrects(
+        "crossing_gear", "crossing-gear", "the gear of the slope would cross something"
+    ),
+    code.UNDER_THING_AT_END: _corrects(
+        "run_out", "run-out", "who comes down a ramp does not drive under what stands right behind its foot"
+    ),
+}
+"""Why an action is forbidden, by code; published rules first, then corrections."""
+
+if unexplained := set(range(1, code.N_CODES)) - REASONS.keys():
+    raise RuntimeError(
+        f"code {min(unexplained)} of craftsim/discrete/kernel/codes.py has no words in craftsim/discrete/rules.py"
+    )
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why an action is forbidden, or that it is not; ``str()`` gives it in one line."""
+
+    action: Action
+    reason: str = ""
+    """In words; empty if the action is legal."""
+    correction: Correction | None = None
+    """The correction that forbids it; None where the published rules do, too."""
+    cells: tuple[Cell, ...] = ()
+    """The cells concerned."""
+    heading: str = ""
+    """Of docs/rules.md, where the correction is explained."""
+
+    def __str__(self) -> str:
+        return f"{self.action.name} is " + ("legal" if self.legal else f"forbidden: {self.why}")
+
+    @property
+    def legal(self) -> bool:
+        """Whether nothing forbids it."""
+        return not self.reason
+
+    @property
+    def why(self) -> str:
+        """The reason, and the correction with its place in the docs where one forbids the action."""
+        if self.correction is None:
+            return self.reason
+        return f"{self.reason} ({self.correction.name}, docs/rules.md#{self.heading})"
+
+
+def explain(grid: Grid, corrections: int, car: int, action: Action) -> Explanation:
+    """Return why an action of a car is forbidden under some corrections, or that it is legal."""
+    if is_own(action):
+        words = own_reason(grid, corrections, car, action)
+        return Explanation(action, words, None, (cell_of(grid, car),) if words else ())
+
+    def why(grid: Grid) -> int:
+        return _reason(grid.cells, grid.cars, int(corrections), car, int(action))
+
+    found = why(grid)
+    if found == code.LEGAL:
+        return Explanation(action)
+    reason = REASONS[found & ((1 << code.DETAIL_BITS) - 1)]
+    case = _Case(grid, car, action, found >> code.DETAIL_BITS)
+    if reason.correction is None:
+        cells = tuple(case.place(name) for name in reason.cells)
+        return Explanation(action, case.format(reason.words), None, cells)
+    things = list(_in_the_way(grid, car, lambda without: why(without) == code.LEGAL))
+    named = "; ".join(text for _, text in things)
+    words = reason.words + (f": {named}" if named else "")
+    cells = tuple(dict.fromkeys(cell for cell, _ in things)) or (case.place("own"),)
+    return Explanation(action, words, reason.correction, cells, reason.heading)
+
+
+def _in_the_way(grid: Grid, car: int, legal: Callable[[Grid], bool]) -> Iterator[tuple[Cell, str]]:
+    """Yield each thing and each other car nearby without which the action is legal, with its cell."""
+    x, y, z = cell_of(grid, car)
+    for other, row in enumerate(grid.cars.tolist()):
+        cell = cell_of(grid, other)
+        if other == car or max(abs(cell[0] - x), abs(cell[1] - y)) > _NEAR:
+            continue
+        without = grid.copy()
+        without.cars[other, CarField.Z] += grid.size[2] + 1 + _NEAR
+        if legal(without):
+            load = "" if row[CarField.LOAD] == Kind.AIR else f" with {NAMES[Kind(row[CarField.LOAD])]}"
+            yield cell, f"car {other}{load} is in {cell}"
+    length, width, height = grid.size
+    for cx in range(max(x - _NEAR, 0), min(x + _NEAR + 1, length)):
+        for cy in range(max(y - _NEAR, 0), min(y + _NEAR + 1, width)):
+            for cz in range(max(z - 1, 1), min(z + 3, height + 1)):
+                kind = Kind(grid.kind[cx, cy, cz])
+                if kind == Kind.AIR or (cx, cy, cz) == (x, y, z):
+                    continue
+                without = grid.copy()
+                without.kind[cx, cy, cz] = Kind.AIR
+                if legal(without):
+                    yield (cx, cy, cz), f"{NAMES[kind]} is in {(cx, cy, cz)}"
+
+
+class _Case(Formatter):
+    """A forbidden action, which writes a reason's words."""
+
+    def __init__(self, grid: Grid, car: int, action: Action, detail: int) -> None:
+        self.grid, self.car, self.detail = grid, car, detail
+        *_, self.yaw, self.load, self.load_yaw, _ = grid.cars[car].tolist()
+        self.own = cell_of(grid, car)
+        self.direction = MOVE_DIRECTION.get(action, 0)
+        self.turn = 1 if action == Action.ROTATE_LEFT else -1
+
+    def get_field(self, field_name: str, args: object, kwargs: object) -> tuple[Any, str]:
+        """Return what a field of the words stands for: a car's number, a load's name or the cell of a place."""
+        named = {"car": self.detail, "load": NAMES[Kind(self.load)]}
+        return named[field_name] if field_name in named else self.place(field_name), field_name
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return a field's text: after a place ``what`` is there, ``if any``, its ``occupant``, or a ``blocker``."""
+        if not format_spec:
+            return str(value)
+        x, y, z = cell = value
+        length, width, _ = self.grid.size
+        inside = 0 <= x < length and 0 <= y < width
+        # Above the map there is air.
+        named = NAMES[self.grid.kind_at(cell)] if inside else "the end of the map"
+        if format_spec == "if any":
+            return "" if named == "nothing" else f": {named}"
+        if format_spec == "occupant":
+            if self.detail >= 0:
+                return f"car {self.detail}"
+            above = self.format_field((x, y, z + 1), "what")
+            return "so says its mark, left by past events" if above == "nothing" else above
+        if format_spec == "blocker":
+            for car in range(self.grid.n_cars):
+                if car != self.car and cell_of(self.grid, car) == cell:
+                    return f"car {car}"
+            return "a gear that another car carries" if named == "nothing" else named
+        return named
+
+    def place(self, name: str) -> Cell:
+        """Return the cell of a place."""
+        beyond, _, rest = name.partition(" ")
+        if beyond in ("above", "under"):
+            x, y, z = self.place(rest)
+            return x, y, z + (1 if beyond == "above" else -1)
+        return _PLACES[name](self)
+
+
+def _ahead(case: _Case, cells: int) -> Cell:
+    """Return the cell so many ahead in the direction of a move."""
+    return beside(_ahead(case, cells - 1), case.direction) if cells else case.own
+
+
+_PLACES: Final[dict[str, Callable[[_Case], Cell]]] = {
+    "own": lambda case: case.own,
+    "foot": lambda case: beside(case.own, int(case.grid.yaw[case.own])),
+    "side": lambda case: beside(case.own, case.detail),
+    "corner": lambda case: beside(beside(case.own, case.load_yaw), case.load_yaw + case.turn),
+    "other": lambda case: cell_of(case.grid, case.detail),
+    "other gear": lambda case: beside(
+        case.place("other"), int(case.grid.cars[case.detail, CarField.LOAD_YAW])
+    ),
+    "swept": lambda case: beside(beside(case.own, case.yaw + 2), case.direction),
+    "target": lambda case: _ahead(case, 1),
+    "second": lambda case: _ahead(case, 2),
+    "third": lambda case: _ahead(case, 3),
+}
+"""The places that reasons name; ``above`` and ``under`` may precede each.
+
+``foot`` is that of the slope in the own cell, ``side`` and ``other`` are named by the reason's detail, ``swept`` is
+passed by the gear of a carried slope, the last three lie in the direction of a move.
+"""

@@ -9,7 +9,8 @@ measures them.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -19,10 +20,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import ACTIONS, footprint
-from craftsim.discrete.footprint import Footprint, cell_of
-from craftsim.discrete.geometry import INCLINE_RAD
-from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.actions import ACTIONS, Footprint, footprint
+from craftsim.discrete.geometry import DIRECTIONS, INCLINE_RAD
+from craftsim.discrete.grid import CarField, Grid, Kind, cell_of
+from craftsim.discrete.kernel.claims import CHANGES, LOADS, RELIES, SPACE
 from craftsim.discrete.kernel.state import AIR, F_LOAD, KIND
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -53,7 +54,7 @@ class ScheduledAction:
     """The predicted world when its turn comes in the order of the plan."""
     after: Grid
     """The predicted world right after it."""
-    footprint: Footprint = field(default_factory=Footprint)
+    footprint: Footprint = field(default_factory=dict)
     waits_for: frozenset[int] = frozenset()
     """Indices of the earlier steps that must have ended."""
 
@@ -98,11 +99,9 @@ class Schedule:
     @property
     def durations_s(self) -> list[float]:
         """The time of each step that was measured for its action at nominal physics (:func:`nominal_durations`)."""
-        durations, cars = (
-            nominal_durations(),
-            ((s, s.before.cars[s.car], s.after.cars[s.car]) for s in self.steps),
-        )
-        return [float(durations[step.action, situation(before, after)]) for step, before, after in cars]
+        table = nominal_durations()
+        columns = (situation(step.before.cars[step.car], step.after.cars[step.car]) for step in self.steps)
+        return [float(table[s.action, column]) for s, column in zip(self.steps, columns, strict=True)]
 
     def times(self, durations_s: Sequence[float] | None = None) -> NDArray[np.float64]:
         """Return the start and the end of each step in seconds, shape (n, 2): a longest path through the dependencies.
@@ -185,7 +184,8 @@ def make_schedule(
         raise InputError(f"no order {order!r}{suggestion(str(order), known)} (orders: {', '.join(known)})")
     steps: list[ScheduledAction] = []
     place: dict[tuple[int, int], int] = {}
-    claimed = _Claimed()
+    claimed = defaultdict[object, list[int]](list)
+    """Which steps have which cells in their footprints, by bit and cell, and which are of which car."""
     forbidden = []
     acts = []
     for tick, joint in enumerate(ticks, first):
@@ -203,32 +203,33 @@ def make_schedule(
                 case "at-once":
                     waits = (i for i, step in enumerate(steps) if step.tick < tick)
                 case "concurrent" | "until-wrong":
-                    waits = claimed.before(car, needs) if steps else ()
+                    waits = {step for key in _needed(car, needs) if key in claimed for step in claimed[key]}
             place[tick, car] = len(steps)
-            claimed.add(len(steps), car, needs)
+            for key in _claimed(car, needs):
+                claimed[key].append(len(steps))
             steps.append(ScheduledAction(tick, car, action, grid, then, needs, frozenset(waits) | asked))
             grid = then
     return Schedule(tuple(steps), tuple(forbidden), grid, tuple(acts))
 
 
-class _Claimed:
-    """Which steps have which cells in their footprints, and which are of which car."""
+_CONFLICTS: Final = {SPACE: SPACE, CHANGES: CHANGES | RELIES, RELIES: CHANGES, LOADS: LOADS}
+"""By what an action claims of a cell, what another one that needs the same cell claims of it."""
 
-    def __init__(self) -> None:
-        self._steps: dict[tuple[str, object], list[int]] = {}
 
-    def add(self, step: int, car: int, needs: Footprint) -> None:
-        own = {"car": (car,), "space": needs.space, "changes": needs.changes, "relies": needs.relies}
-        for part, cells in (own | {"loads": needs.beside_loads}).items():
-            for cell in cells:
-                self._steps.setdefault((part, cell), []).append(step)
+def _claimed(car: int, needs: Footprint) -> Iterator[object]:
+    """Yield the keys of what an action claims; of a load also in the next cells of the level."""
+    yield car
+    for (x, y, z), bits in needs.items():
+        yield from ((bit, x, y, z) for bit in (SPACE, CHANGES, RELIES, LOADS) if bits & bit)
+        if bits & LOADS:
+            yield from ((LOADS, x + dx, y + dy, z) for dx, dy in DIRECTIONS.tolist())
 
-    def before(self, car: int, needs: Footprint) -> set[int]:
-        """Return the steps of a car, and those whose footprints conflict (see :mod:`craftsim.discrete.footprint`)."""
-        other = {"car": (car,), "space": needs.space, "changes": needs.changes | needs.relies}
-        other |= {"relies": needs.changes, "loads": needs.loads}
-        keys = ((part, cell) for part, cells in other.items() for cell in cells)
-        return set().union(*(self._steps.get(key, ()) for key in keys))
+
+def _needed(car: int, needs: Footprint) -> Iterator[object]:
+    """Yield the keys of what an action must wait for."""
+    yield car
+    for cell, bits in needs.items():
+        yield from ((bit, *cell) for bit, against in _CONFLICTS.items() if bits & against)
 
 
 def incline_under(grid: Grid, car: NDArray[np.integer]) -> float:

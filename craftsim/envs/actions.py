@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kernel.batch import Cars, Cells, Queues
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
-from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import (
@@ -31,7 +30,7 @@ from craftsim.discrete.kernel.search import (
     search_buffers,
     write_plan,
 )
-from craftsim.discrete.kernel.state import AIR, BLOCK, BODY, FSLOPE, Pose, World, kind_at, pose_of
+from craftsim.discrete.kernel.state import AIR, BLOCK, BODY, FSLOPE, Pose, World, after, kind_at, pose_of
 from craftsim.discrete.kernel.tasks import IS_BLOCK, IS_BODY, IS_FSLOPE, ROW, YAW_HIGH, YAW_LOW
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import Task

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.codes import DROP, FOLD, LIFT, UNFOLD
-from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.state import (
@@ -34,6 +33,7 @@ from craftsim.discrete.kernel.state import (
     KIND,
     YAW,
     World,
+    apply,
     car_field,
     kind_at,
     pose_of,

@@ -14,8 +14,7 @@ import numpy as np
 
 from craftsim.checking.attempt import Attempt
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.footprint import cell_of
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, cell_of
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.experiments.experiment import TrialRecord

@@ -22,7 +22,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from craftsim.checking.setup import RANDOMIZE, nominal_gains
 from craftsim.cli import former, main
-from craftsim.discrete.reasons import REASONS
+from craftsim.discrete.rules import REASONS
 from craftsim.mjcf.parameters import (
     NOMINAL,
     BlockParameters,

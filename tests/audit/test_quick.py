@@ -5,8 +5,7 @@ import pytest
 from craftsim.audit.plan import MOST_ROWS, PlanRow, audit_plan, covering, quick_rows
 from craftsim.audit.situation import Row
 from craftsim.discrete.kinds import Correction
-from craftsim.discrete.reasons import REASONS
-from craftsim.discrete.rules import Rules
+from craftsim.discrete.rules import REASONS, Rules
 
 
 @pytest.fixture(scope="module")

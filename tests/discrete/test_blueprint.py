@@ -1,13 +1,17 @@
-"""Blueprints: what is read, what is drawn at random, and what every mistake says."""
+"""Blueprints: what is read, what is drawn at random, what mistakes say, and worlds that are saved and read back."""
+
+from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from craftsim.discrete.files.blueprint import parse_blueprint, read_blueprint
+from craftsim.discrete.conformance import read_records, recorded_grid
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.grid import CarField, Kind
-from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.errors import BlueprintError
 
 GOOD = """\
@@ -70,6 +74,8 @@ def test_documents_are_merged():
 
 
 CAR, OTHER, BLOCK = "x: 0, y: 2, z: 1, yaw: 0", "id: 1, x: 2, y: 0", "{id: 1, x: 1, y: 0, z: 2}"
+SLOPE = "fold_slope:\n  - {id: 0, x: 2, y: 2, z: 1, yaw: 3}\n"
+WALLED = "{id: 0, x: 4, y: 3, z: 1}"
 MISTAKES = (
     ("slope_num: 1\n", "", "b.yaml: key 'slope_num' is missing; required: area_length"),
     ("slope_num: 1", "slop_num: 1", r":5: unknown key 'slop_num'; did you mean 'slope_num'\?; allowed: "),
@@ -83,6 +89,15 @@ MISTAKES = (
     (OTHER, "id: 1, x: 0, y: 2", r":14: .*car 1 is at .* where car 0 is \(line 13\)"),
     (CAR, "x: 0, y: 2, z: 2, yaw: 0", ":13: .*stands in the air"),
     (CAR, "x: 2, y: 2, z: 1, yaw: 0", ":13: .*yaw 0 under a slope; allowed: 1"),
+    ("yaw: 2}\n", "yaw: 2, slope: 1}\n", "slope 1 and"),
+    ("yaw: 2}\n", "yaw: 2, slope: 2}\n", "slope 2 needs"),
+    ("yaw: 2}\n", "yaw: 2, load: blok}\n", "unknown value 'blok'; did you mean 'block'"),
+    (
+        f"{SLOPE}smartcar:\n  - {{id: 0, {CAR}}}",
+        f"smartcar:\n  - {{id: 0, {CAR}, load: fold_slope}}",
+        r"the gear of its slope would be at \(-1, 2, 1\), outside",
+    ),
+    ("smartcar:", f"wall: [{WALLED}]\ngoal: [{WALLED}]\nsmartcar:", "goal .* inside a wall"),
 )
 
 
@@ -91,17 +106,6 @@ def test_a_mistake_is_told_with_file_line_and_what_is_allowed():
         assert old in GOOD
         with pytest.raises(BlueprintError, match=message):
             parse_blueprint(GOOD.replace(old, new, 1), "b.yaml")
-
-
-def test_a_goal_inside_a_wall_and_cars_that_do_not_fit_slopes_are_told():
-    walled = GOOD + "wall: [{id: 0, x: 4, y: 3, z: 1}]\ngoal: [{id: 0, x: 4, y: 3, z: 1}]\n"
-    with pytest.raises(BlueprintError, match=r"goal .* inside a wall"):
-        parse_blueprint(walled, "b.yaml")
-    for slope, message in ((1, "slope 1 and"), (2, "slope 2 needs")):
-        with pytest.raises(BlueprintError, match=message):
-            parse_blueprint(GOOD.replace("yaw: 2}\n", f"yaw: 2, slope: {slope}}}\n"), "b.yaml")
-    with pytest.raises(BlueprintError, match=r"unknown value 'blok'; did you mean 'block'"):
-        parse_blueprint(GOOD.replace("yaw: 2}\n", "yaw: 2, load: blok}\n"), "b.yaml")
 
 
 RANDOM = """\
@@ -163,10 +167,51 @@ def test_a_wrong_goal_file_is_told_with_its_line(tmp_path):
             read_design(path).check_fits((4, 4, 3))
 
 
-def test_a_carried_slope_whose_gear_would_be_outside_the_area_is_refused():
-    drawing = "area_length: 3\narea_width: 3\narea_height: 1\nblock_num: 0\nslope_num: 1\nsmartcar_num: 1\n"
-    car = "smartcar:\n  - {{id: 0, x: {x}, y: 1, z: 1, yaw: 0, load: fold_slope, load_yaw: 2}}\n"
-    goal = "goal:\n  - {id: 0, x: -1, y: -2, z: 1}\n"
-    assert parse_blueprint(drawing + car.format(x=1) + goal, "mine.yaml").n_cars == 1
-    with pytest.raises(BlueprintError, match=r"the gear of its slope would be at \(-1, 1, 1\), outside"):
-        parse_blueprint(drawing + car.format(x=0) + goal, "mine.yaml")
+DATA = Path(__file__).parents[1] / "data"
+
+
+def read_back(text):
+    return parse_blueprint(text, "saved.yaml").grid(np.random.default_rng(0))
+
+
+def assert_same(one, other):
+    assert one.same_visible(other)
+    assert one.same_marks(other)
+
+
+def test_recorded_worlds_of_all_kinds_are_saved_and_read_back_the_same():
+    snapshots = 0
+    for _, record in islice(read_records(DATA / "traces.jsonl.gz"), None, None, 5):
+        grid = recorded_grid(record["size"], record["after"])
+        text = blueprint_text(grid)
+        assert_same(read_back(text), grid)
+        snapshots += "snapshot" in text
+    assert snapshots > 20
+
+
+def test_the_start_of_a_task_needs_no_snapshot_and_keeps_its_goal(rng):
+    for name in TASK_NAMES:
+        task = make_task(name)
+        text = blueprint_text(task.draw(rng), task.starts[0].goal)
+        assert "snapshot" not in text
+        again = parse_blueprint(text, "again.yaml")
+        assert again.goal == task.starts[0].goal
+        assert_same(again.grid(rng), task.draw(rng))
+
+
+def test_a_start_that_craftenv_records_is_read(tmp_path):
+    header = "yaml_generated_time: 2023-01-01 10:00:00\narea_length: 4\narea_width: 4\narea_height: 3\nblock_num: 1\n"
+    counts = "slope_num: 1\nsmartcar_num: 2\nlegged_robot_num: 0\nwall_num: 0\n"
+    lists = [
+        "block:\n- {id: 0, x: 1, y: 0, z: 1}\n",
+        "fold_slope:\n- {id: 0, x: 2, y: 2, z: 1, yaw: 3}\n",
+        "unfold_slope: []\n",
+        "smartcar:\n- {id: 0, x: 0, y: 2, z: 1, yaw: 0}\n- {id: 1, x: 2, y: 0, z: 1, yaw: 0}\n",
+        "flag:\n- {id: 0, x: -1, y: -2, z: 1}\n",
+        "goal:\n- {id: 0, x: -1, y: -2, z: 1}\n",
+        "legged_robot: []\n",
+        "wall: []\n",
+    ]
+    (tmp_path / "0-00001.yaml").write_text(header + counts + "".join(f"---\n{part}" for part in lists))
+    grid = read_blueprint(tmp_path / "0-00001.yaml").grid(np.random.default_rng(0))
+    assert grid.kind[1, 0, 1] == Kind.BLOCK

@@ -1,5 +1,6 @@
-"""Compiled functions: what their cache depends on, where it lies, their signatures, and the arrays they are given."""
+"""Compiled functions: what their cache depends on, their signatures, and the arrays that they are given."""
 
+import math
 import os
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import weakref
 from collections import Counter
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import forked
 import numpy as np
@@ -14,14 +16,15 @@ import pytest
 from numba import config
 
 import craftsim
-from craftsim.discrete import footprint, grid, reasons, rules
-from craftsim.discrete.actions import Action
-from craftsim.discrete.footprint import Footprint
+from craftsim.discrete import actions, grid, rules
+from craftsim.discrete.actions import Action, built_in
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kernel import batch, claims, code_cache, jit
 from craftsim.discrete.kernel import state as marks
 from craftsim.discrete.kernel import tasks as scores
-from craftsim.discrete.kernel.jit import compiled, plain, seldom
+from craftsim.discrete.kernel.bound import bound
+from craftsim.discrete.kernel.jit import compiled, plain, records, seldom
+from craftsim.discrete.kernel.rotation import wrap
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import rewards
 from craftsim.validation.worlds import RandomWorlds
@@ -259,9 +262,9 @@ def test_plain_python_gives_what_compiled_code_gives(monkeypatch):
     for module, name, function in (
         (rules, "_masks", batch.masks),
         (rules, "_step", batch.step),
-        (reasons, "_reason", batch.reason),
+        (rules, "_reason", batch.reason),
         (grid, "_derive_marks", marks.derive_marks),
-        (footprint, "_write_claims", claims.write_claims),
+        (actions, "_write_claims", claims.write_claims),
         (rewards, "_score_building", scores.score_buildings),
     ):
 
@@ -285,15 +288,15 @@ def test_plain_python_gives_what_compiled_code_gives(monkeypatch):
             for car, action in every:
                 if not legal.legal(world, car, action):
                     continue
-                Footprint.built_in(world, car, Action(action))
+                built_in(world, car, Action(action))
                 after = legal.apply(world, car, Action(action))
             after.derive_marks()
     for name in ("simple_two_story", "complex_two_story"):
         env = craftsim.parallel_env(name, "grid")
         seen, _ = env.reset(seed=0)
         for _ in range(5):
-            actions = {a: int(rng.choice(np.flatnonzero(one["action_mask"]))) for a, one in seen.items()}
-            seen, *_ = env.step(actions)
+            chosen = {a: int(rng.choice(np.flatnonzero(one["action_mask"]))) for a, one in seen.items()}
+            seen, *_ = env.step(chosen)
     assert len(calls) == 6, calls
 
 
@@ -362,3 +365,65 @@ def test_calls_neither_keep_nor_lose_the_arrays_of_a_world(rule_set, scene, car)
     gone = weakref.ref(grid.cells)
     del grid, arrays
     assert gone() is None
+
+
+THING = np.dtype([("number", "i8"), ("weights", "f8", (2,))], align=True)
+
+
+class Table(NamedTuple):
+    """Arrays that belong together."""
+
+    rows: Any
+    things: Any
+
+
+@compiled
+def _add(table: Table, out: Any, factor: float) -> int:
+    for row in range(len(table.rows)):
+        for column in range(table.rows.shape[1]):
+            out[row] += factor * table.rows[row, column]
+    table.things[1].number += 1
+    return len(table.things) + len(out)
+
+
+def test_a_bound_function_works_on_the_arrays_themselves():
+    rows, things, out = np.arange(6.0).reshape(2, 3), records(3, THING), np.zeros(2)
+    add = bound(_add, Table(rows, things), out)
+    assert add(2.0) == 5
+    rows[1] = 0.0
+    assert add(1.0) == 5
+    assert out.tolist() == [9.0, 24.0]
+    assert things["number"].tolist() == [0, 2, 0]
+
+
+def test_the_arrays_live_as_long_as_what_is_bound_to_them():
+    rows, out = np.ones((1, 1)), np.zeros(1)
+    gone = weakref.ref(rows)
+    add = bound(_add, Table(rows, records(2, THING)), out)
+    del rows
+    add(1.0)
+    assert gone() is not None
+    assert out[0] == 1.0
+    del add
+    assert gone() is None
+
+
+_RNG = np.random.default_rng(0)
+ANGLES = [
+    *_RNG.normal(scale=10.0, size=2000),
+    *_RNG.normal(scale=1e5, size=2000),
+    *(math.nextafter(k * math.pi, towards) for k in range(-40, 41) for towards in (-9e9, k * math.pi, 9e9)),
+    *(0.0, -0.0, 5e-324, 1e300, -1e300),
+]
+
+
+def test_an_angle_is_wrapped_as_remainder_does():
+    for angle in map(float, ANGLES):
+        wrapped, expected = wrap(angle), math.remainder(angle, math.tau)
+        assert wrapped == expected, angle
+        assert math.copysign(1.0, wrapped) == math.copysign(1.0, expected), angle
+
+
+def test_what_is_not_finite_wraps_to_nan():
+    for angle in (math.inf, -math.inf, math.nan):
+        assert math.isnan(wrap(angle))

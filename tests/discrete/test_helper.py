@@ -74,20 +74,12 @@ def test_the_heap_keeps_ties_in_the_order_of_pythons_heapq():
         size -= 1
 
 
-def test_a_move_out_from_under_a_block_sideways_is_planned_with_turns(scene, car):
-    grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1)])
-    planner = Rules("physical")
+def test_a_plan_of_moves_and_turns_has_at_most_one_step_more_than_the_search_depth(scene, car):
+    grid, planner = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1)]), Rules("physical")
     assert not planner.legal(grid, 0, RIGHT)
-    assert planner.plan_move(grid, 0, RIGHT) == (Action.ROTATE_RIGHT, RIGHT)
-    assert planner.reachable(grid)[0, RIGHT]
-
-
-def test_a_plan_has_at_most_one_step_more_than_the_search_depth(scene, car):
-    for depth, found in ((0, False), (1, True)):
-        grid = scene([(BLOCK, (3, 3, 1))], [car(3, 3, yaw=1)])
-        planner = Rules("physical")
-        assert (planner.plan_move(grid, 0, RIGHT, depth) is not None) == found
-        assert planner.reachable(grid, depth)[0, RIGHT] == found
+    for depth, plan in ((0, None), (1, (Action.ROTATE_RIGHT, RIGHT))):
+        assert planner.plan_move(grid, 0, RIGHT, depth) == plan
+        assert planner.reachable(grid, depth)[0, RIGHT] == (plan is not None)
 
 
 def test_a_way_to_a_cell_leads_up_a_ramp(scene, car):
@@ -95,11 +87,6 @@ def test_a_way_to_a_cell_leads_up_a_ramp(scene, car):
     assert plan_to(grid, 0, (4, 3, 2)) == (RIGHT, RIGHT, RIGHT)
     assert plan_to(grid, 0, (4, 3, 3)) is None
     assert plan_to(grid, 0, (1, 3, 1)) == ()
-
-
-def test_only_moves_are_planned(scene, car):
-    with pytest.raises(ValueError, match="LIFT"):
-        Rules("physical").plan_move(scene([], [car(3, 3)]), 0, Action.LIFT)
 
 
 def test_the_queue_goes_on_whatever_the_car_is_told(scene, car):
@@ -125,15 +112,13 @@ def test_a_queue_whose_next_step_became_illegal_is_thrown_away(scene, car):
     assert grid.cars[0, : CarField.YAW].tolist() == [3, 3, 1]
 
 
-def test_a_move_without_a_plan_is_a_stop(scene, car):
+def test_a_move_without_a_plan_is_a_stop_and_nothing_else_is_planned(scene, car):
     grid = scene([], [car(0, 0)])
-    queue = empty_queue(1, 10)
-    after, queue, applied = tick(grid, queue, [(0, Action.MOVE_LEFT)])
+    after, queue, applied = tick(grid, empty_queue(1, 10), [(0, Action.MOVE_LEFT)])
     assert applied.tolist() == [True]
     assert after.same_visible(grid)
     assert (queue == -1).all()
-
-
-def test_a_negative_depth_is_refused():
+    with pytest.raises(ValueError, match="LIFT"):
+        Rules("physical").plan_move(grid, 0, Action.LIFT)
     with pytest.raises(ValueError, match="search depth is -1"):
         empty_queue(1, -1)

@@ -2,7 +2,7 @@
 
 import re
 
-from craftsim.discrete.reasons import REASONS
+from craftsim.discrete.rules import REASONS
 
 from .mutants import MUTANTS, ROOT
 

@@ -95,20 +95,6 @@ def test_a_written_schedule_is_kept_by_who_reads_the_plan(tmp_path, rng):
         assert (order == "concurrent") == (_ancestors(kept) == _ancestors(free))
 
 
-def test_what_footprints_demand_is_never_lost_to_a_plan_s_constraints(rng):
-    grid, rules = make_task("simple_two_story").draw(rng), Rules("physical")
-    ticks = read_plan(shipped_plan("simple_two_story"), grid.n_cars).ticks
-    free = make_schedule(grid, ticks, rules)
-    acts = free.acts
-    after = {
-        acts[i]: [acts[j] for j in rng.integers(0, i, 2) if acts[j][1] != acts[i][1]] for i in range(1, 20)
-    }
-    bound = make_schedule(grid, ticks, rules, after=after)
-    assert all(a.waits_for <= b.waits_for for a, b in zip(free.steps, bound.steps, strict=True))
-    assert any(a.waits_for < b.waits_for for a, b in zip(free.steps, bound.steps, strict=True))
-    assert bound.final.same_visible(free.final)
-
-
 _WORDS = st.sampled_from(
     ["0", "1", "2", "LIFT", "STOP", "after", "0:0", "1:0", "0:1", "9:9", ":", "after:", "-1:0", "\u0660:0"]
 )

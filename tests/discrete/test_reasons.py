@@ -9,8 +9,7 @@ import generated
 from craftsim.discrete.kernel import batch
 from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.reasons import REASONS
-from craftsim.discrete.rules import RULE_SETS, Rules
+from craftsim.discrete.rules import REASONS, RULE_SETS, Rules
 
 from .conftest import recorded_world
 

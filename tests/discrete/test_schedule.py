@@ -1,21 +1,25 @@
-"""Which action waits for which: enough for the same end in any order that respects it, and no more than needed."""
+"""What an action needs while it runs, which action waits for which, no more than needed, and when each starts."""
 
 import itertools
 from typing import get_args
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from craftsim.discrete.actions import footprint
+from craftsim.discrete.actions import claims_of, footprint
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.geometry import INCLINE_RAD
-from craftsim.discrete.grid import CarField, Kind
+from craftsim.discrete.grid import CarField, Kind, cell_of
+from craftsim.discrete.kernel.claims import CHANGES, LOADS, RELIES, SPACE
+from craftsim.discrete.kernel.claims import conflict as claims_conflict
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
-from craftsim.discrete.schedule import Concurrency, make_schedule
+from craftsim.discrete.schedule import Concurrency, make_schedule, nominal_durations
 from craftsim.discrete.tasks import make_task
+from craftsim.errors import InputError
 
 from .conftest import make_scene
 from .worldgen import conflict, play, random_world
@@ -23,14 +27,81 @@ from .worldgen import conflict, play, random_world
 RULES = Rules("physical")
 SEEDS = st.integers(0, 2**32 - 1)
 PLENTY = settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+
+
+def needs(grid, car, action):
+    assert RULES.legal(grid, car, action), f"the rules forbid {action.name} here"
+    return footprint(grid, RULES.apply(grid, car, action), car, action)
+
+
+def cells_of(needs, bit):
+    return {cell for cell, bits in needs.items() if bits & bit}
+
+
+def random_steps(seed, ticks=8):
+    rng = np.random.default_rng(seed)
+    grid = random_world(rng)
+    return make_schedule(grid, [joint for joint, _ in play(RULES, grid, rng, ticks)], RULES).steps
+
+
+@PLENTY
+@given(SEEDS)
+def test_what_an_action_changes_on_the_grid_is_in_its_footprint_within_three_cells_of_its_car(seed):
+    for step in random_steps(seed):
+        before, after, own = step.before, step.after, step.footprint
+        changed = np.argwhere((before.kind != after.kind) | (before.yaw != after.yaw))
+        assert {tuple(cell) for cell in changed.tolist()} <= cells_of(own, CHANGES)
+        for x, y, z in (cell_of(before, step.car), cell_of(after, step.car)):
+            assert own[x, y, z] & SPACE
+            assert own[x, y, z - 1] & RELIES
+        assert np.abs(np.array(list(own)) - cell_of(before, step.car)).max() <= 3, step
+
+
+def test_each_reason_for_a_conflict_is_enough_alone():
+    here, beside, apart, above = (1, 1, 1), (1, 2, 1), (2, 2, 1), (1, 2, 2)
+    for mine, theirs, expected in (
+        ({here: SPACE}, {here: SPACE}, True),
+        ({here: CHANGES}, {here: CHANGES}, True),
+        ({here: CHANGES}, {here: RELIES}, True),
+        ({here: RELIES}, {here: RELIES}, False),
+        ({here: LOADS}, {beside: LOADS}, True),
+        ({here: LOADS}, {apart: LOADS}, False),
+        ({here: LOADS}, {above: LOADS}, False),
+        ({here: SPACE}, {beside: SPACE}, False),
+        ({here: SPACE}, {here: CHANGES}, False),
+    ):
+        for one, other in ((mine, theirs), (theirs, mine)):
+            assert conflict(one, other) is expected, (mine, theirs)
+            claims = claims_of(one)
+            found = any(claims_conflict(claims, len(claims), *row) for row in claims_of(other).tolist())
+            assert found is expected
+
+
+def test_a_flap_needs_the_columns_of_body_and_foot_and_the_cell_beyond(scene, car):
+    for kind, action in ((Kind.FSLOPE, Action.UNFOLD), (Kind.BODY, Action.FOLD)):
+        grid = scene([(kind, (4, 2, 1), 2)], [car(4, 2)], size=(7, 5, 4))
+        own = needs(grid, 0, action)
+        swing = {(x, 2, z) for x in (4, 3) for z in (1, 2, 3)} | {(2, 2, 1)}
+        assert cells_of(own, SPACE) == swing
+        assert cells_of(own, CHANGES) == {(4, 2, 1), (3, 2, 1)}
+        assert own[3, 2, 0] & RELIES
+
+
+def test_a_turning_load_needs_its_neighbours_and_a_turning_slope_the_corners_too(scene, car):
+    cross = {(2, 2, 1), (1, 2, 1), (3, 2, 1), (2, 1, 1), (2, 3, 1)}
+    corners = {(x, y, 1) for x in (1, 3) for y in (1, 3)}
+    bare, block, slope = (
+        needs(scene([], [car(2, 2, load=load)]), 0, Action.ROTATE_LEFT)
+        for load in (Kind.AIR, Kind.BLOCK, Kind.FSLOPE)
+    )
+    assert cells_of(bare, SPACE) == {(2, 2, 1)}
+    assert cells_of(block, LOADS) == cross
+    assert cells_of(slope, LOADS) == cross | corners
+    # A lifted load reaches into the level above.
+    assert {(x, y, 2) for x, y, _ in cross} <= cells_of(block, SPACE)
+
+
 FORWARD, BACK, LEFT, RIGHT = Action.MOVE_FORWARD, Action.MOVE_BACK, Action.MOVE_LEFT, Action.MOVE_RIGHT
-
-
-def waits(grid, *joint, order="concurrent"):
-    """Return for each action of one tick the actions before it that it waits for; all must be legal."""
-    schedule = make_schedule(grid, [joint], RULES, order)
-    assert schedule.forbidden == ()
-    return [set(step.waits_for) for step in schedule.steps]
 
 
 def crowd(rng):
@@ -52,11 +123,7 @@ def crowd(rng):
             inside = 0 <= x + dx < length and 0 <= y + dy < width
             if not inside or used & {(x, y), (x + dx, y + dy)}:
                 continue
-            if (
-                grid.kind[x, y, 1] != Kind.AIR
-                or grid.kind[x + dx, y + dy, 1] != Kind.AIR
-                or rng.random() < 0.6
-            ):
+            if (grid.kind[[x, x + dx], [y, y + dy], 1] != Kind.AIR).any() or rng.random() < 0.6:
                 continue
             high, low = (Kind.FSLOPE, Kind.GEAR) if rng.random() < 0.5 else (Kind.BODY, Kind.FOOT)
             grid.kind[x, y, 1], grid.kind[x + dx, y + dy, 1] = high, low
@@ -155,92 +222,80 @@ def test_two_actions_that_do_not_wait_for_each_other_may_change_places():
     assert pairs > 5_000
 
 
-def test_the_sampled_orders_are_truly_different_from_the_plans():
-    reordered = 0
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        grid, ticks = random_plan(rng)
-        order = list(any_order(make_schedule(grid, ticks, RULES).steps, rng))
-        reordered += order != sorted(order)
-    assert reordered >= 30
-
-
 @PLENTY
 @given(SEEDS)
-def test_the_plans_order_ends_as_the_rules_say_whatever_the_dependencies(seed):
-    rng = np.random.default_rng(seed)
-    grid, ticks = random_plan(rng)
+def test_in_every_order_the_end_is_the_rules_and_a_car_s_own_actions_follow_each_other(seed):
+    grid, ticks = random_plan(np.random.default_rng(seed))
     after, n_forbidden = grid, 0
     for joint in ticks:
         after, applied = RULES.tick(after, joint)
         n_forbidden += int((~applied).sum())
     for order in get_args(Concurrency):
         schedule = make_schedule(grid, ticks, RULES, order)
+        steps = schedule.steps
         assert schedule.final.same_visible(after)
         assert len(schedule.forbidden) == n_forbidden
+        ancestors: list[set[int]] = []
+        last: dict[int, int] = {}
+        for index, step in enumerate(steps):
+            assert all(earlier < index for earlier in step.waits_for)
+            ancestors.append(set().union(step.waits_for, *(ancestors[i] for i in step.waits_for)))
+            assert last.get(step.car) in {None, *ancestors[index]}
+            last[step.car] = index
+            if order == "sequential":
+                assert step.waits_for == ({index - 1} if index else set())
+            if order == "at-once":
+                assert step.waits_for == {i for i, other in enumerate(steps) if other.tick < step.tick}
 
 
-def test_every_order_keeps_each_cars_own_actions_in_order():
-    for order in get_args(Concurrency):
-        for seed in range(25):
-            grid, ticks = random_plan(np.random.default_rng(seed))
-            steps = make_schedule(grid, ticks, RULES, order).steps
-            ancestors: list[set[int]] = []
-            last: dict[int, int] = {}
-            for index, step in enumerate(steps):
-                assert all(earlier < index for earlier in step.waits_for)
-                ancestors.append(set().union(step.waits_for, *(ancestors[i] for i in step.waits_for)))
-                if step.car in last:
-                    assert last[step.car] in ancestors[index]
-                last[step.car] = index
-
-
-def test_sequential_is_a_chain_and_at_once_waits_for_all_earlier_ticks_and_for_nothing_in_its_own():
-    for seed in range(10):
-        grid, ticks = random_plan(np.random.default_rng(seed))
-        steps = make_schedule(grid, ticks, RULES, "sequential").steps
-        chain = [frozenset({i - 1} if i else ()) for i in range(len(steps))]
-        assert [step.waits_for for step in steps] == chain
-        steps = make_schedule(grid, ticks, RULES, "at-once").steps
-        for step in steps:
-            assert step.waits_for == {i for i, other in enumerate(steps) if other.tick < step.tick}
-
-
-def test_four_cars_on_the_complex_two_story_plan_work_side_by_side():
-    task = make_task("complex_two_story")
-    plan = read_plan(shipped_plan("complex_two_story"), task.starts[0].n_cars)
-    steps = make_schedule(task.starts[0].grid(np.random.default_rng(0)), plan.ticks, RULES).steps
-    longest: list[int] = []
-    for step in steps:
+@pytest.mark.parametrize("order", ["sequential", "concurrent", "at-once"])
+def test_a_step_of_a_shipped_plan_starts_when_the_last_it_waits_for_ends(order, rng):
+    grid = make_task("complex_two_story").draw(rng)
+    plan = read_plan(shipped_plan("complex_two_story"), grid.n_cars)
+    schedule = make_schedule(grid, plan.ticks, RULES, order)
+    times, longest = schedule.times(), list[int]()
+    assert (times[:, 1] > times[:, 0]).all()
+    for (start, _), step in zip(times, schedule.steps, strict=True):
+        assert start == max((times[other, 1] for other in step.waits_for), default=0.0)
         longest.append(1 + max((longest[j] for j in step.waits_for), default=0))
-    assert max(longest) <= 0.6 * len(steps)
+    if order == "sequential":
+        assert schedule.makespan() == pytest.approx(np.diff(times).sum())
+    if order == "concurrent":  # four cars side by side
+        assert max(longest) <= 0.6 * len(longest)
 
 
-def test_two_bare_cars_side_by_side_do_not_wait_and_two_loaded_ones_do(scene, car):
-    for load, second in ((Kind.AIR, set()), (Kind.BLOCK, {0}), (Kind.FSLOPE, {0})):
-        grid = scene([], [car(2, 2, load=load), car(2, 3, load=load)])
-        assert waits(grid, (0, RIGHT), (1, RIGHT)) == [set(), second], load.name
+BARE, LOADED, SLOPE = ({"load": load} for load in (Kind.AIR, Kind.BLOCK, Kind.FSLOPE))
+FOLDED = [(Kind.FSLOPE, (4, 2, 1), 2)]
 
 
-def test_a_load_in_motion_waits_for_the_gear_of_a_carried_slope_beside_it(scene, car):
-    # Car 0 heads +x at (3, 2): its slope's gear is carried along at (2, 2), beside the load that follows at (2, 3).
-    grid = scene([], [car(3, 2, load=Kind.FSLOPE), car(1, 3, load=Kind.BLOCK)])
-    assert waits(grid, (0, RIGHT), (1, LEFT)) == [set(), set()]
-    assert waits(grid, (0, RIGHT), (1, RIGHT)) == [set(), {0}]
-
-
-def test_who_drives_under_a_block_does_not_wait_for_the_one_above(scene, car):
-    blocks = [(Kind.BLOCK, (x, 1, 1)) for x in (1, 2)]
-    grid = scene(blocks, [car(1, 1), car(2, 1, 2)])
-    assert waits(grid, (1, LEFT), (0, RIGHT)) == [set(), set()]
-
-
-def test_unfolding_waits_for_what_leaves_the_swing(scene, car):
-    for cell in ((3, 2), (2, 2)):
-        grid = scene([(Kind.FSLOPE, (4, 2, 1), 2)], [car(4, 2), car(*cell)])
-        assert waits(grid, (1, FORWARD), (0, Action.UNFOLD)) == [set(), {0}]
-        away = scene([(Kind.FSLOPE, (4, 2, 1), 2)], [car(4, 2), car(1, 2)])
-        assert waits(away, (1, FORWARD), (0, Action.UNFOLD)) == [set(), set()]
+@pytest.mark.parametrize(
+    ("things", "cars", "first", "second", "waits"),
+    [
+        # Side by side bare cars pass, loads do not, nor does one beside a carried slope's gear.
+        ([], [((2, 2), BARE), ((2, 3), BARE)], (0, RIGHT), (1, RIGHT), False),
+        ([], [((2, 2), LOADED), ((2, 3), LOADED)], (0, RIGHT), (1, RIGHT), True),
+        ([], [((2, 2), SLOPE), ((2, 3), SLOPE)], (0, RIGHT), (1, RIGHT), True),
+        ([], [((3, 2), SLOPE), ((1, 3), LOADED)], (0, RIGHT), (1, LEFT), False),
+        ([], [((3, 2), SLOPE), ((1, 3), LOADED)], (0, RIGHT), (1, RIGHT), True),
+        # Below a block one drives whatever is above it.
+        (
+            [(Kind.BLOCK, (x, 1, 1)) for x in (1, 2)],
+            [((1, 1), {}), ((2, 1, 2), {})],
+            (1, LEFT),
+            (0, RIGHT),
+            False,
+        ),
+        # A flap swings once its way is left.
+        (FOLDED, [((4, 2), {}), ((3, 2), {})], (1, FORWARD), (0, Action.UNFOLD), True),
+        (FOLDED, [((4, 2), {}), ((2, 2), {})], (1, FORWARD), (0, Action.UNFOLD), True),
+        (FOLDED, [((4, 2), {}), ((1, 2), {})], (1, FORWARD), (0, Action.UNFOLD), False),
+    ],
+)
+def test_an_action_waits_for_one_that_needs_the_same(scene, car, things, cars, first, second, waits):
+    grid = scene(things, [car(*place, **more) for place, more in cars])
+    schedule = make_schedule(grid, [[first, second]], RULES)
+    assert schedule.forbidden == ()
+    assert [set(step.waits_for) for step in schedule.steps] == [set(), {0} if waits else set()]
 
 
 def test_what_the_rules_forbid_is_left_out_and_named(scene, car):
@@ -252,6 +307,24 @@ def test_what_the_rules_forbid_is_left_out_and_named(scene, car):
     nothing = make_schedule(grid, [], RULES)
     assert nothing.steps == ()
     assert nothing.final.same_visible(grid)
+    assert (nothing.times().shape, nothing.makespan()) == ((0, 2), 0.0)
+    for order in ("ticks", None):
+        with pytest.raises(InputError, match=f"no order {order!r}.*orders: sequential, concurrent"):
+            make_schedule(grid, ticks, RULES, order)
+
+
+def test_cars_far_from_each_other_start_together_and_a_constraint_delays_who_has_it_and_nobody_else(
+    scene, car
+):
+    ticks = [[(0, RIGHT), (1, Action.ROTATE_LEFT), (2, RIGHT)], [(1, LEFT)]]
+    grid = scene([], [car(0, 0), car(4, 4), car(0, 4)])
+    move, turn = nominal_durations()[[RIGHT, Action.ROTATE_LEFT], 0]
+    free = make_schedule(grid, ticks, RULES)
+    np.testing.assert_allclose(free.times(), [(0, move), (0, turn), (0, move), (turn, turn + move)])
+    assert free.makespan() == turn + move
+    bound = make_schedule(grid, ticks, RULES, after={(0, 2): [(0, 0)]}).times()
+    assert (np.delete(bound, 2, axis=0) == np.delete(free.times(), 2, axis=0)).all()
+    assert bound[2, 0] == move
 
 
 def test_a_step_knows_the_ground_of_its_move(scene, car):

@@ -1,4 +1,4 @@
-"""Tasks and rewards: the paper's figures, the code's figures, and a task of one's own."""
+"""Tasks and rewards, the paper's and one's own, and observations; those of worlds are recorded: test_conformance."""
 
 from dataclasses import replace
 
@@ -10,9 +10,10 @@ from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, Task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.observation import Layout, entity_rows, target_rows
 from craftsim.discrete.tasks.rewards import GOALS, POTENTIALS, Reward
 from craftsim.discrete.tasks.starts import targets_of
-from craftsim.errors import InputError
+from craftsim.errors import CraftsimError, InputError
 
 BLOCK, GEAR, FSLOPE, BODY, FOOT = Kind.BLOCK, Kind.GEAR, Kind.FSLOPE, Kind.BODY, Kind.FOOT
 
@@ -53,21 +54,8 @@ def test_a_slope_pays_only_when_both_its_parts_are_in_place_the_right_way_round(
     assert worth(task, grid) == 0
 
 
-def test_the_code_counts_gears_as_blocks_and_the_paper_does_not(rng):
-    for reward, counted in (("paper", 0), ("published_code", 1)):
-        task = make_task("strip", reward=reward)
-        grid = task.draw(rng)
-        grid.kind[:, :, 1:] = 0
-        grid.kind[3, 0, 1] = GEAR
-        assert worth(task, grid) == counted
-
-
 def test_platforms_are_counted_level_by_level(scene):
-    row = [(BLOCK, (x, 1, 1)) for x in range(3)] + [
-        (BLOCK, (5, 5, 1)),
-        (BLOCK, (0, 1, 2)),
-        (BLOCK, (4, 1, 1)),
-    ]
+    row = [(BLOCK, cell) for cell in ((0, 1, 1), (1, 1, 1), (2, 1, 1), (5, 5, 1), (0, 1, 2), (4, 1, 1))]
     for objects, paper, code in (([], 0, 0), (row[:1], 0, 0), (row, 2, 3), ([*row, (GEAR, (3, 1, 1))], 2, 5)):
         assert _platforms(scene(objects)) == (paper, code)
     assert _platforms(scene([(BLOCK, (x, 1, 3)) for x in range(3)])) == (2, 0)
@@ -96,20 +84,13 @@ def test_free_building_succeeds_with_one_platform_of_all_blocks(rng):
     assert not task.succeeded(grid)
 
 
-def test_the_barrier_pays_steps_arrival_and_time_as_paper_and_code_say(rng):
+def test_the_barrier_pays_steps_arrival_and_time_as_the_paper_says(rng):
     task = make_task("breaking_barrier")
     before, after = np.array([-6.0, -5.0, -1.0, 0.0]), np.array([-5.0, -5.0, 0.0, 0.0])
     assert task.reward == Reward("flag_nearness", "barrier")
     assert worth(task, task.draw(rng)) == -5
     paid, _ = task.reward.of_tick(before, after, np.arange(4), np.zeros(4, bool))
     assert paid.tolist() == [0, -1, 10, 9]
-    code = make_task("breaking_barrier", reward="published_code").reward
-    assert code == Reward("flag_nearness", "published_barrier")
-    before, after = np.array([-5.0, -1.0, -1.0, -1.0, 0.0]), np.array([-4.0, 0.0, 0.0, 0.0, 0.0])
-    given = np.array([False, False, False, True, False])
-    paid, spent = code.of_tick(before, after, np.array([0, 7, 30, 7, 1]), given)
-    assert paid.tolist() == [0, 1 + 13, 1 - 10, 1, 19], "one bonus, and nothing in the first tick"
-    assert spent.tolist() == [False, True, True, True, True]
 
 
 def test_a_carried_flag_counts_where_its_car_is_and_a_lost_one_is_far(rng):
@@ -268,3 +249,33 @@ def test_wrong_shapes_and_orders_are_refused(rng):
     for turns in (order * 0, order - 1, order + 1):
         with pytest.raises(ValueError, match="each of the cars 0 to 1 once"):
             episodes.step(good, turns)
+
+
+def test_more_things_than_rows_are_told(scene):
+    for kind in (Kind.BLOCK, Kind.FSLOPE):
+        with pytest.raises(CraftsimError, match="more than the 0 slopes and 0 blocks announced"):
+            entity_rows(
+                scene([(kind, (3, 3, 1), 0)])[None],
+                Layout(0, 0, 0, None, shows_flag=False),
+                targets_of(None)[None],
+            )
+
+
+def test_a_cars_vector_is_its_own_row_and_then_all_rows(rng):
+    episodes = Episodes(make_task("complex_two_story"), rng)
+    vectors, layout = episodes.vectors()[0], episodes.layout
+    assert vectors.shape == (4, layout.vector_length) == (4, 13 * (1 + 4 + 3 * 2 + 6 + 2))
+    rows = episodes.entity_rows()[0]
+    for car in range(4):
+        assert vectors[car].tolist() == [*rows[car], *rows.ravel()]
+
+
+def test_what_is_to_be_built_has_rows_as_things_there_would_have_and_is_marked():
+    design = make_task("simple_two_story").design
+    rows = dict(zip(design.targets, target_rows(targets_of(design)).tolist(), strict=True))
+    assert {(target.kind, *row) for target, row in rows.items()} == {
+        (Kind.BODY, 2, 2, 1, 0, 0, 1, 0, 0, 0, 1, 1, 1, 0),
+        (Kind.FOOT, 2, 1, 1, 0, 0, 0, 1, 0, 0, 1, 1, 1, 0),
+        (Kind.BLOCK, 2, 3, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0),
+        (Kind.BLOCK, 2, 3, 2, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0),
+    }

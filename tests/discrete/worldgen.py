@@ -3,19 +3,25 @@
 import numpy as np
 
 from craftsim.discrete.files.blueprint import parse_blueprint
+from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import KINDS_WITH_YAW, CarField, Grid, Kind
+from craftsim.discrete.kernel.claims import CHANGES, LOADS, RELIES, SPACE
 from craftsim.discrete.kinds import Action
 
 MOVE_BY_DIRECTION = (Action.MOVE_RIGHT, Action.MOVE_FORWARD, Action.MOVE_LEFT, Action.MOVE_BACK)
 
 
 def conflict(one, other):
-    """Return whether two actions with these footprints must not run at the same time, as set by set."""
-    return bool(
-        one.space & other.space
-        or one.changes & (other.changes | other.relies)
-        or one.relies & other.changes
-        or one.beside_loads & other.loads
+    """Return whether two actions with these footprints must not run at the same time, cell by cell."""
+
+    def against(mine, theirs):
+        changes = mine & CHANGES and theirs & (CHANGES | RELIES)
+        return mine & theirs & (SPACE | LOADS) or changes or (mine & RELIES and theirs & CHANGES)
+
+    return any(against(bits, other.get(cell, 0)) for cell, bits in one.items()) or any(
+        bits & LOADS and other.get((x + dx, y + dy, z), 0) & LOADS
+        for (x, y, z), bits in one.items()
+        for dx, dy in DIRECTIONS.tolist()
     )
 
 

@@ -202,8 +202,7 @@ def test_a_batch_is_its_worlds_one_by_one(helper_depth):
     episodes.draw_order = keep("order", episodes.draw_order)
     timing = episodes.timing
     episodes.timing = SimpleNamespace(
-        jitter=timing.jitter,
-        failures=timing.failures,
+        wait_s=timing.wait_s,
         nominal_s=timing.nominal_s,
         factors=keep("factors", timing.factors),
         fails=keep("fails", timing.fails),

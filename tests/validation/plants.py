@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from craftsim.discrete.kinds import Correction
-from craftsim.discrete.reasons import REASONS
+from craftsim.discrete.rules import REASONS
 
 sys.path.append(str(Path(__file__).parents[1]))
 from discrete.mutants import never

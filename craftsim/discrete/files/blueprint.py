@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import PlainValidator, ValidationInfo
 
-from craftsim.discrete.files.placement import Placement, build_grid
-from craftsim.discrete.files.sense import CarRow, check_sense, outside
+from craftsim.discrete.files.placement import CarRow, Placement, build_grid, check_sense, outside
 from craftsim.discrete.files.shipped import find
 from craftsim.discrete.grid import (
     MAX_CARS,
@@ -177,7 +176,8 @@ class _File:
             if plain.get(key, ()) is None:
                 del plain[key]
             elif key in ("flag", "goal") and isinstance(entries := plain.get(key), list):
-                plain[key] = [None if _is_no_cell(entry) else entry for entry in entries]
+                cells = ([e.get(axis) for axis in "xyz"] if isinstance(e, dict) else () for e in entries)
+                plain[key] = [None if (*at,) == NO_CELL else e for e, at in zip(entries, cells, strict=True)]
         return replace(document, plain=plain).to(cls, count=Range(0, length * width * height), **ranges)
 
     def objects(self) -> Iterator[tuple[Loc, Piece]]:
@@ -195,10 +195,6 @@ class _File:
                 if entry is not None and entry.id is not None and first.setdefault(entry.id, i) != i:
                     line = document.lines.get((key, first[entry.id]))
                     yield (key, i), f"{key_words((key, i, 'id'))}: {entry.id} is taken, see line {line}"
-
-
-def _is_no_cell(entry: Any) -> bool:
-    return isinstance(entry, dict) and tuple(entry.get(axis) for axis in "xyz") == NO_CELL
 
 
 KEYS: Final = [one.name for one in fields(_File)]
@@ -281,11 +277,8 @@ class Blueprint:
                 raise BlueprintError(
                     f"{self.path}: {number} {what} asked for; it lists {listed}, allowed: {listed} to {most}"
                 )
-        counted = replace(
-            self,
-            n_cars=self.n_cars if n_cars is None else n_cars,
-            n_blocks=self.n_blocks if n_blocks is None else n_blocks,
-        )
+        given: dict[str, Any] = {"n_cars": n_cars, "n_blocks": n_blocks}
+        counted = replace(self, **{name: count for name, count in given.items() if count is not None})
         _check_values(counted)
         return counted
 
@@ -320,11 +313,9 @@ def blueprint_of(document: Document) -> Blueprint:
     things = list(file.objects())
     cars = sorted((entry.id, ("smartcar", i), entry.row) for i, entry in enumerate(file.smartcar))
     goal = file.goal[0] if file.goal else None
-    notes = []
-    if file.legged_robot is not None or file.legged_robot_num is not None:
-        notes.append("legged robots are ignored: there are none in this world")
-    if len(file.goal) > 1:
-        notes.append("only the first goal is used")
+    legged = file.legged_robot is not None or file.legged_robot_num is not None
+    notes = ["legged robots are ignored: there are none in this world"] * legged
+    notes += ["only the first goal is used"] * (len(file.goal) > 1)
     blueprint = Blueprint(
         path=document.path,
         size=size,

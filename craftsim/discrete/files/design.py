@@ -96,10 +96,8 @@ class Design:
 
     def moved(self, dx: int, dy: int) -> Design:
         """Return the same building somewhere else."""
-        cells = [(target.cell[0] + dx, target.cell[1] + dy, target.cell[2]) for target in self.targets]
-        return replace(
-            self, targets=tuple(t._replace(cell=cell) for t, cell in zip(self.targets, cells, strict=True))
-        )
+        moved = ((kind, (x + dx, y + dy, z), yaw) for kind, (x, y, z), yaw in self.targets)
+        return replace(self, targets=tuple(map(Piece._make, moved)))
 
     def floating(self) -> list[Cell]:
         """Return the cells of targets that have neither ground nor a target block below them."""
@@ -122,10 +120,9 @@ class Design:
 
     def hits(self, grid: Grid) -> Iterator[tuple[Piece, bool]]:
         """Yield each target and whether its cell holds its kind with its yaw; what is carried is in no cell."""
-        for target in self.targets:
-            kind, cell, yaw = target
+        for kind, cell, yaw in self.targets:
             hit = grid.inside(cell) and grid.kind[cell] == kind and yaw in (ANY_YAW, grid.yaw[cell])
-            yield target, bool(hit)
+            yield Piece(kind, cell, yaw), bool(hit)
 
     def satisfied(self, grid: Grid) -> bool:
         """Return whether every target is hit."""

@@ -10,7 +10,7 @@ A list of actions, to be tried one after the other, has only ``car ACTION`` a li
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple, NoReturn
@@ -19,7 +19,7 @@ from craftsim.discrete.actions import action_names
 from craftsim.discrete.files.shipped import find
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import Constraints, Schedule
-from craftsim.errors import BlueprintError, InputError, PlanError, suggestion
+from craftsim.errors import InputError, PlanError, suggestion
 from craftsim.storage.limits import TEXT
 from craftsim.storage.reading import read_text
 from craftsim.storage.writing import write_whole
@@ -59,11 +59,11 @@ def read_plan(path: str | Path, n_cars: int) -> Plan:
         >>> len(craftsim.read_plan("strip", n_cars=2).ticks)
         11
     """
-    path = _found(path)
     ticks: list[list[tuple[int, Action]]] = []
     after: dict[tuple[int, int], tuple[tuple[int, int], ...]] = {}
     acts: set[tuple[int, int]] = set()
-    for line in _lines(path):
+    path, lines = _lines(path, _LINE)
+    for line in lines:
         if len(line.words) != 3 and line.words[3:4] != ["after"]:
             line.fail(f"{len(line.words)} words, but a line is: {_LINE}")
         tick = line.tick()
@@ -78,8 +78,6 @@ def read_plan(path: str | Path, n_cars: int) -> Plan:
             line.fail(f"car {car} acts twice in tick {tick}; allowed: once")
         ticks[tick].append((car, action))
         acts.add((tick, car))
-    if not ticks:
-        raise PlanError(f"{path}: no actions; a line is: {_LINE}")
     return Plan(path, tuple(tuple(tick) for tick in ticks), after)
 
 
@@ -88,14 +86,11 @@ def read_actions(path: str | Path, n_cars: int) -> Plan:
 
     Raises PlanError with file and line.
     """
-    path = _found(path)
-    actions = []
-    for line in _lines(path):
+    (path, lines), actions = _lines(path, "car ACTION"), []
+    for line in lines:
         if len(line.words) != 2:
             line.fail(f"{len(line.words)} words, but a line is: car ACTION")
         actions.append((line.act(line.words, n_cars),))
-    if not actions:
-        raise PlanError(f"{path}: no actions; a line is: car ACTION")
     return Plan(path, tuple(actions))
 
 
@@ -134,13 +129,6 @@ def write_plan(
     if not text:
         raise InputError(f"{path}: the plan has no actions")
     write_whole(path, text)
-
-
-def _found(path: str | Path) -> Path:
-    try:
-        return find(path, "plans")
-    except BlueprintError as error:
-        raise PlanError(str(error)) from None
 
 
 class _Line(NamedTuple):
@@ -189,13 +177,17 @@ class _Line(NamedTuple):
         return tuple(found)
 
 
-def _lines(path: Path) -> Iterator[_Line]:
-    """Yield the lines that have words."""
+def _lines(path: str | Path, form: str) -> tuple[Path, list[_Line]]:
+    """Return the path of a file, and its lines that have words, one or more; ``form`` says what a line is."""
     try:
+        path = find(path, "plans")
         text = read_text(path, TEXT)
     except InputError as error:
         raise PlanError(str(error)) from None
-    for number, content in enumerate(text.split("\n"), start=1):
-        words = content.split("#", 1)[0].split()
-        if words:
-            yield _Line(path, number, words)
+    numbered = (
+        (number, one.split("#", 1)[0].split()) for number, one in enumerate(text.split("\n"), start=1)
+    )
+    lines = [_Line(path, number, words) for number, words in numbered if words]
+    if not lines:
+        raise PlanError(f"{path}: no actions; a line is: {form}")
+    return path, lines

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled, plain, seldom
 from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions, load_below_walls, load_fits
 from craftsim.discrete.kernel.search import (
@@ -25,6 +24,7 @@ from craftsim.discrete.kernel.state import (
     Cars,
     Cells,
     World,
+    apply,
     car_in,
     carried_gear_in,
     derive_marks,

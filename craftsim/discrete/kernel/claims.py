@@ -18,9 +18,8 @@ from craftsim.discrete.kernel.codes import (
     ROTATE_RIGHT,
     UNFOLD,
 )
-from craftsim.discrete.kernel.effects import after
 from craftsim.discrete.kernel.jit import compiled
-from craftsim.discrete.kernel.state import AIR, FSLOPE, Pose, World, dir_x, dir_y, pose_of, yaw_at
+from craftsim.discrete.kernel.state import AIR, FSLOPE, Pose, World, after, dir_x, dir_y, pose_of, yaw_at
 
 SPACE = 1
 """Swept by the car, its load or a flap."""

@@ -81,13 +81,7 @@ def save(name: str, result: Any) -> None:
 
 
 def _file(name: str, triple: str, processor: str, features: str) -> str:
-    versions = (
-        _FORMAT,
-        numba.__version__,
-        llvmlite.__version__,
-        platform.python_implementation(),
-        platform.python_version_tuple()[:2],
-    )
+    python = platform.python_implementation(), platform.python_version_tuple()[:2]
     options = (
         config.OPT,
         config.LOOP_VECTORIZE,
@@ -95,6 +89,7 @@ def _file(name: str, triple: str, processor: str, features: str) -> str:
         config.BOUNDSCHECK,
         config.DEBUGINFO_DEFAULT,
     )
+    versions = (_FORMAT, numba.__version__, llvmlite.__version__, *python)
     text = repr((name, triple, processor, features, versions, options))
     return f"{name.split()[0]}-{hashlib.sha256(text.encode()).hexdigest()[:32]}"
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.batch import NO_HELPER, Cars, Cells, Mask, Queues
+from craftsim.discrete.kernel.batch import NO_HELPER, Mask, Queues
 from craftsim.discrete.kernel.claims import Claims, claims_of, conflict
 from craftsim.discrete.kernel.codes import (
     FIRST_MOVE,
@@ -20,7 +20,6 @@ from craftsim.discrete.kernel.codes import (
     STOP,
     UNFOLD,
 )
-from craftsim.discrete.kernel.effects import apply
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import (
@@ -35,11 +34,11 @@ from craftsim.discrete.kernel.search import (
 from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
-    F_SLOPE,
     FOOT,
     FSLOPE,
     Pose,
     World,
+    apply,
     dir_x,
     dir_y,
     kind_at,
@@ -97,6 +96,9 @@ class AsynchronousWorlds(NamedTuple):
     queues: Queues
     time_s: NDArray[np.float64]
     """(B,): now."""
+    space: SearchBuffers
+    depth: int
+    """Of the action helper's search; NO_HELPER where it is off."""
 
 
 class Durations(NamedTuple):
@@ -122,6 +124,12 @@ class Ends(NamedTuple):
     """(B, n): whose actions have ended; waits count."""
     failed: Mask
     """(B, n): whose actions have ended without effect."""
+
+
+@compiled
+def world_of(worlds: World, i: int) -> World:
+    """Return a world of a batch."""
+    return World(worlds.cells[i], worlds.cars[i], worlds.corrections)
 
 
 @compiled
@@ -206,9 +214,7 @@ def clashes(running: Running, i: int, other: int, row: Claims) -> bool:
 
 @compiled
 def offer(
-    cells: Cells,
-    cars: Cars,
-    corrections: int,
+    worlds: World,
     running: Running,
     row: Claims,
     plan: NDArray[np.int8],
@@ -222,8 +228,8 @@ def offer(
     With a search depth moves are on, too, that the helper has a plan for whose first primitive can begin. ``row``
     (MOST, 4) and ``plan`` (depth + 1,) are scratch.
     """
-    for i in range(cells.shape[0]):
-        w = World(cells[i], cars[i], corrections)
+    for i in range(worlds.cells.shape[0]):
+        w = world_of(worlds, i)
         for car in range(w.cars.shape[0]):
             some = False
             if running.action[i, car] == DECIDES:
@@ -251,19 +257,11 @@ def offer(
 
 
 @compiled
-def unblocked(
-    cells: Cells,
-    cars: Cars,
-    corrections: int,
-    running: Running,
-    row: Claims,
-    actions: NDArray[np.int8],
-    out: Mask,
-) -> None:
+def unblocked(worlds: World, running: Running, row: Claims, actions: NDArray[np.int8], out: Mask) -> None:
     """Turn on in out (B, n, k) which of ``actions`` (B, n, k), legal ones or -1, a car that decides could begin now
     beside what runs."""
-    for i in range(cells.shape[0]):
-        w = World(cells[i], cars[i], corrections)
+    for i in range(worlds.cells.shape[0]):
+        w = world_of(worlds, i)
         for car in range(w.cars.shape[0]):
             if running.action[i, car] != DECIDES:
                 continue
@@ -276,65 +274,11 @@ def unblocked(
 
 
 @compiled
-def decide_in(
-    worlds: AsynchronousWorlds,
-    i: int,
-    durations: Durations,
-    order: NDArray[np.int64],
-    actions: NDArray[np.int64],
-    space: SearchBuffers,
-    depth: int,
-    out: NDArray[np.int64],
-) -> None:
-    """Let the cars order[i] of a world begin what they have decided on, in their order; see :func:`decide`."""
-    running, queues, now_s = worlds.running, worlds.queues, worlds.time_s[i]
-    w = World(worlds.committed.cells[i], worlds.committed.cars[i], worlds.committed.corrections)
-    turn = 0
-    for car in range(w.cars.shape[0]):
-        turn = max(turn, running.turn[i, car])
-    for place in range(order.shape[1]):
-        car = order[i, place]
-        if running.action[i, car] != DECIDES:
-            continue
-        due, queued = actions[i, car], queues[i, car, 0] >= 0
-        if depth != NO_HELPER:
-            due = due_of(w, car, due, queues[i, car], space, depth)
-        turn += 1
-        result, end_s = WAITS, now_s + durations.wait_s
-        if due == STOP:
-            result = WAITS if actions[i, car] == STOP or queued else ILLEGAL
-        else:
-            pose = pose_of(w, car)
-            result = ILLEGAL
-            if due < N_ACTIONS and legal_actions(w, car, pose, due, due) & (1 << due):
-                claims = running.claims[i, car]
-                count = claims_of(w, pose, due, claims)
-                result = BLOCKED if blocked(w, running, i, -1, pose, due, claims, count) else BEGUN
-                if result == BEGUN:
-                    apply(w, car, due)
-                    running.n_claims[i, car] = count
-                    sloping = pose.slope > 0 or w.cars[car, F_SLOPE] > 0
-                    column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
-                    end_s = now_s + durations.nominal_s[due, column] * durations.factor[i, car]
-        if depth != NO_HELPER and due != STOP:
-            if result == BEGUN:
-                if queues[i, car, 0] >= 0:
-                    pop(queues[i, car])
-            elif result == ILLEGAL or not queued:
-                queues[i, car, :] = -1
-        running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
-        note(worlds, durations, i, car, actions[i, car], result, end_s)
-        out[i, car] = result
-
-
-@compiled
 def decide(
     worlds: AsynchronousWorlds,
     durations: Durations,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
-    space: SearchBuffers,
-    depth: int,
     first: int,
     end: int,
     out: NDArray[np.int64],
@@ -344,8 +288,44 @@ def decide(
     ``actions`` and ``out`` are by car, (B, n); out tells what became of each decision, and stays for other cars. The
     committed worlds have the effects of what has begun from here on, but marks are not derived.
     """
+    running, queues, space, depth = worlds.running, worlds.queues, worlds.space, worlds.depth
     for i in range(first, end):
-        decide_in(worlds, i, durations, order, actions, space, depth, out)
+        w, now_s, turn = world_of(worlds.committed, i), worlds.time_s[i], 0
+        for car in range(w.cars.shape[0]):
+            turn = max(turn, running.turn[i, car])
+        for place in range(order.shape[1]):
+            car = order[i, place]
+            if running.action[i, car] != DECIDES:
+                continue
+            due, queued = actions[i, car], queues[i, car, 0] >= 0
+            if depth != NO_HELPER:
+                due = due_of(w, car, due, queues[i, car], space, depth)
+            turn += 1
+            result, end_s = WAITS, now_s + durations.wait_s
+            if due == STOP:
+                result = WAITS if actions[i, car] == STOP or queued else ILLEGAL
+            else:
+                pose = pose_of(w, car)
+                result = ILLEGAL
+                if due < N_ACTIONS and legal_actions(w, car, pose, due, due) & (1 << due):
+                    claims = running.claims[i, car]
+                    count = claims_of(w, pose, due, claims)
+                    result = BLOCKED if blocked(w, running, i, -1, pose, due, claims, count) else BEGUN
+                    if result == BEGUN:
+                        apply(w, car, due)
+                        running.n_claims[i, car] = count
+                        sloping = pose.slope > 0 or pose_of(w, car).slope > 0
+                        column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
+                        end_s = now_s + durations.nominal_s[due, column] * durations.factor[i, car]
+            if depth != NO_HELPER and due != STOP:
+                if result == BEGUN:
+                    if queues[i, car, 0] >= 0:
+                        pop(queues[i, car])
+                elif result == ILLEGAL or not queued:
+                    queues[i, car, :] = -1
+            running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
+            note(worlds, durations, i, car, actions[i, car], result, end_s)
+            out[i, car] = result
 
 
 @compiled
@@ -373,59 +353,36 @@ def following(running: Running, i: int, ended: Mask, which: bool, turn: int) -> 
 
 
 @compiled
-def advance_in(worlds: AsynchronousWorlds, i: int, ends: Ends) -> None:
-    """Advance a world to its next event; see :func:`advance`."""
-    running, n_cars = worlds.running, worlds.running.action.shape[1]
-    now_s = running.ends_s[i, 0]
-    for car in range(1, n_cars):
-        now_s = min(now_s, running.ends_s[i, car])
-    ends.duration_s[i] = moment(now_s - worlds.time_s[i])
-    worlds.time_s[i] = now_s
-    any_failed = False
-    for car in range(n_cars):
-        ends.doing[i, car] = running.action[i, car]
-        ends.ended[i, car] = running.action[i, car] == STOP or running.ends_s[i, car] <= now_s
-        ends.failed[i, car] = ends.ended[i, car] and running.fails[i, car]
-        any_failed |= ends.failed[i, car]
-    w = World(worlds.confirmed.cells[i], worlds.confirmed.cars[i], worlds.confirmed.corrections)
-    car = following(running, i, ends.ended, True, 0)
-    while car >= 0:
-        if ends.failed[i, car]:
-            worlds.queues[i, car, :] = -1
-        elif running.action[i, car] < STOP:
-            apply(w, car, running.action[i, car])
-        running.action[i, car], running.n_claims[i, car] = DECIDES, 0
-        car = following(running, i, ends.ended, True, running.turn[i, car])
-    if any_failed:
-        commit(worlds, i, ends.ended)
-
-
-@compiled
 def advance(worlds: AsynchronousWorlds, ends: Ends) -> None:
     """Advance each world, in which no car decides, to its next event.
 
     What has ended is applied to the confirmed worlds in the order in which it began; a wait ends with any event. Where
     something failed, the committed worlds are made anew. Registered actions change nothing here. Marks are not derived.
     """
+    running, n_cars = worlds.running, worlds.running.action.shape[1]
     for i in range(worlds.time_s.shape[0]):
-        advance_in(worlds, i, ends)
-
-
-@compiled
-def step(
-    worlds: AsynchronousWorlds,
-    durations: Durations,
-    order: NDArray[np.int64],
-    actions: NDArray[np.int64],
-    space: SearchBuffers,
-    depth: int,
-    out: NDArray[np.int64],
-    ends: Ends,
-) -> None:
-    """Do both, :func:`decide` and :func:`advance`, world by world."""
-    for i in range(worlds.time_s.shape[0]):
-        decide_in(worlds, i, durations, order, actions, space, depth, out)
-        advance_in(worlds, i, ends)
+        now_s = running.ends_s[i, 0]
+        for car in range(1, n_cars):
+            now_s = min(now_s, running.ends_s[i, car])
+        ends.duration_s[i] = moment(now_s - worlds.time_s[i])
+        worlds.time_s[i] = now_s
+        any_failed = False
+        for car in range(n_cars):
+            ends.doing[i, car] = running.action[i, car]
+            ends.ended[i, car] = running.action[i, car] == STOP or running.ends_s[i, car] <= now_s
+            ends.failed[i, car] = ends.ended[i, car] and running.fails[i, car]
+            any_failed |= ends.failed[i, car]
+        w = world_of(worlds.confirmed, i)
+        car = following(running, i, ends.ended, True, 0)
+        while car >= 0:
+            if ends.failed[i, car]:
+                worlds.queues[i, car, :] = -1
+            elif running.action[i, car] < STOP:
+                apply(w, car, running.action[i, car])
+            running.action[i, car], running.n_claims[i, car] = DECIDES, 0
+            car = following(running, i, ends.ended, True, running.turn[i, car])
+        if any_failed:
+            commit(worlds, i, ends.ended)
 
 
 @compiled
@@ -440,7 +397,7 @@ def commit(worlds: AsynchronousWorlds, i: int, ended: Mask) -> None:
     for car in range(committed.cars.shape[1]):
         for field in range(committed.cars.shape[2]):
             committed.cars[i, car, field] = confirmed.cars[i, car, field]
-    w = World(committed.cells[i], committed.cars[i], committed.corrections)
+    w = world_of(committed, i)
     car = following(running, i, ended, False, 0)
     while car >= 0:
         if running.action[i, car] < STOP:

@@ -354,19 +354,18 @@ def _signatures_remembered() -> Iterator[None]:
 
 _wanted: Final[set[_Compiled]] = set()
 """What this process has compiled, and what it is about to."""
-_depth, _said = 0, -math.inf
+_depth = 0
 
 
 @contextmanager
 def _progress(function: _Compiled) -> Iterator[None]:
     """Compile a function in the block, and in blocks within it all that it calls; log how far that is."""
-    global _depth, _said
+    global _depth
     outermost, collects = not _depth, gc.isenabled()
     if outermost:
         # An eighth of the time would go into looking for garbage in what numba still needs.
         gc.disable()
         _wanted.update(one for one in function.calls() if not one.overloads)
-        _said = -math.inf
         _say()
     _depth += 1
     try:
@@ -378,17 +377,12 @@ def _progress(function: _Compiled) -> Iterator[None]:
                 gc.enable()
             # Others were not called.
             _wanted.intersection_update([one for one in _wanted if one.overloads])
-            _said = -math.inf
         _say()
 
 
 def _say() -> None:
-    """Log how many functions are compiled, once a second at most."""
-    global _said
-    if time.monotonic() - _said >= 1:
-        _said = time.monotonic()
-        done = sum(bool(one.overloads) for one in _wanted)
-        LOG.info("compiling, on the first run only: %d of %d functions", done, len(_wanted))
+    done = sum(bool(one.overloads) for one in _wanted)
+    LOG.info("compiling, on the first run only: %d of %d functions", done, len(_wanted))
 
 
 def _bring(needs: set[Need]) -> None:

@@ -8,18 +8,12 @@ the corrections in the order of their codes: so the reason is a correction only 
 from __future__ import annotations
 
 from craftsim.discrete.kernel import codes as code
-from craftsim.discrete.kernel.effects import apply, moved
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
     BODY,
     CROSSING_GEAR,
-    F_LOAD,
-    F_LOAD_YAW,
-    F_X,
-    F_Y,
-    F_Z,
     FLAG,
     FOOT,
     FSLOPE,
@@ -40,8 +34,8 @@ from craftsim.discrete.kernel.state import (
     WALL,
     Pose,
     World,
+    apply,
     below_leaning,
-    car_field,
     car_in,
     carried_gear_in,
     dir_x,
@@ -52,6 +46,7 @@ from craftsim.discrete.kernel.state import (
     is_landing,
     kind_at,
     leans_into,
+    moved,
     occupant_of,
     pose_of,
     reaches_up,
@@ -180,17 +175,16 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
     if car.load == FSLOPE and kind_at(w, corner_x, corner_y, car.z) not in ROOMY:
         return code.SLOPE_HITS_CORNER
     for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_Z] != car.z or w.cars[other, F_LOAD] == AIR:
+        there = pose_of(w, other)
+        if other == me or there.z != car.z or there.load == AIR:
             continue
-        ox, oy = car_field(w, other, F_X), car_field(w, other, F_Y)
-        if abs(ox - car.x) + abs(oy - car.y) == 1 or (
-            car.load == FSLOPE and ox == corner_x and oy == corner_y
-        ):
+        at_corner = car.load == FSLOPE and there.x == corner_x and there.y == corner_y
+        if at_corner or abs(there.x - car.x) + abs(there.y - car.y) == 1:
             return code.LOAD_HITS_LOAD | other << code.DETAIL_BITS
-        if w.cars[other, F_LOAD] == FSLOPE:
-            yaw = car_field(w, other, F_LOAD_YAW)
-            gx, gy = ox + dir_x(yaw), oy + dir_y(yaw)
-            points_at_me = gx + dir_x(yaw) == car.x and gy + dir_y(yaw) == car.y
+        if there.load == FSLOPE:
+            dx, dy = dir_x(there.load_yaw), dir_y(there.load_yaw)
+            gx, gy = there.x + dx, there.y + dy
+            points_at_me = gx + dx == car.x and gy + dy == car.y
             if abs(gx - car.x) + abs(gy - car.y) == 1 and not points_at_me:
                 return code.LOAD_HITS_GEAR | other << code.DETAIL_BITS
     # Whether the load meets a car, a load that leans or reaches in, or a wall overhead.

@@ -10,23 +10,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.codes import FIRST_MOVE, LAST_MOVE, MOVE_DIRECTIONS, ROTATE_LEFT, STOP
-from craftsim.discrete.kernel.effects import after
+from craftsim.discrete.kernel.codes import (
+    FIRST_MOVE,
+    LAST_MOVE,
+    MOVE_DIRECTIONS,
+    ROTATE_LEFT,
+    ROTATE_RIGHT,
+    STOP,
+)
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import REASON_BIT, legal_actions
-from craftsim.discrete.kernel.state import FSLOPE, Pose, World, dir_x, dir_y, pose_of
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kernel.state import FSLOPE, Pose, World, after, dir_x, dir_y, pose_of
 
-SUCCESSORS = (
-    int(Action.MOVE_FORWARD),
-    int(Action.MOVE_BACK),
-    int(Action.MOVE_RIGHT),
-    int(Action.MOVE_LEFT),
-    int(Action.ROTATE_RIGHT),
-    int(Action.ROTATE_LEFT),
-)
+SUCCESSORS = (FIRST_MOVE, FIRST_MOVE + 1, LAST_MOVE, LAST_MOVE - 1, ROTATE_RIGHT, ROTATE_LEFT)
 """Order in which a node's successors are tried, the actions ROTATE_LEFT to LAST_MOVE; it decides between equally good
-plans."""
+plans: forward, back, right, left, then turns."""
 
 UNSEEN, OPEN, CLOSED = 0, 1, 2
 UNKNOWN = -1

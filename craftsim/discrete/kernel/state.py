@@ -1,5 +1,5 @@
 """What the compiled rules see of one world: its cells, its cars, the two marks that legality depends on, and what
-reaches out of its cell.
+reaches out of its cell; and what an action changes, the event-driven marks included (docs/rules.md#marks).
 
 Cells are (x, y, z); z = 0 is the ground layer. Everything beside the map is wall, everything above it is air.
 """
@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kinds import CarField, CellField, Correction, Kind
 
@@ -171,10 +172,9 @@ def derive_marks(w: World) -> None:
                 w.cells[x, y, z, OCCUPANT] = NOTHING if above in (AIR, GEAR, WALL) else OBJECT
                 w.cells[x, y, z, LANDING] = w.cells[x, y, z, KIND] == BLOCK and derived_landing(w, x, y, z)
     for car in range(w.cars.shape[0]):
-        if inside(w, car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z) - 1):
-            w.cells[car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z) - 1, OCCUPANT] = (
-                car
-            )
+        here = pose_of(w, car)
+        if inside(w, here.x, here.y, here.z - 1):
+            w.cells[here.x, here.y, here.z - 1, OCCUPANT] = car
 
 
 # What reaches out of its cell: cars, gears, and loads that lean on a ramp or stand into the next level. Gears are found
@@ -192,9 +192,9 @@ GEAR_MM = 115
 def car_in(w: World, me: int, x: int, y: int, z: int, only_loaded: bool) -> int:
     """Return another car, or another loaded car, in a cell; -1 if there is none."""
     for other in range(w.cars.shape[0]):
-        if other == me or (only_loaded and w.cars[other, F_LOAD] == AIR):
-            continue
-        if w.cars[other, F_X] == x and w.cars[other, F_Y] == y and w.cars[other, F_Z] == z:
+        there = pose_of(w, other)
+        here = there.x == x and there.y == y and there.z == z
+        if here and other != me and not (only_loaded and there.load == AIR):
             return other
     return -1
 
@@ -203,11 +203,9 @@ def car_in(w: World, me: int, x: int, y: int, z: int, only_loaded: bool) -> int:
 def carried_gear_in(w: World, me: int, x: int, y: int, z: int, tolerated_yaw: int) -> bool:
     """Return whether another car carries a gear in a cell; ``tolerated_yaw`` (-1: none) is not seen."""
     for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_LOAD] != FSLOPE or w.cars[other, F_Z] != z:
-            continue
-        yaw = car_field(w, other, F_LOAD_YAW)
-        here = w.cars[other, F_X] + dir_x(yaw) == x and w.cars[other, F_Y] + dir_y(yaw) == y
-        if here and yaw != tolerated_yaw:
+        there = pose_of(w, other)
+        here = there.x + dir_x(there.load_yaw) == x and there.y + dir_y(there.load_yaw) == y and there.z == z
+        if here and other != me and there.load == FSLOPE and there.load_yaw != tolerated_yaw:
             return True
     return False
 
@@ -221,9 +219,9 @@ def gear_across(w: World, me: int, x: int, y: int, z: int, along: int) -> bool:
         if kind_at(w, sx, sy, z) == FSLOPE and yaw_at(w, sx, sy, z) == yaw:
             return True
         for other in range(w.cars.shape[0]):
-            if other == me or w.cars[other, F_LOAD] != FSLOPE or w.cars[other, F_LOAD_YAW] != yaw:
-                continue
-            if w.cars[other, F_X] == sx and w.cars[other, F_Y] == sy and w.cars[other, F_Z] == z:
+            there = pose_of(w, other)
+            here = there.x == sx and there.y == sy and there.z == z
+            if here and other != me and there.load == FSLOPE and there.load_yaw == yaw:
                 return True
     return False
 
@@ -242,13 +240,13 @@ def downhill_of(w: World, x: int, y: int, z: int, slope: int) -> int:
 def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> bool:
     """Return whether another car's load leans into a cell; the direction ``tolerated`` (-1: none) is not seen."""
     for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_SLOPE] == 0 or w.cars[other, F_LOAD] == AIR:
+        there = pose_of(w, other)
+        if other == me or there.slope == 0 or there.load == AIR:
             continue
-        ox, oy, oz = car_field(w, other, F_X), car_field(w, other, F_Y), car_field(w, other, F_Z)
-        if oz != z or abs(ox - x) + abs(oy - y) != 1:
+        if there.z != z or abs(there.x - x) + abs(there.y - y) != 1:
             continue
-        downhill = downhill_of(w, ox, oy, oz, car_field(w, other, F_SLOPE))
-        here = ox + dir_x(downhill) == x and oy + dir_y(downhill) == y
+        downhill = downhill_of(w, there.x, there.y, there.z, there.slope)
+        here = there.x + dir_x(downhill) == x and there.y + dir_y(downhill) == y
         if downhill >= 0 and downhill != tolerated and here:
             return True
     return False
@@ -261,12 +259,10 @@ def reaches_up(w: World, me: int, x: int, y: int, z: int, height_mm: int) -> boo
     One that leans into the cell below does so by less than 50 mm.
     """
     for other in range(w.cars.shape[0]):
-        if other == me or w.cars[other, F_LOAD] == AIR:
-            continue
-        if w.cars[other, F_X] != x or w.cars[other, F_Y] != y or w.cars[other, F_Z] != z - 1:
-            continue
-        folded_slope = 10 if w.cars[other, F_LOAD] == FSLOPE else 0
-        if (113 if w.cars[other, F_SLOPE] == 1 else 32) + folded_slope >= height_mm:
+        there = pose_of(w, other)
+        below = there.x == x and there.y == y and there.z == z - 1
+        top_mm = (113 if there.slope == 1 else 32) + (10 if there.load == FSLOPE else 0)
+        if below and other != me and there.load != AIR and top_mm >= height_mm:
             return True
     return height_mm < 50 and leans_into(w, me, x, y, z - 1, -1)
 
@@ -280,3 +276,133 @@ def below_leaning(w: World, me: int, car: Pose) -> bool:
         return False
     downhill = downhill_of(w, car.x, car.y, car.z, 1)
     return leans_into(w, me, car.x + dir_x(downhill), car.y + dir_y(downhill), car.z + 1, -1)
+
+
+# What actions change
+
+
+@compiled
+def moved(w: World, car: Pose, m: int) -> Pose:
+    """Return a car's state after a move in direction m: onto, along or off a slope, or on the flat."""
+    x, y = car.x + dir_x(m), car.y + dir_y(m)
+    here = kind_at(w, x, y, car.z)
+    below = kind_at(w, x, y, car.z - 1)
+    z, slope = car.z, 0
+    if here == FOOT and (car.slope == 0 or (w.corrections & SECOND_RAMP and car.slope == 2)):
+        slope = 1
+    elif car.slope == 1 and here == BODY:
+        z, slope = car.z + 1, 2
+    elif car.slope == 0 and below == BODY:
+        slope = 2
+    elif car.slope == 2 and below == FOOT:
+        z, slope = car.z - 1, 1
+    return Pose(x, y, z, car.yaw, car.load, car.load_yaw, slope)
+
+
+@compiled
+def put(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
+    """Replace whatever is in a cell (docs/rules.md#drop-overwrites); the newcomer's marks start blank.
+
+    Cells beside the map stay wall.
+    """
+    if inside(w, x, y, z):
+        w.cells[x, y, z, KIND] = kind
+        w.cells[x, y, z, YAW] = yaw
+        w.cells[x, y, z, OCCUPANT] = NOTHING
+        w.cells[x, y, z, LANDING] = 0
+
+
+@compiled
+def put_gear(w: World, x: int, y: int, z: int, kind: int, yaw: int) -> None:
+    """Put a gear into a cell, or with AIR take one away, whatever is there (docs/rules.md#lift-erases-gear-cell).
+
+    When gears last, the cell shows one only where nothing stands, and as long as a slope beside it has its gear there:
+    that of the least yaw if there are two.
+    """
+    if not w.corrections & LASTING_GEARS:
+        put(w, x, y, z, kind, yaw)
+        return
+    if kind_at(w, x, y, z) not in ROOMY:
+        return
+    kind, yaw = AIR, 0
+    for d in range(3, -1, -1):
+        sx, sy = x - dir_x(d), y - dir_y(d)
+        if kind_at(w, sx, sy, z) == FSLOPE and yaw_at(w, sx, sy, z) == d:
+            kind, yaw = GEAR, d
+    put(w, x, y, z, kind, yaw)
+
+
+@compiled
+def set_occupant(w: World, x: int, y: int, z: int, mark: int) -> None:
+    """Set the mark "what is on me" of a cell."""
+    if inside(w, x, y, z):
+        w.cells[x, y, z, OCCUPANT] = mark
+
+
+@compiled
+def after(w: World, car: Pose, action: int) -> Pose:
+    """Return a car's state after an action, which is legal; a carried slope turns with its car."""
+    if code.FIRST_MOVE <= action <= code.LAST_MOVE:
+        return moved(w, car, code.MOVE_DIRECTIONS[action - code.FIRST_MOVE])
+    yaw, load, load_yaw = car.yaw, car.load, car.load_yaw
+    if action in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
+        turn = 1 if action == code.ROTATE_LEFT else -1
+        yaw, load_yaw = (yaw + turn) & 3, (load_yaw + turn) & 3 if load == FSLOPE else 0
+    elif action == code.LIFT:
+        load = kind_at(w, car.x, car.y, car.z)
+        load_yaw = yaw_at(w, car.x, car.y, car.z) if load == FSLOPE else 0
+    elif action == code.DROP:
+        load, load_yaw = AIR, 0
+    return Pose(car.x, car.y, car.z, yaw, load, load_yaw, car.slope)
+
+
+@compiled
+def write_pose(w: World, me: int, car: Pose) -> None:
+    """Store a car's state."""
+    w.cars[me, F_X] = car.x
+    w.cars[me, F_Y] = car.y
+    w.cars[me, F_Z] = car.z
+    w.cars[me, F_YAW] = car.yaw
+    w.cars[me, F_LOAD] = car.load
+    w.cars[me, F_LOAD_YAW] = car.load_yaw
+    w.cars[me, F_SLOPE] = car.slope
+
+
+@compiled
+def apply(w: World, me: int, action: int) -> None:
+    """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
+    car = pose_of(w, me)
+    new = after(w, car, action)
+    if code.FIRST_MOVE <= action <= code.LAST_MOVE:
+        # A gear left behind counts as an object here, though not elsewhere (docs/rules.md#gear-mark).
+        left_air = kind_at(w, car.x, car.y, car.z) == AIR
+        set_occupant(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
+        set_occupant(w, new.x, new.y, new.z - 1, me)
+        write_pose(w, me, new)
+    elif action in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
+        write_pose(w, me, new)
+    elif action in (code.LIFT, code.DROP):
+        # The object in the own cell, a slope with its gear, is taken up, or the load is put there.
+        lifting = action == code.LIFT
+        kind, yaw = (new.load, new.load_yaw) if lifting else (car.load, car.load_yaw)
+        put(w, car.x, car.y, car.z, AIR if lifting else kind, 0 if lifting else yaw)
+        if kind == FSLOPE:
+            gear = AIR if lifting else GEAR
+            put_gear(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, gear, 0 if lifting else yaw)
+        if kind == BLOCK and not lifting and inside(w, car.x, car.y, car.z):
+            w.cells[car.x, car.y, car.z, LANDING] = derived_landing(w, car.x, car.y, car.z)
+        write_pose(w, me, new)
+        set_occupant(w, car.x, car.y, car.z - 1, me)
+    elif action in (code.FOLD, code.UNFOLD):
+        # The ramp in the own cell becomes a folded slope, or a folded slope a ramp behind the car. The landing of a
+        # folded ramp is unmarked even if another ramp leans there (docs/rules.md#landing-forgotten).
+        folding, yaw = action == code.FOLD, (car.yaw + 2) & 3
+        x, y = car.x + dir_x(yaw), car.y + dir_y(yaw)
+        put(w, car.x, car.y, car.z, FSLOPE if folding else BODY, yaw)
+        put(w, x, y, car.z, AIR if folding else FOOT, 0 if folding else yaw)
+        if folding:
+            put_gear(w, x, y, car.z, GEAR, yaw)
+        set_occupant(w, x, y, car.z - 1, NOTHING if folding else OBJECT)
+        x, y = car.x + dir_x(car.yaw), car.y + dir_y(car.yaw)
+        if kind_at(w, x, y, car.z) == BLOCK:
+            w.cells[x, y, car.z, LANDING] = not folding

@@ -13,24 +13,17 @@ from craftsim.discrete.kernel.state import (
     AIR,
     BLOCK,
     BODY,
-    F_LOAD,
-    F_LOAD_YAW,
-    F_X,
-    F_Y,
-    F_YAW,
-    F_Z,
     FLAG,
     FOOT,
     FSLOPE,
-    GEAR,
     KIND,
     Cars,
     Cells,
     World,
-    car_field,
     dir_x,
     dir_y,
     kind_at,
+    pose_of,
     yaw_at,
 )
 from craftsim.discrete.kinds import Kind
@@ -79,30 +72,6 @@ def score_buildings(
             elif kind != FOOT:
                 score += thing
         out[i] = score + completion if finished else score
-
-
-@compiled
-def score_buildings_as_published(
-    cells: Cells, cars: Cars, designs: NDArray[np.int64], completion: float, out: NDArray[np.float64]
-) -> None:
-    """Write how far each building is as CraftEnv's code computes it (docs/rules.md#goal-score) into out (B,)."""
-    for i in range(out.shape[0]):
-        w = World(cells[i], cars[i], 0)
-        score = 0.0
-        hits = wanted = 0
-        for row in range(designs.shape[1]):
-            kind, x, y, z, _ = designs[i, row]
-            if kind == AIR:
-                continue
-            wanted += 1
-            if kind == BLOCK and z == 2:
-                score += 1.0
-            if z >= w.cells.shape[2] - 1:
-                continue
-            there = kind_at(w, x, y, z)
-            if there == kind or (kind == BLOCK and there == GEAR):
-                hits += 1
-        out[i] = score + hits + (completion if hits == wanted else 0.0)
 
 
 @compiled
@@ -161,9 +130,9 @@ def flag_distances(cells: Cells, cars: Cars, goal: tuple[int, int, int], out: ND
                     if w.cells[x, y, z, KIND] == FLAG:
                         distance = min(distance, abs(x - goal[0]) + abs(y - goal[1]) + abs(z - goal[2]))
         for car in range(w.cars.shape[0]):
-            if car_field(w, car, F_LOAD) == FLAG:
-                x, y, z = car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z)
-                distance = min(distance, abs(x - goal[0]) + abs(y - goal[1]) + abs(z - goal[2]))
+            at = pose_of(w, car)
+            if at.load == FLAG:
+                distance = min(distance, abs(at.x - goal[0]) + abs(at.y - goal[1]) + abs(at.z - goal[2]))
         out[i] = distance
 
 
@@ -201,14 +170,14 @@ def write_rows(
         for flag in range(len(counts)):
             following[flag], free[flag] = first_rows[flag], counts[flag]
         for car in range(w.cars.shape[0]):
-            x, y, z = car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z)
-            write_row(rows[car], x, y, z, IS_CAR, car_field(w, car, F_YAW))
-            flag = TYPE_FLAGS[car_field(w, car, F_LOAD)]
+            at = pose_of(w, car)
+            write_row(rows[car], at.x, at.y, at.z, IS_CAR, at.yaw)
+            flag = TYPE_FLAGS[at.load]
             if flag == 0:
                 continue
             rows[car, IS_LOADED] = 1
             if free[flag] > 0:
-                write_row(rows[following[flag]], x, y, z, flag, car_field(w, car, F_LOAD_YAW))
+                write_row(rows[following[flag]], at.x, at.y, at.z, flag, at.load_yaw)
                 following[flag] += 1
                 free[flag] -= 1
             elif flag != IS_FLAG:

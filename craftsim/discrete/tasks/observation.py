@@ -14,20 +14,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.files.blueprint import NO_CELL
 from craftsim.discrete.grid import Cell, Grid
-from craftsim.discrete.kernel.tasks import (
-    IS_BLOCK,
-    IS_BODY,
-    IS_CAR,
-    IS_FLAG,
-    IS_FOOT,
-    IS_FSLOPE,
-    IS_GOAL,
-    ROW,
-    TYPE_FLAGS,
-    YAW_HIGH,
-    YAW_LOW,
-    write_rows,
-)
+from craftsim.discrete.kernel.tasks import IS_CAR, IS_GOAL, ROW, TYPE_FLAGS, YAW_HIGH, YAW_LOW, write_rows
 from craftsim.discrete.tasks.starts import Targets
 from craftsim.errors import CraftsimError
 
@@ -68,18 +55,10 @@ class Layout:
     @cached_property
     def slots(self) -> NDArray[np.int64]:
         """(2, 13): by type flag, the first row of its group and how many rows there are."""
-        counts = {
-            IS_CAR: self.n_cars,
-            IS_FSLOPE: self.n_slopes,
-            IS_BODY: self.n_slopes,
-            IS_FOOT: self.n_slopes,
-            IS_BLOCK: self.n_blocks,
-            IS_FLAG: int(self.shows_flag),
-        }
-        slots, first = np.zeros((2, ROW), np.int64), 0
-        for flag, count in counts.items():
-            slots[:, flag] = first, count
-            first += count
+        slots = np.zeros((2, ROW), np.int64)
+        groups = self.n_cars, *3 * (self.n_slopes,), self.n_blocks, int(self.shows_flag)
+        slots[1, IS_CAR:IS_GOAL] = groups
+        slots[0] = slots[1].cumsum() - slots[1]
         return slots
 
 

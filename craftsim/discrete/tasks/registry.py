@@ -66,6 +66,7 @@ _REGISTERED: Final[dict[str, Task]] = {}
 _LISTENERS: Final[list[Callable[[Task], None]]] = []
 _LONGEST: Final = 1000
 """Characters of a name in a file, which messages repeat."""
+_FIXED: Final = "{} has its own area and numbers of cars and blocks; they cannot be given"
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
@@ -93,10 +94,8 @@ def register_task(task: Task) -> Task:
     if not _NAME.fullmatch(task.name):
         raise InputError(f"a task's name is made of letters, digits, _ and -, not '{task.name}'")
     for other in task_names():
-        if other != task.name and gymnasium_id(other) == gymnasium_id(task.name):
-            raise InputError(
-                f"the task '{other}' is {gymnasium_id(other)} already; give '{task.name}' another name"
-            )
+        if other != task.name and (own := gymnasium_id(other)) == gymnasium_id(task.name):
+            raise InputError(f"the task '{other}' is {own} already; give '{task.name}' another name")
     note_registering()
     _REGISTERED[task.name] = task
     for listener in _LISTENERS:
@@ -141,14 +140,12 @@ def as_task(
     Raises InputError as :func:`known_task` does, for a factory that raises, and for counts and an area for a Task and
     a factory, which have their own.
     """
+    if not isinstance(task, Task | str):
+        raise InputError(f"a task is a Task, the name of one, a file or module:factory, not {task!r}")
     if isinstance(task, str):
         return _found(task, True, n_cars, n_blocks, area)
-    if not isinstance(task, Task):
-        raise InputError(f"a task is a Task, the name of one, a file or module:factory, not {task!r}")
     if (n_cars, n_blocks, area) != (None, None, None):
-        raise InputError(
-            f"the task '{task.name}' has its own area and numbers of cars and blocks; they cannot be given"
-        )
+        raise InputError(_FIXED.format(f"the task '{task.name}'"))
     return task
 
 
@@ -183,9 +180,7 @@ def _found(
         )
     fixed = name in LARGE_NAMES or is_code or text in _REGISTERED
     if fixed and (n_cars, n_blocks, area) != (None, None, None):
-        raise InputError(
-            f"task '{text}' has its own area and numbers of cars and blocks; they cannot be given"
-        )
+        raise InputError(_FIXED.format(f"task '{text}'"))
     if name in LARGE_NAMES:
         return large_task(name, cast(Split, split or "train"))
     if name in VARIED_NAMES:
@@ -220,8 +215,9 @@ def _made(text: str) -> Task:
     if isinstance(found, Task):
         return found
     if not callable(found):
+        kind = type(found).__name__
         raise InputError(
-            f"task '{text}': '{text.partition(':')[2]}' is neither a Task nor callable, but {type(found).__name__}"
+            f"task '{text}': '{text.partition(':')[2]}' is neither a Task nor callable, but {kind}"
         )
     try:
         task = found()

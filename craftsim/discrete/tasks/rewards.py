@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.jit import seldom
-from craftsim.discrete.kernel.tasks import (
-    flag_distances,
-    largest_platforms,
-    score_buildings,
-    score_buildings_as_published,
-)
+from craftsim.discrete.kernel.tasks import flag_distances, largest_platforms, score_buildings
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.starts import Targets
@@ -97,10 +92,13 @@ def building(grids: Grid, designs: Targets, layout: Layout, upper_block: float =
 
 
 def published_building(grids: Grid, designs: Targets, layout: Layout) -> Floats:
-    """Return how far each building is as CraftEnv's code computes it."""
-    out = np.empty(len(grids))
-    score_buildings_as_published(grids.cells, grids.cars, designs, PUBLISHED_COMPLETION, out)
-    return out
+    """Return how far each building is as CraftEnv's code computes it (docs/rules.md#goal-score)."""
+    kind, x, y, z = np.moveaxis(designs[..., :4], -1, 0)
+    blocks, top = kind == Kind.BLOCK, grids.size[2]
+    there = grids.kind[np.arange(len(grids))[:, None], x, y, np.minimum(z, top)]
+    hits = (kind != Kind.AIR) & (z < top) & ((there == kind) | (blocks & (there == Kind.GEAR)))
+    finished = hits.sum(1) == (kind != Kind.AIR).sum(1)
+    return (blocks & (z == 2)).sum(1) + hits.sum(1) + PUBLISHED_COMPLETION * finished
 
 
 def platform(grids: Grid, designs: Targets, layout: Layout) -> Floats:
@@ -161,50 +159,16 @@ POTENTIALS: Final[dict[str, Potential]] = {
 }
 
 
-def built(grids: Grid, designs: Targets, layout: Layout) -> Bools:
-    """Return whether each cell to be built holds its kind with its yaw."""
-    return _building_scores(grids, designs, 0.0, 0.0, 1.0) != 0
-
-
-def one_platform(grids: Grid, designs: Targets, layout: Layout) -> Bools:
-    """Return whether all blocks that the task announces form one platform."""
-    return platform(grids, designs, layout) == layout.n_blocks - 1
-
-
-def flag_at_goal(grids: Grid, designs: Targets, layout: Layout) -> Bools:
-    """Return whether the flag, carried or not, is in the goal cell."""
-    return flag_nearness(grids, designs, layout) == 0
-
-
-def three_high(grids: Grid, designs: Targets, layout: Layout) -> Bools:
-    """Return whether three blocks stand on one another from the floor."""
-    found: Bools = _stacks(grids).sum(axis=(1, 2)) > 0
-    return found
-
-
 GOALS: Final[dict[str, Goal]] = {
-    "built": built,
-    "one_platform": one_platform,
-    "flag_at_goal": flag_at_goal,
-    "three_high": three_high,
+    # Each cell to be built holds its kind with its yaw.
+    "built": lambda grids, designs, layout: _building_scores(grids, designs, 0.0, 0.0, 1.0) != 0,
+    # All blocks that the task announces form one platform.
+    "one_platform": lambda grids, designs, layout: platform(grids, designs, layout) == layout.n_blocks - 1,
+    # The flag, carried or not, is in the goal cell.
+    "flag_at_goal": lambda grids, designs, layout: flag_nearness(grids, designs, layout) == 0,
+    # Three blocks stand on one another from the floor.
+    "three_high": lambda grids, designs, layout: _stacks(grids).sum(axis=(1, 2)) > 0,
 }
-
-
-def change(before: Floats, after: Floats, t: NDArray[np.int64], given: Bools) -> tuple[Floats, Bools]:
-    """Return the change of the potential: over an episode that of the end less that of the start."""
-    return after - before, given
-
-
-def published_change(
-    before: Floats, after: Floats, t: NDArray[np.int64], given: Bools
-) -> tuple[Floats, Bools]:
-    """Return the change of the potential, but in the first tick the whole potential (docs/rules.md#first-tick)."""
-    return np.where(t == 0, after, after - before), given
-
-
-def barrier(before: Floats, after: Floats, t: NDArray[np.int64], given: Bools) -> tuple[Floats, Bools]:
-    """Return each step of the flag towards the goal, ALPHA while it is there, less BETA every tick."""
-    return after - before + ALPHA * (after == 0) - BETA, given
 
 
 def published_barrier(
@@ -212,15 +176,17 @@ def published_barrier(
 ) -> tuple[Floats, Bools]:
     """Return nothing in the first tick, then each step of the flag, and one bonus (docs/rules.md#flag-bonus)."""
     arrived = (t >= 1) & (after == 0) & ~given
-    return np.where(t == 0, 0.0, after - before) + np.where(
-        arrived, PUBLISHED_BONUS - t, 0.0
-    ), given | arrived
+    steps, bonus = np.where(t == 0, 0.0, after - before), np.where(arrived, PUBLISHED_BONUS - t, 0.0)
+    return steps + bonus, given | arrived
 
 
 REWARD_RULES: Final[dict[str, RewardRule]] = {
-    "change": change,
-    "published_change": published_change,
-    "barrier": barrier,
+    # Over an episode that of the end less that of the start.
+    "change": lambda before, after, t, given: (after - before, given),
+    # In the first tick the whole potential (docs/rules.md#first-tick).
+    "published_change": lambda before, after, t, given: (np.where(t == 0, after, after - before), given),
+    # Each step of the flag towards the goal, ALPHA while it is there, less BETA every tick.
+    "barrier": lambda before, after, t, given: (after - before + ALPHA * (after == 0) - BETA, given),
     "published_barrier": published_barrier,
 }
 

@@ -86,13 +86,12 @@ class Task:
             )
         if self.max_steps < 0:
             raise InputError(f"task '{self.name}': max_steps is {self.max_steps}, allowed: 0 or more")
-        first = self.starts[0]
-        for start in self.starts[1:]:
-            counts = [(b.n_cars, b.n_slopes, b.n_blocks, b.size) for b in (first, start)]
-            if counts[0] != counts[1]:
+        first, *counts = self.starts[0], *((b.n_cars, b.n_slopes, b.n_blocks, b.size) for b in self.starts)
+        for start, own in zip(self.starts, counts, strict=True):
+            if own != counts[0]:
                 raise BlueprintError(
-                    f"{start.path}: cars, slopes, blocks and area are {counts[1]}, but {counts[0]} in "
-                    f"{first.path}; the start files of one task must agree"
+                    f"{start.path}: cars, slopes, blocks and area are {own}, but {counts[0]} in {first.path}; "
+                    "the start files of one task must agree"
                 )
         if self.design is not None:
             self.design.check_fits(first.size)
@@ -103,9 +102,8 @@ class Task:
     def layout(self) -> Layout:
         """Layout of the task's observations."""
         first, n_shown = self.starts[0], len(self._targets) if self.shown_targets else 0
-        return Layout(
-            first.n_cars, first.n_slopes, first.n_blocks, first.goal, self.shows_flag, n_targets=n_shown
-        )
+        counts = first.n_cars, first.n_slopes, first.n_blocks
+        return Layout(*counts, first.goal, self.shows_flag, n_targets=n_shown)
 
     @property
     def digest(self) -> str:
@@ -321,11 +319,9 @@ def build_task(
         max_steps: the step limit.
         design: the building that is the goal.
     """
-    if reward not in get_args(RewardName):
-        known = get_args(RewardName)
-        raise InputError(
-            f"unknown reward '{reward}'{suggestion(reward, known)}; there are {', '.join(known)}"
-        )
+    if reward not in (known := get_args(RewardName)):
+        hint = suggestion(reward, known)
+        raise InputError(f"unknown reward '{reward}'{hint}; there are {', '.join(known)}")
     published = reward == "published_code"
     return Task(
         name=name,

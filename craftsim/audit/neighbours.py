@@ -1,8 +1,8 @@
 """Neighbours of actions: their clearance from the swept volume, and the legality of the action beside them.
 
 Each action is set up with nothing but what it needs, and then with each possible thing or car at each place near it.
-The relevant neighbours of the nominal machines are stored in a table, since computing them takes a minute;
-``python -m craftsim.audit.neighbours [FILE]`` (``make neighbours``) writes it again.
+``python -m craftsim.audit.neighbours [FILE]`` (``make neighbours``) takes a minute to write the table of those that
+matter.
 """
 
 from __future__ import annotations
@@ -249,11 +249,9 @@ def margin_m(machines: Machines) -> float:
 
 
 def neighbours(machines: Machines, of: Collection[str] = ()) -> Iterator[Neighbour]:
-    """Yield the possible neighbours of each bare situation, without mirror images.
+    """Yield the possible neighbours of each bare situation of these verbs, or of all, without mirror images.
 
-    Args:
-        machines: their geometry is used; of several cars that of the first.
-        of: verbs; all if empty.
+    Of several cars the geometry of the first is used.
     """
     machines = replace(machines, cars=machines.cars[:1])
     margin = margin_m(machines)

@@ -144,14 +144,8 @@ def quick_rows(plan: Sequence[PlanRow], rule_set: RuleSet) -> list[PlanRow]:
 
 
 def covering(rows: Sequence[Row], known: Iterable[Row], most: int, strength: int = 4) -> list[Row]:
-    """Return rows that, with the known ones, cover all combinations of up to ``strength`` properties of each action.
-
-    Args:
-        rows: the candidates.
-        known: rows that are tried anyway.
-        most: maximum number of rows.
-        strength: number of combined properties besides the action.
-    """
+    """Return at most so many rows that, with the known ones, cover all combinations of ``strength`` properties of each
+    action."""
     chosen: list[Row] = []
     known = list(known)
     for t in range(1, strength + 1):

@@ -81,16 +81,8 @@ def row_of(said: Mapping[str, Any]) -> Row:
 
 
 def situation_of(row: Row, rule_set: RuleSet, forbidden: bool = False) -> Situation:
-    """Return the situation with these properties.
-
-    Args:
-        row: its properties.
-        rule_set: the rule set that allows the action.
-        forbidden: whether the action may be forbidden.
-
-    Raises:
-        CraftsimError: there is no such situation.
-    """
+    """Return the situation with these properties. Raises CraftsimError without one, and if it is ``forbidden`` unless
+    allowed."""
     rules = Rules(rule_set)
     try:
         world = _built(row)

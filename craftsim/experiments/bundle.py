@@ -106,17 +106,10 @@ def physics_of(physics: PhysicsWorld) -> Arrays:
 def write_bundle(
     folder: Path, key: str, recipe: Recipe, attempts: tuple[Attempt, ...] | None = None
 ) -> Bundle:
-    """Run a recipe, write the bundle of its last step, and return its contents.
+    """Run a recipe, write the bundle of its last step into a folder in place of an older one, and return its contents.
 
-    Args:
-        folder: created if missing; files of an older bundle are replaced.
-        key: key of the trial.
-        recipe: the recipe that leads to the disagreement.
-        attempts: the original attempts of the last step; the re-run must reproduce them.
-
-    Raises:
-        InputError: the folder cannot be written.
-        ReplayError: the re-run gave other attempts.
+    ``key`` is that of the trial. Raises InputError if the folder cannot be written, and ReplayError if the re-run does
+    not reproduce the original ``attempts``.
     """
     judge = run_up(recipe)
     before, start_s = state_of(judge.physics), judge.physics.time_s

@@ -359,13 +359,8 @@ def run_notes(capped_steps: int, retried: int) -> list[str]:
 
 
 def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Section:
-    """Return a section with thresholds, configuration and versions of a run by dotted name.
-
-    Args:
-        command: the command line that repeats it.
-        seed: its seed.
-        config: its configuration, with the ``setup`` of the physics.
-    """
+    """Return a section with thresholds, configuration (with the ``setup`` of the physics) and versions by dotted name.
+    Return a section with thresholds, configuration (with the ``setup`` of the physics) and versions by dotted name."""
     setup = config["setup"]
     brief = {key: value for key, value in config.items() if key != "setup"}
     run = {"command": command, "seed": seed, **brief, "gains": setup.gains, "machines": setup.machines}

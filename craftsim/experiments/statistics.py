@@ -240,13 +240,10 @@ def write_durations(out: Path, table: Sequence[Mapping[str, Any]]) -> Path:
 def survival(actions: NDArray[np.int64], ended: NDArray[np.bool_]) -> dict[str, Any]:
     """Return the Kaplan-Meier curve of some runs with its pointwise 95 % band (exponential Greenwood).
 
-    It holds the numbers of ``runs`` and of those that ``ended``; the numbers of ``actions`` at which the curve steps or
-    runs are censored; and for each the ``share`` of runs that survive so many, with its bounds ``low`` and ``high``:
-    None at shares of 0 and 1, where the formula has no band.
-
-    Args:
-        actions: (n,) number of actions of each run.
-        ended: (n,) whether the run ended with its last action; otherwise it is censored.
+    ``actions`` (n,) counts those of each run, and ``ended`` (n,) says whether it ended with its last one; otherwise it
+    is censored. The curve has the numbers of ``runs`` and of those that ``ended``, the numbers of ``actions`` at which
+    it steps or runs are censored, and for each the ``share`` of runs that survive so many, with its bounds ``low`` and
+    ``high``: None at shares of 0 and 1, where the formula has no band.
     """
     found = {"runs": len(actions), "ended": int(ended.sum())}
     if not ended.any():

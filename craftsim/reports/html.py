@@ -31,18 +31,11 @@ _TEMPLATES: Final = Path(__file__).with_name("template")
 
 
 def write_html(out: Path, report: Report) -> Path:
-    """Write a report as ``report.html`` into the directory ``out`` and return its path.
+    """Write a report as ``report.html`` atomically into the directory ``out``, created if missing, and return its path.
 
-    The file is written atomically. Styles, drawings and films are embedded; films that exceed :data:`BUDGET_BYTES` are
-    linked by relative paths. Equal reports with equal films give equal files. All text is escaped, and a content
-    security policy prevents scripts and requests.
-
-    Args:
-        out: directory, created if missing; it contains the files of the report's cases.
-        report: the report.
-
-    Raises:
-        InputError: the directory cannot be written to.
+    Styles, drawings and films are embedded; films that exceed :data:`BUDGET_BYTES` are linked by relative paths. Equal
+    reports with equal films give equal files. All text is escaped, and a content security policy prevents scripts and
+    requests. Raises InputError if the directory cannot be written to.
     """
     path = output_directory(out) / FILE_NAME
     template = _environment().get_template("report.html.j2")

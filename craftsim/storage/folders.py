@@ -83,11 +83,8 @@ def remove(path: Path) -> None:
 def owned(out: Path) -> Iterator[Path]:
     """Make an output folder and lock it against other processes and threads until the block ends; re-entrant.
 
-    The lock is that of the operating system on an empty file in the folder, released when the process ends. A folder
-    that was made for the block and is empty afterwards is removed.
-
-    Raises:
-        InputError: it is in use, or cannot be made, written to or locked.
+    The lock is that of the operating system on an empty file in the folder. A folder that was made for the block and is
+    empty afterwards is removed. Raises InputError if it is in use, or cannot be made, written to or locked.
     """
     thread = threading.get_ident()
     if (thread, _identity(out)) in _OWNED:

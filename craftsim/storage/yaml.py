@@ -1,9 +1,7 @@
 """Reading of untrusted YAML files: bounded in size and time, validated by type, each mistake with its line.
 
-The parser's events are checked before anything is built. Anchors, aliases and tags are refused. The keys of several
-documents in a file are merged.
-
-A format is a record (:mod:`craftsim.storage.records`): ``read_document(path).to(Format)``.
+The parser's events are checked before anything is built; anchors, aliases and tags are refused, and the keys of several
+documents in a file merged. A format is a record: ``read_document(path).to(Format)``.
 """
 
 from __future__ import annotations

@@ -1,17 +1,10 @@
 """Robustness margins: the largest value of each imperfection at which an action still works.
 
-Trial i uses the same random draws at every level (common random numbers): it passes low levels and fails from its own
-*critical level* on. Critical levels of independent trials are independent, so their order statistics give
-distribution-free tolerance bounds (S. S. Wilks, "Determination of sample sizes for setting tolerance limits", 1941):
-
-- at least 95 % of all worlds pass the smallest of n critical levels, with confidence 1 - 0.95**n: 95 % for n = 59;
-- above the third smallest of 16 more than 5 % of all worlds fail, with 95 % confidence.
-
-The search assumes that a trial which fails at a level fails at all higher ones; the result does not: at the margin
-itself every trial is run.
-
-In a scenario the car first drives to its place, so that its pose error there is that of its own localisation. Mirror
-images are left out, since the machines are symmetric; diagonal moves are never legal.
+Trial i uses the same random draws at every level: it passes low levels and fails from its own *critical level* on.
+Order statistics of independent critical levels give distribution-free tolerance bounds (S. S. Wilks, "Determination of
+sample sizes for setting tolerance limits", 1941): with n = 59 trials at least 95 % of all worlds pass the smallest one,
+with confidence 1 - 0.95**n = 95 %; above the third smallest of 16 more than 5 % fail. The search assumes that a trial
+which fails at a level fails at all higher ones; the result does not: at the margin itself every trial is run.
 """
 
 from __future__ import annotations
@@ -125,17 +118,11 @@ def confidence(trials: int) -> float:
 def search(
     passes: Callable[[int, int], bool], levels: int, trials: int
 ) -> tuple[int | None, int | None, tuple[int, int] | None]:
-    """Search the margin among the levels 0 (nominal) to ``levels``.
+    """Search the margin among the levels 0 (nominal) to ``levels``; ``passes`` says whether a trial passes a level.
 
-    Args:
-        passes: whether a trial passes a level; asked several times of some.
-        levels: the largest level.
-        trials: number of trials.
-
-    Returns:
-        The largest level that all trials pass, None if one fails at the nominal level; the level above which more than
-        5 % of all worlds fail, None if too few trials fail at the largest level; and a trial that fails at the level
-        above the margin, with that level, None if all pass the largest level.
+    Returns the largest level that all trials pass, None if one fails at the nominal level; the level above which more
+    than 5 % of all worlds fail, None if too few trials fail at the largest level; and a trial that fails at the level
+    above the margin, with that level, None if all pass the largest level.
     """
     failed = set[tuple[int, int]]()
 
@@ -395,16 +382,8 @@ def run_margins(
 ) -> Margins:
     """Search the margin of each scenario for each imperfection; write report.json and replay bundles into a folder.
 
-    Args:
-        scenarios: the scenarios.
-        axes: the imperfections, varied one at a time.
-        setup: the nominal setup.
-        trials: number of trials of each scenario, all of which must pass a margin.
-        seed: random seed.
-        out: the folder.
-        asked: the given options, for the report.
-        options: how the experiment is run.
-        pair: two imperfections of which a map is drawn for each scenario, too.
+    The imperfections ``axes`` are varied one at a time, beyond the nominal setup; of a ``pair`` a map is drawn for each
+    scenario, too. ``asked`` are the given options, for the report.
     """
     earlier = _earlier(options.against, out)
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}

@@ -1,8 +1,7 @@
 """Minimization: the smallest world in which an action still fails.
 
 The search is delta debugging (Zeller and Hildebrandt, Simplifying and Isolating Failure-Inducing Input, IEEE TSE
-2002): it removes halves of the surrounding pieces, then quarters, down to single ones. The result is 1-minimal: without
-any single piece (and those on top of it) the action is as predicted, or forbidden.
+2002). The result is 1-minimal: without any single piece (and those on it) the action is as predicted, or forbidden.
 """
 
 from __future__ import annotations
@@ -118,14 +117,7 @@ def minimize(
 
 
 class Smallest:
-    """The smallest world in which an action still fails, and the search for it; the acting car is car 0.
-
-    Attributes:
-        action: the action, turned as the world is.
-        attempt: the failing attempt.
-        setup: configuration of the physics in which it fails.
-        trials: number of trials.
-    """
+    """The smallest world in which an action still fails, and the search for it; the acting car is car 0."""
 
     attempt: Attempt
 

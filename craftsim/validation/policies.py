@@ -102,16 +102,12 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
 
 
 def make_policy(name: str, seed: int, task: Task | None = None, rules: RuleSet | None = None) -> Policy:
-    """Return a policy.
+    """Return a policy: ``random``, ``module:function``, what ``craftsim train`` wrote (a file or its folder), or a
+    shipped one.
 
-    Args:
-        name: ``random``; ``module:function``; what ``craftsim train`` wrote, a file or its folder; or a shipped one's.
-        seed: of the random policy, and of a trained one whose actions are sampled; the others draw nothing.
-        task: what it is to play; a trained policy refuses another task than its own.
-        rules: what it is to play under, without an action helper; a trained policy refuses what it was not trained for.
-
-    Raises:
-        InputError: there is no such policy, or it is one for another task, other rules, or an action helper.
+    ``seed`` is that of the random policy, and of a trained one whose actions are sampled. Raises InputError without
+    such a policy; for a trained one also for another task or other rules than its own, and for rules where it has a
+    helper.
     """
     if name == RANDOM:
         return random_policy(seed)

@@ -261,13 +261,8 @@ def demo_report(
     document: Mapping[str, Any],
     films: Mapping[str, Path],
 ) -> Report:
-    """Return the report of a demonstration.
-
-    Args:
-        buildings: with their episodes.
-        command: how it can be run again.
-        document: content of ``report.json``.
-        films: of buildings, by their names.
+    """Return the report of a demonstration; ``document`` is the content of ``report.json``, ``films`` are those of
+    buildings, by their names.
     """
     figures = [one.figures for one in buildings]
     agree, total = sum(one.n_agree for one in buildings), sum(one.n_actions for one in buildings)

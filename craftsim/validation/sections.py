@@ -64,12 +64,9 @@ Row = tuple[Value, ...]
 def failure(run: str, attempt: Mapping[str, Any] | None, error: str = "", kept: str = "") -> tuple[Row, Case]:
     """Return a failed action, or a run that did not finish, as a row of :func:`failures_section` and in detail.
 
-    Args:
-        run: name of the run.
-        attempt: the attempt; None if the run as a whole failed.
-        error: reason of that.
-        kept: file that shows it, relative to the report's folder, or empty: the replay bundle of a run's first failure
-            of a legal action, or the trajectory of a demonstration.
+    There is no ``attempt`` if the run as a whole failed, with an ``error``. ``kept`` is the file that shows it,
+    relative to the report's folder: the replay bundle of a run's first failure of a legal action, or the trajectory of
+    a demonstration.
     """
     if attempt is None:
         row = (run, None, None, None, Cell("error", Tone.MUTED), None, error, kept or None)

@@ -52,12 +52,9 @@ _FORMER: Final = {"against": "baseline", "shrink": "minimize"}
 
 
 def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
-    """Return the metrics of all buildings of a run.
-
-    They are the share built of all that finished, how many ended in which way, the number of further plans, in how many
-    the disturbance took place, and the medians of the first plan's predicted and of the real makespan in simulated
-    seconds.
-    """
+    """Return the metrics of all buildings of a run: the share ``built`` of all that finished, the number of each
+    ending, of further plans and of disturbances, and the medians of the first plan's and of the real makespan in
+    simulated seconds."""
     extras = [record["extra"] for record in records if record["error"] is None]
     endings = Counter(extra["ended"] for extra in extras)
     times = [extra["makespan_s"] for extra in extras if extra["ended"] == "built"]

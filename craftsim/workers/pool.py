@@ -92,15 +92,12 @@ class Pool:
         batch: int = 1,
         retries: int = 1,
     ) -> Iterator[tuple[Job, Answer | Failure]]:
-        """Yield each job with its answer, as soon as it is known.
+        """Yield each job with its answer, as soon as it is known; exceptions of the function are raised here.
 
-        Args:
-            function: picklable; each worker keeps its own copy as long as it gets jobs for this function. Its
-                exceptions are raised here.
-            jobs: started in this order; consumed as workers become free.
-            timeout_s: time limit of each job, after which its worker is killed.
-            batch: jobs sent to a worker together. If one of them fails, each is run again alone.
-            retries: repetitions of a job whose worker died.
+        Each worker keeps its own copy of the picklable ``function`` as long as it gets jobs for it. Jobs are started in
+        their order and consumed as workers become free, ``batch`` sent together; if one of these fails, each is run
+        again alone. A worker is killed after ``timeout_s`` a job; a job whose worker died is repeated ``retries``
+        times.
 
         Raises InputError if a Ray cluster is gone.
         """

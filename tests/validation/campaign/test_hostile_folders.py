@@ -173,7 +173,5 @@ def test_records_stay_as_they_were_when_another_run_begins(tmp_path):
     with open_session(own, tmp_path):
         assert records == before == records[:] == pickle.loads(pickle.dumps(records))
     assert [records[-1], records[1]] == [before[2], before[1]]
-    assert records.with_bundles({1: "bundles/1"})[1]["bundle"] == "bundles/1"
-    assert records[1]["bundle"] is None
     with pytest.raises(IndexError):
         records[3]

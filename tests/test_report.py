@@ -62,19 +62,6 @@ def test_runs_differ_only_under_wall(tmp_path):
     assert texts[0] == texts[1]
 
 
-def test_the_order_of_keys_does_not_matter(tmp_path):
-    figures = _figures()
-    one = write_report(tmp_path / "a", figures, command="demo").read_bytes()
-    other = write_report(tmp_path / "b", dict(reversed(figures.items())), command="demo").read_bytes()
-    assert one == other
-
-
-def test_floats_survive_exactly(tmp_path):
-    value = 0.1 + 0.2
-    path = write_report(tmp_path, {"value": np.float64(value)}, command="demo")
-    assert json.loads(path.read_text())["figures"]["value"] == value
-
-
 def test_what_json_cannot_hold_is_named_and_keeps_the_previous_report(tmp_path):
     before = write_report(tmp_path, {"value": 1}, command="demo").read_bytes()
     with pytest.raises(TypeError, match="cannot hold a set"):

@@ -3,7 +3,6 @@
 import gzip
 import io
 import os
-import resource
 import zipfile
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.storage.limits import ALL, Limits, size_text
+from craftsim.storage.limits import Limits
 from craftsim.storage.paths import exists, is_file, is_folder, resolved
 from craftsim.storage.reading import open_file, parse_json, read_arrays, read_lines, read_text
 from craftsim.storage.writing import whole, write_whole
@@ -170,22 +169,3 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
         pass
     assert path.read_bytes().startswith(b"caf")
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_disk_that_takes_no_more_is_told(tmp_path):
-    path, before = tmp_path / "a.txt", resource.getrlimit(resource.RLIMIT_FSIZE)
-    write_whole(path, "small")
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
-    try:
-        with pytest.raises(InputError, match="cannot be written: File too large; make room"):
-            write_whole(path, "x" * 5000)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert path.read_text() == "small"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_limits_name_formats_of_their_own():
-    assert len({limits.what for limits in ALL}) == len(ALL)
-    assert all(limits.file_bytes <= limits.content_bytes for limits in ALL)
-    assert size_text(512) == "512 bytes"

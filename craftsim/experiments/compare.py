@@ -275,11 +275,13 @@ def _pairs(first: DataFrame, second: DataFrame) -> DataFrame:
 def _alike(pairs: DataFrame) -> Alike:
     legal, both, apart = pairs[pairs.legal], pairs[pairs.good_a & pairs.good_b], pairs[~pairs.alike]
     kinds = apart.key.groupby([_kind(row) for row in apart.itertuples()])
-    found = [{"kind": str(kind), "actions": len(keys), "example": str(keys.iloc[0])} for kind, keys in kinds]
+    found = [(-len(keys), str(kind), str(keys.iloc[0])) for kind, keys in kinds]
+    names = ("duration_s", "car_error_m", "peak_force_n")
+    durations, errors, forces = (_median(_ratios(both, name)).value for name in names)
     return Alike(
         *(len(pairs), int(pairs.alike.sum()), Proportion.of(int(legal.alike.sum()), len(legal))),
-        *(_median(_ratios(both, name)).value for name in ("duration_s", "car_error_m", "peak_force_n")),
-        sorted(found, key=lambda one: (-one["actions"], one["kind"])),
+        *(durations, errors, forces),
+        [{"kind": kind, "actions": -n, "example": example} for n, kind, example in sorted(found)],
     )
 
 

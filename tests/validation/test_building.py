@@ -10,8 +10,7 @@ import pytest
 
 from craftsim.checking.episode import unwatched
 from craftsim.checking.setup import setup_of
-from craftsim.discrete.grid import CarField, Grid, Kind, beside
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
@@ -65,28 +64,6 @@ def test_the_actions_of_a_tick_do_not_depend_on_their_order():
                 after, applied = rules.tick(grids[tick], order)
                 assert applied.all(), f"tick {tick}: {order}"
                 assert after.same_visible(grids[tick + 1]), f"tick {tick}: {order}"
-
-
-@pytest.mark.parametrize("name", ["simple_two_story", COMPLEX])
-def test_no_block_and_no_load_is_near_where_a_flap_comes_down(name):
-    building = read(name)
-    grids = _grids(building, Rules("physical"))
-    unfolds = [
-        (tick, car)
-        for tick, joint in enumerate(building.plan.ticks)
-        for car, action in joint
-        if action is Action.UNFOLD
-    ]
-    assert unfolds
-    for tick, car in unfolds:
-        for grid in grids[tick : tick + 2]:
-            x, y, z, yaw = (int(v) for v in grid.cars[car, : CarField.YAW + 1])
-            foot = beside((x, y, z), yaw + 2)
-            beyond = beside(foot, yaw + 2)
-            assert grid.kind[beyond] == Kind.AIR
-            for other in grid.cars:
-                near = tuple(other[:3]) in (foot, beyond)
-                assert not (near and other[CarField.LOAD] != Kind.AIR), f"tick {tick}"
 
 
 @cache

@@ -16,9 +16,7 @@ from craftsim.errors import InputError
 from craftsim.experiments.bundle import write_bundle
 from craftsim.validation.counterexample import (
     WorldPart,
-    cropped,
     grid_of,
-    lowered,
     pieces_of,
     without,
 )
@@ -83,19 +81,6 @@ def test_what_stands_on_a_piece_goes_with_it():
         WorldPart((1, 0, 2), AIR, 0, slope=1),
     )
     assert without(ramp, ramp[1:2]) == ramp[:1], "the foot falls, and the car on it"
-
-
-def test_a_world_is_lowered_only_from_blocks():
-    on_block = (WorldPart((0, 0, 1), BLOCK), WorldPart((0, 0, 2), AIR))
-    assert lowered(on_block) == (WorldPart((0, 0, 1), AIR),)
-    assert lowered((*on_block, WorldPart((1, 0, 1), Kind.WALL))) == ()
-    assert lowered((WorldPart((0, 0, 1), AIR),)) == ()
-
-
-def test_a_crop_keeps_every_cell_inside():
-    pieces, size = cropped((WorldPart((5, 5, 1), AIR), WorldPart((7, 5, 1), BODY, 1)), margin=1, above=1)
-    cells = np.array([cell for piece in pieces for cell in piece.cells])
-    assert (cells.min(axis=0).tolist(), cells.max(axis=0).tolist(), size) == ([1, 1, 1], [3, 2, 1], (5, 4, 2))
 
 
 def test_only_what_the_failure_needs_is_left():

@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from craftsim.checking.attempt import Attempt
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import CarField, Kind
@@ -109,30 +108,3 @@ def test_what_is_played_in_random_worlds_does_as_predicted_and_is_saved(tmp_path
         assert [(a["car"], a["action"]) for a in record["attempts"]] == [
             (car, action.name) for car, action in acts
         ]
-
-
-def test_what_a_random_policy_does_is_legal_in_its_turn_and_each_car_acts_at_most_once_a_tick():
-    result = validate(
-        RandomWorlds(n_cars=3, max_steps=3),
-        seed=3,
-        policy="random",
-        randomize="none",
-        trials=1,
-        order="ticks",
-        drive="reduced",
-    )
-    (record,) = result.records
-    attempts = [Attempt.of(attempt) for attempt in record["attempts"]]
-    assert all(attempt.legal for attempt in attempts)
-    acts = [(attempt.tick, attempt.car) for attempt in attempts]
-    assert len(set(acts)) == len(acts)
-
-
-def test_noise_is_drawn_from_the_seed():
-    family = RandomWorlds(n_cars=2, max_steps=2)
-    noisy, again, exact = (
-        validate(family, seed=4, randomize=randomize, trials=1, order="ticks", drive="reduced").attempts
-        for randomize in ("strong", "strong", "none")
-    )
-    assert noisy == again
-    assert [a.car_error_m for a in noisy] != [a.car_error_m for a in exact]

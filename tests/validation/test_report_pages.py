@@ -98,18 +98,6 @@ def test_the_page_is_well_formed_and_asks_for_nothing_from_elsewhere(pages, name
     assert "default-src 'none'" in pages[name]
 
 
-def test_the_verdict_comes_first_then_the_matrix_then_the_disagreements(pages):
-    text = Reader(pages["audit"]).text
-    order = (
-        "that the rules allow are unsound",
-        "Legality and result",
-        "and physics refuses. First",
-        "Sound: ",
-    )
-    places = [text.rindex(words) for words in (*order, "Thresholds")]
-    assert places == sorted(places)
-
-
 def test_the_page_tells_what_decides_it_and_equal_data_give_equal_files(pages, tmp_path):
     text = Reader(pages["validate"]).text
     for word in ("car_m", "noise.pose_m", "craftsim validate strip", "mujoco", "mean maximum rank violation"):
@@ -232,24 +220,3 @@ def test_the_rows_of_an_audit_are_grouped_by_action_the_most_striking_first_with
     assert group.index("b</td>") < group.index("a</td>")
     assert group.count("<video") == 1
     assert "no film" not in group
-
-
-def test_the_recordings_of_an_audit_are_linked(tmp_path):
-    results = {"LIFT/a": Verdict.FAILED, "FOLD/c": Verdict.UNSAFE, "LIFT/d": Verdict.FAILED}
-    bundles = {name: f"bundles/{name[-1]} 1" for name in results}
-    for name in ("LIFT/a", "FOLD/c"):
-        (tmp_path / bundles[name]).mkdir(parents=True)
-        (tmp_path / bundles[name] / "trajectory.npz").touch()
-    records = [record(name, attempt(r), group=name, bundle=bundles[name]) for name, r in results.items()]
-    page = page_of(tmp_path, audited_report(tmp_path, records))
-    links = [address for address in Reader(page).addresses if address.endswith("trajectory.npz")]
-    assert links.count("bundles/a%201/trajectory.npz") == 2, "in the table of all, and beside the command"
-    assert not any("/d" in link for link in links)
-    assert "craftsim render &#39;bundles/<wbr>c 1/<wbr>trajectory.npz&#39;" in page
-
-
-def test_what_is_folded_on_a_screen_is_open_on_paper_and_no_table_is_cut(pages):
-    printed = pages["audit"][pages["audit"].index("@media print") :]
-    for rule in ("details::details-content", "overflow: visible", "break-inside: avoid-page"):
-        assert rule in printed
-    assert "@media screen and (prefers-color-scheme: dark)" in pages["audit"]

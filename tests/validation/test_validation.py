@@ -95,17 +95,6 @@ def test_a_car_beyond_its_limit_disagrees(monkeypatch):
     assert attempt.reason.startswith("the car is ")
 
 
-def test_what_the_rules_forbid_is_not_tried_and_named_with_rule_and_cells():
-    result = validate(GRID, plan=_plan(((0, Action.LIFT),)), **ONCE)
-    (attempt,) = result.attempts
-    assert not result.agrees
-    assert (attempt.legal, attempt.performed, attempt.result) == (False, False, "failed")
-    assert attempt.reason.startswith("the rules forbid it: ")
-    assert "(0, 0, 1)" in attempt.reason
-    matrix = result.figures.matrix
-    assert (matrix["legal"].trials, matrix["forbidden"].trials) == (0, 0)
-
-
 def test_a_failing_car_stops_what_depends_on_it_and_nothing_else(monkeypatch):
     class Weak(setup.Executor):
         def __init__(self, physics, *args, **kwargs):

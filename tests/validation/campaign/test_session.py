@@ -73,13 +73,6 @@ def _failing(out):
         session.run_some({0: (0, "raise")}, lambda record: None)
 
 
-@pytest.mark.parametrize("text", ["{", "3", b"\xff\xfe", ""])
-def test_what_is_no_record_is_named(begun, text):
-    put(begun, 2, text)
-    with pytest.raises(InputError, match=r"session\.db: trial 2: not a trial's record"):
-        _resume(begun)
-
-
 def test_a_record_of_no_trial_is_named(begun):
     record = json.loads((begun / "trials.jsonl").read_text().splitlines()[0])
     put(begun, 0, json.dumps({**record, "key": "stranger"}))

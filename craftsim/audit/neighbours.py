@@ -20,8 +20,18 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.audit.builder import Builder, CarRow, ImpossibleError, grid_of
-from craftsim.audit.situation import BACK, DIRECTION_NAMES, FORWARD, LEFT, Row, Situation
+from craftsim.audit.situation import (
+    BACK,
+    DIRECTION_NAMES,
+    FORWARD,
+    LEFT,
+    Builder,
+    CarRow,
+    ImpossibleError,
+    Row,
+    Situation,
+    grid_of,
+)
 from craftsim.audit.swept import Clearance, Solids, convexes_of, sweep
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M

@@ -13,8 +13,7 @@ from functools import cache, lru_cache
 from itertools import chain, product
 from typing import Any, Final
 
-from craftsim.audit.builder import Builder, ImpossibleError
-from craftsim.audit.situation import BACK, DIRECTION_NAMES, FORWARD, Row, Situation
+from craftsim.audit.situation import BACK, DIRECTION_NAMES, FORWARD, Builder, ImpossibleError, Row, Situation
 from craftsim.discrete.actions import ACTIONS, ActionSpec, verbs
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Kind, Piece, beside
 from craftsim.discrete.kinds import Action

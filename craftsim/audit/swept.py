@@ -18,8 +18,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from craftsim.audit.builder import grid_of
-from craftsim.audit.situation import BACK, Situation
+from craftsim.audit.situation import BACK, Situation, grid_of
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action

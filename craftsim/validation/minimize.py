@@ -124,15 +124,9 @@ class Smallest:
     def __init__(self, failing: FailingAction, on_trial: OnTrial, most: int, trials: int = 0) -> None:
         """Try the action alone, as one of at most ``most`` trials after ``trials``."""
         self.setup, self.action, self.trials = failing.setup, failing.action, trials
-        self.found = False
-        self._seed, self._rules, self._on_trial, self._most = (
-            failing.seed,
-            Rules(failing.setup.rules),
-            on_trial,
-            most,
-        )
-        self._left_s = MINIMIZE_S
-        self._known: dict[str, bool] = {}
+        self.found, self._left_s, self._known = False, MINIMIZE_S, dict[str, bool]()
+        self._seed, self._rules = failing.seed, Rules(failing.setup.rules)
+        self._on_trial, self._most = on_trial, most
         self._pieces, self._size = parts.pieces_of(failing.grid, failing.car), failing.grid.size
         # What play led to need not be what a drawing may show; then no smaller world need be.
         self._drawn = "snapshot:" not in blueprint_text(self.grid)
@@ -209,23 +203,24 @@ class Smallest:
                 keep = parts.without(self._pieces, part)
                 if len(keep) < len(self._pieces):
                     self._fails(keep, self._size, self.action)
-            if len(self._pieces) < before:
-                n = max(n - 1, 2)
-            elif n == len(others):
+            if len(self._pieces) == before and n == len(others):
                 return
-            else:
-                n *= 2
+            n = 2 * n if len(self._pieces) == before else max(n - 1, 2)
 
     def _others(self) -> list[parts.WorldPart]:
-        """Return all pieces but the acting car and those below it, furthest first."""
+        """Return all pieces but the acting car and those below it, furthest along the axes first."""
         me, *others = self._pieces
         free = (piece for piece in others if me in parts.without(self._pieces, (piece,)))
-        return sorted(free, key=lambda piece: (-parts.distance(piece, me.cell), piece.cell, piece.kind))
+
+        def distance(piece: parts.WorldPart) -> int:
+            return sum(abs(a - b) for a, b in zip(piece.cell, me.cell, strict=True))
+
+        return sorted(free, key=lambda piece: (-distance(piece), piece.cell, piece.kind))
 
     def _simplify(self) -> bool:
         """Remove a load, or lower everything by a level; return whether the failure remains."""
         for place, piece in enumerate(self._pieces):
-            bare = replace(piece, load=Kind.AIR, load_yaw=0)
+            bare = piece._replace(load=Kind.AIR, load_yaw=0)
             pieces = (*self._pieces[:place], bare, *self._pieces[place + 1 :])
             if piece.load != Kind.AIR and self._fails(pieces, self._size, self.action):
                 return True

@@ -6,7 +6,6 @@ import re
 import numpy as np
 import pytest
 
-from craftsim.audit.builder import Builder
 from craftsim.audit.neighbours import (
     HOME,
     bare_situations,
@@ -17,7 +16,7 @@ from craftsim.audit.neighbours import (
     read_table,
     shift_of,
 )
-from craftsim.audit.situation import intended
+from craftsim.audit.situation import Builder, intended
 from craftsim.audit.swept import sweep
 from craftsim.checking.setup import setup_of
 from craftsim.cli import main

@@ -5,10 +5,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from craftsim.audit.builder import ImpossibleError
 from craftsim.audit.neighbours import nearby
 from craftsim.audit.plan import audit_plan, distribute_trials
-from craftsim.audit.situation import SCENES, intended
+from craftsim.audit.situation import SCENES, ImpossibleError, intended
 from craftsim.audit.survey import survey
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.grid import Grid, Kind

@@ -161,11 +161,8 @@ def duration_blocks(table: Sequence[Mapping[str, Any]]) -> list[Block]:
     """Return the durations of each kind of action, as a drawing and a table."""
     named = {}
     for row in table:
-        load, ground = (
-            "" if row["load"] == "none" else f" with {row['load']}",
-            "slope" if row["slope"] else "flat",
-        )
-        named[f"{row['verb']}{load}, {ground}, level {row['level']}"] = row
+        load = "" if row["load"] == "none" else f" with {row['load']}"
+        named[f"{row['verb']}{load}, {'slope' if row['slope'] else 'flat'}, level {row['level']}"] = row
     rows = {name: (row["median_s"], row["p05_s"], row["p95_s"]) for name, row in named.items()}
 
     def draw(axes: Axes) -> None:
@@ -219,28 +216,18 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
     scores = figures.policies
     if not scores:
         return []
-    table = DataTable(
-        numbers("policy", "episodes", "grid world", "95 % interval", "physics", "95 % interval"),
-        [
-            (
-                *(one["policy"], n := one["episodes"]),
-                *share_cells(Proportion.of(round(one["grid"] * n), n)),
-                *share_cells(Proportion.of(round(one["physics"] * n), n)),
-            )
-            for one in scores
-        ],
-        "Success",
-    )
+    rows = []
+    for one in scores:
+        n = one["episodes"]
+        shares = (Proportion.of(round(one[world] * n), n) for world in ("grid", "physics"))
+        rows.append((one["policy"], n, *(cell for share in shares for cell in share_cells(share))))
+    heads = ("episodes", "grid world", "95 % interval", "physics", "95 % interval")
+    table = DataTable(numbers("policy", *heads), rows, "Success")
 
     def draw(axes: Axes) -> None:
         axes.plot((0, 1), (0, 1), color=plots.GRID, lw=1.2, zorder=1)
-        look: dict[str, Any] = {
-            "color": plots.ACCENT,
-            "ms": 8,
-            "mec": plots.PAPER,
-            "clip_on": False,
-            "zorder": 3,
-        }
+        look: dict[str, Any] = {"color": plots.ACCENT, "ms": 8, "mec": plots.PAPER}
+        look |= {"clip_on": False, "zorder": 3}
         for one, marker in zip(scores, cycle(_MARKERS)):
             axes.plot(one["grid"], one["physics"], marker, label=plots.short(one["policy"]), **look)
         axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), handletextpad=0.1)
@@ -252,27 +239,23 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
     caption = "Success of each policy in both worlds; on the line they agree."
     label = "success of policies in the grid world and in physics"
     blocks: list[Block] = [Drawing.of_axes(draw, 3.4, caption, label), table]
-    agreement = figures.rank_agreement
-    if agreement is not None:
-        blocks.append(
-            DataTable(
-                numbers("figure", "value", "95 % interval"),
-                [
-                    ("Pearson correlation", *estimate_cells(agreement.pearson)),
-                    ("Spearman correlation", *estimate_cells(agreement.spearman)),
-                    ("mean maximum rank violation", f"{agreement.mmrv:.3f}", None),
-                ],
-                f"Agreement over {agreement.policies} policies",
-                "Intervals by bootstrap over policies. A rank violation is the difference in physics of two policies "
-                "that the two worlds rank differently.",
-            )
+    if (agreement := figures.rank_agreement) is not None:
+        found: list[tuple[Value, ...]] = [
+            ("Pearson correlation", *_estimate_cells(agreement.pearson)),
+            ("Spearman correlation", *_estimate_cells(agreement.spearman)),
+            ("mean maximum rank violation", f"{agreement.mmrv:.3f}", None),
+        ]
+        note = (
+            "Intervals by bootstrap over policies. A rank violation is the difference in physics of two policies that "
+            "the two worlds rank differently."
         )
+        title = f"Agreement over {agreement.policies} policies"
+        blocks.append(DataTable(numbers("figure", "value", "95 % interval"), found, title, note))
     lead = "Does a policy that does better in the grid world also do better in physics?"
     return [Section("policies", "Policies in both worlds", lead, blocks)]
 
 
-def estimate_cells(one: Estimate) -> tuple[Value, Value]:
-    """Return an estimate as two cells: its value and its interval."""
+def _estimate_cells(one: Estimate) -> tuple[Value, Value]:
     if one.value is None:
         return "not defined", None
     return f"{one.value:.3f}", bounds_text(one, 3)
@@ -331,10 +314,7 @@ def changes_table(changed: Mapping[str, tuple[Any, Any]], first: str, second: st
     """Return a table of the settings that differ between two runs."""
     return DataTable(
         (Column("setting", "path"), Column(first, "path"), Column(second, "path")),
-        [
-            (name, *("none" if value is None else str(value) for value in values))
-            for name, values in changed.items()
-        ],
+        [(name, *("none" if x is None else str(x) for x in values)) for name, values in changed.items()],
         "What differs",
         folded=True,
     )
@@ -364,11 +344,8 @@ def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Se
     setup = config["setup"]
     brief = {key: value for key, value in config.items() if key != "setup"}
     run = {"command": command, "seed": seed, **brief, "gains": setup.gains, "machines": setup.machines}
-    described = {
-        ("Thresholds", "threshold"): setup.thresholds,
-        ("Run", "setting"): run,
-        ("Versions", "package"): versions(),
-    }
+    described = {("Thresholds", "threshold"): setup.thresholds, ("Run", "setting"): run}
+    described[("Versions", "package")] = versions()
     return Section(
         "provenance",
         "Thresholds and provenance",

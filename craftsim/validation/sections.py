@@ -105,8 +105,8 @@ def failures_section(
     listed = list(islice(found, MOST_FAILURES))
     more = sum(1 for _ in found)
     columns = (
-        *(Column("run", "path"), Column("tick", "number"), Column("car", "number"), Column("action")),
-        Column("result"),
+        *(Column("run", "path"), Column("tick", "number"), Column("car", "number")),
+        *(Column("action"), Column("result")),
         Column("mm off", "number", "of the car, of what it set down, or of what it does not concern"),
         *(Column("cause", "wide"), Column("replay", "path", "what shows it again")),
     )
@@ -132,27 +132,17 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
     for one in attempts:
         result = "agrees" if one.agrees else one.result if one.legal else "not tried"
         errors = (one.duration_s, 1e3 * one.car_error_m, 1e3 * one.heading_error_rad)
-        rows.append(
-            (
-                *(str(one.tick), str(one.car), one.action, one.predicted),
-                *(
-                    "same" if one.read == one.predicted else one.read,
-                    Cell(result, TONES[Verdict(one.result)]),
-                ),
-                *(f"{error:.2f}" for error in errors),
-                one.reason,
-            )
-        )
+        read = "same" if one.read == one.predicted else one.read
+        shown = (Cell(result, TONES[Verdict(one.result)]), *(f"{error:.2f}" for error in errors), one.reason)
+        rows.append((str(one.tick), str(one.car), one.action, one.predicted, read, *shown))
     note = "Predicted by the rules, read from poses: cell, heading, load, low or high on a slope; mm, mrad: of the car."
     return DataTable(columns, rows, title, note, tall=True, most=400)
 
 
 def actions_section(runs: Iterable[tuple[str, Sequence[Attempt]]], total: int) -> Section:
     """Return a section of what each action did; ``runs`` are names and attempts, and only one alone is printed."""
-    title, lead = (
-        "Action by action",
-        "What the rules predict of each action, and what was read from poses after it.",
-    )
+    title = "Action by action"
+    lead = "What the rules predict of each action, and what was read from poses after it."
     if total == 1:
         tables = [actions_table(attempts) for _, attempts in runs]
         return Section("actions", title, lead, tables, terminal=True)
@@ -171,8 +161,7 @@ def smallest_section(found: Sequence[Counterexample]) -> list[Section]:
         return []
     title = f"Smallest worlds: {count(len(found), 'kind')} of failure"
     lead = "The first failure of each kind, with all taken away that it does not need. Try it again from this folder."
-    cases = Cases([_smallest(one) for one in found], most=40)
-    return [Section("smallest", title, lead, [cases], terminal=True)]
+    return [Section("smallest", title, lead, [Cases([*map(_smallest, found)], most=40)], terminal=True)]
 
 
 def _smallest(one: Counterexample) -> Case:

@@ -290,11 +290,8 @@ def policy_scores(trials: DataFrame) -> list[dict[str, Any]]:
     They are groups of trials with a known success in both worlds, by name.
     """
     known = trials[trials.grid.notna() & trials.physics.notna()].groupby("group", observed=True)
-    return [
-        {"policy": str(policy), "grid": float(one.grid.mean()), "physics": float(one.physics.mean())}
-        | {"episodes": len(one)}
-        for policy, one in known
-    ]
+    rows = ((str(name), float(x.grid.mean()), float(x.physics.mean()), len(x)) for name, x in known)
+    return [dict(zip(("policy", "grid", "physics", "episodes"), row, strict=True)) for row in rows]
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, StartError
 from craftsim.experiments.bundle import write_bundles
+from craftsim.experiments.compare import read_other
 from craftsim.experiments.experiment import (
     STRICT,
     Experiment,
@@ -37,9 +38,8 @@ from craftsim.experiments.experiment import (
     Trial,
     TrialRecord,
 )
-from craftsim.experiments.records import read_finished
 from craftsim.experiments.session import open_session
-from craftsim.storage.paths import resolved
+from craftsim.experiments.statistics import carried_out
 from craftsim.validation.audit import compiled_world
 from craftsim.validation.forms import Judged
 from craftsim.validation.imperfections import Imperfection
@@ -283,15 +283,10 @@ def find(one: MarginSearch) -> Result:
         margin, upper, edge = search(lambda trial, level: not result(trial, level)[1], largest, one.trials)
         end = "largest" if edge is None else "base" if margin is None else "edge"
     attempts, reason = result(*edge) if edge else ((), "")
-    found = MarginResult(
-        end,
-        None if margin is None else values[margin],
-        None if upper is None else values[upper],
-        values[edge[1]] if edge and edge[1] != BASE else None,
-        edge[0] if edge else None,
-        reason,
-        len(tried),
-    )
+    trial, fails_at = edge or (None, None)
+    at = margin, upper, fails_at if fails_at != BASE else None
+    margin_at, upper_at, edge_at = (None if level is None else values[level] for level in at)
+    found = MarginResult(end, margin_at, upper_at, edge_at, trial, reason, len(tried))
     return Result(end != "base", attempts, extra=asdict(found))
 
 
@@ -385,7 +380,10 @@ def run_margins(
     The imperfections ``axes`` are varied one at a time, beyond the nominal setup; of a ``pair`` a map is drawn for each
     scenario, too. ``asked`` are the given options, for the report.
     """
-    earlier = _earlier(options.against, out)
+    earlier: dict[str, MarginResult] = {}
+    if options.against is not None:
+        for r in carried_out(read_other(options.against, out, COMMAND, MARGINS).records):
+            earlier |= {r["key"]: MarginResult(**r["extra"])} if "margin" in r["extra"] else {}
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     searches = [MarginSearch(one, setup, seed, (axis,), trials) for one in scenarios for axis in axes]
     ups = range(len(values_of(pair[1])) if pair else 0)
@@ -412,18 +410,6 @@ def run_margins(
         result = Margins(records, margins, whole, pair, config, seed)
         session.write_report({"margins": _figures(result)})
     return result
-
-
-def _earlier(folder: Path | None, out: Path) -> dict[str, MarginResult]:
-    """Return the margins of an earlier run, by the keys of their records."""
-    if folder is None:
-        return {}
-    if resolved(folder) == resolved(out):
-        raise InputError(f"--against {folder} is the folder of this run; choose another --out")
-    records = read_finished(folder, COMMAND, MARGINS).records
-    return {
-        r["key"]: MarginResult(**r["extra"]) for r in records if r["error"] is None and "margin" in r["extra"]
-    }
 
 
 def _recipes(

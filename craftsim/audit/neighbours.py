@@ -11,11 +11,11 @@ import csv
 import re
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from itertools import product
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,25 +75,22 @@ def bare_situations() -> Iterator[Situation]:
             floor = Piece(Kind.BLOCK, beside((0, 0, -1), way))
             yield _bare(f"MOVE-{DIRECTION_NAMES[way]}", action, load, [floor])
         # The three moves up a ramp and the three down.
-        for stage, name in enumerate(("onto-foot", "up", "off-top")):
-            body = (2 - stage, 0, 0)
-            ramp = [Piece(Kind.BODY, body, BACK), Piece(Kind.BLOCK, beside(body, FORWARD)), _floor(-stage)]
-            yield _bare(f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, int(stage == 2), stage)
-        for stage, name in enumerate(("onto-top", "down", "off-foot")):
-            body = (1 - stage, 0, 0)
-            ramp = [Piece(Kind.BODY, body, FORWARD), Piece(Kind.BLOCK, beside(body, BACK)), _floor(3 - stage)]
-            yield _bare(f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, int(stage < 2), (0, 2, 1)[stage])
+        for names, yaw, first, floor, levels, halves in (
+            (("onto-foot", "up", "off-top"), BACK, 2, 0, (0, 0, 1), (0, 1, 2)),
+            (("onto-top", "down", "off-foot"), FORWARD, 1, 3, (1, 1, 0), (0, 2, 1)),
+        ):
+            for stage, name in enumerate(names):
+                body = (first - stage, 0, 0)
+                ramp = [Piece(Kind.BODY, body, yaw), Piece(Kind.BLOCK, beside(body, yaw + 2))]
+                ramp.append(Piece(Kind.BLOCK, (floor - stage, 0, -1)))
+                yield _bare(f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, levels[stage], halves[stage])
     for load in ("block", "slope"):
-        yield _bare(
-            "LIFT", Action.LIFT, load, [Piece(_LOADS[load], (0, 0, 0), BACK if load == "slope" else 0)]
-        )
+        lifted = Piece(_LOADS[load], (0, 0, 0), BACK if load == "slope" else 0)
+        yield _bare("LIFT", Action.LIFT, load, [lifted])
         yield _bare("DROP", Action.DROP, load, [])
     for kind, action in ((Kind.FSLOPE, Action.UNFOLD), (Kind.BODY, Action.FOLD)):
-        yield _bare(action.name, action, "", [Piece(kind, (0, 0, 0), BACK), _floor(-1)])
-
-
-def _floor(x: int) -> Piece:
-    return Piece(Kind.BLOCK, (x, 0, -1))
+        behind = Piece(Kind.BLOCK, (-1, 0, -1))
+        yield _bare(action.name, action, "", [Piece(kind, (0, 0, 0), BACK), behind])
 
 
 def _bare(
@@ -141,8 +138,7 @@ def _sum(one: Sequence[int], other: Cell) -> Cell:
     return one[0] + other[0], one[1] + other[1], one[2] + other[2]
 
 
-@dataclass(frozen=True)
-class Occupant:
+class Occupant(NamedTuple):
     """A possible neighbour: things or a car, in cell (0, 0, 0)."""
 
     kind: str
@@ -164,13 +160,13 @@ class Occupant:
     @property
     def mirrored(self) -> str:
         """Name of its mirror image."""
-        return replace(self, side={"left": "right", "right": "left"}.get(self.side, self.side)).name
+        return self._replace(side={"left": "right", "right": "left"}.get(self.side, self.side)).name
 
     def places(self) -> Iterator[Cell]:
         """Yield its places near a car in column (0, 0); levels are relative to the car's lower one."""
         # A piece of several cells is near if any of them is.
         cells = [cell for piece in self.pieces for cell in _solid_cells(piece)]
-        cells += [_sum(row[:3], (0, 0, 0)) for row in self.cars]
+        cells += [(x, y, z) for x, y, z, *_ in self.cars]
         spread = range(-_REACH - 1, _REACH + 2)
         for dx, dy, dz in product(spread, spread, _LEVELS):
             if any(max(abs(x + dx), abs(y + dy)) <= _REACH for x, y, _ in cells):
@@ -194,8 +190,8 @@ class Occupant:
 def occupants() -> Iterator[Occupant]:
     """Yield all occupants; flags are left out, since they have the shape of blocks."""
     origin = (0, 0, 0)
-    yield Occupant("block", pieces=(Piece(Kind.BLOCK, origin),))
-    yield Occupant("wall", pieces=(Piece(Kind.WALL, origin),))
+    for kind in (Kind.BLOCK, Kind.WALL):
+        yield Occupant(kind.name.lower(), pieces=(Piece(kind, origin),))
     # Along or across: front and back of a car are equally long.
     yield Occupant("car", "along", cars=(_car(0, Kind.AIR),))
     yield Occupant("car", "across", cars=(_car(1, Kind.AIR),))
@@ -209,23 +205,22 @@ def occupants() -> Iterator[Occupant]:
         yield Occupant("fslope", "", side, (Piece(Kind.FSLOPE, origin, yaw),))
         yield Occupant("ramp", "", side, (Piece(Kind.BODY, origin, yaw),))
         yield Occupant("car+fslope", "", side, cars=(_car(back, Kind.FSLOPE),))
-        for kind, gear, heading, load in (
+        for name, gear, heading, load in (
             ("car", "", yaw, Kind.AIR),
             ("car+block", "", yaw, Kind.BLOCK),
             ("car+fslope", "gear-downhill-", back, Kind.FSLOPE),
             ("car+fslope", "gear-uphill-", yaw, Kind.FSLOPE),
         ):
             for place, (half, ramp) in ramps.items():
-                car = _car(heading, load, half)
-                yield Occupant(kind, gear + place, side, cars=(car,), bearer=ramp)
+                cars = (_car(heading, load, half),)
+                yield Occupant(name, gear + place, side, cars=cars, bearer=ramp)
 
 
 def _car(yaw: int, load: Kind, half: int = 0) -> CarRow:
     return 0, 0, 0, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0, half
 
 
-@dataclass(frozen=True)
-class Neighbour:
+class Neighbour(NamedTuple):
     """A possible neighbour of a bare situation."""
 
     situation: Situation

@@ -202,19 +202,21 @@ def _claim(world: Builder, thing: tuple[Kind, int], cell: Cell) -> None:
 
 def _check_car(ground: str, own: str, load: str) -> None:
     """Raise ImpossibleError if a car cannot stand there; checked first, since this excludes most combinations."""
-    (half, downhill), (kind, yaw) = GROUNDS[ground], _OWN[own]
-    if half == 1 and (kind, yaw) != (Kind.FOOT, downhill):
-        raise ImpossibleError("a car on a lower half is in the cell of its foot")
-    if half == 2 and kind != Kind.AIR:
-        raise ImpossibleError("above a body is nothing but the car")
-    if half == 0 and kind == Kind.FOOT:
-        raise ImpossibleError("a car in a foot's cell is on the slope")
-    if kind in (Kind.FSLOPE, Kind.BODY) and yaw != BACK:
-        raise ImpossibleError("a car enters below a slope from its high side only")
-    if load != "none" and kind == Kind.GEAR:
-        raise ImpossibleError("a load's legs would be where a gear is")
-    if load != "none" and kind in (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY):
-        raise ImpossibleError("a load and what the car stands under would share a cell")
+    (half, downhill), (kind, yaw), loaded = GROUNDS[ground], _OWN[own], load != "none"
+    under = kind in (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY)
+    for impossible, reason in (
+        (
+            half == 1 and (kind, yaw) != (Kind.FOOT, downhill),
+            "a car on a lower half is in the cell of its foot",
+        ),
+        (half == 2 and kind != Kind.AIR, "above a body is nothing but the car"),
+        (half == 0 and kind == Kind.FOOT, "a car in a foot's cell is on the slope"),
+        (under and kind in SECOND_PART and yaw != BACK, "a car enters below a slope from its high side only"),
+        (loaded and kind == Kind.GEAR, "a load's legs would be where a gear is"),
+        (loaded and under, "a load and what the car stands under would share a cell"),
+    ):
+        if impossible:
+            raise ImpossibleError(reason)
 
 
 @lru_cache(maxsize=256)
@@ -349,7 +351,8 @@ def counted_row(row: Row, legal: bool) -> Row:
     reach the car. For forbidden actions also the directions of a gear overhead, and for moves that are not forward
     everything overhead, since the car does not get there.
     """
-    return min((_merged(one, legal) for one in (row, _mirrored(row))), key=str)
+    mirrored = _reworded(row, _mirror_words(tuple(acts())))
+    return min((_merged(one, legal) for one in (row, mirrored)), key=str)
 
 
 _ALIKE: Final = {"2": "2+", "3": "2+", "flag": "block"}
@@ -363,10 +366,6 @@ def _merged(row: Row, legal: bool) -> Row:
         return row._replace(own=own)
     ahead = acts()[row.action][1] in (None, FORWARD)
     return row._replace(own=own, over=_GEARS.get(row.over, row.over) if ahead else "")
-
-
-def _mirrored(row: Row) -> Row:
-    return _reworded(row, _mirror_words(tuple(acts())))
 
 
 @lru_cache(maxsize=1)

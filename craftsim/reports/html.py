@@ -15,7 +15,7 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from craftsim.reports.report import Block, Case, Cell, Drawing, Report, Value, text_of
+from craftsim.reports.report import Case, Cell, Drawing, Report, text_of
 from craftsim.storage.folders import output_directory
 from craftsim.storage.writing import write_whole
 
@@ -77,36 +77,22 @@ class _Files:
 
 @cache
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("craftsim.reports", "template"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    loader, trimmed = (
+        PackageLoader("craftsim.reports", "template"),
+        {"trim_blocks": True, "lstrip_blocks": True},
     )
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, **trimmed)
     environment.filters.update(
-        breakable=_breakable,
-        cell=_cell,
+        # Line breaks are allowed after slashes.
+        breakable=lambda text: escape(text).replace("/", "/" + Markup("<wbr>")),
+        cell=lambda value: value if isinstance(value, Cell) else Cell(text_of(value)),
         css_percent=lambda share: f"{100 * share:.2f}%",
-        kind=_kind,
+        kind=lambda block: type(block).__name__,
         shell=lambda words: shlex.join(map(str, words)),
         svg=_svg,
     )
     environment.globals.update(max_cases=MAX_CASES)
     return environment
-
-
-def _kind(block: Block) -> str:
-    return type(block).__name__
-
-
-def _cell(value: Value) -> Cell:
-    return value if isinstance(value, Cell) else Cell(text_of(value))
-
-
-def _breakable(text: str) -> Markup:
-    """Return escaped text with line breaks allowed after slashes."""
-    return escape(text).replace("/", "/" + Markup("<wbr>"))
 
 
 def _svg(drawing: Drawing) -> Markup:

@@ -141,7 +141,7 @@ def spawn_context() -> SpawnContext:
     Its processes have the module path of this process at that moment.
     """
     # Otherwise the first queue or lock starts it, with the usual path.
-    with _safe_path():
+    with _starting, safe_path():
         resource_tracker.ensure_running()
     return _Context()
 
@@ -151,7 +151,7 @@ class _Process(SpawnProcess):
         self._inherited = os.environ.get(SAFE_PATH)
         self._tells = reports_compiling()
         self._registering = tuple(REGISTERING)
-        with _safe_path():
+        with _starting, safe_path():
             # Otherwise its first start unblocks the signal.
             resource_tracker.ensure_running()
             usual = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -172,12 +172,6 @@ class _Process(SpawnProcess):
 
 class _Context(SpawnContext):
     Process = _Process
-
-
-@contextmanager
-def _safe_path() -> Iterator[None]:
-    with _starting, safe_path():
-        yield
 
 
 @contextmanager

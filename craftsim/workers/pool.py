@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from types import TracebackType
 from typing import Any, Final, Self, TypeAlias, TypeVar
 
 from craftsim.choices import Engine as Engine
@@ -156,10 +155,9 @@ class Pool:
         """Return the workers that answered or died, as soon as there are some, and those past their deadline."""
         end_s = min(worker.end_s for worker in self._running.values())
         timeout_s = None if math.isinf(end_s) else max(0.0, end_s - time.monotonic())
-        ready = [self._running[actor] for actor in self._kind.wait(list(self._running), timeout_s)]
-        now = time.monotonic()
-        late = [worker for worker in self._running.values() if worker.end_s <= now and worker not in ready]
-        return [*((worker, False) for worker in ready), *((worker, True) for worker in late)]
+        ready, now = self._kind.wait(list(self._running), timeout_s), time.monotonic()
+        late = [actor for actor, one in self._running.items() if one.end_s <= now and actor not in ready]
+        return [(self._running[actor], actor in late) for actor in (*ready, *late)]
 
     def _kill(self, worker: _Worker) -> None:
         worker.actor.kill()
@@ -174,9 +172,7 @@ class Pool:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

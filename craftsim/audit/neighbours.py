@@ -75,14 +75,14 @@ def bare_situations() -> Iterator[Situation]:
             floor = Piece(Kind.BLOCK, beside((0, 0, -1), way))
             yield _bare(f"MOVE-{DIRECTION_NAMES[way]}", action, load, [floor])
         # The three moves up a ramp and the three down.
-        for names, yaw, first, floor, levels, halves in (
+        for names, yaw, first, below, levels, halves in (
             (("onto-foot", "up", "off-top"), BACK, 2, 0, (0, 0, 1), (0, 1, 2)),
             (("onto-top", "down", "off-foot"), FORWARD, 1, 3, (1, 1, 0), (0, 2, 1)),
         ):
             for stage, name in enumerate(names):
                 body = (first - stage, 0, 0)
                 ramp = [Piece(Kind.BODY, body, yaw), Piece(Kind.BLOCK, beside(body, yaw + 2))]
-                ramp.append(Piece(Kind.BLOCK, (floor - stage, 0, -1)))
+                ramp.append(Piece(Kind.BLOCK, (below - stage, 0, -1)))
                 yield _bare(f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, levels[stage], halves[stage])
     for load in ("block", "slope"):
         lifted = Piece(_LOADS[load], (0, 0, 0), BACK if load == "slope" else 0)

@@ -133,8 +133,8 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
         result = "agrees" if one.agrees else one.result if one.legal else "not tried"
         errors = (one.duration_s, 1e3 * one.car_error_m, 1e3 * one.heading_error_rad)
         read = "same" if one.read == one.predicted else one.read
-        shown = (Cell(result, TONES[Verdict(one.result)]), *(f"{error:.2f}" for error in errors), one.reason)
-        rows.append((str(one.tick), str(one.car), one.action, one.predicted, read, *shown))
+        cell, shown = Cell(result, TONES[Verdict(one.result)]), (f"{error:.2f}" for error in errors)
+        rows.append((str(one.tick), str(one.car), one.action, one.predicted, read, cell, *shown, one.reason))
     note = "Predicted by the rules, read from poses: cell, heading, load, low or high on a slope; mm, mrad: of the car."
     return DataTable(columns, rows, title, note, tall=True, most=400)
 

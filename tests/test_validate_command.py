@@ -141,18 +141,8 @@ def test_a_plan_that_the_rules_forbid_is_not_tried_and_the_rule_is_told(folder, 
 def test_films_of_every_run_and_none_of_an_earlier_campaign(folder, monkeypatch):
     monkeypatch.setattr(films, "SIZE", (320, 180))
     (folder / "short.txt").write_text("0 STOP\n")
-    words = [
-        "empty.yaml",
-        "--actions",
-        "short.txt",
-        "--randomize",
-        "none",
-        "--trials",
-        "1",
-        *REDUCED,
-        "--out",
-        "out",
-    ]
+    words = ["empty.yaml", "--actions", "short.txt", "--randomize", "none", "--trials", "1", *REDUCED]
+    words += ["--out", "out"]
     assert cli.main(["validate", *words, "--video", "all"]) == 0
     film = folder / "out" / "films" / "empty-short-0000.mp4"
     assert film.stat().st_size > 1000

@@ -77,11 +77,9 @@ class _Files:
 
 @cache
 def _environment() -> Environment:
-    loader, trimmed = (
-        PackageLoader("craftsim.reports", "template"),
-        {"trim_blocks": True, "lstrip_blocks": True},
-    )
-    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, **trimmed)
+    loader = PackageLoader("craftsim.reports", "template")
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    environment.trim_blocks = environment.lstrip_blocks = True
     environment.filters.update(
         # Line breaks are allowed after slashes.
         breakable=lambda text: escape(text).replace("/", "/" + Markup("<wbr>")),

@@ -79,20 +79,10 @@ def test_play_is_legal_in_its_turn_and_prefers_the_rare(grids):
 
 
 def test_what_is_played_in_random_worlds_does_as_predicted_and_is_saved(tmp_path):
-    result = validate(
-        "random",
-        trials=2,
-        seed=4,
-        n_cars=3,
-        max_steps=4,
-        out=tmp_path,
-        randomize="none",
-        order="ticks",
-        drive="reduced",
-    )
+    how = {"seed": 4, "n_cars": 3, "max_steps": 4, "randomize": "none", "trials": 2, "drive": "reduced"}
+    result = validate("random", **how, order="ticks", out=tmp_path)
     assert result.agrees, result.records
-    again = {"order": "sequential", "seed": 4, "n_cars": 3, "max_steps": 4, "randomize": "none", "trials": 2}
-    other = validate("random", **again, drive="reduced", out=tmp_path / "other", baseline=tmp_path)
+    other = validate("random", **how, order="sequential", out=tmp_path / "other", baseline=tmp_path)
     assert other.comparison.trials.both == 2, "the orders of the same play can be compared"
     assert {attempt.car for attempt in result.attempts} == {0, 1, 2}
     coverage = json.loads((tmp_path / "report.json").read_text())["figures"]["coverage"]
@@ -100,11 +90,6 @@ def test_what_is_played_in_random_worlds_does_as_predicted_and_is_saved(tmp_path
     for record in result.records:
         name = record["key"].replace("/", "-")
         world = read_blueprint(tmp_path / "worlds" / f"{name}.yaml")
-        acts = [
-            act
-            for tick in read_plan(tmp_path / "worlds" / f"{name}.plan", world.n_cars).ticks
-            for act in tick
-        ]
-        assert [(a["car"], a["action"]) for a in record["attempts"]] == [
-            (car, action.name) for car, action in acts
-        ]
+        plan = read_plan(tmp_path / "worlds" / f"{name}.plan", world.n_cars)
+        acts = [(car, action.name) for tick in plan.ticks for car, action in tick]
+        assert [(a["car"], a["action"]) for a in record["attempts"]] == acts

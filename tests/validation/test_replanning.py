@@ -97,19 +97,8 @@ def test_cars_out_of_action_are_walls_but_where_the_design_has_what_stands_there
 
 
 def _build(out, start, goal, *words):
-    words = [
-        str(start),
-        "--goal",
-        str(goal),
-        *words,
-        "--drive",
-        "reduced",
-        "--video",
-        "none",
-        "--out",
-        str(out),
-    ]
-    return main(["validate", "--plan", "auto", *words])
+    own = ["--goal", str(goal), "--drive", "reduced", "--video", "none", "--out", str(out)]
+    return main(["validate", "--plan", "auto", str(start), *own, *words])
 
 
 @pytest.fixture(scope="module")

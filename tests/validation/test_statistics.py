@@ -48,6 +48,7 @@ def test_wilson_intervals_are_those_of_closed_forms_and_of_published_tables():
 def test_the_matrix_counts_results_by_legality():
     attempts = [attempt()] * 5 + [attempt(Verdict.UNSAFE)] * 2 + [attempt(Verdict.FAILED, legal=False)] * 3
     attempts.append(attempt(Verdict.SIDE_EFFECT, legal=False))
+    attempts.append(attempt(Verdict.FAILED, legal=False, performed=False))  # was not tried on purpose
     matrix = legality_matrix(attempts_frame([record("a", *attempts)]))
     legal, forbidden = matrix["legal"], matrix["forbidden"]
     counts = [legal.trials, legal.as_predicted, legal.failed, legal.side_effect, legal.unsafe]
@@ -130,15 +131,7 @@ def test_figures_of_nothing_are_none_and_no_zero():
     assert found.durations == []
     assert found.by_group["plan"]["actions"].rate == 0.0
     nothing = campaign_figures([], seed=0)
-    assert nothing.all["actions"].rate is None
-    assert nothing.matrix["legal"].success.rate is None
-
-
-def test_what_was_not_tried_is_not_counted_as_tried_on_purpose():
-    told = attempt(Verdict.FAILED, legal=False, performed=False)
-    tried = attempt(Verdict.FAILED, legal=False)
-    matrix = campaign_figures([record("a", told, tried, attempt())], seed=0).matrix
-    assert (matrix["legal"].trials, matrix["forbidden"].trials, matrix["forbidden"].failed) == (1, 1, 1)
+    assert (nothing.all["actions"].rate, nothing.matrix["legal"].success.rate) == (None, None)
 
 
 def test_a_table_of_durations_is_written(tmp_path):
@@ -293,30 +286,15 @@ def test_what_differs_is_told_by_kind_with_an_example():
     assert "2 MOVE on a slope" in str(found)
 
 
-def test_what_the_rules_allow_is_counted_by_itself():
-    first = [record("a", attempt(), attempt(legal=False, tick=1), attempt(tick=2))]
-    second = [
-        record("a", attempt(), attempt(Verdict.FAILED, legal=False, tick=1), attempt(Verdict.FAILED, tick=2))
-    ]
-    found = alike(first, second)
-    assert (found.actions, found.as_predicted_alike) == (3, 1)
-    assert (found.legal.successes, found.legal.trials) == (1, 2)
-    assert "and 1 of the 2 that the rules allow" in str(found)
+def test_what_the_rules_allow_is_counted_by_itself_and_ratios_are_medians_over_what_is_good_in_both():
+    def run(good, *seconds):
+        results = [Verdict.AS_PREDICTED] * good + [Verdict.FAILED] * (4 - good)
+        pairs = enumerate(zip(results, seconds, strict=True))
+        return [record("a", *(attempt(r, tick=n, legal=n < 3, duration_s=s) for n, (r, s) in pairs))]
 
-
-def test_ratios_are_medians_over_actions_as_predicted_in_both():
-    first = [
-        record("a", attempt(duration_s=1.0), attempt(tick=1, duration_s=2.0), attempt(tick=2, duration_s=4.0))
-    ]
-    second = [
-        record(
-            "a",
-            attempt(duration_s=1.1),
-            attempt(tick=1, duration_s=2.4),
-            attempt(Verdict.FAILED, tick=2, duration_s=40.0),
-        )
-    ]
-    found = alike(first, second)
+    found = alike(run(4, 1.0, 2.0, 4.0, 1.0), run(2, 1.1, 2.4, 40.0, 1.0))
+    assert (found.actions, found.as_predicted_alike) == (4, 2)
+    assert (found.legal.successes, found.legal.trials) == (2, 3)
     assert found.duration_ratio == pytest.approx(1.15)
     assert found.error_ratio == pytest.approx(1.0)
 

@@ -175,11 +175,6 @@ def test_a_bundle_is_text_and_plain_arrays(folder):
             assert all(c.isprintable() or c in "\r\n" for c in path.read_text(encoding="utf-8"))
 
 
-def test_the_scene_opens_alone_and_is_that_world(calm):
-    model = mujoco.MjModel.from_xml_path(str(calm / "scene" / "site.xml"))
-    assert model.nq == len(read_bundle(calm).arrays[BEFORE]["qpos"])
-
-
 def test_the_clip_lasts_three_seconds_and_moves(rendering, calm, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(films, "SIZE", (320, 180))
     assert _run(calm, tmp_path, "--video") == 0

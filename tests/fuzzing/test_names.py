@@ -7,7 +7,6 @@ in whatever process.
 
 import contextlib
 import io
-import json
 import re
 import shutil
 import sys
@@ -133,11 +132,3 @@ def test_no_command_imports_what_a_policy_or_run_names(changes, place):
     ):
         _run(*words)
         assert not _imported(place), words
-
-
-def test_a_dataset_names_no_code_but_what_gymnasium_makes_the_task_of(place):
-    """Minari imports what a dataset names as its environment; craftsim reads none."""
-    assert _run("export", "strip", "--episodes", "1", "--name", "strip-v0", "--out", str(place / "sets")) == 0
-    described = json.loads((place / "sets" / "strip-v0" / "data" / "metadata.json").read_text())
-    spec = json.loads(described["env_spec"])
-    assert spec["entry_point"].startswith("craftsim.")

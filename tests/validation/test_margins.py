@@ -37,11 +37,6 @@ def test_every_scenario_is_legal_and_stood_without_imperfections(scenario):
     assert reason == ""
 
 
-def test_names_of_scenarios_are_their_own():
-    assert len({one.name for one in CHOSEN}) == len({one.row for one in CHOSEN}) == len(CHOSEN)
-    assert {one.action for one in scenarios(quick=True)} == {one.action for one in CHOSEN}
-
-
 def test_a_margin_is_stood_and_the_level_next_to_it_is_not():
     (axis,) = imperfections_of(["position-bias"])
     one = MarginSearch(scenarios("lift a block")[0], NOMINAL, 0, (axis,), 7)
@@ -96,17 +91,14 @@ def test_a_finished_search_is_compared_with_an_earlier_one(searched, tmp_path, c
     assert all(one["before"]["margin"] == one["margin"] for one in figures["scenarios"])
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["lipage"], "no imperfection 'lipage'; did you mean 'lippage'"),
-        (["--situations", "fly*"], "no scenario matches 'fly*'"),
-        (["--map", "delay", "delay"], "two different imperfections"),
-    ],
-)
-def test_wrong_input_is_named(tmp_path, capsys, words, message):
-    assert cli.main(["audit", "margins", *words, "--out", str(tmp_path)]) == 2
-    assert message in capsys.readouterr().err
+def test_wrong_input_is_named(tmp_path, capsys):
+    for words, message in {
+        "lipage": "no imperfection 'lipage'; did you mean 'lippage'",
+        "--situations fly*": "no scenario matches 'fly*'",
+        "--map delay delay": "two different imperfections",
+    }.items():
+        assert cli.main(["audit", "margins", *words.split(), "--out", str(tmp_path)]) == 2
+        assert message in capsys.readouterr().err
 
 
 def _stands(critical):
@@ -121,11 +113,8 @@ def test_the_margin_is_what_the_weakest_trial_stands():
     assert level == margin + 1
 
 
-def test_what_all_stand_has_no_edge():
+def test_what_all_stand_has_no_edge_and_a_base_that_is_not_stood_ends_the_search():
     assert search(_stands([LEVELS] * 20), LEVELS, 20) == (LEVELS, None, None)
-
-
-def test_a_base_that_is_not_stood_ends_the_search():
     assert search(_stands([7] * 19 + [-1]), LEVELS, 20) == (None, None, (19, BASE))
 
 
@@ -141,12 +130,9 @@ def test_at_the_margin_every_trial_stands_even_where_higher_levels_are_stood_and
     assert not stands(*edge)
 
 
-def test_59_trials_make_95_percent_of_95_percent():
-    assert confidence(TRIALS) >= 0.95 > confidence(TRIALS - 1)
-
-
-def test_the_upper_end_is_one_by_the_binomial_distribution():
+def test_59_trials_make_95_percent_of_95_percent_and_the_upper_end_is_one_by_the_binomial_distribution():
     """Were at most 5 % of all worlds to fail, so many of the first trials would with 5 % probability at most."""
+    assert confidence(TRIALS) >= 0.95 > confidence(TRIALS - 1)
     for first, rank in RANKS:
         assert binom.sf(rank - 1, first, 1 - SHARE) <= 0.05 + 1e-12
 
@@ -164,12 +150,8 @@ def test_margins_of_drawn_worlds_are_stood_by_95_percent_as_often_as_claimed():
 
 def _numbers(part, prefix=""):
     for field in fields(part):
-        value = getattr(part, field.name)
-        yield from (
-            _numbers(value, f"{prefix}{field.name}.")
-            if is_dataclass(value)
-            else [(prefix + field.name, value)]
-        )
+        name, value = f"{prefix}{field.name}", getattr(part, field.name)
+        yield from _numbers(value, f"{name}.") if is_dataclass(value) else [(name, value)]
 
 
 def test_every_figure_is_an_axis_or_says_how_another_one_looks():

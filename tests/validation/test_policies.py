@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from craftsim.discrete.tasks import as_task, make_task
+from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
 from craftsim.validation.policies import check_policy, make_policy, policy_digest
 
@@ -109,11 +109,3 @@ def test_a_policy_that_answers_is_asked_once_and_nothing_is_left_of_the_clock(mo
     check_policy(f"{module}:stop", make_task("strip"), "physical", 60)
     assert signal.getsignal(signal.SIGALRM) == before
     assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)
-
-
-@pytest.mark.parametrize("name", ["::", ".rel:x", "os:", "a b:c", "leave_task:x", "sys:exit"])
-def test_what_is_no_factory_of_tasks_is_refused(name, tmp_path, monkeypatch):
-    (tmp_path / "leave_task.py").write_text("import sys\nsys.exit(4)\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(InputError, match=f"task '{name}'|the factory raised SystemExit"):
-        as_task(name)

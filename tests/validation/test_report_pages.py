@@ -192,14 +192,6 @@ def test_the_verdict_of_an_audit(tmp_path, one, badge):
     )
 
 
-def test_tables_have_no_negative_zero_and_no_figures_of_nothing(tmp_path):
-    tiny = {"heading_error_rad": -1e-12, "height_error_m": -1e-12, "car_error_m": 0.0}
-    records = [record("a", attempt(**tiny), attempt(duration_s=0.999))]
-    text = Reader(page_of(tmp_path, validate_report(tmp_path, records))).text
-    assert not re.search(r"-0\.0+\b", text.split("Thresholds and provenance")[0])
-    assert not any("median" in f.label for f in validate_report(tmp_path, [record("a", FAILED)]).key_figures)
-
-
 def test_the_rows_of_an_audit_are_grouped_by_action_the_most_striking_first_with_their_films(tmp_path):
     results = {
         "FOLD/bundles/a": Verdict.FAILED,

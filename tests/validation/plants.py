@@ -25,9 +25,7 @@ sys.path.append(str(Path(__file__).parents[1]))
 from discrete.mutants import never
 
 ROOT: Final = Path(__file__).parents[2]
-COMMAND: Final = tuple(
-    ["-m", "craftsim", "audit", "--rules", "physical", "--quick", "--workers", "2", "--out", "out"]
-)
+COMMAND: Final = "-m craftsim audit --rules physical --quick --workers 2 --out out"
 SITUATIONS: Final = """
 import json
 from craftsim.audit.plan import audit_plan

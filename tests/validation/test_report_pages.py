@@ -150,46 +150,31 @@ FORBIDDEN = attempt(
 FAILED = attempt(Verdict.FAILED)
 
 
-@pytest.mark.parametrize(
-    ("records", "badge", "sentence"),
-    [
+def test_the_verdict_of_a_validation(tmp_path):
+    for records, badge, sentence in (
         ([], "Nothing to judge", "No trial"),
         ([record("a", attempt())], "Agrees", "All 1 run did"),
         ([record("a", FAILED)], "Disagrees", "In 1 of 1 run physics disagrees"),
-        (
-            [record("a", error="killed", agrees=False)],
-            "Nothing to judge",
-            "1 more trial did not finish.",
-        ),
-        (
-            [record("a", attempt(), FORBIDDEN)],
-            "Forbidden by the rules",
-            "1 run asked for what the rules forbid",
-        ),
+        ([record("a", error="killed", agrees=False)], "Nothing to judge", "1 more trial did not finish."),
+        ([record("a", attempt(), FORBIDDEN)], "Forbidden by the rules", "1 run asked for what the rules"),
         ([record("a", FORBIDDEN), record("b", FAILED)], "Disagrees", "In 1 of 2 runs physics disagrees"),
-    ],
-)
-def test_the_verdict_of_a_validation(tmp_path, records, badge, sentence):
-    headline = validate_report(tmp_path, records).headline
-    assert headline.badge == badge
-    assert sentence in headline.sentence
+    ):
+        headline = validate_report(tmp_path, records).headline
+        assert headline.badge == badge
+        assert sentence in headline.sentence
 
 
-@pytest.mark.parametrize(
-    ("one", "badge"),
-    [
-        (record("a", attempt(), group="LIFT/x"), "Sound"),
-        (record("a", FAILED, group="LIFT/x"), "Unsound"),
-        (record("a", attempt(legal=False), group="LIFT/x"), "Not decided"),
-        (record("a", group="LIFT/x", error="killed"), "Not decided"),
-    ],
-)
-def test_the_verdict_of_an_audit(tmp_path, one, badge):
-    headline = audited_report(tmp_path, [one]).headline
-    assert headline.badge == badge
-    assert ("1 row is judged by fewer than 20 trials: provisional." in headline.sentence) is bool(
-        one["attempts"]
-    )
+def test_the_verdict_of_an_audit(tmp_path):
+    for attempts, error, badge in (
+        ([attempt()], None, "Sound"),
+        ([FAILED], None, "Unsound"),
+        ([attempt(legal=False)], None, "Not decided"),
+        ([], "killed", "Not decided"),
+    ):
+        one = record("a", *attempts, group="LIFT/x", error=error)
+        headline = audited_report(tmp_path, [one]).headline
+        assert headline.badge == badge
+        assert ("1 row is judged by fewer than 20 trials" in headline.sentence) is bool(attempts)
 
 
 def test_the_rows_of_an_audit_are_grouped_by_action_the_most_striking_first_with_their_films(tmp_path):

@@ -79,14 +79,12 @@ def test_a_hostile_value_is_one_message_before_any_work(name, folder):
 
 def test_a_command_says_it_too(folder, capsys):
     _edit(folder, ("end_s",), -1.0)
-    for words in ([], ["--minimize"]):
-        assert cli.main(["replay", str(folder), "--out", str(folder / "out"), *words]) == 2
-        assert "must be 0 or more" in capsys.readouterr().err
+    assert cli.main(["replay", str(folder), "--out", str(folder / "out"), "--minimize"]) == 2
+    assert "must be 0 or more" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_a_hostile_text_is_one_message(folder):
+    for text, message in (
         (b"[" * 200_000, "recursion limit"),
         (b'{"schema_version": %b}' % (b"1" * 5000), "number out of range"),
         (b'{"end_s": NaN}', "finite number"),
@@ -95,17 +93,14 @@ def test_a_command_says_it_too(folder, capsys):
         (b" " * 9_000_000, "no larger than the 8 MiB"),
         (b"\xff\xfe", "Invalid JSON"),
         (b"null", "must be a mapping"),
-    ],
-    ids=range(8),
-)
-def test_a_hostile_text_is_one_message(text, message, folder):
-    (folder / TEXT).write_bytes(text)
-    begun = time.process_time()
-    with pytest.raises(InputError, match=TEXT) as caught:
-        read_bundle(folder)
-    assert time.process_time() - begun < 10
-    assert message in str(caught.value) or "is missing" in str(caught.value)
-    assert len(str(caught.value)) < 1000
+    ):
+        (folder / TEXT).write_bytes(text)
+        begun = time.process_time()
+        with pytest.raises(InputError, match=TEXT) as caught:
+            read_bundle(folder)
+        assert time.process_time() - begun < 10
+        assert message in str(caught.value) or "is missing" in str(caught.value)
+        assert len(str(caught.value)) < 1000
 
 
 def test_arrays_of_another_world_are_refused_before_anything_moves(folder):

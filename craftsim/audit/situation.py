@@ -27,6 +27,9 @@ CarRow = tuple[int, ...]
 """A row of ``Grid.cars``."""
 
 
+_SHARED: Final = "two things would share a cell"
+
+
 class ImpossibleError(Exception):
     """A world or an effect that cannot exist; the message is the reason."""
 
@@ -86,7 +89,7 @@ class Builder:
         """Add a piece; a gear occupies no cell. Raises ImpossibleError if a cell is occupied."""
         taken = {cell: (kind, piece.yaw) for cell, kind in self._taken(piece) if kind != Kind.GEAR}
         if taken.keys() & self.cells:
-            raise ImpossibleError("two things would share a cell")
+            raise ImpossibleError(_SHARED)
         self.cells |= taken
 
     def claim(self, piece: Piece) -> None:
@@ -96,7 +99,7 @@ class Builder:
         """
         for cell, kind in self._taken(piece):
             if self.cells.setdefault(cell, (kind, piece.yaw)) != (kind, piece.yaw):
-                raise ImpossibleError("two things would share a cell")
+                raise ImpossibleError(_SHARED)
 
     @staticmethod
     def _taken(piece: Piece) -> list[tuple[Cell, Kind]]:
@@ -111,13 +114,11 @@ class Builder:
             raise ImpossibleError("something would be in the ground")
         for level in range(1, z):
             below = (x, y, level)
-            if below not in self.cells and any(row[:3] == below for row in self.cars):
-                raise ImpossibleError("something would stand on nothing")
-            there, _ = self.cells.setdefault(below, (Kind.BLOCK, 0))
-            if there == Kind.AIR:
-                raise ImpossibleError("something would stand on nothing")
+            free = below not in self.cells and any(row[:3] == below for row in self.cars)
+            there, _ = (Kind.AIR, 0) if free else self.cells.setdefault(below, (Kind.BLOCK, 0))
             if there != Kind.BLOCK:
-                raise ImpossibleError(f"something would stand on a {there.name.lower()}")
+                what = "nothing" if there == Kind.AIR else f"a {there.name.lower()}"
+                raise ImpossibleError(f"something would stand on {what}")
 
     def turned(self, quarters: int) -> Builder:
         """Return a copy turned counterclockwise about the column (0, 0)."""
@@ -295,7 +296,7 @@ def _check_target(grid: Grid, cell: Cell, load: Kind) -> None:
     if there == Kind.WALL:
         raise ImpossibleError("a wall is there")
     if load != Kind.AIR and there not in _ROOMY:
-        raise ImpossibleError("two things would share a cell")
+        raise ImpossibleError(_SHARED)
     if (grid.cars[:, : CarField.Z + 1] == cell).all(axis=1).any():
         raise ImpossibleError("a car is there")
 
@@ -312,7 +313,7 @@ def _check_state(grid: Grid, car: int) -> None:
     if load == Kind.FSLOPE:
         gear = _kind_at(grid, beside((x, y, z), load_yaw))
         if not slope and gear not in _ROOMY:
-            raise ImpossibleError("two things would share a cell")
+            raise ImpossibleError(_SHARED)
 
 
 def _kind_at(grid: Grid, cell: Cell) -> Kind:

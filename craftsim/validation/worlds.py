@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -87,14 +88,10 @@ class _Drawing:
         """Columns with something on their blocks."""
         budget = int(rng.integers(min(length * width, _MAX_BLOCKS) + 1))
         self._terraces(budget if family.n_blocks is None else family.n_blocks)
-        for _ in range(int(rng.integers(5))):
-            self._slope()
-        for _ in range(int(rng.integers(3))):
-            self._stand(Kind.FLAG)
-        for _ in range(int(rng.integers(3))):
-            self._stand(Kind.WALL)
-        for _ in range(int(rng.integers(3))):
-            self._hang_wall()
+        stand = partial(self._stand, Kind.FLAG), partial(self._stand, Kind.WALL)
+        for most, draw in zip((5, 3, 3, 3), (self._slope, *stand, self._hang_wall), strict=True):
+            for _ in range(int(rng.integers(most))):
+                draw()
         self._cars(n_cars)
         self.grid.derive_marks()
 
@@ -239,20 +236,16 @@ def _cells(grid: Grid, place: str) -> list[_Start]:
         elif place == "under a slope" and here in (Kind.FSLOPE, Kind.BODY):
             found.append((cell, ((along + 2) % 4,), 0, frozenset()))
         elif "a ramp" in place and here == Kind.BODY:
-            way, up, above = _way(cell, along), (along + 2) % 4, (x, y, z + 2)
+            foot, up, above = beside(cell, along), (along + 2) % 4, (x, y, z + 2)
+            way = frozenset(one[:2] for one in (beside(cell, up), cell, foot, beside(foot, along)))
             if place == "on a ramp":
-                found.append((beside(cell, along), (along, up), 1, way))
+                found.append((foot, (along, up), 1, way))
                 if grid.kind_at(above) == Kind.AIR:
                     found.append((above, (along, up), 2, way))
                 continue
-            ends = ((beside(beside(cell, along), along), up), (beside(above, up), along))
+            ends = ((beside(foot, along), up), (beside(above, up), along))
             found += [(there, (yaw,), 0, way) for there, yaw in ends if _free(grid, there)]
     return found
-
-
-def _way(body: Cell, yaw: int) -> frozenset[tuple[int, int]]:
-    cells = (beside(body, yaw + 2), body, beside(body, yaw), beside(beside(body, yaw), yaw))
-    return frozenset(cell[:2] for cell in cells)
 
 
 def _free(grid: Grid, cell: Cell) -> bool:

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.kinds import Action
-from craftsim.errors import InputError
 from craftsim.reports.json_file import SCHEMA_VERSION, write_report
-from craftsim.storage.folders import output_directory
 
 
 @dataclass(frozen=True)
@@ -68,9 +66,3 @@ def test_what_json_cannot_hold_is_named_and_keeps_the_previous_report(tmp_path):
         write_report(tmp_path, {"value": {1, 2}}, command="demo")
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
     assert (tmp_path / "report.json").read_bytes() == before
-
-
-def test_an_output_directory_that_is_a_file_is_refused(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot make the output directory"):
-        output_directory(tmp_path / "file")

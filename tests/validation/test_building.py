@@ -59,7 +59,7 @@ def test_the_actions_of_a_tick_do_not_depend_on_their_order():
 
 
 @cache
-def _built(name, order="sequential"):
+def _built(name, order="sequential", drive="rollers"):
     """Return a building with the world that it ends in."""
     worlds = []
 
@@ -67,7 +67,7 @@ def _built(name, order="sequential"):
         worlds.append(judge)
         return unwatched(judge)
 
-    return read(name).run(setup_of("none"), 0, order, watch), worlds[0].reading
+    return read(name).run(setup_of("none", drive=drive), 0, order, watch), worlds[0].reading
 
 
 @pytest.mark.parametrize("name", [name for name in TASK_NAMES if name != "simple_two_story"])
@@ -91,7 +91,7 @@ def test_in_physics_every_action_does_what_the_rules_predict_within_the_bands(na
 
 def test_many_cars_at_once_build_the_same_world_in_at_most_60_percent_of_the_time():
     (one_by_one, before), (at_once, after) = (
-        _built(COMPLEX, order) for order in ("sequential", "concurrent")
+        _built(COMPLEX, order, "reduced") for order in ("sequential", "concurrent")
     )
     assert at_once.good, [a for a in at_once.attempts if not a.agrees]
     assert all(attempt.performed for attempt in at_once.attempts)
@@ -101,7 +101,7 @@ def test_many_cars_at_once_build_the_same_world_in_at_most_60_percent_of_the_tim
 
 @pytest.mark.parametrize("order", ["sequential", "concurrent"])
 def test_no_step_starts_before_all_that_it_waits_for_have_ended_and_cars_do_one_thing_at_a_time(order):
-    building, _ = _built(COMPLEX, order)
+    building, _ = _built(COMPLEX, order, "reduced")
     schedule = make_schedule(_start(building), building.plan.ticks, Rules("physical"), order)
     times = [(a.start_s, a.start_s + a.duration_s) for a in building.attempts]
     assert len(times) == len(schedule.steps)

@@ -57,7 +57,6 @@ _SAMPLED_M: Final = 0.0001
 _BRUSH_MM: Final = 1.0
 """A neighbour that overlaps less may be passed."""
 _REACH: Final = 2
-"""Distance of neighbours in columns; a flap's lip reaches into the second."""
 _LEVELS: Final = (-1, 0, 1, 2)
 _LOADS: Final = {"none": Kind.AIR, "block": Kind.BLOCK, "slope": Kind.FSLOPE}
 NAME: Final = "neighbours.csv"
@@ -146,11 +145,9 @@ class Occupant(NamedTuple):
     stance: str = ""
     """Orientation, such as ``along`` or ``gear-uphill-low``."""
     side: str = ""
-    """Direction of gear, foot or downhill."""
     pieces: tuple[Piece, ...] = ()
     cars: tuple[CarRow, ...] = ()
     bearer: tuple[Piece, ...] = ()
-    """The ramp below a car."""
 
     @property
     def name(self) -> str:
@@ -232,7 +229,6 @@ class Neighbour(NamedTuple):
     grid: Grid
     """The world with both; the acting car is car 0."""
     alone: Grid
-    """The same without the occupant."""
 
     @property
     def closest(self) -> str:

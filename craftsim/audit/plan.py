@@ -115,7 +115,6 @@ MOST_ROWS: Final = 800
 """Maximum number of rows of a quick audit; each takes about 0.4 s of one core, planning and report included."""
 
 _FREE: Final = Row("", over="air", beyond="free")
-"""Values of properties that a row leaves empty."""
 _VARYING: Final = re.compile(r"( in)? \(-?\d+, -?\d+, -?\d+\)|: .*|\d+(\.\d+)?")
 """What varies between reasons of one kind: cells, their contents, and numbers."""
 

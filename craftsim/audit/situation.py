@@ -24,7 +24,6 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency
 
 CarRow = tuple[int, ...]
-"""A row of ``Grid.cars``."""
 
 
 _SHARED: Final = "two things would share a cell"
@@ -146,7 +145,6 @@ class Builder:
 FORWARD, LEFT, BACK, RIGHT = range(4)
 """Directions and yaws relative to the car's heading."""
 DIRECTION_NAMES: Final = ("forward", "left", "back", "right")
-"""Their names, by number."""
 
 
 class Row(NamedTuple):
@@ -158,11 +156,9 @@ class Row(NamedTuple):
     action: str
     """The verb, for a move with its direction relative to the heading, such as ``MOVE-left``; several with ``+``."""
     level: str = ""
-    """The car's level before the action."""
     ground: str = ""
     """Ground below the car: flat, or the lower or upper half of a slope that leads up or down ahead."""
     own: str = ""
-    """Content of the car's cell."""
     load: str = ""
     next: str = ""
     """Content of a move's target cell; with ``above-`` the target is free, and this is in the cell below it."""
@@ -174,13 +170,11 @@ class Row(NamedTuple):
     room: str = ""
     """``tight`` if blocks fill the neighbour cells of the path, as far as the action stays legal."""
     near: str = ""
-    """The neighbour."""
     column: str = ""
     """The neighbour's column relative to the car."""
     above: str = ""
     """The neighbour's level relative to the lower one of the car."""
     scene: str = ""
-    """Name of the scene in ``craftsim/data/scenes.yaml``."""
     order: str = ""
     """Execution order of several cars."""
     kind: str = ""
@@ -202,7 +196,6 @@ class Situation:
     """A world with one or several consecutive actions of car 0, or with one tick of several cars."""
 
     row: Row
-    """Its properties, unique within a plan."""
     grid: Grid = field(compare=False, repr=False)
     acts: tuple[Action, ...]
     """Consecutive actions of car 0; with an order, the actions of the first cars in one tick."""
@@ -325,7 +318,6 @@ def _kind_at(grid: Grid, cell: Cell) -> Kind:
 
 
 _SIZE: Final = (8, 7, 4)
-"""Size of the map of a scene."""
 _CAR: Final = re.compile(r"(\d+,\d+,\d+) (..)(?: (block|flag|fslope)([+-][xy])?)?(?: (low|high))?")
 
 

@@ -37,7 +37,6 @@ _GRAIN_M: Final = 0.0005
 _STEP_RAD: Final = math.radians(3)
 """A chord of this angle lies 0.08 mm inside the arc of a turning load's corner, 0.1 mm inside the flap lip's."""
 _STEP_M: Final = 0.01
-"""Step of a car on a ramp."""
 
 
 class Solid(NamedTuple):
@@ -55,7 +54,6 @@ class CollisionShape(NamedTuple):
 
     solids: tuple[Solid, ...]
     hinge: bool = False
-    """Whether the joint is a hinge; otherwise it slides."""
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     anchor: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -177,7 +175,6 @@ class Solids:
         """Make a set of at least one piece."""
         self.pieces = tuple(pieces)
         self.boxes = np.array([(p.points.min(axis=0), p.points.max(axis=0)) for p in self.pieces])
-        """(n, 2, 3): lowest and highest corner of each piece."""
         self.box = np.array([self.boxes[:, 0].min(axis=0), self.boxes[:, 1].max(axis=0)])
 
     def clearance(

@@ -52,7 +52,6 @@ TRAJECTORY: Final = "trajectory.npz"
 """Optional trajectory of the last step and a short time after it, shown in the film."""
 
 BUNDLE_S: Final = 600.0
-"""Time limit for writing a bundle."""
 _LATE: Final = 1.25
 _LATE_S: Final = 4.0
 """By what factor, and by how much more, a replay may take longer than what it shows: versions differ."""
@@ -64,13 +63,11 @@ class Bundle:
 
     schema_version: int
     key: str
-    """Key of the trial."""
     versions: dict[str, str]
     recipe: Recipe
     attempts: Listed[Attempt]
     """One for each action of the last step."""
     start_s: float
-    """Simulated time at which the last step began."""
     end_s: float
 
     @property
@@ -253,9 +250,7 @@ class Replay:
     differing: tuple[str, ...]
     """Arrays that are not bit-equal, by file and name."""
     position_m: float
-    """Largest difference of a final position."""
     angle_rad: float
-    """Largest difference of a final orientation."""
     attempts: tuple[Attempt, ...]
     same_results: bool
     """Whether every action has the recorded result and finding."""

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 _SHOWN: Final = 6
-"""Kinds of difference listed in the text."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,6 @@ class Comparison:
     """A run and an earlier one of the same trials under other settings; the earlier run is the first."""
 
     against: str
-    """Folder of the earlier run."""
     changed: Mapping[str, tuple[Any, Any]]
     """Settings and versions that differ, by their dotted names: of the earlier run, and of this one."""
     trials: Paired

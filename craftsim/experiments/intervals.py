@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 
 _Samples: TypeAlias = NDArray[np.float64]
 CONFIDENCE: Final = 0.95
-"""Confidence of all intervals."""
 _QUANTILE: Final = 1.959963984540054
 """``scipy.stats.norm.ppf(0.975)``, half an interval in standard deviations: scipy.stats takes a second to import."""
 RESAMPLES: Final = 9999
 MIN_POLICIES: Final = 3
-"""Fewest policies for a correlation."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +26,6 @@ class Proportion:
     successes: int
     trials: int
     rate: float | None
-    """None without trials."""
     wilson_low: float
     wilson_high: float
 

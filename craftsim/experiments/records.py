@@ -31,7 +31,6 @@ _TABLES: Final = (
     "CREATE TABLE further (stage TEXT, key TEXT, answer TEXT NOT NULL, PRIMARY KEY (stage, key))",
 )
 _PAGE: Final = 64
-"""Records read in one query."""
 
 
 class Records(Sequence[TrialRecord]):
@@ -95,7 +94,6 @@ class Finished:
 
     folder: Path
     manifest: Mapping[str, Any]
-    """Command, seed, versions, config."""
     records: Records
 
 

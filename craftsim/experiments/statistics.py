@@ -45,7 +45,6 @@ _TEXTS: Final = ("action", "verb", "load", "result", "finding")
 _NUMBERS: Final = ("tick", "car", "level", "duration_s", "peak_force_n", *ERRORS)
 _FLAGS: Final = ("slope", "legal", "performed")
 _ROWS: Final = 10_000
-"""Rows buffered before they are converted to columns."""
 
 
 def carried_out(records: Iterable[TrialRecord]) -> Iterator[TrialRecord]:
@@ -132,7 +131,6 @@ class MatrixRow:
     unsafe: int
     numerics: int
     success: Proportion
-    """Share as predicted."""
 
     @classmethod
     def of(cls, attempts: DataFrame) -> MatrixRow:
@@ -211,7 +209,6 @@ def as_predicted(attempts: DataFrame) -> DataFrame:
 
 
 _KIND: Final = ["verb", "load", "level", "slope"]
-"""What has a duration of its own."""
 _DURATIONS: Final = [*_KIND, "n", "mean_s", "p05_s", "median_s", "p95_s", "max_s"]
 
 
@@ -304,17 +301,14 @@ class Figures:
     capped_steps: int
     """Physics steps in which the solver did not converge, over all attempts."""
     retried: int
-    """Actions with more than one try."""
     all: dict[str, Proportion]
     """``runs``: share of the trials without error in which every attempt agrees; ``actions``: share of the legal
     attempts that are as predicted."""
     by_group: dict[str, dict[str, Proportion]]
     """The same for the trials of each plan, policy or context."""
     by_verb: dict[str, MatrixRow]
-    """Legal attempts alone."""
     matrix: dict[str, MatrixRow]
     precision: dict[str, Distribution | None]
-    """Of legal attempts."""
     drift: dict[str, Distribution | None]
     durations: list[dict[str, Any]]
     survival: dict[str, dict[str, Any]]

@@ -16,9 +16,7 @@ from craftsim.reports.text import escape
 
 _STYLES: Final = {Tone.GOOD: "green", Tone.CAUTION: "yellow", Tone.BAD: "red", Tone.MUTED: "dim"}
 _ONE_LINE: Final = 14
-"""Longest text that is not wrapped."""
 _NARROWEST: Final = 9
-"""Minimum width of a wrapped column."""
 
 
 class Terminal(Console):

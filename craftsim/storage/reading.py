@@ -24,7 +24,6 @@ from craftsim.storage.limits import Limits, size_text
 Arrays = dict[str, NDArray[np.generic]]
 
 MAX_AXES: Final = 6
-"""Maximum number of axes of an array."""
 _HEADER_BYTES: Final = 4096
 _KINDS: Final = "biuf"
 """Allowed dtype kinds of arrays: booleans and numbers."""

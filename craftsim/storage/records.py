@@ -47,13 +47,10 @@ Listed = Annotated[tuple[T, ...], FailFast()]
 STRICT: Final = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 """No conversion from text to numbers, finite numbers only, no unknown keys."""
 MOST_REPORTED: Final = 5
-"""Mistakes reported together."""
 _DESCRIBED: Final = 50_000
 """Limit of mistakes, to bound memory: with more none is listed."""
 _QUOTED: Final = 40
-"""Longest quotation from a file in a message."""
 _COMPARED: Final = 100
-"""Unknown keys compared with a missing one."""
 _UNKNOWN: Final = ("unexpected_keyword_argument", "extra_forbidden")
 """pydantic's names of the error for an unknown key."""
 _NOUNS: Final = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}

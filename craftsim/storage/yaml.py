@@ -38,11 +38,9 @@ class Document:
     path: Path
     """The file, for messages."""
     plain: dict[str, Any] = field(default_factory=dict)
-    """Lists, mappings, numbers, texts and None."""
     lines: dict[Loc, int] = field(default_factory=dict)
     """Line of each key and list item, by path."""
     error: type[InputError] = InputError
-    """Class of the errors raised for mistakes."""
     instead: Any = None
     """The content if it is not a mapping."""
 

@@ -160,7 +160,6 @@ class AuditRow:
     reason: str
     """The most frequent reason why trials were not as predicted, with its count if there are others."""
     bundles: tuple[str, ...]
-    """Folders that replay disagreements."""
     numerics: int = 0
     """Trials in which the solver did not converge; they do not count for the rule."""
     errors: int = 0
@@ -283,7 +282,6 @@ class Audit:
     config: dict[str, Any]
     seed: int
     corrections: Mapping[str, Sequence[str]]
-    """The corrections of the rules that concern each unsound row, by its name."""
     comparison: Comparison | None
     smallest: tuple[Counterexample, ...] = ()
     """The first failure of each kind in its smallest world, with the option ``minimize``."""

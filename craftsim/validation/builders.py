@@ -42,11 +42,9 @@ from craftsim.validation.policies import PLANNER, RANDOM, make_policy, policy_di
 DIFFICULTIES: Final = ("one level", "with a ramp", "two levels")
 """Blocks on the floor; blocks on the floor and a ramp; blocks on blocks, with or without a ramp."""
 EACH: Final = 10
-"""Designs of each difficulty."""
 TURNS: Final = 2
 """Turns for each tick of the stored plan."""
 BASELINES: Final = (RANDOM, PLANNER, DESIGNS)
-"""Builders by default; the last one is a shipped policy."""
 ANSWER_S: Final = 300.0
 """Mean time of an answer in seconds, for the time limit."""
 _KEPT: Final = 1000
@@ -62,7 +60,6 @@ class BuilderCase:
     """``planner``, what :func:`make_policy` knows, or ``module:function`` of a function from two texts to an answer."""
     backend: Backend
     row: int
-    """Index in the held-out starts."""
     seed: int
 
     def task(self) -> Task:

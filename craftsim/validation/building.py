@@ -29,7 +29,6 @@ class Building:
     episode: Episode | None = None
     trajectory: Trajectory | None = None
     logs: Mapping[int, Log] = field(default_factory=dict)
-    """Logs by car."""
 
     @property
     def name(self) -> str:

@@ -59,10 +59,8 @@ class PolicySpec(NamedTuple):
 
     name: str
     digest: str
-    """Digest of its files, so that a change is noticed."""
     by: By
     plans: Mapping[str, By] = {}
-    """Plans by world, where they differ."""
 
 
 def subjects_of(

@@ -43,7 +43,6 @@ class WorldPart(NamedTuple):
     """AIR for a car."""
     yaw: int = 0
     load: Kind = Kind.AIR
-    """Load of a car."""
     load_yaw: int = 0
     slope: int = 0
     """Slope that a car is on: 0 none, 1 foot, 2 body."""

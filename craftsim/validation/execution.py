@@ -46,7 +46,6 @@ from craftsim.validation.policies import policy_digest
 
 ORDERS: Final[tuple[PlanOrder, ...]] = get_args(PlanOrder)
 ROUNDS: Final = 20
-"""Attempts at the plan of a random design; the best one is used."""
 TIMEOUT_S: Final = 3600.0
 """After which a world or an episode counts as hanging."""
 
@@ -215,12 +214,10 @@ class Mode(NamedTuple):
     backend: Backend
     execution: Execution
     randomize: str
-    """Preset of the randomization of the physics."""
     drive: Drive = "reduced"
     network: tuple[float, float, float] | None = None
     """Delay and jitter in seconds, and loss, of the network between the policy with its skills and the robots."""
     most: int = 1_000_000
-    """Largest number of episodes."""
 
     def __str__(self) -> str:
         drawn = self.randomize if self.network is None else "network"

@@ -56,11 +56,8 @@ class _BuildExtra(_RunExtra):
 
 
 RUNS: Final = Form(Judged, _RunExtra)
-"""Of a validation."""
 BUILDS: Final = Form(Judged, _BuildExtra)
-"""Of buildings with re-planning."""
 TRIALS: Final = Form(Judged, dict[Literal["does_not_stand"], tuple[str, ...]])
-"""Of an audit."""
 COMPARED: Final = {"validate": RUNS, "audit": TRIALS}
 """What the records of the commands hold that make runs to compare."""
 

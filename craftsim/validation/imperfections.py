@@ -20,7 +20,6 @@ PREFERRED: Final = (
 )
 """Preferred numbers of ISO 3's series R20, in steps of 12 %: levels are these times a power of ten."""
 DECADES: Final = 2
-"""Decades from the smallest level to the largest."""
 _UNITS: Final = {
     "_m": ("mm", 1e3, 0.02),
     "_rad": ("mrad", 1e3, 0.1),
@@ -115,7 +114,6 @@ DEFAULT_IMPERFECTIONS: Final = (
     *("wheel-radius", "underside-height", "pocket-place", "position-noise", "heading-noise", "position-bias"),
     *("heading-bias", "delay", "localisation-period", "lost-localisations"),
 )
-"""The imperfections that are searched by default."""
 ALL: Final = "all"
 
 

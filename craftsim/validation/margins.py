@@ -48,7 +48,6 @@ COMMAND: Final = "margins"
 TIMEOUT_S: Final = 600.0
 """Limit of a search, which takes seconds, and of writing a bundle."""
 SHARE: Final = 0.95
-"""Share of all worlds that pass a margin."""
 TRIALS: Final = 59
 """Trials that must all pass a level for 95 % confidence that 95 % of all worlds pass it."""
 RANKS: Final = ((16, 3), (7, 2), (1, 1))
@@ -58,18 +57,15 @@ BASE: Final = 0
 PROBES: Final = 3
 """Trials that must be bit-equal at the largest and the nominal level for the verdict "no effect"."""
 MAP_TRIALS: Final = 20
-"""Largest number of trials of each pair of levels of a map."""
 STRIDE: Final = 4
 """A map has every fourth level: the preferred numbers R5, a factor of 1.6 apart."""
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 Levels = Sequence[tuple[Imperfection, float]]
-"""Imperfections and their values."""
 End = Literal["base", "edge", "largest", "no effect"]
 """How a search ended: a trial fails at the nominal level, or at the level above the margin; all trials pass the largest
 level; or the largest level gives the results of the nominal level, bit for bit."""
 _ENDS: Final[tuple[End, ...]] = ("base", "edge", "largest", "no effect")
-"""The weakest first."""
 
 
 class Scenario(NamedTuple):
@@ -92,7 +88,6 @@ CHOSEN: Final = tuple(
     for action, places in shipped("margins.yaml").items()
     for where, said in places.items()
 )
-"""The scenarios of ``craftsim/data/margins.yaml``."""
 
 
 def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
@@ -182,9 +177,7 @@ class MarginResult:
     trial: int | None
     """The trial that failed there, or at the nominal level."""
     reason: str
-    """Its reason."""
     tried: _Count
-    """Number of trials run."""
 
     @property
     def rank(self) -> tuple[int, float]:
@@ -207,12 +200,10 @@ class MarginSearch:
 
     scenario: Scenario
     setup: Setup
-    """The nominal setup."""
     seed: int
     axes: tuple[Imperfection, ...]
     trials: int
     up: int = 0
-    """Index of the row's level."""
 
     def recipe(self, number: int, levels: Levels = ()) -> Recipe:
         """Return the recipe of a trial; a trial has the same random draws at all levels."""
@@ -304,7 +295,6 @@ class Margin:
     axis: Imperfection
     limit: MarginResult
     before: MarginResult | None = None
-    """That of the run given as baseline."""
     bundle: str = ""
     """Replay bundle of the trial that fails above it, relative to the run's folder; empty without one."""
 
@@ -328,7 +318,6 @@ class Margins:
 
     records: Sequence[TrialRecord]
     margins: tuple[Margin, ...]
-    """One for each finished search."""
     maps: Mapping[str, Sequence[Sequence[int]]]
     """By scenario, how many trials pass, by vertical, then by horizontal level; empty unless a pair was given."""
     pair: tuple[Imperfection, ...]

@@ -34,11 +34,9 @@ from craftsim.storage.writing import write_whole
 from craftsim.validation import counterexample as parts
 
 FOLDER: Final = "smallest"
-"""Subfolder of a run for minimized worlds."""
 BLUEPRINT: Final = "smallest.yaml"
 ACTIONS: Final = "smallest.actions"
 _TIMEOUT_S: Final = 3600.0
-"""Time limit of one minimization."""
 
 MOST_TRIALS: Final = 150
 """Trials after which the search ends with the smallest world so far; also after :data:`MINIMIZE_S`."""
@@ -233,16 +231,12 @@ class Counterexample:
     """A minimized failure."""
 
     key: str
-    """Key of the trial."""
     sentence: str
     """The failure in one sentence, or why it could not be minimized."""
     rules: str
-    """The rule set that allows the action."""
     minimal: bool = False
-    """Whether no further piece can be removed."""
     trials: int = 0
     cells: tuple[int, int, int] | None = None
-    """Size of the smallest world; None without one."""
     folder: str | None = None
     """Folder with its blueprint and actions, relative to the run's."""
 

@@ -34,14 +34,12 @@ _VERBS: Final = {
 _COMMON: Final = 0.2
 """Weight below which an action is common."""
 _IDLE: Final = 0.8
-"""Probability that a car waits instead of a common action."""
 _LOADED_TURN: Final = 4.0
 _SLOPE: Final = 20.0
 _ABOVE_FLOOR: Final = 1.5
 _AHEAD: Final = 6.0
 """Weight of an action that brings a car before a ramp."""
 _NEAR: Final = 0.5
-"""Additional weight for each other car within two cells."""
 _AROUND: Final = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
 _THINGS: Final = {
     Kind.BLOCK: "block",
@@ -69,7 +67,6 @@ class PlayedAction(NamedTuple):
     level: int
     load: Kind
     on_slope: bool
-    """Whether it starts or ends on a slope."""
     near: tuple[str, ...]
     """Members of :data:`NEIGHBOURS`, in their order."""
 

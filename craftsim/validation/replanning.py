@@ -61,11 +61,8 @@ class Replanner:
         self.ended: tuple[str, str] = ("", "")
         """How the building ended, and why; empty before."""
         self.folded = ""
-        """The disturbance by folding a slope, in words."""
         self.out: set[int] = set()
-        """Cars out of action."""
         self.failures: Counter[int] = Counter()
-        """Number of failures by car since its last success."""
         self.n_ticks = self.n_acts = 0
 
     def steps(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:

@@ -38,7 +38,6 @@ from craftsim.validation.worlds import RandomWorlds
 
 BUNDLES: Final = "bundles"
 WORLDS: Final = "worlds"
-"""Subfolder for random worlds and their plans."""
 PLAY: Final = "play"
 """Random legal play, weighted towards rare actions: a plan that each run draws for its world."""
 
@@ -53,7 +52,6 @@ class Run:
 
     key: str
     world: Task | str | RandomWorlds
-    """A task, a reference to one, or a family of random worlds."""
     by: By
     episode: int = 0
     """Index that, with the seed, determines all random draws; equal for all plans and policies, which pairs them."""
@@ -64,9 +62,7 @@ class Run:
     order: PlanOrder = "concurrent"
     """Execution of the plan that random play draws for its world."""
     observers: tuple[Observer, ...] = ()
-    """Called with the PhysicsWorld after every control period."""
     record: bool = False
-    """Whether to record a trajectory and the logs."""
     set_up: SetUp = set_up
     """Sets up a plan's world: simulated here, or remote robots."""
 
@@ -78,11 +74,9 @@ class RolloutResult:
     task: Task
     start: Grid
     played: Sequence[Joint] | None
-    """The random play, if any."""
     episode: Episode
     trajectory: Trajectory | None = None
     logs: Mapping[int, Log] = field(default_factory=dict)
-    """Logs by car."""
 
 
 def steps_of(

@@ -28,11 +28,8 @@ from craftsim.reports.report import (
 from craftsim.validation.minimize import ACTIONS, BLUEPRINT, Counterexample
 
 MOST_FAILURES: Final = 1000
-"""Failures that a report lists."""
 MOST_PLANS: Final = 20
-"""Runs whose actions a page lists one by one."""
 _ON_TERMINAL: Final = 20
-"""Failures that the terminal lists."""
 
 REPLAY: Final = (
     "Replay, from the folder of this report: craftsim replay BUNDLE. The first failure of a run, of an action that the "

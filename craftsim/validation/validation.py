@@ -48,7 +48,6 @@ PHYSICS: Final = Physics()
 TRIALS: Final = Trials()
 REPLANNING: Final = Replanning()
 _FORMER: Final = {"against": "baseline", "shrink": "minimize"}
-"""Former names of arguments of validate."""
 
 
 def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:

@@ -17,15 +17,12 @@ from craftsim.errors import BlueprintError, CraftsimError, InputError
 
 MAX_CARS: Final = 12
 LENGTHS: Final = (4, 12)
-"""Least and largest number of cells along x and along y."""
 HEIGHTS: Final = (1, 5)
 _MAX_BLOCKS: Final = 40
 """Limit for the speed of the physics."""
 _TRIES: Final = 200
 _LEVELLING: Final = 8
-"""Maximum number of blocks added below one slope."""
 _PATCH: Final = 4
-"""Upper bound of the length and width of a terrace in cells, exclusive."""
 _LOADS: Final = (Kind.BLOCK, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.FSLOPE)
 
 
@@ -83,9 +80,7 @@ class _Drawing:
         n_cars = drawn if family.n_cars is None else family.n_cars
         self.grid = Grid.empty((length, width, height), n_cars)
         self.tops = np.zeros((length, width), np.int64)
-        """Number of blocks by column."""
         self.taken: set[tuple[int, int]] = set()
-        """Columns with something on their blocks."""
         budget = int(rng.integers(min(length * width, _MAX_BLOCKS) + 1))
         self._terraces(budget if family.n_blocks is None else family.n_blocks)
         stand = partial(self._stand, Kind.FLAG), partial(self._stand, Kind.WALL)

@@ -24,7 +24,6 @@ from craftsim.errors import CraftsimError
 from craftsim.modules import REGISTERING, SAFE_PATH, import_registering, safe_path, set_safe_path
 
 Handler = Callable[[Any], Any]
-"""From a request to its answer."""
 
 _starting: Final = threading.Lock()
 
@@ -51,7 +50,6 @@ class Actor:
         their_requests.close()
         their_answers.close()
         self.due = 0
-        """Number of unanswered requests."""
 
     @property
     def pid(self) -> int:

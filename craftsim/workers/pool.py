@@ -23,7 +23,6 @@ Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
 RELEASE_EVERY: Final = 20
-"""Jobs after which a worker releases memory."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,6 @@ class Failure:
     stops: bool = False
     """Whether the run must stop, for instance on a full disk."""
     traceback: str = ""
-    """Traceback of the exception."""
 
 
 def answered(answer: Answer | Failure) -> Answer:
@@ -52,12 +50,10 @@ _Batch: TypeAlias = tuple[tuple[Any, ...], int]
 class _Worker:
     actor: Any
     function: object = None
-    """The function that it has loaded."""
     batch: _Batch = ((), 0)
     has_batch: bool = False
     """False while it is still loading the function, which does not count for the time limit."""
     end_s: float = math.inf
-    """Deadline of its batch."""
 
     def send(self, timeout_s: float) -> None:
         jobs, _ = self.batch
@@ -81,7 +77,6 @@ class Pool:
         self._n = min(n, processors()) if engine == "ray" else n
         self._idle: list[_Worker] = []
         self._running: dict[Any, _Worker] = {}
-        """By actor."""
 
     def map_unordered(
         self,

@@ -8,9 +8,6 @@ from sessions import cut_off
 
 from craftsim import cli
 from craftsim.cli import films
-from craftsim.discrete.tasks import TASK_NAMES
-from craftsim.errors import InputError
-from craftsim.validation import validation
 from craftsim.workers.pool import Pool
 
 CROWDED = """
@@ -103,22 +100,6 @@ def test_a_disagreement_is_found_kept_to_replay_and_equal_however_it_is_run(fold
 
 
 @pytest.mark.usefixtures("here")
-def test_the_shipped_plan_reaches_its_goal_and_many_cars_at_once_in_less_time(folder, capsys):
-    for order in ("sequential", "concurrent"):
-        assert _validate("strip", "--trials", "1", "--randomize", "none", "--order", order, out=order) == 0
-    (one_by_one,), (at_once,) = (_records(folder / order) for order in ("sequential", "concurrent"))
-    assert {attempt["result"] for attempt in at_once["attempts"]} == {"as predicted"}
-    assert at_once["extra"]["makespan_s"] < 0.8 * one_by_one["extra"].pop("makespan_s")
-    assert one_by_one["extra"] == {"ticks": 11, "forbidden": 0, "grid_success": True, "physics_success": True}
-    assert one_by_one["group"] == "planner"
-    lines = (folder / "sequential" / "durations.csv").read_text().splitlines()
-    values = [value for line in lines[1:] for value in line.split(",")[5:]]
-    assert values
-    assert max(len(value.partition(".")[2]) for value in values) <= 4, "no digits that say nothing"
-    assert "-0.00" not in capsys.readouterr().out
-
-
-@pytest.mark.usefixtures("here")
 def test_a_plan_that_the_rules_forbid_is_not_tried_and_the_rule_is_told(folder, capsys):
     (folder / "forbidden.plan").write_text("0 0 UNFOLD\n")
     assert _validate("crowded.yaml", "--plan", "forbidden.plan", "--trials", "1", "--randomize", "none") == 1
@@ -150,18 +131,6 @@ def test_films_of_every_run_and_none_of_an_earlier_campaign(folder, monkeypatch)
     words[2] = "other.txt"
     assert cli.main(["validate", *words, "--video", "all"]) == 0
     assert [path.name for path in (folder / "out" / "films").iterdir()] == ["empty-other-0000.mp4"]
-
-
-def test_without_worlds_the_six_tasks_of_the_paper_are_validated(monkeypatch):
-    asked = []
-
-    def validate(worlds, *groups, **options):
-        asked.append(tuple(worlds))
-        raise InputError("enough")
-
-    monkeypatch.setattr(validation, "validate", validate)
-    assert _validate() == 2
-    assert asked == [TASK_NAMES]
 
 
 @pytest.fixture

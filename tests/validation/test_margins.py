@@ -76,13 +76,6 @@ def test_a_report_holds_margins_maps_and_bundles_that_replay(searched, capsys):
     assert bias["reason"] in page
 
 
-def test_a_search_finds_the_same_in_any_process(searched):
-    out, _ = searched
-    first = json.loads((out / "trials.jsonl").read_text().splitlines()[0])
-    one = MarginSearch(scenarios("lift a block")[0], NOMINAL, 2, imperfections_of(["position-bias"]), 1)
-    assert find(one).extra == first["extra"]
-
-
 def test_a_finished_search_is_compared_with_an_earlier_one(searched, tmp_path, capsys):
     out, words = searched
     (shutil.copytree(out, tmp_path / "later") / "report.json").unlink()

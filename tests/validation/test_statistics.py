@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from synthetic import attempt, episodes, record
+from synthetic import attempt, record
 
 from craftsim import cli
 from craftsim.checking.attempt import Verdict
@@ -25,7 +25,6 @@ from craftsim.experiments.statistics import (
     trials_frame,
     write_durations,
 )
-from craftsim.reports.json_file import write_report
 from craftsim.validation.forms import read_run
 
 
@@ -145,20 +144,6 @@ def test_a_table_of_durations_is_written(tmp_path):
     assert (row["n"], row["mean_s"], row["median_s"], row["max_s"]) == (3, 3.0, 2.0, 6.0)
 
 
-def test_figures_have_a_place_in_a_report_and_errors_count_apart(tmp_path):
-    records = episodes()
-    figures = campaign_figures(records, seed=0)
-    report = write_report(tmp_path, {"all": figures}, command="validate").read_text(encoding="utf-8")
-    read = json.loads(report)["figures"]["all"]
-    failed = [r for r in records if r["error"]]
-    assert read["trials"] == len(records)
-    assert read["errors"] == {"TimeoutError: longer than 60 s": len(failed)}
-    assert read["all"]["runs"]["trials"] == len(records) - len(failed)
-    assert read["all"]["actions"]["successes"] == sum(row["n"] for row in read["durations"])
-    assert set(read["by_group"]) == {"random", "planner", "ippo", "qmix"}
-    assert read["rank_agreement"]["policies"] == 4
-
-
 def _survival(ended, censored):
     return survival(
         np.array([*ended, *censored], int), np.array([True] * len(ended) + [False] * len(censored), bool)
@@ -196,19 +181,13 @@ def test_kaplan_meier_of_published_data():
 def test_a_run_without_resync_ends_with_its_first_disagreement_and_with_it_when_it_cannot_go_on(
     attempts, without_resync, with_resync
 ):
-    known = {
-        "good": attempt(),
-        "failed": attempt(Verdict.FAILED),
-        "forbidden": attempt(legal=False),
-        "unsafe": attempt(Verdict.UNSAFE),
-        "unreadable": attempt(Verdict.FAILED, finding="unreadable"),
-    }
+    known = {"good": attempt(), "failed": attempt(Verdict.FAILED), "unsafe": attempt(Verdict.UNSAFE)}
+    known |= {"forbidden": attempt(legal=False)}
+    known |= {"unreadable": attempt(Verdict.FAILED, finding="unreadable")}
     records = [record("b", error="killed"), record("a", *map(known.get, attempts))]
     found = plan_survival(trials_frame(records), attempts_frame(records))
-    for curve, (actions, ended) in (
-        (found["without_resync"], without_resync),
-        (found["with_resync"], with_resync),
-    ):
+    for name, (actions, ended) in {"without_resync": without_resync, "with_resync": with_resync}.items():
+        curve = found[name]
         assert (curve["runs"], curve["actions"], curve["ended"]) == (1, [actions], ended)
 
 
@@ -237,25 +216,13 @@ def test_correlations_by_hand_and_their_intervals():
     assert agreement_of(*many, seed=1).pearson != found.pearson
 
 
-def test_correlations_of_policies_that_are_all_the_same_are_not_defined():
-    found = agreement_of([0.5] * 4, [0.1 * i for i in range(4)], seed=0)
-    assert (found.pearson.value, found.pearson.low) == (None, None)
-    assert agreement_of([1, 1], [1, 1], seed=0) is None
-
-
 def test_scores_are_shares_of_episodes_by_policy():
     def episode(policy, grid, physics, **changes):
-        return record(
-            policy, group=policy, extra={"grid_success": grid, "physics_success": physics}, **changes
-        )
+        extra = {"grid_success": grid, "physics_success": physics}
+        return record(policy, group=policy, extra=extra, **changes)
 
-    records = [
-        episode("b", True, False),
-        episode("b", True, True),
-        episode("a", False, False),
-        record("c", group="c"),
-    ]
-    records.append(episode("a", True, True, error="timeout"))
+    records = [episode("b", True, False), episode("b", True, True), episode("a", False, False)]
+    records += [record("c", group="c"), episode("a", True, True, error="timeout")]
     assert policy_scores(trials_frame(records)) == [
         {"policy": "a", "grid": 0.0, "physics": 0.0, "episodes": 1},
         {"policy": "b", "grid": 1.0, "physics": 0.5, "episodes": 2},
@@ -299,22 +266,15 @@ def test_what_the_rules_allow_is_counted_by_itself_and_ratios_are_medians_over_w
     assert found.error_ratio == pytest.approx(1.0)
 
 
-def _run(tmp_path, records, **config):
-    return Finished(tmp_path, {"config": config, "versions": {}}, records)
-
-
 def _plans(tmp_path, share, seconds=1.0):
     """Return a run of three plans, ten trials each, of which some succeed, by plan."""
+    results = {True: Verdict.AS_PREDICTED, False: Verdict.FAILED}
     made = [
-        record(
-            f"{plan}#{n}",
-            attempt(Verdict.FAILED if n >= good else Verdict.AS_PREDICTED, duration_s=seconds),
-            group=plan,
-        )
+        record(f"{plan}#{n}", attempt(results[n < good], duration_s=seconds), group=plan)
         for plan, good in share.items()
         for n in range(10)
     ]
-    return _run(tmp_path, made)
+    return Finished(tmp_path, {"config": {}, "versions": {}}, made)
 
 
 def test_ranks_durations_and_outcomes_are_those_of_reality_by_the_simulation(tmp_path):
@@ -332,9 +292,7 @@ def test_ranks_durations_and_outcomes_are_those_of_reality_by_the_simulation(tmp
 
 def test_runs_without_a_common_trial_are_refused(tmp_path):
     with pytest.raises(InputError, match="no trial in common"):
-        compare_with_reality(
-            _run(tmp_path, [record("a", attempt())]), _run(tmp_path, [record("b", attempt())])
-        )
+        compare_with_reality(*(_plans(tmp_path, {plan: 1}) for plan in "ab"))
     with pytest.raises(InputError, match="holds no run"):
         read_run(tmp_path)
 

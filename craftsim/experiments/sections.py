@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from craftsim.checking.attempt import capped_text
+from craftsim.checking.attempt import Verdict, capped_text
 from craftsim.experiments import statistics
 from craftsim.experiments.compare import Comparison, Paired
 from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, least_detectable
@@ -42,13 +42,8 @@ RESULTS: Final = (
     Column("numerics", "number", "the solver did not converge: inconclusive"),
 )
 """The columns of :func:`result_cells`."""
-_TONES: Final = {
-    "as_predicted": Tone.GOOD,
-    "failed": Tone.CAUTION,
-    "side_effect": Tone.CAUTION,
-    "unsafe": Tone.BAD,
-    "numerics": Tone.MUTED,
-}
+TONES: Final = dict(zip(Verdict, (Tone.GOOD, Tone.CAUTION, Tone.CAUTION, Tone.BAD, Tone.MUTED), strict=True))
+"""By verdict."""
 _MARKERS: Final = "os^DvPX*"
 _QUANTILES: Final = np.linspace(0, 1, 201)
 _MOST_ERRORS: Final = 20
@@ -57,8 +52,8 @@ _MOST_ERRORS: Final = 20
 def result_cells(row: Any) -> list[Value]:
     """Return the number of trials and of each result, zeros muted."""
     cells: list[Value] = [row.trials]
-    for name, tone in _TONES.items():
-        number = getattr(row, name)
+    for verdict, tone in TONES.items():
+        number = getattr(row, verdict.replace(" ", "_"))
         cells.append(Cell(f"{number:,}", tone if number else Tone.MUTED))
     return cells
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.experiments.bundle import FILM, TRAJECTORY
 from craftsim.experiments.experiment import TrialRecord
+from craftsim.experiments.sections import TONES
 from craftsim.rendering.trajectory import SUFFIX
 from craftsim.reports.report import (
     Block,
@@ -36,13 +37,6 @@ REPLAY: Final = (
     "rules allow, has a bundle; what fails after it starts from the world that it left."
 )
 
-TONES: Final = {
-    Verdict.AS_PREDICTED: Tone.GOOD,
-    Verdict.FAILED: Tone.CAUTION,
-    Verdict.SIDE_EFFECT: Tone.CAUTION,
-    Verdict.UNSAFE: Tone.BAD,
-    Verdict.SOLVER: Tone.MUTED,
-}
 _LENGTHS: Final = ("car_error_m", "placed_error_m", "bystander_displacement_m")
 
 

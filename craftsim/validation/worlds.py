@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -83,8 +82,8 @@ class _Drawing:
         self.taken: set[tuple[int, int]] = set()
         budget = int(rng.integers(min(length * width, _MAX_BLOCKS) + 1))
         self._terraces(budget if family.n_blocks is None else family.n_blocks)
-        stand = partial(self._stand, Kind.FLAG), partial(self._stand, Kind.WALL)
-        for most, draw in zip((5, 3, 3, 3), (self._slope, *stand, self._hang_wall), strict=True):
+        flag, wall = (lambda: self._stand(Kind.FLAG)), (lambda: self._stand(Kind.WALL))
+        for most, draw in ((5, self._slope), (3, flag), (3, wall), (3, self._hang_wall)):
             for _ in range(int(rng.integers(most))):
                 draw()
         self._cars(n_cars)

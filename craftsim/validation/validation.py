@@ -238,9 +238,9 @@ def validate(
     earlier = read_earlier(experiment, folder, how)
     if plan == choice.AUTO:
         # Fail before the run starts if nothing can be built; finding out may take long.
-        rng, how_long = np.random.default_rng(seed), {"rounds": replanning.rounds, "time_s": math.inf}
+        rng, rules, rounds = np.random.default_rng(seed), Rules(setup.rules), replanning.rounds
         first = as_task(items[0].job.world).for_episode(rng)
-        plan_building(first.draw(rng), first, Rules(setup.rules), report=_enough, **how_long)
+        plan_building(first.draw(rng), first, rules, rounds=rounds, time_s=math.inf, report=_enough)
     with open_session(experiment, folder, how) as session:
         records = session.run()
         figures = campaign_figures(records, seed)

@@ -75,11 +75,8 @@ def legality_table(matrix: Mapping[str, statistics.MatrixRow]) -> DataTable:
 
 def success_drawing(by_verb: Mapping[str, statistics.MatrixRow]) -> Drawing:
     """Return a drawing of the success of each verb with its interval."""
-    rows = {
-        verb: (row.success.successes / row.trials, row.success.wilson_low, row.success.wilson_high)
-        for verb, row in by_verb.items()
-        if row.trials
-    }
+    shares = {verb: row.success for verb, row in by_verb.items() if row.trials}
+    rows = {verb: (p.rate or 0.0, p.wilson_low, p.wilson_high) for verb, p in shares.items()}
 
     def draw(axes: Axes) -> None:
         plots.interval_rows(axes, rows)
@@ -87,20 +84,19 @@ def success_drawing(by_verb: Mapping[str, statistics.MatrixRow]) -> Drawing:
         axes.set_xlim(math.floor(10 * low) / 10 - 0.02, 1.02)
         axes.xaxis.set_major_formatter(plots.percent_ticks)
 
-    caption = "Share of legal actions as predicted, with 95 % interval."
-    return Drawing.of_axes(
-        draw, plots.rows_height_in(len(rows)), caption, "success by action, with intervals"
+    caption, label = (
+        "Share of legal actions as predicted, with 95 % interval.",
+        "success by action, with intervals",
     )
+    return Drawing.of_axes(draw, plots.rows_height_in(len(rows)), caption, label)
 
 
 def error_tables(errors: Mapping[str, int]) -> list[Block]:
     """Return a table of the errors of unfinished trials; empty without any."""
     if not errors:
         return []
-    more = len(errors) - _MOST_ERRORS
-    note = "They count in no other metric." + (
-        f" {more} more kinds of error are in trials.jsonl." if more > 0 else ""
-    )
+    note, more = "They count in no other metric.", len(errors) - _MOST_ERRORS
+    note += f" {more} more kinds of error are in trials.jsonl." if more > 0 else ""
     rows = list(errors.items())[:_MOST_ERRORS]
     return [DataTable(numbers("error", "trials"), rows, "Unfinished trials", note)]
 
@@ -334,8 +330,7 @@ def run_notes(capped_steps: int, retried: int) -> list[str]:
 
 
 def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Section:
-    """Return a section with thresholds, configuration (with the ``setup`` of the physics) and versions by dotted name.
-    Return a section with thresholds, configuration (with the ``setup`` of the physics) and versions by dotted name."""
+    """Return a section with thresholds, configuration (with the ``setup`` of the physics) and versions."""
     setup = config["setup"]
     brief = {key: value for key, value in config.items() if key != "setup"}
     run = {"command": command, "seed": seed, **brief, "gains": setup.gains, "machines": setup.machines}
@@ -355,12 +350,11 @@ def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Se
 
 def flat(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield the leaves of nested mappings with dotted names."""
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        value = dict(enumerate(value))
     if isinstance(value, Mapping) and value:
         for key, item in value.items():
             yield from flat(item, f"{prefix}.{key}" if prefix else str(key))
-    elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-        for number, item in enumerate(value):
-            yield from flat(item, f"{prefix}.{number}")
     elif isinstance(value, list):
         yield prefix, ", ".join("none" if item is None else str(item) for item in value) or "none"
     else:

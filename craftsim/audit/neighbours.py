@@ -1,21 +1,18 @@
 """Neighbours of actions: their clearance from the swept volume, and the legality of the action beside them.
 
 Each action is set up with nothing but what it needs, and then with each possible thing or car at each place near it.
-``python -m craftsim.audit.neighbours [FILE]`` (``make neighbours``) takes a minute to write the table of those that
-matter.
+Those that matter are in a table of the package, since they take a minute (``make neighbours`` writes it again).
 """
 
 from __future__ import annotations
 
 import csv
 import re
-import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from itertools import product
-from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +34,9 @@ from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import RULE_SETS, Rules, RuleSet, has_room
-from craftsim.mjcf.parameters import NOMINAL, Machines
+from craftsim.discrete.rules import Rules, RuleSet, has_room
+from craftsim.mjcf.parameters import Machines
 from craftsim.models.composition import placements
-from craftsim.storage.writing import write_whole
 
 WINDOW: Final = (13, 13, 6)
 """Size of the world: larger than the range of any rule around the car in its middle."""
@@ -305,26 +301,6 @@ def bodies_of(occupant: Occupant, machines: Machines) -> tuple[Solids, Solids | 
     return Solids(own), Solids(below) if below else None, Solids(stack)
 
 
-def table(of: Collection[str] = ()) -> Iterator[dict[str, Any]]:
-    """Compute the rows of ``craftsim/data/neighbours.csv`` for these verbs, or all.
-
-    Neighbours matter if they are within reach, or if a rule set forbids them although they are out of reach.
-    """
-    rule_sets = [Rules(name) for name in RULE_SETS]
-    for one in neighbours(NOMINAL, of):
-        if one.clearance is None and all(one.legal(rules) != (False, True) for rules in rule_sets):
-            continue
-        # Negative for an overlap, empty if out of reach.
-        clearance = "" if one.clearance is None else f"{one.clearance.distance_m * 1e3:.1f}"
-        yield {
-            "situation": one.situation.id,
-            "occupant": one.occupant.name,
-            **dict(zip(("dx", "dy", "dz"), one.at, strict=True)),
-            "clearance_mm": clearance,
-            "closest": one.closest,
-        }
-
-
 def read_table() -> list[dict[str, str]]:
     """Return the rows of the stored table."""
     text = files("craftsim.data").joinpath(NAME).read_text(encoding="utf-8")
@@ -396,10 +372,3 @@ def _cropped(grid: Grid) -> Grid:
     low, high = taken.min(axis=0) - MARGIN, taken.max(axis=0) + 1 + MARGIN
     length, width, _ = (high - low).tolist()
     return Builder.of(grid).grid((int(low[0]), int(low[1])), (length, width, int(taken[:, 2].max()) + 1))
-
-
-if __name__ == "__main__":
-    from pandas import DataFrame
-
-    place = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(str(files("craftsim.data"))) / NAME
-    write_whole(place, DataFrame(table()).to_csv(index=False))

@@ -11,7 +11,6 @@ import numpy as np
 
 from craftsim.checking.attempt import Verdict, capped_text
 from craftsim.experiments import statistics
-from craftsim.experiments.compare import Comparison, Paired
 from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, least_detectable
 from craftsim.reports import plots
 from craftsim.reports.json_file import plain, versions
@@ -32,6 +31,8 @@ from craftsim.reports.report import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
+
+    from craftsim.experiments.compare import Comparison, Paired
 
 RESULTS: Final = (
     Column("trials", "number"),

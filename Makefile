@@ -109,7 +109,7 @@ engines: $(VENV)/installed  ## Judge the same trials with several releases of Mu
 	$(BIN)/python scripts/engines.py $(ARGS)
 
 neighbours: $(VENV)/installed  ## Work out again which neighbours matter, after a change of geometry or rules
-	$(BIN)/python -m craftsim.audit.neighbours
+	$(BIN)/python scripts/neighbours.py
 
 constraints: $(VENV)/installed-dev  ## Write the versions that are installed here into constraints.txt
 	scripts/freeze $(BIN)/python > .constraints && mv .constraints constraints.txt

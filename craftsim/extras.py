@@ -13,11 +13,7 @@ from craftsim.errors import InputError
 def need(extra: str, what: str, *modules: str, remark: str = "") -> None:
     """Raise InputError with the command that installs an extra, where one of its modules is missing.
 
-    Args:
-        extra: its name in pyproject.toml.
-        what: what needs it, with its verb, such as "tuning needs".
-        modules: that it brings.
-        remark: ends the message.
+    ``what`` needs it, with its verb, such as "tuning needs"; ``remark`` ends the message.
     """
     missing = [name for name in modules if find_spec(name) is None]
     if missing:

@@ -67,14 +67,6 @@ def test_a_film_is_whole_or_as_it_was(tmp_path, n_bytes):
     assert (tmp_path / "film.mp4").stat().st_size > 20_000
 
 
-def test_a_film_in_a_folder_that_is_not_there_is_our_error(tmp_path):
-    with (
-        pytest.raises(InputError, match="cannot be written"),
-        VideoWriter(tmp_path / "none" / "film.mp4", 25) as writer,
-    ):
-        writer.write(np.zeros((48, 64, 3), np.uint8))
-
-
 def test_contacts_scenes_and_durations_are_whole_or_as_they_were(tmp_path):
     physics = PhysicsWorld(Grid.empty((2, 2, 1), n_cars=1))
     log, row = ContactLog(physics), {"verb": "LIFT", "load": "none", "level": 1, "n": 2, "mean_s": 1.0}

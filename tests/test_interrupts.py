@@ -2,10 +2,7 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -51,29 +48,3 @@ def test_what_is_under_way_ends_before_an_interrupt_is_heard():
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert done
-
-
-def test_tests_in_the_background_of_a_shell_start_processes_that_hear_interrupts(tmp_path):
-    """A shell lets its background jobs, and so ``make test &``, ignore Ctrl-C; what they start would, too."""
-    test = tmp_path / "test_started.py"
-    asks = "import signal; print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)"
-    test.write_text(
-        "import subprocess, sys\n"
-        "def test_it():\n"
-        f"    assert subprocess.check_output([sys.executable, '-c', {asks!r}]) == b'True\\n'\n"
-    )
-    conftest = Path(__file__).with_name("conftest.py")
-    words = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", os.devnull]
-    shell = f"trap '' INT; exec {' '.join(words)} --confcutdir={conftest.parent} {test}"
-    done = subprocess.run(
-        ["sh", "-c", shell.replace(str(test), f"-p conftest {test}")],
-        env={
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join([str(conftest.parent), os.environ.get("PYTHONPATH", "")]),
-        },
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr

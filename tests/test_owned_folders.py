@@ -95,16 +95,13 @@ def test_a_second_process_is_told_and_the_first_loses_nothing(taken, capsys):
 
 def test_a_link_to_a_folder_is_the_folder_and_a_name_that_none_can_have_is_refused(taken, tmp_path):
     (tmp_path / "link").symlink_to(taken)
-    with pytest.raises(InputError, match=IN_USE), owned(tmp_path / "link"):
-        pass
-    with pytest.raises(InputError, match="cannot make the output directory"), owned(tmp_path / "a\0b"):
-        pass
+    for name, message in {"link": IN_USE, "a\0b": "cannot make the output directory"}.items():
+        with pytest.raises(InputError, match=message), owned(tmp_path / name):
+            pass
 
 
 def test_an_owner_that_is_killed_keeps_nobody_out(tmp_path):
     with owner(tmp_path) as first:
-        with pytest.raises(InputError, match=IN_USE), owned(tmp_path):
-            pass
         kill(first)
     assert (tmp_path / LOCK).exists()
     with owned(tmp_path):
@@ -159,22 +156,16 @@ def test_wrong_input_leaves_no_folder_and_removes_none(tmp_path, capsys):
     assert not [*(tmp_path / "mine").iterdir()]
 
 
-PLANTS = {
-    "link": lambda path: path.symlink_to("../victim"),
-    "dangling link": lambda path: path.symlink_to("../nowhere"),
-    "pipe": os.mkfifo,
-    "folder": Path.mkdir,
-}
-
-
-@pytest.mark.parametrize("plant", PLANTS)
-def test_what_lies_at_the_name_of_the_lock_is_refused(tmp_path, plant):
+def test_what_lies_at_the_name_of_the_lock_is_refused(tmp_path):
     (tmp_path / "victim").write_text("precious")
-    (tmp_path / "out").mkdir()
-    PLANTS[plant](tmp_path / "out" / LOCK)
-    remedy = pytest.raises(InputError, match=r"craftsim-lock: .*; remove it, or choose another --out")
-    with remedy, owned(tmp_path / "out"):
-        pass
+    links = (lambda path, to=to: path.symlink_to(f"../{to}") for to in ("../victim", "../nowhere"))
+    for number, plant in enumerate((*links, os.mkfifo, Path.mkdir)):
+        out = tmp_path / str(number) / "out"
+        out.mkdir(parents=True)
+        plant(out / LOCK)
+        remedy = pytest.raises(InputError, match=r"craftsim-lock: .*; remove it, or choose another --out")
+        with remedy, owned(out):
+            pass
     assert (tmp_path / "victim").read_text() == "precious"
     assert not (tmp_path / "nowhere").exists()
 

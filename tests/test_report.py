@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.kinds import Action
-from craftsim.errors import InputError
 from craftsim.reports.json_file import SCHEMA_VERSION, write_report
-from craftsim.storage.folders import output_directory
 
 
 @dataclass(frozen=True)
@@ -62,28 +60,9 @@ def test_runs_differ_only_under_wall(tmp_path):
     assert texts[0] == texts[1]
 
 
-def test_the_order_of_keys_does_not_matter(tmp_path):
-    figures = _figures()
-    one = write_report(tmp_path / "a", figures, command="demo").read_bytes()
-    other = write_report(tmp_path / "b", dict(reversed(figures.items())), command="demo").read_bytes()
-    assert one == other
-
-
-def test_floats_survive_exactly(tmp_path):
-    value = 0.1 + 0.2
-    path = write_report(tmp_path, {"value": np.float64(value)}, command="demo")
-    assert json.loads(path.read_text())["figures"]["value"] == value
-
-
 def test_what_json_cannot_hold_is_named_and_keeps_the_previous_report(tmp_path):
     before = write_report(tmp_path, {"value": 1}, command="demo").read_bytes()
     with pytest.raises(TypeError, match="cannot hold a set"):
         write_report(tmp_path, {"value": {1, 2}}, command="demo")
     assert [path.name for path in tmp_path.iterdir()] == ["report.json"]
     assert (tmp_path / "report.json").read_bytes() == before
-
-
-def test_an_output_directory_that_is_a_file_is_refused(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot make the output directory"):
-        output_directory(tmp_path / "file")

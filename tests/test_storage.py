@@ -3,7 +3,6 @@
 import gzip
 import io
 import os
-import resource
 import zipfile
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from craftsim.errors import InputError
-from craftsim.storage.limits import ALL, Limits, size_text
+from craftsim.storage.limits import Limits
 from craftsim.storage.paths import exists, is_file, is_folder, resolved
 from craftsim.storage.reading import open_file, parse_json, read_arrays, read_lines, read_text
 from craftsim.storage.writing import whole, write_whole
@@ -103,23 +102,15 @@ def _npz(path, members, compression=zipfile.ZIP_DEFLATED):
             archive.writestr(name, data)
 
 
-def _npy(array, **changes):
+def _npy(array, old=b"", new=b""):
     file = io.BytesIO()
     np.lib.format.write_array(file, array, allow_pickle=True)
-    data = file.getvalue()
-    for old, new in changes.get("swap", {}).items():
-        data = data.replace(old, new)
-    return data
+    return file.getvalue().replace(old, new) if old else file.getvalue()
 
 
 def test_arrays_are_read_as_they_were_written(tmp_path):
-    arrays = {
-        "a": np.arange(6.0).reshape(2, 3),
-        "b": np.array([True]),
-        "c": np.int8(3),
-        "d": np.zeros((0, 4)),
-    }
-    arrays["e"] = np.asfortranarray(arrays["a"])
+    arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.array([True]), "c": np.int8(3)}
+    arrays |= {"d": np.zeros((0, 4)), "e": np.asfortranarray(arrays["a"])}
     np.savez_compressed(tmp_path / "a.npz", **arrays)
     read = read_arrays(tmp_path / "a.npz", SMALL)
     assert all(np.array_equal(read[name], array) and read[name].dtype == np.asarray(array).dtype
@@ -127,7 +118,7 @@ def test_arrays_are_read_as_they_were_written(tmp_path):
 
 
 HOSTILE = {
-    "huge claim": [("a.npy", _npy(np.zeros(3), swap={b"(3,)": b"(9,)"}))],
+    "huge claim": [("a.npy", _npy(np.zeros(3), b"(3,)", b"(9,)"))],
     "objects": [("a.npy", _npy(np.array([{}])))],
     "text": [("a.npy", _npy(np.array(["x"])))],
     "a long header": [("a.npy", b"\x93NUMPY\x01\x00" + (60_000).to_bytes(2, "little") + b" " * 60_000)],
@@ -138,7 +129,7 @@ HOSTILE = {
     "a bomb": [("a.npy", b"\0" * 10**6)],
     "a short one": [("a.npy", _npy(np.zeros(3))[:-1])],
     "many axes": [("a.npy", _npy(np.zeros((1,) * 7)))],
-    "negative": [("a.npy", _npy(np.zeros(3), swap={b"(3,)": b"(-3,)"}))],
+    "negative": [("a.npy", _npy(np.zeros(3), b"(3,)", b"(-3,)"))],
 }
 
 
@@ -150,14 +141,12 @@ def test_an_archive_that_claims_too_much_is_refused(tmp_path):
             read_arrays(tmp_path / "a.npz", SMALL)
 
 
-def test_other_packing_damage_and_a_plain_array_are_refused(tmp_path):
-    path = tmp_path / "a.npz"
-    _npz(path, [("a.npy", _npy(np.zeros(3)))], zipfile.ZIP_LZMA)
-    with pytest.raises(InputError, match="packed in a way"):
-        read_arrays(path, SMALL)
+def test_other_packing_and_a_plain_array_are_refused(tmp_path):
+    _npz(tmp_path / "a.npz", [("a.npy", _npy(np.zeros(3)))], zipfile.ZIP_LZMA)
     np.save(tmp_path / "plain.npy", np.zeros(3))
-    with pytest.raises(InputError, match="not an archive"):
-        read_arrays(tmp_path / "plain.npy", SMALL)
+    for name, message in {"a.npz": "packed in a way", "plain.npy": "not an archive"}.items():
+        with pytest.raises(InputError, match=message):
+            read_arrays(tmp_path / name, SMALL)
 
 
 def test_a_file_is_whole_or_as_it_was(tmp_path):
@@ -170,22 +159,3 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
         pass
     assert path.read_bytes().startswith(b"caf")
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_disk_that_takes_no_more_is_told(tmp_path):
-    path, before = tmp_path / "a.txt", resource.getrlimit(resource.RLIMIT_FSIZE)
-    write_whole(path, "small")
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
-    try:
-        with pytest.raises(InputError, match="cannot be written: File too large; make room"):
-            write_whole(path, "x" * 5000)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert path.read_text() == "small"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_limits_name_formats_of_their_own():
-    assert len({limits.what for limits in ALL}) == len(ALL)
-    assert all(limits.file_bytes <= limits.content_bytes for limits in ALL)
-    assert size_text(512) == "512 bytes"

@@ -1,36 +1,42 @@
 """Neighbours of actions: their clearance from the swept volume, and the legality of the action beside them.
 
 Each action is set up with nothing but what it needs, and then with each possible thing or car at each place near it.
-The relevant neighbours of the nominal machines are stored in a table, since computing them takes a minute;
-``python -m craftsim.audit.neighbours [FILE]`` (``make neighbours``) writes it again.
+Those that matter are in a table of the package, since they take a minute (``make neighbours`` writes it again).
 """
 
 from __future__ import annotations
 
 import csv
 import re
-import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from itertools import product
-from pathlib import Path
-from typing import Any, Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.audit.builder import Builder, CarRow, ImpossibleError, grid_of
-from craftsim.audit.situation import BACK, DIRECTION_NAMES, FORWARD, LEFT, Row, Situation
+from craftsim.audit.situation import (
+    BACK,
+    DIRECTION_NAMES,
+    FORWARD,
+    LEFT,
+    Builder,
+    CarRow,
+    ImpossibleError,
+    Row,
+    Situation,
+    grid_of,
+)
 from craftsim.audit.swept import Clearance, Solids, convexes_of, sweep
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import RULE_SETS, Rules, RuleSet, has_room
-from craftsim.mjcf.parameters import NOMINAL, Machines
+from craftsim.discrete.rules import Rules, RuleSet, has_room
+from craftsim.mjcf.parameters import Machines
 from craftsim.models.composition import placements
-from craftsim.storage.writing import write_whole
 
 WINDOW: Final = (13, 13, 6)
 """Size of the world: larger than the range of any rule around the car in its middle."""
@@ -47,7 +53,6 @@ _SAMPLED_M: Final = 0.0001
 _BRUSH_MM: Final = 1.0
 """A neighbour that overlaps less may be passed."""
 _REACH: Final = 2
-"""Distance of neighbours in columns; a flap's lip reaches into the second."""
 _LEVELS: Final = (-1, 0, 1, 2)
 _LOADS: Final = {"none": Kind.AIR, "block": Kind.BLOCK, "slope": Kind.FSLOPE}
 NAME: Final = "neighbours.csv"
@@ -65,25 +70,22 @@ def bare_situations() -> Iterator[Situation]:
             floor = Piece(Kind.BLOCK, beside((0, 0, -1), way))
             yield _bare(f"MOVE-{DIRECTION_NAMES[way]}", action, load, [floor])
         # The three moves up a ramp and the three down.
-        for stage, name in enumerate(("onto-foot", "up", "off-top")):
-            body = (2 - stage, 0, 0)
-            ramp = [Piece(Kind.BODY, body, BACK), Piece(Kind.BLOCK, beside(body, FORWARD)), _floor(-stage)]
-            yield _bare(f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, int(stage == 2), stage)
-        for stage, name in enumerate(("onto-top", "down", "off-foot")):
-            body = (1 - stage, 0, 0)
-            ramp = [Piece(Kind.BODY, body, FORWARD), Piece(Kind.BLOCK, beside(body, BACK)), _floor(3 - stage)]
-            yield _bare(f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, int(stage < 2), (0, 2, 1)[stage])
+        for names, yaw, first, below, levels, halves in (
+            (("onto-foot", "up", "off-top"), BACK, 2, 0, (0, 0, 1), (0, 1, 2)),
+            (("onto-top", "down", "off-foot"), FORWARD, 1, 3, (1, 1, 0), (0, 2, 1)),
+        ):
+            for stage, name in enumerate(names):
+                body = (first - stage, 0, 0)
+                ramp = [Piece(Kind.BODY, body, yaw), Piece(Kind.BLOCK, beside(body, yaw + 2))]
+                ramp.append(Piece(Kind.BLOCK, (below - stage, 0, -1)))
+                yield _bare(f"MOVE-{name}", Action.MOVE_RIGHT, load, ramp, levels[stage], halves[stage])
     for load in ("block", "slope"):
-        yield _bare(
-            "LIFT", Action.LIFT, load, [Piece(_LOADS[load], (0, 0, 0), BACK if load == "slope" else 0)]
-        )
+        lifted = Piece(_LOADS[load], (0, 0, 0), BACK if load == "slope" else 0)
+        yield _bare("LIFT", Action.LIFT, load, [lifted])
         yield _bare("DROP", Action.DROP, load, [])
     for kind, action in ((Kind.FSLOPE, Action.UNFOLD), (Kind.BODY, Action.FOLD)):
-        yield _bare(action.name, action, "", [Piece(kind, (0, 0, 0), BACK), _floor(-1)])
-
-
-def _floor(x: int) -> Piece:
-    return Piece(Kind.BLOCK, (x, 0, -1))
+        behind = Piece(Kind.BLOCK, (-1, 0, -1))
+        yield _bare(action.name, action, "", [Piece(kind, (0, 0, 0), BACK), behind])
 
 
 def _bare(
@@ -131,8 +133,7 @@ def _sum(one: Sequence[int], other: Cell) -> Cell:
     return one[0] + other[0], one[1] + other[1], one[2] + other[2]
 
 
-@dataclass(frozen=True)
-class Occupant:
+class Occupant(NamedTuple):
     """A possible neighbour: things or a car, in cell (0, 0, 0)."""
 
     kind: str
@@ -140,11 +141,9 @@ class Occupant:
     stance: str = ""
     """Orientation, such as ``along`` or ``gear-uphill-low``."""
     side: str = ""
-    """Direction of gear, foot or downhill."""
     pieces: tuple[Piece, ...] = ()
     cars: tuple[CarRow, ...] = ()
     bearer: tuple[Piece, ...] = ()
-    """The ramp below a car."""
 
     @property
     def name(self) -> str:
@@ -154,13 +153,13 @@ class Occupant:
     @property
     def mirrored(self) -> str:
         """Name of its mirror image."""
-        return replace(self, side={"left": "right", "right": "left"}.get(self.side, self.side)).name
+        return self._replace(side={"left": "right", "right": "left"}.get(self.side, self.side)).name
 
     def places(self) -> Iterator[Cell]:
         """Yield its places near a car in column (0, 0); levels are relative to the car's lower one."""
         # A piece of several cells is near if any of them is.
         cells = [cell for piece in self.pieces for cell in _solid_cells(piece)]
-        cells += [_sum(row[:3], (0, 0, 0)) for row in self.cars]
+        cells += [(x, y, z) for x, y, z, *_ in self.cars]
         spread = range(-_REACH - 1, _REACH + 2)
         for dx, dy, dz in product(spread, spread, _LEVELS):
             if any(max(abs(x + dx), abs(y + dy)) <= _REACH for x, y, _ in cells):
@@ -184,8 +183,8 @@ class Occupant:
 def occupants() -> Iterator[Occupant]:
     """Yield all occupants; flags are left out, since they have the shape of blocks."""
     origin = (0, 0, 0)
-    yield Occupant("block", pieces=(Piece(Kind.BLOCK, origin),))
-    yield Occupant("wall", pieces=(Piece(Kind.WALL, origin),))
+    for kind in (Kind.BLOCK, Kind.WALL):
+        yield Occupant(kind.name.lower(), pieces=(Piece(kind, origin),))
     # Along or across: front and back of a car are equally long.
     yield Occupant("car", "along", cars=(_car(0, Kind.AIR),))
     yield Occupant("car", "across", cars=(_car(1, Kind.AIR),))
@@ -199,23 +198,22 @@ def occupants() -> Iterator[Occupant]:
         yield Occupant("fslope", "", side, (Piece(Kind.FSLOPE, origin, yaw),))
         yield Occupant("ramp", "", side, (Piece(Kind.BODY, origin, yaw),))
         yield Occupant("car+fslope", "", side, cars=(_car(back, Kind.FSLOPE),))
-        for kind, gear, heading, load in (
+        for name, gear, heading, load in (
             ("car", "", yaw, Kind.AIR),
             ("car+block", "", yaw, Kind.BLOCK),
             ("car+fslope", "gear-downhill-", back, Kind.FSLOPE),
             ("car+fslope", "gear-uphill-", yaw, Kind.FSLOPE),
         ):
             for place, (half, ramp) in ramps.items():
-                car = _car(heading, load, half)
-                yield Occupant(kind, gear + place, side, cars=(car,), bearer=ramp)
+                cars = (_car(heading, load, half),)
+                yield Occupant(name, gear + place, side, cars=cars, bearer=ramp)
 
 
 def _car(yaw: int, load: Kind, half: int = 0) -> CarRow:
     return 0, 0, 0, yaw, load, (yaw + 2) % 4 if load == Kind.FSLOPE else 0, half
 
 
-@dataclass(frozen=True)
-class Neighbour:
+class Neighbour(NamedTuple):
     """A possible neighbour of a bare situation."""
 
     situation: Situation
@@ -227,7 +225,6 @@ class Neighbour:
     grid: Grid
     """The world with both; the acting car is car 0."""
     alone: Grid
-    """The same without the occupant."""
 
     @property
     def closest(self) -> str:
@@ -249,11 +246,9 @@ def margin_m(machines: Machines) -> float:
 
 
 def neighbours(machines: Machines, of: Collection[str] = ()) -> Iterator[Neighbour]:
-    """Yield the possible neighbours of each bare situation, without mirror images.
+    """Yield the possible neighbours of each bare situation of these verbs, or of all, without mirror images.
 
-    Args:
-        machines: their geometry is used; of several cars that of the first.
-        of: verbs; all if empty.
+    Of several cars the geometry of the first is used.
     """
     machines = replace(machines, cars=machines.cars[:1])
     margin = margin_m(machines)
@@ -304,26 +299,6 @@ def bodies_of(occupant: Occupant, machines: Machines) -> tuple[Solids, Solids | 
         [p for part in of for p in convexes_of(part, machines)] for of in (every[:n], every[n:], block)
     )
     return Solids(own), Solids(below) if below else None, Solids(stack)
-
-
-def table(of: Collection[str] = ()) -> Iterator[dict[str, Any]]:
-    """Compute the rows of ``craftsim/data/neighbours.csv`` for these verbs, or all.
-
-    Neighbours matter if they are within reach, or if a rule set forbids them although they are out of reach.
-    """
-    rule_sets = [Rules(name) for name in RULE_SETS]
-    for one in neighbours(NOMINAL, of):
-        if one.clearance is None and all(one.legal(rules) != (False, True) for rules in rule_sets):
-            continue
-        # Negative for an overlap, empty if out of reach.
-        clearance = "" if one.clearance is None else f"{one.clearance.distance_m * 1e3:.1f}"
-        yield {
-            "situation": one.situation.id,
-            "occupant": one.occupant.name,
-            **dict(zip(("dx", "dy", "dz"), one.at, strict=True)),
-            "clearance_mm": clearance,
-            "closest": one.closest,
-        }
 
 
 def read_table() -> list[dict[str, str]]:
@@ -397,10 +372,3 @@ def _cropped(grid: Grid) -> Grid:
     low, high = taken.min(axis=0) - MARGIN, taken.max(axis=0) + 1 + MARGIN
     length, width, _ = (high - low).tolist()
     return Builder.of(grid).grid((int(low[0]), int(low[1])), (length, width, int(taken[:, 2].max()) + 1))
-
-
-if __name__ == "__main__":
-    from pandas import DataFrame
-
-    place = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(str(files("craftsim.data"))) / NAME
-    write_whole(place, DataFrame(table()).to_csv(index=False))

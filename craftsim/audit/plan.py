@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from heapq import heapify, heapreplace
 from itertools import combinations
-from operator import itemgetter
+from operator import itemgetter, ne
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -91,20 +91,18 @@ def corrections(rows: Iterable[PlanRow], rule_set: RuleSet) -> dict[str, tuple[s
     corrected = {
         flag: Rules(rule_set, own | Correction[flag]) for flag in FLAG_NAMES if Correction[flag] not in own
     }
-    return {row.name: _differing_flags(row, rules, corrected) for row in rows}
 
-
-def _differing_flags(row: PlanRow, rules: Rules, corrected: Mapping[str, Rules]) -> tuple[str, ...]:
-    """Return the corrections that change the legality or the effect in one of a row's situations."""
-    left = dict(corrected)
-    for situation in row.members:
+    def differs(situation: Situation, with_flag: Rules) -> bool:
         joint = [(car, int(action)) for car, action in enumerate(situation.acts)]
-        before, applied = rules.tick(situation.grid, joint)
-        for flag, with_flag in list(left.items()):
-            after, applied_then = with_flag.tick(situation.grid, joint)
-            if not (np.array_equal(applied, applied_then) and before.same_visible(after)):
-                del left[flag]
-    return tuple(flag for flag in corrected if flag not in left)
+        (one, applied), (other, then) = (some.tick(situation.grid, joint) for some in (rules, with_flag))
+        return not (np.array_equal(applied, then) and one.same_visible(other))
+
+    return {
+        row.name: tuple(
+            flag for flag, some in corrected.items() if any(differs(one, some) for one in row.members)
+        )
+        for row in rows
+    }
 
 
 def rows_by_flag(found: Mapping[str, Sequence[str]]) -> dict[str, int]:
@@ -117,7 +115,6 @@ MOST_ROWS: Final = 800
 """Maximum number of rows of a quick audit; each takes about 0.4 s of one core, planning and report included."""
 
 _FREE: Final = Row("", over="air", beyond="free")
-"""Values of properties that a row leaves empty."""
 _VARYING: Final = re.compile(r"( in)? \(-?\d+, -?\d+, -?\d+\)|: .*|\d+(\.\d+)?")
 """What varies between reasons of one kind: cells, their contents, and numbers."""
 
@@ -144,14 +141,8 @@ def quick_rows(plan: Sequence[PlanRow], rule_set: RuleSet) -> list[PlanRow]:
 
 
 def covering(rows: Sequence[Row], known: Iterable[Row], most: int, strength: int = 4) -> list[Row]:
-    """Return rows that, with the known ones, cover all combinations of up to ``strength`` properties of each action.
-
-    Args:
-        rows: the candidates.
-        known: rows that are tried anyway.
-        most: maximum number of rows.
-        strength: number of combined properties besides the action.
-    """
+    """Return at most so many rows that, with the known ones, cover all combinations of ``strength`` properties of each
+    action."""
     chosen: list[Row] = []
     known = list(known)
     for t in range(1, strength + 1):
@@ -188,7 +179,7 @@ def _boundary(rows: Sequence[PlanRow], rule_set: RuleSet) -> Iterator[tuple[Plan
     for row in (row for row in rows if not row.legal):
         comparable = [] if row.row.scene else allowed.get(row.row.action, [])
         differing, _, near = min(
-            ((_differing(row.row, other.row), name, other) for name, other in comparable),
+            ((sum(map(ne, row.row, other.row)), name, other) for name, other in comparable),
             key=itemgetter(0, 1),
             default=(math.inf, "", None),
         )
@@ -197,11 +188,6 @@ def _boundary(rows: Sequence[PlanRow], rule_set: RuleSet) -> Iterator[tuple[Plan
             nearest[reason] = differing, row.name, row, near
     for _, _, row, partner in nearest.values():
         yield row, partner
-
-
-def _differing(one: Row, other: Row) -> int:
-    """Return the number of properties in which two rows of one action differ."""
-    return sum(word != another for word, another in zip(one, other, strict=True))
 
 
 def _reason(situation: Situation, rule_set: RuleSet) -> str:

@@ -1,11 +1,11 @@
-"""Situations of the audit, margins and tuning: their properties, grid and actions."""
+"""Situations of the audit, margins and tuning: small worlds, their properties and actions."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.resources import files
@@ -15,19 +15,136 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import yaml
 
-from craftsim.audit.builder import Builder, CarRow, ImpossibleError, grid_of, turned
 from craftsim.checking.episode import Step
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
-from craftsim.discrete.kinds import MOVE_DIRECTION, Action
+from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.kinds import MOVE_DIRECTION, STANDING, Action
 from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency
 
+CarRow = tuple[int, ...]
+
+
+_SHARED: Final = "two things would share a cell"
+
+
+class ImpossibleError(Exception):
+    """A world or an effect that cannot exist; the message is the reason."""
+
+
+def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Grid:
+    """Return the grid of pieces and cars.
+
+    A gear is left out if its cell is occupied; of two gears in a cell the one with the smaller yaw is kept.
+    """
+    grid = Grid.empty(size, len(cars))
+    grid.cars[:] = np.array(list(cars), np.int16).reshape(-1, len(CarField))
+    filled: dict[Cell, tuple[int, int]] = {}
+    for kind, cell, yaw in sorted(pieces, key=lambda piece: (piece.kind == Kind.FSLOPE, -piece.yaw)):
+        filled[cell] = (int(kind), yaw)
+        if (second := SECOND_PART.get(kind)) is not None:
+            next_cell = beside(cell, yaw)
+            gives_way = second == Kind.GEAR and filled.get(next_cell, (Kind.GEAR,))[0] != Kind.GEAR
+            if not gives_way and grid.inside(next_cell):
+                filled[next_cell] = (int(second), yaw)
+    # One assignment: a survey makes tens of thousands of worlds.
+    rows = np.array([(*cell, *what) for cell, what in filled.items()], np.int16).reshape(-1, 5)
+    x, y, z, *_ = rows.T
+    grid.cells[x, y, z, :2] = rows[:, 3:]
+    grid.derive_marks()
+    return grid
+
+
+def turned(cell: Cell, quarters: int) -> Cell:
+    """Return a cell turned counterclockwise about the column (0, 0)."""
+    x, y, z = cell
+    for _ in range(quarters % 4):
+        x, y = -y, x
+    return x, y, z
+
+
+@dataclass
+class Builder:
+    """A world under construction. Columns may have any coordinates, also negative ones; levels begin at 1."""
+
+    cells: dict[Cell, tuple[Kind, int]] = field(default_factory=dict)
+    """Kind and yaw by occupied cell. AIR reserves a free cell; a gear occupies a cell only if it was claimed."""
+    cars: list[CarRow] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, grid: Grid) -> Builder:
+        """Return a builder with the pieces and cars of a grid."""
+        made = cls(cars=[tuple(row) for row in grid.cars.tolist()])
+        for piece in grid.pieces(*STANDING):
+            made.put(piece)
+        return made
+
+    def copy(self) -> Builder:
+        """Return an independent copy."""
+        return Builder(dict(self.cells), list(self.cars))
+
+    def put(self, piece: Piece) -> None:
+        """Add a piece; a gear occupies no cell. Raises ImpossibleError if a cell is occupied."""
+        taken = {cell: (kind, piece.yaw) for cell, kind in self._taken(piece) if kind != Kind.GEAR}
+        if taken.keys() & self.cells:
+            raise ImpossibleError(_SHARED)
+        self.cells |= taken
+
+    def claim(self, piece: Piece) -> None:
+        """Add a piece unless it is there already; a gear occupies a cell, and AIR reserves one.
+
+        Raises ImpossibleError if something else is there.
+        """
+        for cell, kind in self._taken(piece):
+            if self.cells.setdefault(cell, (kind, piece.yaw)) != (kind, piece.yaw):
+                raise ImpossibleError(_SHARED)
+
+    @staticmethod
+    def _taken(piece: Piece) -> list[tuple[Cell, Kind]]:
+        if piece.cell[2] < 1:
+            raise ImpossibleError("something would be in the ground")
+        return list(zip(piece.cells, piece.kinds, strict=True))
+
+    def support(self, cell: Cell) -> None:
+        """Fill the cells below with blocks, down to the ground."""
+        x, y, z = cell
+        if z < 1:
+            raise ImpossibleError("something would be in the ground")
+        for level in range(1, z):
+            below = (x, y, level)
+            free = below not in self.cells and any(row[:3] == below for row in self.cars)
+            there, _ = (Kind.AIR, 0) if free else self.cells.setdefault(below, (Kind.BLOCK, 0))
+            if there != Kind.BLOCK:
+                what = "nothing" if there == Kind.AIR else f"a {there.name.lower()}"
+                raise ImpossibleError(f"something would stand on {what}")
+
+    def turned(self, quarters: int) -> Builder:
+        """Return a copy turned counterclockwise about the column (0, 0)."""
+        cells = {
+            turned(cell, quarters): (kind, (yaw + quarters) % 4 if kind in KINDS_WITH_YAW else 0)
+            for cell, (kind, yaw) in self.cells.items()
+        }
+        cars: list[CarRow] = []
+        for x, y, z, yaw, load, load_yaw, slope in self.cars:
+            gear = (load_yaw + quarters) % 4 if load == Kind.FSLOPE else 0
+            cars.append((*turned((x, y, z), quarters), (yaw + quarters) % 4, load, gear, slope))
+        return Builder(cells, cars)
+
+    def grid(self, low: tuple[int, int], size: Cell) -> Grid:
+        """Return the grid of this size whose first column is ``low``."""
+        lx, ly = low
+        pieces = [
+            Piece(kind, (x - lx, y - ly, z), yaw)
+            for (x, y, z), (kind, yaw) in self.cells.items()
+            if kind in STANDING
+        ]
+        return grid_of(pieces, [(x - lx, y - ly, *row) for x, y, *row in self.cars], size)
+
+
 FORWARD, LEFT, BACK, RIGHT = range(4)
 """Directions and yaws relative to the car's heading."""
 DIRECTION_NAMES: Final = ("forward", "left", "back", "right")
-"""Their names, by number."""
 
 
 class Row(NamedTuple):
@@ -39,11 +156,9 @@ class Row(NamedTuple):
     action: str
     """The verb, for a move with its direction relative to the heading, such as ``MOVE-left``; several with ``+``."""
     level: str = ""
-    """The car's level before the action."""
     ground: str = ""
     """Ground below the car: flat, or the lower or upper half of a slope that leads up or down ahead."""
     own: str = ""
-    """Content of the car's cell."""
     load: str = ""
     next: str = ""
     """Content of a move's target cell; with ``above-`` the target is free, and this is in the cell below it."""
@@ -55,13 +170,11 @@ class Row(NamedTuple):
     room: str = ""
     """``tight`` if blocks fill the neighbour cells of the path, as far as the action stays legal."""
     near: str = ""
-    """The neighbour."""
     column: str = ""
     """The neighbour's column relative to the car."""
     above: str = ""
     """The neighbour's level relative to the lower one of the car."""
     scene: str = ""
-    """Name of the scene in ``craftsim/data/scenes.yaml``."""
     order: str = ""
     """Execution order of several cars."""
     kind: str = ""
@@ -83,7 +196,6 @@ class Situation:
     """A world with one or several consecutive actions of car 0, or with one tick of several cars."""
 
     row: Row
-    """Its properties, unique within a plan."""
     grid: Grid = field(compare=False, repr=False)
     acts: tuple[Action, ...]
     """Consecutive actions of car 0; with an order, the actions of the first cars in one tick."""
@@ -177,7 +289,7 @@ def _check_target(grid: Grid, cell: Cell, load: Kind) -> None:
     if there == Kind.WALL:
         raise ImpossibleError("a wall is there")
     if load != Kind.AIR and there not in _ROOMY:
-        raise ImpossibleError("two things would share a cell")
+        raise ImpossibleError(_SHARED)
     if (grid.cars[:, : CarField.Z + 1] == cell).all(axis=1).any():
         raise ImpossibleError("a car is there")
 
@@ -194,7 +306,7 @@ def _check_state(grid: Grid, car: int) -> None:
     if load == Kind.FSLOPE:
         gear = _kind_at(grid, beside((x, y, z), load_yaw))
         if not slope and gear not in _ROOMY:
-            raise ImpossibleError("two things would share a cell")
+            raise ImpossibleError(_SHARED)
 
 
 def _kind_at(grid: Grid, cell: Cell) -> Kind:
@@ -206,7 +318,6 @@ def _kind_at(grid: Grid, cell: Cell) -> Kind:
 
 
 _SIZE: Final = (8, 7, 4)
-"""Size of the map of a scene."""
 _CAR: Final = re.compile(r"(\d+,\d+,\d+) (..)(?: (block|flag|fslope)([+-][xy])?)?(?: (low|high))?")
 
 

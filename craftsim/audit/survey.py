@@ -13,8 +13,7 @@ from functools import cache, lru_cache
 from itertools import chain, product
 from typing import Any, Final
 
-from craftsim.audit.builder import Builder, ImpossibleError
-from craftsim.audit.situation import BACK, DIRECTION_NAMES, FORWARD, Row, Situation
+from craftsim.audit.situation import BACK, DIRECTION_NAMES, FORWARD, Builder, ImpossibleError, Row, Situation
 from craftsim.discrete.actions import ACTIONS, ActionSpec, verbs
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
@@ -81,29 +80,18 @@ def row_of(said: Mapping[str, Any]) -> Row:
 
 
 def situation_of(row: Row, rule_set: RuleSet, forbidden: bool = False) -> Situation:
-    """Return the situation with these properties.
-
-    Args:
-        row: its properties.
-        rule_set: the rule set that allows the action.
-        forbidden: whether the action may be forbidden.
-
-    Raises:
-        CraftsimError: there is no such situation.
-    """
+    """Return the situation with these properties. Raises CraftsimError without one, and if it is ``forbidden`` unless
+    allowed."""
     rules = Rules(rule_set)
     try:
         world = _built(row)
+        found = _tight(row, world, rules) if row.room == "tight" else _situation(row, world)
+        if found is None:
+            raise ImpossibleError("no neighbour cell can be filled")
+        if not forbidden and not found.legal(rules):
+            raise ImpossibleError("the rules forbid it")
     except ImpossibleError as reason:
         raise CraftsimError(f"there is no world for {row}: {reason}") from reason
-    found = _situation(row, world)
-    if row.room == "tight":
-        tight = _tight(row, world, rules)
-        if tight is None:
-            raise CraftsimError(f"there is no world for {row}: no neighbour cell can be filled")
-        found = tight
-    if not forbidden and not found.legal(rules):
-        raise CraftsimError(f"there is no world for {row}: the rules forbid it")
     return found
 
 
@@ -211,19 +199,21 @@ def _claim(world: Builder, thing: tuple[Kind, int], cell: Cell) -> None:
 
 def _check_car(ground: str, own: str, load: str) -> None:
     """Raise ImpossibleError if a car cannot stand there; checked first, since this excludes most combinations."""
-    (half, downhill), (kind, yaw) = GROUNDS[ground], _OWN[own]
-    if half == 1 and (kind, yaw) != (Kind.FOOT, downhill):
-        raise ImpossibleError("a car on a lower half is in the cell of its foot")
-    if half == 2 and kind != Kind.AIR:
-        raise ImpossibleError("above a body is nothing but the car")
-    if half == 0 and kind == Kind.FOOT:
-        raise ImpossibleError("a car in a foot's cell is on the slope")
-    if kind in (Kind.FSLOPE, Kind.BODY) and yaw != BACK:
-        raise ImpossibleError("a car enters below a slope from its high side only")
-    if load != "none" and kind == Kind.GEAR:
-        raise ImpossibleError("a load's legs would be where a gear is")
-    if load != "none" and kind in (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY):
-        raise ImpossibleError("a load and what the car stands under would share a cell")
+    (half, downhill), (kind, yaw), loaded = GROUNDS[ground], _OWN[own], load != "none"
+    under = kind in (Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.BODY)
+    for impossible, reason in (
+        (
+            half == 1 and (kind, yaw) != (Kind.FOOT, downhill),
+            "a car on a lower half is in the cell of its foot",
+        ),
+        (half == 2 and kind != Kind.AIR, "above a body is nothing but the car"),
+        (half == 0 and kind == Kind.FOOT, "a car in a foot's cell is on the slope"),
+        (under and kind in SECOND_PART and yaw != BACK, "a car enters below a slope from its high side only"),
+        (loaded and kind == Kind.GEAR, "a load's legs would be where a gear is"),
+        (loaded and under, "a load and what the car stands under would share a cell"),
+    ):
+        if impossible:
+            raise ImpossibleError(reason)
 
 
 @lru_cache(maxsize=256)
@@ -247,11 +237,9 @@ def _ground(ground: str, word: str, load: str, own: Cell, way: int | None) -> Bu
 
 
 def _build_ramp(world: Builder, half: int, downhill: int, own: Cell, way: int | None) -> None:
-    if half == 1:
-        body = beside(own, downhill + 2)
-    else:
+    body = beside(own, downhill + 2) if half == 1 else (own[0], own[1], own[2] - 1)
+    if half == 2:
         world.claim(Piece(Kind.AIR, own))
-        body = (own[0], own[1], own[2] - 1)
     world.claim(Piece(Kind.BODY, body, downhill))
     # Off the upper half forward the next cell decides what is below it; everywhere else a landing stands there.
     if not (half == 2 and downhill == BACK and way is not None):
@@ -266,10 +254,10 @@ def _build_next(world: Builder, row: Row, own: Cell, way: int) -> None:
     """Add the content of a move's target cell."""
     cell, (half, downhill) = beside(own, way), GROUNDS[row.ground]
     if row.next in _BELOW:
-        kind, yaw = _BELOW[row.next]
+        (kind, yaw), below = _BELOW[row.next], (cell[0], cell[1], cell[2] - 1)
         world.claim(Piece(Kind.AIR, cell))
-        world.claim(Piece(kind, (cell[0], cell[1], cell[2] - 1), yaw))
-        landing = beside(beside((cell[0], cell[1], cell[2] - 1), yaw), yaw)
+        world.claim(Piece(kind, below, yaw))
+        landing = beside(beside(below, yaw), yaw)
         world.claim(Piece(Kind.AIR, landing))
         world.support(landing)
         return
@@ -288,21 +276,16 @@ def _build_next(world: Builder, row: Row, own: Cell, way: int) -> None:
 
 def _over(row: Row, own: Cell, spec: ActionSpec, way: int | None) -> Cell:
     """Return the cell of the property ``over``."""
-    x, y, z = own
-    if way is None:
-        return x, y, z + 1
-    ahead = beside(own, way)
-    if spec.over:
-        return ahead[0], ahead[1], z + 1
-    if row.next in _BELOW:
-        return beside(ahead, way)
-    kind, _ = _AHEAD[row.next]
-    if kind == Kind.FOOT:
-        x, y, z = beside(beside(ahead, way), way)
-        return x, y, z + 1
-    if kind == Kind.BODY and GROUNDS[row.ground] == (1, BACK):
-        return ahead[0], ahead[1], z + 1
-    raise ImpossibleError("what is overhead does not concern this move")
+    cell = own if way is None else beside(own, way)
+    if way is not None and not spec.over:
+        if row.next in _BELOW:
+            return beside(cell, way)
+        kind, _ = _AHEAD[row.next]
+        if kind == Kind.FOOT:
+            cell = beside(beside(cell, way), way)
+        elif kind != Kind.BODY or GROUNDS[row.ground] != (1, BACK):
+            raise ImpossibleError("what is overhead does not concern this move")
+    return cell[0], cell[1], own[2] + 1
 
 
 def _tight(row: Row, world: Builder, rules: Rules) -> Situation | None:
@@ -330,13 +313,11 @@ def _fillable(row: Row, world: Builder) -> list[tuple[Cell, ...]]:
     Neighbours are the cells around the own one and, for a move, around the target, on the car's level there.
     """
     own: Cell = (0, 0, int(row.level))
-    (spec, way), (half, downhill) = acts()[row.action], GROUNDS[row.ground]
+    (spec, way), ground = acts()[row.action], GROUNDS[row.ground]
     ways = [own]
     if way is not None:
         x, y, z = beside(own, way)
-        climbs = half == 1 and downhill == (way + 2) % 4
-        falls = half == 2 and downhill == way
-        ways.append((x, y, z + climbs - falls))
+        ways.append((x, y, z + (ground == (1, (way + 2) % 4)) - (ground == (2, way))))
     taken = set(ways)
     if spec.beyond is not None:
         taken |= {beside(own, spec.beyond), beside(beside(own, spec.beyond), spec.beyond)}
@@ -358,7 +339,8 @@ def counted_row(row: Row, legal: bool) -> Row:
     reach the car. For forbidden actions also the directions of a gear overhead, and for moves that are not forward
     everything overhead, since the car does not get there.
     """
-    return min((_merged(one, legal) for one in (row, _mirrored(row))), key=str)
+    mirrored = _reworded(row, _mirror_words(tuple(acts())))
+    return min((_merged(one, legal) for one in (row, mirrored)), key=str)
 
 
 _ALIKE: Final = {"2": "2+", "3": "2+", "flag": "block"}
@@ -372,10 +354,6 @@ def _merged(row: Row, legal: bool) -> Row:
         return row._replace(own=own)
     ahead = acts()[row.action][1] in (None, FORWARD)
     return row._replace(own=own, over=_GEARS.get(row.over, row.over) if ahead else "")
-
-
-def _mirrored(row: Row) -> Row:
-    return _reworded(row, _mirror_words(tuple(acts())))
 
 
 @lru_cache(maxsize=1)

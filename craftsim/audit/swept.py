@@ -18,8 +18,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from craftsim.audit.builder import grid_of
-from craftsim.audit.situation import BACK, Situation
+from craftsim.audit.situation import BACK, Situation, grid_of
 from craftsim.discrete.geometry import CELL_PITCH_M, DIRECTIONS, LEVEL_HEIGHT_M
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
@@ -38,7 +37,6 @@ _GRAIN_M: Final = 0.0005
 _STEP_RAD: Final = math.radians(3)
 """A chord of this angle lies 0.08 mm inside the arc of a turning load's corner, 0.1 mm inside the flap lip's."""
 _STEP_M: Final = 0.01
-"""Step of a car on a ramp."""
 
 
 class Solid(NamedTuple):
@@ -56,7 +54,6 @@ class CollisionShape(NamedTuple):
 
     solids: tuple[Solid, ...]
     hinge: bool = False
-    """Whether the joint is a hinge; otherwise it slides."""
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     anchor: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -178,7 +175,6 @@ class Solids:
         """Make a set of at least one piece."""
         self.pieces = tuple(pieces)
         self.boxes = np.array([(p.points.min(axis=0), p.points.max(axis=0)) for p in self.pieces])
-        """(n, 2, 3): lowest and highest corner of each piece."""
         self.box = np.array([self.boxes[:, 0].min(axis=0), self.boxes[:, 1].max(axis=0)])
 
     def clearance(

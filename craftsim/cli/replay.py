@@ -157,8 +157,7 @@ def compare(
         other: folder of the other run.
         out: folder for report.json.
     """
-    from craftsim.experiments.compare import compare_with_reality
-    from craftsim.experiments.gap_report import gap_report
+    from craftsim.experiments.compare import compare_with_reality, gap_report
     from craftsim.validation.forms import read_run
 
     gap = compare_with_reality(read_run(run), read_run(other), chance.seed)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,7 +52,6 @@ TRAJECTORY: Final = "trajectory.npz"
 """Optional trajectory of the last step and a short time after it, shown in the film."""
 
 BUNDLE_S: Final = 600.0
-"""Time limit for writing a bundle."""
 _LATE: Final = 1.25
 _LATE_S: Final = 4.0
 """By what factor, and by how much more, a replay may take longer than what it shows: versions differ."""
@@ -64,13 +63,11 @@ class Bundle:
 
     schema_version: int
     key: str
-    """Key of the trial."""
     versions: dict[str, str]
     recipe: Recipe
     attempts: Listed[Attempt]
     """One for each action of the last step."""
     start_s: float
-    """Simulated time at which the last step began."""
     end_s: float
 
     @property
@@ -106,17 +103,10 @@ def physics_of(physics: PhysicsWorld) -> Arrays:
 def write_bundle(
     folder: Path, key: str, recipe: Recipe, attempts: tuple[Attempt, ...] | None = None
 ) -> Bundle:
-    """Run a recipe, write the bundle of its last step, and return its contents.
+    """Run a recipe, write the bundle of its last step into a folder in place of an older one, and return its contents.
 
-    Args:
-        folder: created if missing; files of an older bundle are replaced.
-        key: key of the trial.
-        recipe: the recipe that leads to the disagreement.
-        attempts: the original attempts of the last step; the re-run must reproduce them.
-
-    Raises:
-        InputError: the folder cannot be written.
-        ReplayError: the re-run gave other attempts.
+    ``key`` is that of the trial. Raises InputError if the folder cannot be written, and ReplayError if the re-run does
+    not reproduce the original ``attempts``.
     """
     judge = run_up(recipe)
     before, start_s = state_of(judge.physics), judge.physics.time_s
@@ -177,11 +167,9 @@ def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
 
 def _check_text(bundle: Bundle) -> None:
     """Raise InputError for an inconsistent bundle, or one whose replay would exceed the limits."""
-    recipe = bundle.recipe
-    if bundle.schema_version != SCHEMA_VERSION:
-        raise InputError(
-            f"schema_version is {bundle.schema_version}; this craftsim reads version {SCHEMA_VERSION}"
-        )
+    recipe, version = bundle.recipe, bundle.schema_version
+    if version != SCHEMA_VERSION:
+        raise InputError(f"schema_version is {version}; this craftsim reads version {SCHEMA_VERSION}")
     if not recipe.steps:
         raise InputError("recipe.steps is empty; a bundle shows its last step")
     check_recipe(recipe)
@@ -193,11 +181,7 @@ def _check_text(bundle: Bundle) -> None:
             f"attempts: {len(bundle.attempts)}, but the last step has {len(acts)} actions; "
             "allowed: one for each of them, in their order"
         )
-    _check_times(bundle)
-
-
-def _check_times(bundle: Bundle) -> None:
-    config, most_s = bundle.recipe.setup.simulation, bundle.most_s
+    config, most_s = recipe.setup.simulation, bundle.most_s
     times = [bundle.start_s, bundle.end_s]
     times += [time for a in bundle.attempts for time in (a.start_s, a.duration_s)]
     if not all(0 <= time < math.inf for time in times):
@@ -207,7 +191,7 @@ def _check_times(bundle: Bundle) -> None:
             f"end_s and attempts claim {bundle.end_s:.6g} s of simulated time, which may take {steps:.3g} physics "
             f"steps; allowed: at most {limits.PHYSICS_STEPS}"
         )
-    n_acts = sum(len(step.acts) for step in bundle.recipe.steps)
+    n_acts = sum(len(step.acts) for step in recipe.steps)
     fit = int(limits.ACTIONS_WITHOUT_TIME + most_s / config.control_period_s)
     if n_acts > fit:
         raise InputError(
@@ -224,13 +208,11 @@ def write_bundles(session: Session, recipes: Mapping[int, Callable[[], Recipe]])
     out, records = session.out, session.records
     assert out is not None
     folders = {number: f"bundles/{number:05d}" for number in recipes}
+    places = {number: out.resolve() / folder for number, folder in folders.items()}
     items = [
-        Trial(
-            records[number]["key"], "bundles", 0, (out.resolve() / folder, records[number], recipes[number])
-        )
-        for number, folder in folders.items()
-        # A folder with this file is a whole bundle.
-        if not (out / folder / TEXT).exists()
+        Trial(records[number]["key"], "bundles", 0, (place, records[number], recipes[number]))
+        for number, place in places.items()
+        if not (place / TEXT).exists()  # it is written last
     ]
     answers = session.map(None, items, _write_one, "writing replay bundles", timeout_s=BUNDLE_S)
     for item, answer in zip(items, answers, strict=True):
@@ -268,9 +250,7 @@ class Replay:
     differing: tuple[str, ...]
     """Arrays that are not bit-equal, by file and name."""
     position_m: float
-    """Largest difference of a final position."""
     angle_rad: float
-    """Largest difference of a final orientation."""
     attempts: tuple[Attempt, ...]
     same_results: bool
     """Whether every action has the recorded result and finding."""
@@ -298,11 +278,8 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
     begun = state_of(physics)
     for file, arrays in ((PHYSICS, drawn), (BEFORE, begun), (AFTER, begun)):
         _check_shapes(recorded.folder / file, recorded.arrays[file], arrays)
-    limit_time(
-        judge,
-        bundle.most_s,
-        f"{recorded.folder / TEXT}: the recipe, which end_s says takes {bundle.end_s:.4g} s,",
-    )
+    what = f"{recorded.folder / TEXT}: the recipe, which end_s says takes {bundle.end_s:.4g} s,"
+    limit_time(judge, bundle.most_s, what)
     for step in bundle.recipe.steps[:-1]:
         do(judge, step)
     before = state_of(physics)
@@ -322,6 +299,7 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
     if bundle.attempts != attempts:
         differing.append("the attempts")
     position_m, angle_rad = _apart(physics.model, recorded.arrays[AFTER]["qpos"], after["qpos"])
+    was, came = ([(one.result, one.finding) for one in some] for some in (bundle.attempts, attempts))
     now = versions()
     pairs = {package: (bundle.versions.get(package, "unknown"), now[package]) for package in DECISIVE}
     return Replay(
@@ -330,12 +308,8 @@ def replay(recorded: Recorded, watch: Watch = lambda judge: nullcontext()) -> Re
         position_m=position_m,
         angle_rad=angle_rad,
         attempts=attempts,
-        same_results=_results(bundle.attempts) == _results(attempts),
+        same_results=was == came,
     )
-
-
-def _results(attempts: Sequence[Attempt]) -> list[tuple[str, str]]:
-    return [(attempt.result, attempt.finding) for attempt in attempts]
 
 
 def _check_shapes(file: Path, was: Arrays, now: Arrays) -> None:
@@ -344,11 +318,9 @@ def _check_shapes(file: Path, was: Arrays, now: Arrays) -> None:
     for name, array in now.items():
         if name not in was:
             raise InputError(f"{file}: has no array '{name}'")
-        if (was[name].shape, was[name].dtype) != (array.shape, array.dtype):
-            raise InputError(
-                f"{file}: array '{name}' is {was[name].dtype} {was[name].shape}, but the recipe's world "
-                f"has {array.dtype} {array.shape}"
-            )
+        there, wanted = (f"{one.dtype} {one.shape}" for one in (was[name], array))
+        if there != wanted:
+            raise InputError(f"{file}: array '{name}' is {there}, but the recipe's world has {wanted}")
 
 
 def _apart(model: mujoco.MjModel, was: NDArray[np.generic], now: NDArray[np.generic]) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Verdict
 from craftsim.errors import InputError
-from craftsim.experiments.experiment import Experiment, RunOptions, TrialRecord
+from craftsim.experiments.experiment import Experiment, Form, RunOptions, TrialRecord
 from craftsim.experiments.intervals import (
     CONFIDENCE,
     Estimate,
@@ -22,30 +23,49 @@ from craftsim.experiments.intervals import (
     paired_difference,
 )
 from craftsim.experiments.records import Finished, differences, read_finished
+from craftsim.experiments.sections import bounds_text, changes_table, difference_text
 from craftsim.experiments.session import Session
-from craftsim.experiments.statistics import Distribution, attempts_frame, carried_out, errors, trials_frame
+from craftsim.experiments.statistics import (
+    ERRORS,
+    Distribution,
+    attempts_frame,
+    carried_out,
+    errors,
+    trials_frame,
+)
+from craftsim.reports.json_file import document
+from craftsim.reports.report import (
+    Block,
+    DataTable,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    interval,
+    numbers,
+    percent,
+)
 from craftsim.storage.paths import resolved
 
 if TYPE_CHECKING:
-    from pandas import DataFrame, Series
+    from pandas import DataFrame
 
 _SHOWN: Final = 6
-"""Kinds of difference listed in the text."""
+_KS_AT_5_PERCENT: Final = 1.358
+"""Kolmogorov's constant: times the root of (n + m) / (n m) it is the least distance that the test finds at 5 %."""
 
 
 @dataclass(frozen=True)
 class Paired:
-    """Trials that were run under two settings, paired by their keys."""
+    """Trials that were run under two settings, paired by their keys, and how many agree under which setting."""
 
     pairs: int
     unpaired: int
     """Trials of only one of the runs, left out."""
     both: int
-    """Trials that agree under both settings."""
     only_first: int
-    """Trials that agree under the first setting alone."""
     only_second: int
-    """Trials that agree under the second setting alone."""
     neither: int
     first: Proportion
     second: Proportion
@@ -91,34 +111,29 @@ class Alike:
         return self.as_predicted_alike / self.actions if self.actions else 1.0
 
     def __str__(self) -> str:
-        named = {
-            "durations": self.duration_ratio,
-            "errors": self.error_ratio,
-            "peak forces": self.peak_force_ratio,
-        }
-        ratios = [f"{name} {ratio:.3f} times theirs" for name, ratio in named.items() if ratio is not None]
+        named = ("durations", self.duration_ratio), ("errors", self.error_ratio)
+        every = (*named, ("peak forces", self.peak_force_ratio))
+        ratios = [f"{name} {ratio:.3f} times theirs" for name, ratio in every if ratio is not None]
         lines = [
             f"Of {self.actions:,} actions {self.share:.2%} went as predicted in both or in neither, and "
             f"{self.legal.successes:,} of the {self.legal.trials:,} that the rules allow"
             + (f"; at the median {', '.join(ratios)}." if ratios else ".")
         ]
         lines += ["  {actions} {kind}: such as {example}".format(**one) for one in self.differences[:_SHOWN]]
-        left = sum(one["actions"] for one in self.differences[_SHOWN:])
-        return "\n".join([*lines, *([f"  {left} of other kinds"] if left else [])])
+        if left := sum(one["actions"] for one in self.differences[_SHOWN:]):
+            lines.append(f"  {left} of other kinds")
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A run and an earlier one of the same trials under other settings."""
+    """A run and an earlier one of the same trials under other settings; the earlier run is the first."""
 
     against: str
-    """Folder of the earlier run."""
     changed: Mapping[str, tuple[Any, Any]]
     """Settings and versions that differ, by their dotted names: of the earlier run, and of this one."""
     trials: Paired
-    """The earlier run is the first."""
     actions: Alike
-    """The earlier run is the first here, too."""
 
     def __str__(self) -> str:
         return f"Against {self.against}: of {self.trials.words('there', 'here')}\n{self.actions}"
@@ -126,14 +141,12 @@ class Comparison:
 
 @dataclass(frozen=True)
 class RealityGap:
-    """The agreement of a simulation and reality, or of any two runs, on the same trials."""
+    """The agreement of a simulation, the first, and reality, or of any two runs, on the same trials."""
 
     changed: Mapping[str, tuple[Any, Any]]
     """Settings and versions that differ, by dotted name, as far as both declare them."""
     trials: Paired
-    """The simulation is the first."""
     actions: Alike
-    """The simulation is the first here, too."""
     by_verb: Mapping[str, Mapping[str, Any]]
     """Of what the rules allow: the shares of the paired actions as predicted in both or in neither (``agreement``), in
     the simulation (``sim``) and in reality (``real``); and ``duration_ratio``, reality by simulation: the median over
@@ -161,9 +174,7 @@ def read_earlier(experiment: Experiment, out: Path | None, options: RunOptions) 
     folder, seed = options.against, experiment.seed
     if folder is None:
         return None
-    if out is not None and resolved(folder) == resolved(out):
-        raise InputError(f"--against {folder} is the folder of this run; choose another --out")
-    found = read_finished(folder, experiment.command, experiment.form)
+    found = read_other(folder, out, experiment.command, experiment.form)
     if (other := found.manifest.get("seed")) != seed:
         raise InputError(
             f"the run in {folder} has the seed {other}, not {seed}, so that nothing is paired; give --seed {other}"
@@ -175,6 +186,13 @@ def read_earlier(experiment: Experiment, out: Path | None, options: RunOptions) 
             "run both with the same contexts, worlds, plans or policies"
         )
     return found
+
+
+def read_other(folder: Path, out: Path | None, command: str, form: Form) -> Finished:
+    """Return a finished run. Raises InputError without one, and for the folder of this run."""
+    if out is not None and resolved(folder) == resolved(out):
+        raise InputError(f"--against {folder} is the folder of this run; choose another --out")
+    return read_finished(folder, command, form)
 
 
 def compare_runs(
@@ -213,7 +231,7 @@ def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> Realit
 
     Raises InputError for runs without a common trial.
     """
-    trials, attempts = (list(map(of, (sim.records, real.records))) for of in (_trials, _attempts))
+    trials, attempts = ([of(run.records) for run in (sim, real)] for of in (_trials, _attempts))
     shared = set(trials[0].key) & set(trials[1].key)
     if not shared:
         raise InputError(
@@ -234,12 +252,10 @@ def compare_with_reality(sim: Finished, real: Finished, seed: int = 0) -> Realit
 
 
 def _trials(run: Iterable[TrialRecord]) -> DataFrame:
-    """Return the trials without error, with their ``key``."""
     return trials_frame(run).assign(key=_keys(run))
 
 
 def _attempts(run: Iterable[TrialRecord]) -> DataFrame:
-    """Return the attempts, with the ``key`` of their trial."""
     frame = attempts_frame(run)
     texts = dict.fromkeys(("action", "verb", "load", "result"), object)
     return frame.assign(key=_keys(run)[frame.trial.to_numpy()]).astype(texts)
@@ -268,12 +284,9 @@ def _paired(first: DataFrame, second: DataFrame) -> Paired:
 
 
 def _pairs(first: DataFrame, second: DataFrame) -> DataFrame:
-    """Return the paired actions of each trial, up to the first that differs in kind.
-
-    One row each, in the order of the second run: ``key``, the columns of
-    :func:`~craftsim.experiments.statistics.attempts_frame` of both runs with the suffixes ``_a`` and ``_b``, ``good_a``
-    and ``good_b`` for as predicted, and ``alike`` for equal in both.
-    """
+    """Return a row for each paired action, up to the first of its trial that differs in kind: ``key``, the columns of
+    both runs with the suffixes ``_a`` and ``_b``, ``good_a`` and ``good_b`` for as predicted, and whether both are
+    ``alike``."""
     pairs = second.merge(first, on=["key", "number"], suffixes=("_b", "_a"))
     same = (pairs.tick_a == pairs.tick_b) & (pairs.car_a == pairs.car_b) & (pairs.action_a == pairs.action_b)
     pairs = pairs[same.groupby(pairs.key).cummin().astype(bool)]
@@ -284,15 +297,13 @@ def _pairs(first: DataFrame, second: DataFrame) -> DataFrame:
 def _alike(pairs: DataFrame) -> Alike:
     legal, both, apart = pairs[pairs.legal], pairs[pairs.good_a & pairs.good_b], pairs[~pairs.alike]
     kinds = apart.key.groupby([_kind(row) for row in apart.itertuples()])
-    found = [{"kind": str(kind), "actions": len(keys), "example": str(keys.iloc[0])} for kind, keys in kinds]
+    found = [(-len(keys), str(kind), str(keys.iloc[0])) for kind, keys in kinds]
+    names = ("duration_s", "car_error_m", "peak_force_n")
+    durations, errors, forces = (_median(_ratios(both, name)).value for name in names)
     return Alike(
-        len(pairs),
-        int(pairs.alike.sum()),
-        Proportion.of(int(legal.alike.sum()), len(legal)),
-        _middle(both, "duration_s"),
-        _middle(both, "car_error_m"),
-        _middle(both, "peak_force_n"),
-        sorted(found, key=lambda one: (-one["actions"], one["kind"])),
+        *(len(pairs), int(pairs.alike.sum()), Proportion.of(int(legal.alike.sum()), len(legal))),
+        *(durations, errors, forces),
+        [{"kind": kind, "actions": -n, "example": example} for n, kind, example in sorted(found)],
     )
 
 
@@ -303,14 +314,9 @@ def _kind(row: Any) -> str:
     return f"{row.verb_a}{load}{slope}{forbidden}: {row.result_a} there, {row.result_b} here"
 
 
-def _ratios(pairs: DataFrame, name: str) -> Series[float]:
+def _ratios(pairs: DataFrame, name: str) -> list[float]:
     known = pairs[pairs[f"{name}_a"] > 0]
-    return known[f"{name}_b"] / known[f"{name}_a"]
-
-
-def _middle(pairs: DataFrame, name: str) -> float | None:
-    ratios = _ratios(pairs, name)
-    return float(np.median(ratios)) if len(ratios) else None
+    return (known[f"{name}_b"] / known[f"{name}_a"]).tolist()
 
 
 def _agreement(pairs: DataFrame) -> dict[str, Any]:
@@ -318,7 +324,7 @@ def _agreement(pairs: DataFrame) -> dict[str, Any]:
     shares = {"agreement": "alike", "sim": "good_a", "real": "good_b"}
     return {
         **{name: Proportion.of(int(pairs[column].sum()), len(pairs)) for name, column in shares.items()},
-        "duration_ratio": _median(ratios.tolist()),
+        "duration_ratio": _median(ratios),
     }
 
 
@@ -354,12 +360,99 @@ def _plans(sim: DataFrame, real: DataFrame) -> list[dict[str, Any]]:
         for run in (sim, real)
     )
     shares = other.mean()
-    return [
-        {
-            "plan": str(name),
-            "runs": len(found),
-            "sim": float(found.sum()) / len(found),
-            "real": float(shares[name]),
-        }
-        for name, found in one
-    ]
+    rows = [(str(name), len(x), float(x.sum()) / len(x), float(shares[name])) for name, x in one]
+    return [dict(zip(("plan", "runs", "sim", "real"), row, strict=True)) for row in rows]
+
+
+def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
+    """Return the report of how a simulation and reality agree; ``seed`` is the bootstrap's."""
+    badge, tone = ("No significant difference", Tone.CAUTION) if gap.agrees else ("Differs", Tone.BAD)
+    return Report(
+        "Simulation and reality",
+        f"{sim} and {real}",
+        Headline(badge, tone, difference_text(gap.trials, "the simulation", "reality")),
+        [
+            KeyFigure(percent(p.rate), f"agree in {where}", interval(p.wilson_low, p.wilson_high))
+            for where, p in (("the simulation", gap.trials.first), ("reality", gap.trials.second))
+        ],
+        [_outcomes(gap), _verbs(gap), _errors(gap.error_shifts), _plans(gap)],
+        document=document({"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}),
+        exit_code=0 if gap.agrees else 1,
+    )
+
+
+def _outcomes(gap: RealityGap) -> Section:
+    text = f"Of {gap.trials.words('in the simulation', 'in reality')}"
+    table = changes_table(gap.changed, "simulation", "reality")
+    lead = "The same trials in both, paired by their names."
+    return Section("outcomes", "Outcomes", lead, [text, table], True)
+
+
+def _verbs(gap: RealityGap) -> Section:
+    table = DataTable(
+        numbers("action", "pairs", "alike (95 %)", "good: sim", "real", "durations (95 %)"),
+        [
+            (
+                *(verb, one["agreement"].trials, _share(one["agreement"])),
+                *(f"{p.successes}/{p.trials}" for p in (one["sim"], one["real"])),
+                _estimate(one["duration_ratio"]),
+            )
+            for verb, one in gap.by_verb.items()
+        ],
+        "By action",
+        "Alike: as predicted in both or in neither; durations: of reality by the simulation, median.",
+    )
+    return Section("verbs", "By action", "Of what the rules allow.", [table], True)
+
+
+def _errors(shifts: Mapping[str, Mapping[str, Any]]) -> Section:
+    table = DataTable(
+        numbers("error", "sim median", "95th", "real median", "95th", "KS distance", "detectable", "p"),
+        [
+            (
+                ERRORS[name],
+                *(f"{value:.3f}" for d in (one["sim"], one["real"]) for value in (d.median, d.p95)),
+                *(f"{one['distance']:.3f}", f"{_least_distance(one['sim'].n, one['real'].n):.3f}"),
+                f"{one['p_value']:.2g}",
+            )
+            for name, one in shifts.items()
+        ],
+        "Errors",
+        "Of actions as predicted. Detectable: the least distance of Kolmogorov and Smirnov that their test finds at 5 "
+        "% among so many.",
+    )
+    return Section("errors", "Errors", "How errors are distributed in both.", [table], True)
+
+
+def _least_distance(n: int, m: int) -> float:
+    return min(1.0, _KS_AT_5_PERCENT * math.sqrt((n + m) / (n * m)))
+
+
+def _plans(gap: RealityGap) -> Section:
+    table = DataTable(
+        numbers("world: plan or policy", "runs", "success: sim", "real"),
+        [
+            (
+                *(one["plan"], runs := one["runs"]),
+                *(_share(Proportion.of(round(rate * runs), runs)) for rate in (one["sim"], one["real"])),
+            )
+            for one in gap.plans
+        ],
+        "Plans and policies",
+    )
+    ranks = "Ranks: at least three plans are needed."
+    if gap.ranks is not None:
+        ranks = (
+            f"Ranks of {gap.ranks.policies} plans: Pearson {_estimate(gap.ranks.pearson)}, Spearman "
+            f"{_estimate(gap.ranks.spearman)}, mean maximum rank violation {gap.ranks.mmrv:.3f}"
+        )
+    blocks: list[Block] = [*([table] if gap.plans else []), ranks]
+    return Section("plans", "Plans and policies", "Success, and whether both rank alike.", blocks, True)
+
+
+def _share(p: Proportion) -> str:
+    return "-" if p.rate is None else f"{p.rate:.2f} ({p.wilson_low:.2f} to {p.wilson_high:.2f})"
+
+
+def _estimate(one: Estimate) -> str:
+    return "not defined" if one.value is None else f"{one.value:.2f} ({bounds_text(one)})"

@@ -47,7 +47,6 @@ class TrialRecord(TypedDict):
 
     key: str
     index: Annotated[int, Field(ge=0)]
-    """Index of the trial in the run."""
     group: str
     seed: int
     context: str | None
@@ -72,7 +71,6 @@ class Manifest(TypedDict):
     config: dict[str, Any]
     items: Annotated[int, Field(ge=0, le=int(RUNS.high))]
     keys: str
-    """Digest of the trials' keys."""
 
 
 _RECORD: Final = TypeAdapter(TrialRecord)
@@ -105,7 +103,6 @@ class Form:
 
 
 ANY: Final = Form()
-"""Accepts any attempts and results."""
 
 
 def manifest_of(data: bytes, where: str) -> Manifest:
@@ -133,7 +130,6 @@ class Trial:
     """Row of the statistics."""
     seed: int
     job: Any
-    """Picklable argument of the work function."""
     context: str | None = None
     episode: int | None = None
 
@@ -143,9 +139,7 @@ class Result:
     """The result of a trial: JSON values, a deterministic function of the trial."""
 
     agrees: bool
-    """Whether everything was as predicted by the rules."""
     attempts: Sequence[Any] = ()
-    """The attempts: dataclasses or dictionaries."""
     bundle: str | None = None
     """Replay bundle of the first disagreement, relative to the run's folder."""
     extra: dict[str, Any] = field(default_factory=dict)
@@ -184,15 +178,11 @@ class RunOptions:
     """Options of a run on which its results do not depend."""
 
     workers: int = 1
-    """Number of processes."""
     engine: Engine = "local"
-    """Local processes, or actors of an existing Ray cluster."""
     resume: bool = False
-    """Continue the run in the folder; trials with an error are repeated."""
     against: Path | None = None
     """Folder of the baseline run for a paired comparison."""
     progress: Progress = lambda total: nullcontext(lambda record: None)
-    """Progress display."""
 
 
 def make_record(item: Trial, index: int, answer: Answer) -> TrialRecord:

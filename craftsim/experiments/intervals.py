@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 
 _Samples: TypeAlias = NDArray[np.float64]
 CONFIDENCE: Final = 0.95
-"""Confidence of all intervals."""
 _QUANTILE: Final = 1.959963984540054
 """``scipy.stats.norm.ppf(0.975)``, half an interval in standard deviations: scipy.stats takes a second to import."""
 RESAMPLES: Final = 9999
 MIN_POLICIES: Final = 3
-"""Fewest policies for a correlation."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +26,6 @@ class Proportion:
     successes: int
     trials: int
     rate: float | None
-    """None without trials."""
     wilson_low: float
     wilson_high: float
 
@@ -157,12 +154,8 @@ _POWER_QUANTILE: Final = 0.8416212335729143
 def paired_difference(only_first: int, only_second: int, pairs: int) -> Estimate:
     """Return the difference of the success rates of two paired samples, second minus first.
 
-    The interval is Agresti and Min's (2005): Wald's, with half a pair added to each of the four cells.
-
-    Args:
-        only_first: number of pairs in which only the first succeeds.
-        only_second: number of pairs in which only the second succeeds.
-        pairs: number of pairs.
+    The interval is Agresti and Min's (2005): Wald's, with half a pair added to each of the four cells. The arguments
+    are numbers of pairs: in which only the first succeeds, only the second, and all.
     """
     if not pairs:
         return Estimate(None, None, None)
@@ -172,10 +165,5 @@ def paired_difference(only_first: int, only_second: int, pairs: int) -> Estimate
 
 
 def least_detectable(low: float, high: float) -> float:
-    """Return the least detectable difference: a test at 5 % finds it with probability :data:`POWER`.
-
-    Args:
-        low: lower bound of a difference's 95 % interval.
-        high: upper bound.
-    """
+    """Return the least difference that a test at 5 % detects with probability :data:`POWER`, given a 95 % interval."""
     return (_QUANTILE + _POWER_QUANTILE) / _QUANTILE * (high - low) / 2

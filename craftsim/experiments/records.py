@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, overload
+from typing import Any, Final
 
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import ANY, Form, Manifest, TrialRecord, manifest_of
@@ -31,7 +31,6 @@ _TABLES: Final = (
     "CREATE TABLE further (stage TEXT, key TEXT, answer TEXT NOT NULL, PRIMARY KEY (stage, key))",
 )
 _PAGE: Final = 64
-"""Records read in one query."""
 
 
 class Records(Sequence[TrialRecord]):
@@ -42,54 +41,29 @@ class Records(Sequence[TrialRecord]):
 
     def __init__(self, database: sqlite3.Connection, where: Path, length: int) -> None:
         """Read from the open database of a run."""
-        self._databases, self._where, self._length = [database], where, length
-        self._bundles: Mapping[int, str] = {}
-
-    def with_bundles(self, bundles: Mapping[int, str]) -> Records:
-        """Return these records with the folders of bundles added, by index."""
-        made = Records(self._databases[0], self._where, self._length)
-        made._databases, made._bundles = self._databases, {**self._bundles, **bundles}
-        return made
-
-    def read_from(self, database: sqlite3.Connection) -> None:
-        """Read from another database from now on, also for records derived from these."""
-        self._databases[0] = database
+        self.database, self._where, self._length = database, where, length
 
     def __len__(self) -> int:
         return self._length
 
-    @overload
-    def __getitem__(self, index: int) -> TrialRecord: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> list[TrialRecord]: ...
-
-    def __getitem__(self, index: int | slice) -> TrialRecord | list[TrialRecord]:
+    def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(self._length))]
+            return [self[i] for i in range(self._length)[index]]
         place = range(self._length)[index]
-        return next(self._some(place, place + 1))
+        return self._some(place, place + 1)[0]
 
     def __iter__(self) -> Iterator[TrialRecord]:
         for first in range(0, self._length, _PAGE):
             yield from self._some(first, min(first + _PAGE, self._length))
 
-    def of(self, numbers: Iterable[int]) -> Iterator[TrialRecord]:
-        """Yield the records of some trials."""
-        return map(self.__getitem__, numbers)
-
-    def _some(self, first: int, end: int) -> Iterator[TrialRecord]:
+    def _some(self, first: int, end: int) -> list[TrialRecord]:
         try:
-            found = texts(self._databases[0], first, end)
+            found = texts(self.database, first, end)
         except sqlite3.Error:
             found = []
         if len(found) != end - first:
             raise InputError(f"{self._where}: was changed while it was in use")
-        for number, text in found:
-            record: TrialRecord = json.loads(text)
-            if number in self._bundles:
-                record["bundle"] = self._bundles[number]
-            yield record
+        return [json.loads(text) for _, text in found]
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Sequence):
@@ -104,14 +78,14 @@ class Records(Sequence[TrialRecord]):
 
 
 @dataclass(frozen=True)
-class Selected:
-    """A re-iterable filter of records, without keeping them in memory."""
+class RecordView:
+    """Records filtered or changed by a function at each iteration, without keeping them in memory."""
 
     records: Iterable[TrialRecord]
-    wanted: Callable[[TrialRecord], bool]
+    view: Callable[[Iterable[TrialRecord]], Iterator[TrialRecord]]
 
     def __iter__(self) -> Iterator[TrialRecord]:
-        return filter(self.wanted, self.records)
+        return self.view(self.records)
 
 
 @dataclass(frozen=True)
@@ -120,7 +94,6 @@ class Finished:
 
     folder: Path
     manifest: Mapping[str, Any]
-    """Command, seed, versions, config."""
     records: Records
 
 
@@ -130,31 +103,11 @@ def read_finished(folder: Path, command: str, form: Form = ANY) -> Finished:
     Raises:
         InputError: the folder holds no run, an unfinished run, one of another command, or invalid records.
     """
-    with described(folder, f"give the --out of an earlier 'craftsim {command}'") as (database, manifest):
-        if manifest["command"] != command:
-            raise InputError(
-                f"{folder} holds a run of {reprlib.repr('craftsim ' + manifest['command'])}; "
-                f"give the --out of an earlier 'craftsim {command}'"
-            )
-        n = manifest["items"]
-        finish = f"finish it with 'craftsim {command} --resume --out {folder}' and the options that it was begun with"
-        if exists(folder / LOG):
-            raise InputError(f"{folder} holds a run that goes on, or was cut off; {finish}")
-        if exists(folder / DATABASE):
-            found = sum(1 for _ in checked(database, folder / DATABASE, n, form, "choose another folder"))
-        else:
-            found = _take_lines(database, folder / TRIALS, n, form)
-        if found < n:
-            raise InputError(f"{folder} holds an unfinished run ({found} of {n} trials); {finish}")
-    return Finished(folder, manifest, Records(database, folder / DATABASE, n))
+    return read_any(folder, {command: form}, f"give the --out of an earlier 'craftsim {command}'")
 
 
-@contextmanager
-def described(folder: Path, remedy: str) -> Iterator[tuple[sqlite3.Connection, Manifest]]:
-    """Open the database in a folder for reading; yield it with its manifest.
-
-    Raises InputError, with the remedy, for a folder without a valid run.
-    """
+def read_any(folder: Path, forms: Mapping[str, Form], remedy: str) -> Finished:
+    """Return the finished run of one of several commands; ``remedy`` ends messages, otherwise as read_finished."""
     path = folder / DATABASE
     with disk_errors(folder):
         if exists(path):
@@ -162,11 +115,24 @@ def described(folder: Path, remedy: str) -> Iterator[tuple[sqlite3.Connection, M
             database = as_it_is(path)
             if not has_tables(database, path):
                 raise InputError(f"{path}: holds no run; {remedy}")
-            yield database, stored_manifest(database, path)
-            return
-        if not exists(folder / OLD):
+            manifest = stored_manifest(database, path)
+        elif exists(folder / OLD):
+            database, manifest = with_tables(connected("")), old_manifest(folder)
+        else:
             raise InputError(f"{folder} holds no run; {remedy}")
-        yield with_tables(connected("")), old_manifest(folder)
+        command, n = manifest["command"], manifest["items"]
+        if command not in forms:
+            raise InputError(f"{folder} holds a run of {reprlib.repr(f'craftsim {command}')}; {remedy}")
+        finish = f"finish it with 'craftsim {command} --resume --out {folder}' and the options that it was begun with"
+        if exists(folder / LOG):
+            raise InputError(f"{folder} holds a run that goes on, or was cut off; {finish}")
+        if exists(path):
+            found = sum(1 for _ in checked(database, path, n, forms[command], "choose another folder"))
+        else:
+            found = _take_lines(database, folder / TRIALS, n, forms[command])
+        if found < n:
+            raise InputError(f"{folder} holds an unfinished run ({found} of {n} trials); {finish}")
+    return Finished(folder, manifest, Records(database, path, n))
 
 
 def old_manifest(folder: Path) -> Manifest:
@@ -175,10 +141,16 @@ def old_manifest(folder: Path) -> Manifest:
 
 
 def _manifest(data: bytes, path: Path) -> Manifest:
-    try:
+    with _with_remedy("choose another folder"):
         return manifest_of(data, f"{path}: not a run's manifest")
+
+
+@contextmanager
+def _with_remedy(remedy: str) -> Iterator[None]:
+    try:
+        yield
     except InputError as error:
-        raise InputError(f"{error}; choose another folder") from None
+        raise InputError(f"{error}; {remedy}") from None
 
 
 def _take_lines(database: sqlite3.Connection, path: Path, n: int, form: Form) -> int:
@@ -213,13 +185,11 @@ def checked(
 
 
 def _checked(form: Form, data: bytes, where: str, n: int, remedy: str) -> TrialRecord:
-    try:
+    with _with_remedy(remedy):
         record = form.record(data, f"{where}: not a trial's record")
-    except InputError as error:
-        raise InputError(f"{error}; {remedy}") from None
-    if record["index"] >= n:
-        raise InputError(f"{where}: index: {record['index']}, but the run has {n} trials; {remedy}")
-    return record
+        if record["index"] >= n:
+            raise InputError(f"{where}: index: {record['index']}, but the run has {n} trials")
+        return record
 
 
 def differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[Any, Any]]]:

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from craftsim.checking.attempt import capped_text
+from craftsim.checking.attempt import Verdict, capped_text
 from craftsim.experiments import statistics
-from craftsim.experiments.compare import Comparison, Paired
 from craftsim.experiments.intervals import CONFIDENCE, Estimate, Proportion, least_detectable
 from craftsim.reports import plots
 from craftsim.reports.json_file import plain, versions
@@ -33,6 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
+    from craftsim.experiments.compare import Comparison, Paired
+
 RESULTS: Final = (
     Column("trials", "number"),
     Column("as predicted", "number", "the predicted effect and no other"),
@@ -42,13 +43,8 @@ RESULTS: Final = (
     Column("numerics", "number", "the solver did not converge: inconclusive"),
 )
 """The columns of :func:`result_cells`."""
-_TONES: Final = {
-    "as_predicted": Tone.GOOD,
-    "failed": Tone.CAUTION,
-    "side_effect": Tone.CAUTION,
-    "unsafe": Tone.BAD,
-    "numerics": Tone.MUTED,
-}
+TONES: Final = dict(zip(Verdict, (Tone.GOOD, Tone.CAUTION, Tone.CAUTION, Tone.BAD, Tone.MUTED), strict=True))
+"""By verdict."""
 _MARKERS: Final = "os^DvPX*"
 _QUANTILES: Final = np.linspace(0, 1, 201)
 _MOST_ERRORS: Final = 20
@@ -57,8 +53,8 @@ _MOST_ERRORS: Final = 20
 def result_cells(row: Any) -> list[Value]:
     """Return the number of trials and of each result, zeros muted."""
     cells: list[Value] = [row.trials]
-    for name, tone in _TONES.items():
-        number = getattr(row, name)
+    for verdict, tone in TONES.items():
+        number = getattr(row, verdict.replace(" ", "_"))
         cells.append(Cell(f"{number:,}", tone if number else Tone.MUTED))
     return cells
 
@@ -80,11 +76,8 @@ def legality_table(matrix: Mapping[str, statistics.MatrixRow]) -> DataTable:
 
 def success_drawing(by_verb: Mapping[str, statistics.MatrixRow]) -> Drawing:
     """Return a drawing of the success of each verb with its interval."""
-    rows = {
-        verb: (row.success.successes / row.trials, row.success.wilson_low, row.success.wilson_high)
-        for verb, row in by_verb.items()
-        if row.trials
-    }
+    shares = {verb: row.success for verb, row in by_verb.items() if row.trials}
+    rows = {verb: (p.rate or 0.0, p.wilson_low, p.wilson_high) for verb, p in shares.items()}
 
     def draw(axes: Axes) -> None:
         plots.interval_rows(axes, rows)
@@ -92,20 +85,19 @@ def success_drawing(by_verb: Mapping[str, statistics.MatrixRow]) -> Drawing:
         axes.set_xlim(math.floor(10 * low) / 10 - 0.02, 1.02)
         axes.xaxis.set_major_formatter(plots.percent_ticks)
 
-    caption = "Share of legal actions as predicted, with 95 % interval."
-    return Drawing.of_axes(
-        draw, plots.rows_height_in(len(rows)), caption, "success by action, with intervals"
+    caption, label = (
+        "Share of legal actions as predicted, with 95 % interval.",
+        "success by action, with intervals",
     )
+    return Drawing.of_axes(draw, plots.rows_height_in(len(rows)), caption, label)
 
 
 def error_tables(errors: Mapping[str, int]) -> list[Block]:
     """Return a table of the errors of unfinished trials; empty without any."""
     if not errors:
         return []
-    more = len(errors) - _MOST_ERRORS
-    note = "They count in no other metric." + (
-        f" {more} more kinds of error are in trials.jsonl." if more > 0 else ""
-    )
+    note, more = "They count in no other metric.", len(errors) - _MOST_ERRORS
+    note += f" {more} more kinds of error are in trials.jsonl." if more > 0 else ""
     rows = list(errors.items())[:_MOST_ERRORS]
     return [DataTable(numbers("error", "trials"), rows, "Unfinished trials", note)]
 
@@ -161,11 +153,8 @@ def duration_blocks(table: Sequence[Mapping[str, Any]]) -> list[Block]:
     """Return the durations of each kind of action, as a drawing and a table."""
     named = {}
     for row in table:
-        load, ground = (
-            "" if row["load"] == "none" else f" with {row['load']}",
-            "slope" if row["slope"] else "flat",
-        )
-        named[f"{row['verb']}{load}, {ground}, level {row['level']}"] = row
+        load = "" if row["load"] == "none" else f" with {row['load']}"
+        named[f"{row['verb']}{load}, {'slope' if row['slope'] else 'flat'}, level {row['level']}"] = row
     rows = {name: (row["median_s"], row["p05_s"], row["p95_s"]) for name, row in named.items()}
 
     def draw(axes: Axes) -> None:
@@ -219,28 +208,18 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
     scores = figures.policies
     if not scores:
         return []
-    table = DataTable(
-        numbers("policy", "episodes", "grid world", "95 % interval", "physics", "95 % interval"),
-        [
-            (
-                *(one["policy"], n := one["episodes"]),
-                *share_cells(Proportion.of(round(one["grid"] * n), n)),
-                *share_cells(Proportion.of(round(one["physics"] * n), n)),
-            )
-            for one in scores
-        ],
-        "Success",
-    )
+    rows = []
+    for one in scores:
+        n = one["episodes"]
+        shares = (Proportion.of(round(one[world] * n), n) for world in ("grid", "physics"))
+        rows.append((one["policy"], n, *(cell for share in shares for cell in share_cells(share))))
+    heads = ("episodes", "grid world", "95 % interval", "physics", "95 % interval")
+    table = DataTable(numbers("policy", *heads), rows, "Success")
 
     def draw(axes: Axes) -> None:
         axes.plot((0, 1), (0, 1), color=plots.GRID, lw=1.2, zorder=1)
-        look: dict[str, Any] = {
-            "color": plots.ACCENT,
-            "ms": 8,
-            "mec": plots.PAPER,
-            "clip_on": False,
-            "zorder": 3,
-        }
+        look: dict[str, Any] = {"color": plots.ACCENT, "ms": 8, "mec": plots.PAPER}
+        look |= {"clip_on": False, "zorder": 3}
         for one, marker in zip(scores, cycle(_MARKERS)):
             axes.plot(one["grid"], one["physics"], marker, label=plots.short(one["policy"]), **look)
         axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), handletextpad=0.1)
@@ -252,27 +231,23 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
     caption = "Success of each policy in both worlds; on the line they agree."
     label = "success of policies in the grid world and in physics"
     blocks: list[Block] = [Drawing.of_axes(draw, 3.4, caption, label), table]
-    agreement = figures.rank_agreement
-    if agreement is not None:
-        blocks.append(
-            DataTable(
-                numbers("figure", "value", "95 % interval"),
-                [
-                    ("Pearson correlation", *estimate_cells(agreement.pearson)),
-                    ("Spearman correlation", *estimate_cells(agreement.spearman)),
-                    ("mean maximum rank violation", f"{agreement.mmrv:.3f}", None),
-                ],
-                f"Agreement over {agreement.policies} policies",
-                "Intervals by bootstrap over policies. A rank violation is the difference in physics of two policies "
-                "that the two worlds rank differently.",
-            )
+    if (agreement := figures.rank_agreement) is not None:
+        found: list[tuple[Value, ...]] = [
+            ("Pearson correlation", *_estimate_cells(agreement.pearson)),
+            ("Spearman correlation", *_estimate_cells(agreement.spearman)),
+            ("mean maximum rank violation", f"{agreement.mmrv:.3f}", None),
+        ]
+        note = (
+            "Intervals by bootstrap over policies. A rank violation is the difference in physics of two policies that "
+            "the two worlds rank differently."
         )
+        title = f"Agreement over {agreement.policies} policies"
+        blocks.append(DataTable(numbers("figure", "value", "95 % interval"), found, title, note))
     lead = "Does a policy that does better in the grid world also do better in physics?"
     return [Section("policies", "Policies in both worlds", lead, blocks)]
 
 
-def estimate_cells(one: Estimate) -> tuple[Value, Value]:
-    """Return an estimate as two cells: its value and its interval."""
+def _estimate_cells(one: Estimate) -> tuple[Value, Value]:
     if one.value is None:
         return "not defined", None
     return f"{one.value:.3f}", bounds_text(one, 3)
@@ -331,10 +306,7 @@ def changes_table(changed: Mapping[str, tuple[Any, Any]], first: str, second: st
     """Return a table of the settings that differ between two runs."""
     return DataTable(
         (Column("setting", "path"), Column(first, "path"), Column(second, "path")),
-        [
-            (name, *("none" if value is None else str(value) for value in values))
-            for name, values in changed.items()
-        ],
+        [(name, *("none" if x is None else str(x) for x in values)) for name, values in changed.items()],
         "What differs",
         folded=True,
     )
@@ -359,21 +331,12 @@ def run_notes(capped_steps: int, retried: int) -> list[str]:
 
 
 def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Section:
-    """Return a section with thresholds, configuration and versions of a run by dotted name.
-
-    Args:
-        command: the command line that repeats it.
-        seed: its seed.
-        config: its configuration, with the ``setup`` of the physics.
-    """
+    """Return a section with thresholds, configuration (with the ``setup`` of the physics) and versions."""
     setup = config["setup"]
     brief = {key: value for key, value in config.items() if key != "setup"}
     run = {"command": command, "seed": seed, **brief, "gains": setup.gains, "machines": setup.machines}
-    described = {
-        ("Thresholds", "threshold"): setup.thresholds,
-        ("Run", "setting"): run,
-        ("Versions", "package"): versions(),
-    }
+    described = {("Thresholds", "threshold"): setup.thresholds, ("Run", "setting"): run}
+    described[("Versions", "package")] = versions()
     return Section(
         "provenance",
         "Thresholds and provenance",
@@ -388,12 +351,11 @@ def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Se
 
 def flat(value: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield the leaves of nested mappings with dotted names."""
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        value = dict(enumerate(value))
     if isinstance(value, Mapping) and value:
         for key, item in value.items():
             yield from flat(item, f"{prefix}.{key}" if prefix else str(key))
-    elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-        for number, item in enumerate(value):
-            yield from flat(item, f"{prefix}.{number}")
     elif isinstance(value, list):
         yield prefix, ", ".join("none" if item is None else str(item) for item in value) or "none"
     else:

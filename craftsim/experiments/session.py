@@ -20,9 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
-from types import FrameType
 from typing import Any, Final
 
 from craftsim.errors import InputError
@@ -72,25 +70,19 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
     if out is None:
         yield Session(experiment, None, options, manifest, store.with_tables(store.connected(""), manifest))
         return
-    with owned(out):
+    with owned(out), contextlib.ExitStack() as closing:
         with store.disk_errors(out):
-            database = _begun(experiment, out, options.resume, manifest)
-            try:
-                session = Session(experiment, out, options, manifest, database)
-            except BaseException:
-                database.close()
-                raise
+            database = closing.enter_context(
+                contextlib.closing(_begun(experiment, out, options.resume, manifest))
+            )
+            session = Session(experiment, out, options, manifest, database)
+            closing.callback(session.close)
         try:
             with _terminable():
                 yield session
-        except BaseException as error:
-            state = session.state
-            session.close()
-            if isinstance(error, KeyboardInterrupt):
-                text = f"interrupted: {state}; the same command with --resume goes on"
-                raise KeyboardInterrupt(text) from None
-            raise
-        session.close()
+        except KeyboardInterrupt:
+            text = f"interrupted: {session.state}; the same command with --resume goes on"
+            raise KeyboardInterrupt(text) from None
 
 
 def run_experiment(experiment: Experiment, out: Path, options: RunOptions = ALONE) -> store.Records:
@@ -140,12 +132,11 @@ class Session:
 
         Raises InputError if the disk is full or the cluster is invalid.
         """
-        items = self.experiment.items
-        with self.options.progress(len(items)) as on_record:
-            for record in self.records.of(number for number, done in enumerate(self._done) if done):
-                on_record(record)
-            missing = ((n, item) for n, item in enumerate(items) if not self._done[n])
-            for record in self._try(missing):
+        with self.options.progress(len(self._done)) as on_record:
+            for number, done in enumerate(self._done):
+                if done:
+                    on_record(self.records[number])
+            for record in self._try(range(len(self._done)), self.experiment.items):
                 on_record(record)
         return self.records
 
@@ -160,21 +151,23 @@ class Session:
             if self._done[number]:
                 on_record(self.records[number])
         items = {number: replace(self.experiment.items[number], job=job) for number, job in jobs.items()}
-        for record in self._try((n, item) for n, item in items.items() if not self._done[n]):
+        for record in self._try(jobs, items):
             if record["error"] is not None:
                 raise InputError(f"{record['key']}: {record['error']}; --resume tries it again")
             on_record(record)
         return [self.records[number] for number in jobs]
 
-    def _try(self, items: Iterable[tuple[int, Trial]]) -> Iterator[TrialRecord]:
-        experiment, number = self.experiment, None
-        for number, answer in self._answers(items, experiment.work, experiment.timeout_s, experiment.batch):
+    def _try(self, numbers: Iterable[int], items: Any) -> Iterator[TrialRecord]:
+        """Run the trials of these numbers that have no result; ``items`` are trials by number."""
+        experiment, missing = self.experiment, [number for number in numbers if not self._done[number]]
+        work, limits = experiment.work, (experiment.timeout_s, experiment.batch)
+        for number, answer in self._answers(missing, items, work, *limits):
             text = text_of(experiment.items[number], number, answer)
             self._keep("INSERT INTO trials VALUES (?, ?)", number, text)
             self._done[number] = True
             self._append(text)
             yield json.loads(text)
-        if number is not None and self.out is not None and all(self._done):
+        if missing and self.out is not None and all(self._done):
             self._export()
 
     def map(
@@ -189,16 +182,10 @@ class Session:
     ) -> list[Answer]:
         """Run a further stage, such as bundles or films, and return the answers; finished items are not repeated.
 
-        Args:
-            stage: name of the stage, in which the items' keys are unique. None if the output on disk tells which items
-                are done, and only the others are given.
-            items: the items.
-            work: function from an item's job to its result, as in :meth:`run`.
-            doing: description for messages.
-            timeout_s: time limit after which an item's worker is killed; its answer is a failure.
-            on_answer: called with the index and answer of each item as it finishes.
-
-        Raises InputError if the disk is full or the cluster is invalid.
+        The items' keys are unique in a ``stage``; it is None if the output on disk tells which items are done, and only
+        the others are given. ``doing`` describes it in messages; a worker is killed after ``timeout_s``. ``on_answer``
+        is called with the index and answer of each item as it finishes. Raises InputError if the disk is full or the
+        cluster is invalid.
         """
         self._doing, answers = doing, dict[int, Answer]()
         query = "SELECT answer FROM further WHERE stage = ? AND key = ?"
@@ -206,8 +193,8 @@ class Session:
             for (text,) in self._database.execute(query, (stage, item.key)).fetchall():
                 answers[number] = Result(**json.loads(text))
                 on_answer(number, answers[number])
-        missing = [(number, item) for number, item in enumerate(items) if number not in answers]
-        for number, answer in self._answers(missing, work, timeout_s, 1):
+        missing = [number for number in range(len(items)) if number not in answers]
+        for number, answer in self._answers(missing, items, work, timeout_s, 1):
             if stage is not None and isinstance(answer, Result):
                 text = json.dumps(asdict(answer))
                 self._keep("INSERT OR REPLACE INTO further VALUES (?, ?, ?)", stage, items[number].key, text)
@@ -237,7 +224,7 @@ class Session:
         # On a full disk what is in the log stays there for the next one to open it.
         with contextlib.suppress(sqlite3.Error):
             self._database.execute("PRAGMA journal_mode = DELETE").fetchall()
-            self.records.read_from(store.as_it_is(self.out / store.DATABASE))
+            self.records.database = store.as_it_is(self.out / store.DATABASE)
         self._database.close()
 
     def _keep(self, statement: str, *values: object) -> None:
@@ -270,30 +257,22 @@ class Session:
                 file.writelines(f"{text}\n" for _, text in store.texts(self._database, start, start + _PAGE))
 
     def _answers(
-        self, items: Iterable[tuple[int, Trial]], work: Work, timeout_s: float, batch: int
+        self, numbers: Sequence[int], items: Any, work: Work, timeout_s: float, batch: int
     ) -> Iterator[tuple[int, Answer]]:
-        """Yield the answers to numbered items; no worker is started if there are none."""
-        rest = iter(items)
-        for first in rest:
-            numbered = chain([first], rest)
-            if self.out is None:
-                yield from ((n, answer_of(work, item.job, interruptible=True)) for n, item in numbered)
-                return
-            jobs = ((number, item.job) for number, item in numbered)
+        """Yield the answers to the items of these numbers; no worker is started if there are none."""
+        jobs = ((number, items[number].job) for number in numbers)
+        if self.out is None:
+            yield from ((number, answer_of(work, job, interruptible=True)) for number, job in jobs)
+        elif numbers:
+            if self._pool is None:
+                self._pool = Pool(self.options.workers, self.options.engine)
             work_on = partial(_answer, work)
-            for (number, _), answer in self.pool.map_unordered(work_on, jobs, timeout_s, batch):
+            for (number, _), answer in self._pool.map_unordered(work_on, jobs, timeout_s, batch):
                 if isinstance(answer, Failure) and answer.stops:
                     raise InputError(
                         f"{answer.text}; what was finished is kept in {self.out}: make room, then --resume"
                     )
                 yield number, answer
-
-    @property
-    def pool(self) -> Pool:
-        """The workers of the run, kept from one stage to the next."""
-        if self._pool is None:
-            self._pool = Pool(self.options.workers, self.options.engine)
-        return self._pool
 
 
 def _answer(work: Work, numbered: tuple[int, Any]) -> Answer:
@@ -301,10 +280,7 @@ def _answer(work: Work, numbered: tuple[int, Any]) -> Answer:
 
 
 def _manifest(experiment: Experiment) -> dict[str, Any]:
-    """Return the manifest of an experiment."""
-    keys = hashlib.sha256()
-    for number, item in enumerate(experiment.items):
-        keys.update(("\n" * (number > 0) + item.key).encode("utf-8", "backslashreplace"))
+    keys = "\n".join(item.key for item in experiment.items).encode("utf-8", "backslashreplace")
     found = {
         "schema_version": SCHEMA_VERSION,
         "command": experiment.command,
@@ -312,7 +288,7 @@ def _manifest(experiment: Experiment) -> dict[str, Any]:
         "versions": versions(),
         "config": experiment.config,
         "items": len(experiment.items),
-        "keys": keys.hexdigest(),
+        "keys": hashlib.sha256(keys).hexdigest(),
     }
     loaded: dict[str, Any] = json.loads(json.dumps(plain(found)))
     return loaded
@@ -324,18 +300,22 @@ def _begun(
     """Return the locked database of a folder: a new one, or that of the run to resume."""
     _check_places(out)
     path = out / store.DATABASE
-    if path.exists():
-        with contextlib.ExitStack() as opened:
+    with contextlib.ExitStack() as opened:
+        goes_on = False
+        if path.exists():
             database = opened.enter_context(contextlib.closing(_locked(path)))
-            if _goes_on(database, out, manifest, resume):
+            if goes_on := _goes_on(database, out, manifest, resume):
                 _check_kept(database, path, experiment)
                 opened.pop_all()
-                return _safe(database)
-    # The database last, without which what is left would be a stranger's. It is a file of its own: who still reads
-    # the records of the run before can read on.
-    for name in (*_FILES, *_FOLDERS, store.TRIALS, *_ASIDE, store.DATABASE):
-        remove(out / name)
-    return store.with_tables(_safe(_locked(path)), manifest)
+    if not goes_on:
+        # The database last, without which what is left would be a stranger's. It is a file of its own: who still reads
+        # the records of the run before can read on.
+        for name in (*_FILES, *_FOLDERS, store.TRIALS, *_ASIDE, store.DATABASE):
+            remove(out / name)
+        database = _locked(path)
+    for mode in ("journal_mode = WAL", "synchronous = FULL"):
+        database.execute(f"PRAGMA {mode}").fetchall()
+    return database if goes_on else store.with_tables(database, manifest)
 
 
 def _goes_on(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any], resume: bool) -> bool:
@@ -363,13 +343,6 @@ def _locked(path: Path) -> sqlite3.Connection:
     """Return a database with an exclusive lock, taken by the first read."""
     database = store.connected(path.absolute().as_uri())
     database.execute("PRAGMA locking_mode = EXCLUSIVE").fetchall()
-    return database
-
-
-def _safe(database: sqlite3.Connection) -> sqlite3.Connection:
-    """Make writes durable, and return the database."""
-    for mode in ("journal_mode = WAL", "synchronous = FULL"):
-        database.execute(f"PRAGMA {mode}").fetchall()
     return database
 
 
@@ -417,15 +390,12 @@ def _check_places(out: Path) -> None:
 @contextmanager
 def _terminable() -> Iterator[None]:
     """Treat SIGTERM as Ctrl-C within the block."""
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
     # Python lets only the main thread handle signals.
-    main = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGTERM, interrupt) if main else None
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
     finally:
-        if main:
-            signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, before)

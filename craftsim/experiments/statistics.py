@@ -45,7 +45,6 @@ _TEXTS: Final = ("action", "verb", "load", "result", "finding")
 _NUMBERS: Final = ("tick", "car", "level", "duration_s", "peak_force_n", *ERRORS)
 _FLAGS: Final = ("slope", "legal", "performed")
 _ROWS: Final = 10_000
-"""Rows buffered before they are converted to columns."""
 
 
 def carried_out(records: Iterable[TrialRecord]) -> Iterator[TrialRecord]:
@@ -132,7 +131,6 @@ class MatrixRow:
     unsafe: int
     numerics: int
     success: Proportion
-    """Share as predicted."""
 
     @classmethod
     def of(cls, attempts: DataFrame) -> MatrixRow:
@@ -211,7 +209,6 @@ def as_predicted(attempts: DataFrame) -> DataFrame:
 
 
 _KIND: Final = ["verb", "load", "level", "slope"]
-"""What has a duration of its own."""
 _DURATIONS: Final = [*_KIND, "n", "mean_s", "p05_s", "median_s", "p95_s", "max_s"]
 
 
@@ -240,13 +237,10 @@ def write_durations(out: Path, table: Sequence[Mapping[str, Any]]) -> Path:
 def survival(actions: NDArray[np.int64], ended: NDArray[np.bool_]) -> dict[str, Any]:
     """Return the Kaplan-Meier curve of some runs with its pointwise 95 % band (exponential Greenwood).
 
-    It holds the numbers of ``runs`` and of those that ``ended``; the numbers of ``actions`` at which the curve steps or
-    runs are censored; and for each the ``share`` of runs that survive so many, with its bounds ``low`` and ``high``:
-    None at shares of 0 and 1, where the formula has no band.
-
-    Args:
-        actions: (n,) number of actions of each run.
-        ended: (n,) whether the run ended with its last action; otherwise it is censored.
+    ``actions`` (n,) counts those of each run, and ``ended`` (n,) says whether it ended with its last one; otherwise it
+    is censored. The curve has the numbers of ``runs`` and of those that ``ended``, the numbers of ``actions`` at which
+    it steps or runs are censored, and for each the ``share`` of runs that survive so many, with its bounds ``low`` and
+    ``high``: None at shares of 0 and 1, where the formula has no band.
     """
     found = {"runs": len(actions), "ended": int(ended.sum())}
     if not ended.any():
@@ -293,11 +287,8 @@ def policy_scores(trials: DataFrame) -> list[dict[str, Any]]:
     They are groups of trials with a known success in both worlds, by name.
     """
     known = trials[trials.grid.notna() & trials.physics.notna()].groupby("group", observed=True)
-    return [
-        {"policy": str(policy), "grid": float(one.grid.mean()), "physics": float(one.physics.mean())}
-        | {"episodes": len(one)}
-        for policy, one in known
-    ]
+    rows = ((str(name), float(x.grid.mean()), float(x.physics.mean()), len(x)) for name, x in known)
+    return [dict(zip(("policy", "grid", "physics", "episodes"), row, strict=True)) for row in rows]
 
 
 @dataclass(frozen=True)
@@ -310,17 +301,14 @@ class Figures:
     capped_steps: int
     """Physics steps in which the solver did not converge, over all attempts."""
     retried: int
-    """Actions with more than one try."""
     all: dict[str, Proportion]
     """``runs``: share of the trials without error in which every attempt agrees; ``actions``: share of the legal
     attempts that are as predicted."""
     by_group: dict[str, dict[str, Proportion]]
     """The same for the trials of each plan, policy or context."""
     by_verb: dict[str, MatrixRow]
-    """Legal attempts alone."""
     matrix: dict[str, MatrixRow]
     precision: dict[str, Distribution | None]
-    """Of legal attempts."""
     drift: dict[str, Distribution | None]
     durations: list[dict[str, Any]]
     survival: dict[str, dict[str, Any]]

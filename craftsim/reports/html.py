@@ -15,7 +15,7 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from craftsim.reports.report import Block, Case, Cell, Drawing, Report, Value, text_of
+from craftsim.reports.report import Case, Cell, Drawing, Report, text_of
 from craftsim.storage.folders import output_directory
 from craftsim.storage.writing import write_whole
 
@@ -31,18 +31,11 @@ _TEMPLATES: Final = Path(__file__).with_name("template")
 
 
 def write_html(out: Path, report: Report) -> Path:
-    """Write a report as ``report.html`` into the directory ``out`` and return its path.
+    """Write a report as ``report.html`` atomically into the directory ``out``, created if missing, and return its path.
 
-    The file is written atomically. Styles, drawings and films are embedded; films that exceed :data:`BUDGET_BYTES` are
-    linked by relative paths. Equal reports with equal films give equal files. All text is escaped, and a content
-    security policy prevents scripts and requests.
-
-    Args:
-        out: directory, created if missing; it contains the files of the report's cases.
-        report: the report.
-
-    Raises:
-        InputError: the directory cannot be written to.
+    Styles, drawings and films are embedded; films that exceed :data:`BUDGET_BYTES` are linked by relative paths. Equal
+    reports with equal films give equal files. All text is escaped, and a content security policy prevents scripts and
+    requests. Raises InputError if the directory cannot be written to.
     """
     path = output_directory(out) / FILE_NAME
     template = _environment().get_template("report.html.j2")
@@ -84,36 +77,20 @@ class _Files:
 
 @cache
 def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("craftsim.reports", "template"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    loader = PackageLoader("craftsim.reports", "template")
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    environment.trim_blocks = environment.lstrip_blocks = True
     environment.filters.update(
-        breakable=_breakable,
-        cell=_cell,
+        # Line breaks are allowed after slashes.
+        breakable=lambda text: escape(text).replace("/", "/" + Markup("<wbr>")),
+        cell=lambda value: value if isinstance(value, Cell) else Cell(text_of(value)),
         css_percent=lambda share: f"{100 * share:.2f}%",
-        kind=_kind,
+        kind=lambda block: type(block).__name__,
         shell=lambda words: shlex.join(map(str, words)),
         svg=_svg,
     )
     environment.globals.update(max_cases=MAX_CASES)
     return environment
-
-
-def _kind(block: Block) -> str:
-    return type(block).__name__
-
-
-def _cell(value: Value) -> Cell:
-    return value if isinstance(value, Cell) else Cell(text_of(value))
-
-
-def _breakable(text: str) -> Markup:
-    """Return escaped text with line breaks allowed after slashes."""
-    return escape(text).replace("/", "/" + Markup("<wbr>"))
 
 
 def _svg(drawing: Drawing) -> Markup:

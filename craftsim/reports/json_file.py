@@ -47,16 +47,9 @@ def document(
 ) -> dict[str, Any]:
     """Return the content of ``report.json``.
 
-    Everything outside ``wall`` is the same for two runs of the same command with the same seed and configuration on the
-    same machine.
-
-    Args:
-        figures: results, which may contain dataclasses, enums (written as their names), paths and NumPy values;
-            a number that is not finite is written as null.
-        command: name of the command.
-        seed: random seed, if any.
-        config: everything else that determines the results.
-        wall: durations and rates by the clock, which are never reproducible.
+    Everything outside ``wall``, the durations and rates by the clock, is the same for two runs of the same command with
+    the same seed and configuration on the same machine. ``figures`` may contain dataclasses, enums (written as their
+    names), paths and NumPy values; a number that is not finite is written as null.
     """
     return {
         "schema_version": SCHEMA_VERSION,
@@ -77,9 +70,7 @@ def write_report(out: Path, figures: Mapping[str, Any], **about: Any) -> Path:
 def write_json(out: Path, document: Mapping[str, Any]) -> Path:
     """Write ``report.json`` atomically into the directory ``out``, created if missing, and return its path.
 
-    Raises:
-        InputError: the directory is not writable, or in use.
-        TypeError: a value cannot be written as JSON.
+    Raises InputError if the directory is not writable or in use, and TypeError for a value that JSON cannot hold.
     """
     text = json.dumps(plain(document), indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False) + "\n"
     with owned(out):

@@ -16,7 +16,6 @@ INK, SOFT, GRID, PAPER, GOOD, CAUTION, BAD, ACCENT, MUTED = (f"#{3 * f'0{n}'}" f
 ROW_IN: Final = 0.27
 """Height of a row of :func:`interval_rows` and :func:`stacked_rows`."""
 HEAD_IN: Final = 0.75
-"""Height of the rest of such a drawing."""
 _LONGEST_NAME: Final = 36
 
 

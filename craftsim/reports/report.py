@@ -55,7 +55,6 @@ class Cell:
     share: tuple[float, float, float] | None = None
     """A share with the bounds of its interval, drawn as a bar."""
     link: str = ""
-    """A linked file, relative to the report's folder."""
     tip: str = ""
 
 
@@ -71,9 +70,7 @@ class Column:
     kind: Literal["text", "number", "path", "wide"] = "text"
     """Numbers are aligned to the right; paths may be broken after slashes; wide columns hold sentences."""
     tip: str = ""
-    """Explanation of the name."""
     terminal: bool = True
-    """Whether it is shown on the terminal."""
 
 
 def numbers(first: str, *names: str) -> tuple[Column, ...]:
@@ -90,11 +87,9 @@ class DataTable:
     title: str = ""
     note: str = ""
     folded: bool = False
-    """Whether it is collapsed on the page."""
     tall: bool = False
     """Whether it may be long, and is scrollable on the page."""
     most: int = 40
-    """Maximum number of rows on the terminal, 0 for a table of the page alone."""
 
     @property
     def stacks(self) -> bool:
@@ -119,7 +114,6 @@ class Drawing:
     """Text alternative for screen readers."""
     width_in: float = 6.6
     wide: bool = False
-    """Whether it takes the whole width of the page."""
     style: Mapping[str, Any] = field(default_factory=dict)
     """Additional settings of matplotlib."""
 
@@ -153,7 +147,6 @@ class Cases:
     unfilmed: int | None = None
     """Number of cases shown on the page even without a film, if a table lists all; None for all."""
     most: int = 1
-    """Number of cases on the terminal."""
 
 
 @dataclass(frozen=True)
@@ -180,9 +173,7 @@ class Section:
     lead: str
     blocks: Sequence[Block]
     terminal: bool = False
-    """Whether it is shown on the terminal."""
     page: bool = True
-    """Whether it is shown on the page."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +186,6 @@ class Report:
     key_figures: Sequence[KeyFigure] = ()
     sections: Sequence[Section] = ()
     notes: Sequence[str] = ()
-    """Remarks."""
     files: Mapping[str, str | Path] = field(default_factory=dict)
     """Other files that were written, by description."""
     document: Mapping[str, Any] | None = None

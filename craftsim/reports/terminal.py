@@ -16,9 +16,7 @@ from craftsim.reports.text import escape
 
 _STYLES: Final = {Tone.GOOD: "green", Tone.CAUTION: "yellow", Tone.BAD: "red", Tone.MUTED: "dim"}
 _ONE_LINE: Final = 14
-"""Longest text that is not wrapped."""
 _NARROWEST: Final = 9
-"""Minimum width of a wrapped column."""
 
 
 class Terminal(Console):
@@ -68,25 +66,22 @@ def print_report(
 
 def print_table(console: Terminal, table: DataTable) -> None:
     """Print a table; long texts are wrapped on a narrow terminal."""
-    if not table.rows or not table.most:
+    rows = table.rows[: table.most]
+    if not rows:
         return
-    shown = [number for number, column in enumerate(table.columns) if column.terminal]
     if table.title:
         console.print(cell(f"\n{table.title}"), style="bold")
     grid = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="italic")
-    for number in shown:
-        column = table.columns[number]
-        width = max(len(text_of(row[number])) for row in table.rows[: table.most])
-        one_line = width <= _ONE_LINE or column.kind == "number"
-        grid.add_column(
-            cell(column.name),
-            justify="right" if column.kind == "number" else "left",
-            no_wrap=one_line,
-            overflow="fold",
-            min_width=width if one_line else min(width, _NARROWEST),
-        )
-    for row in table.rows[: table.most]:
-        grid.add_row(*(_styled(row[number]) for number in shown))
+    for number, column in enumerate(table.columns):
+        if column.terminal:
+            width = max(len(text_of(row[number])) for row in rows)
+            justify: Any = "right" if column.kind == "number" else "left"
+            one_line = width <= _ONE_LINE or column.kind == "number"
+            least = width if one_line else min(width, _NARROWEST)
+            how = {"justify": justify, "no_wrap": one_line, "overflow": "fold", "min_width": least}
+            grid.add_column(cell(column.name), **how)
+    for row in rows:
+        grid.add_row(*(_styled(v) for v, column in zip(row, table.columns, strict=False) if column.terminal))
     console.print(grid)
     if more := len(table.rows[table.most :]):
         console.print_safe(f"and {more:,} more in the report", "dim")

@@ -33,19 +33,13 @@ _OWNED: Final = set[tuple[int, tuple[int, int] | None]]()
 
 
 def output_directory(out: Path) -> Path:
-    """Create a directory for results, with parents, and return it.
-
-    Raises:
-        InputError: it cannot be created, or is not writable.
-    """
+    """Create a directory for results, with parents, and return it. Raises InputError if it is not writable."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-    except FileExistsError as error:
-        raise InputError(
-            f"cannot make the output directory {out}: it is a file; choose another one"
-        ) from error
     except (OSError, ValueError) as error:
         reason = (isinstance(error, OSError) and error.strerror) or error
+        if isinstance(error, FileExistsError):
+            reason = "it is a file; choose another one"
         raise InputError(f"cannot make the output directory {out}: {reason}") from error
     if not os.access(out, os.W_OK | os.X_OK):
         raise InputError(f"cannot write into the output directory {out}")
@@ -83,17 +77,14 @@ def remove(path: Path) -> None:
 def owned(out: Path) -> Iterator[Path]:
     """Make an output folder and lock it against other processes and threads until the block ends; re-entrant.
 
-    The lock is that of the operating system on an empty file in the folder, released when the process ends. A folder
-    that was made for the block and is empty afterwards is removed.
-
-    Raises:
-        InputError: it is in use, or cannot be made, written to or locked.
+    The lock is that of the operating system on an empty file in the folder. A folder that was made for the block and is
+    empty afterwards is removed. Raises InputError if it is in use, or cannot be made, written to or locked.
     """
     thread = threading.get_ident()
     if (thread, _identity(out)) in _OWNED:
         yield out
         return
-    made = _missing(out)
+    made = [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]  # innermost first
     number = _lock(out)
     key = thread, _identity(out)
     _OWNED.add(key)
@@ -132,11 +123,6 @@ def _identity(out: Path) -> tuple[int, int] | None:
     except (OSError, ValueError):  # the latter for a name that can be none
         return None
     return there.st_dev, there.st_ino
-
-
-def _missing(out: Path) -> list[Path]:
-    """Return the missing directories of a path, innermost first."""
-    return [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]
 
 
 def _lock(out: Path) -> int:

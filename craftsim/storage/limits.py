@@ -114,13 +114,9 @@ ALL: Final = tuple(one for one in list(vars().values()) if isinstance(one, Limit
 """The limits of all formats."""
 
 
-def _short(value: float) -> str:
-    return text if len(text := str(value)) <= 40 else f"{text[:37]}..."
-
-
-def _plain_number(value: float) -> str:
-    """Return a number without ".0", so that equal ranges have equal texts."""
-    return f"{value:.12g}" if isinstance(value, float) else str(value)
+def shorten(text: str, most: int) -> str:
+    """Return a text, a long one without its end."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 @dataclass(frozen=True)
@@ -155,11 +151,11 @@ class Range:
     def check(self, name: str, value: float) -> None:
         """Raise InputError, beginning with ``name``, for a value outside."""
         if value not in self:
-            raise InputError(f"{name} is {_short(value)}; allowed: {self}")
+            raise InputError(f"{name} is {shorten(str(value), 40)}; allowed: {self}")
 
     def out(self, value: float) -> str:
         """Return the message for a value outside."""
-        return f"{_short(value)} is out of range, allowed: {self}"
+        return f"{shorten(str(value), 40)} is out of range, allowed: {self}"
 
     @property
     def words(self) -> str:
@@ -174,32 +170,24 @@ class Range:
             >>> str(Range(0, 1_000_000)), str(Range(0.01, 3600)), str(Range(0, 3, above=True)), str(Range(0))
             ('0 to 1000000', '0.01 to 3600', 'above 0 and at most 3', 'at least 0')
         """
+        # Without ".0", so that equal ranges have equal texts.
+        low, high = (f"{end:.12g}" if isinstance(end, float) else str(end) for end in (self.low, self.high))
         if not (self.above or self.below or math.inf in (-self.low, self.high)):
-            return f"{_plain_number(self.low)} to {_plain_number(self.high)}"
-        ends = (
-            [f"{'above' if self.above else 'at least'} {_plain_number(self.low)}"]
-            if self.low > -math.inf
-            else []
-        )
-        ends += (
-            [f"{'below' if self.below else 'at most'} {_plain_number(self.high)}"]
-            if self.high < math.inf
-            else []
-        )
+            return f"{low} to {high}"
+        ends = [f"{'above' if self.above else 'at least'} {low}"] if self.low > -math.inf else []
+        ends += [f"{'below' if self.below else 'at most'} {high}"] if self.high < math.inf else []
         return " and ".join(ends)
 
 
 def ranges_of(record: Any) -> dict[str, Range]:
     """Return the ranges of the fields of a record, or the arguments of a function, by name."""
+
+    def found(annotation: Any) -> Range | None:
+        inner = get_args(annotation)
+        return annotation if isinstance(annotation, Range) else next(filter(None, map(found, inner)), None)
+
     hints = get_type_hints(record, include_extras=True)
-    return {name: found for name, hint in hints.items() if (found := _range(hint)) is not None}
-
-
-def _range(annotation: Any) -> Range | None:
-    """Return the range within an annotation, such as ``Annotated[int, SEED] | None``."""
-    if isinstance(annotation, Range):
-        return annotation
-    return next(filter(None, map(_range, get_args(annotation))), None)
+    return {name: one for name, hint in hints.items() if (one := found(hint)) is not None}
 
 
 SEED: Final = Range(0, 2**63 - 1)

@@ -24,7 +24,6 @@ from craftsim.storage.limits import Limits, size_text
 Arrays = dict[str, NDArray[np.generic]]
 
 MAX_AXES: Final = 6
-"""Maximum number of axes of an array."""
 _HEADER_BYTES: Final = 4096
 _KINDS: Final = "biuf"
 """Allowed dtype kinds of arrays: booleans and numbers."""
@@ -34,11 +33,6 @@ ARCHIVE_ERRORS: Final = (
     *(ValueError, EOFError, KeyError, RuntimeError, NotImplementedError, OverflowError),
 )
 """Errors that zipfile and NumPy raise for invalid archives."""
-_END_BYTES: Final = 22
-"""Size of the end record of a zip file without a comment."""
-_LARGE_BYTES: Final = 20 + 56
-"""Size of the Zip64 records before it, which torch always writes."""
-_TAIL_BYTES: Final = _LARGE_BYTES + _END_BYTES + (1 << 16)
 _DIRECTORY_BYTES: Final = 512
 """Size of an entry in the directory of an archive."""
 
@@ -146,25 +140,13 @@ def open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
     Reading from it may raise ARCHIVE_ERRORS.
     """
     with open_file(path, limits) as file:
-        if _directory_bytes(file) > limits.members * _DIRECTORY_BYTES:
+        # The module's own reader of the end record, since the constructor reads the directory as a whole.
+        end: list[Any] | None = zipfile._EndRecData(file)  # type: ignore[attr-defined]
+        if end is not None and end[zipfile._ECD_SIZE] > limits.members * _DIRECTORY_BYTES:  # type: ignore[attr-defined]
             raise InputError(f"{path}: too many files inside; allowed: at most {limits.members}")
         with zipfile.ZipFile(file) as archive:
             check_archive(path, archive, limits)
             yield archive
-
-
-def _directory_bytes(file: IO[bytes]) -> int:
-    """Return the length of the directory of a zip file, which zipfile reads as a whole."""
-    file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL_BYTES))
-    tail = file.read(_TAIL_BYTES)
-    end = len(tail) - _END_BYTES
-    if not (tail[max(end, 0) :].startswith(b"PK\5\6") and tail.endswith(b"\0\0")):
-        end = tail.rfind(b"PK\5\6")
-    if end < 0 or len(tail) - end < _END_BYTES:
-        return 0
-    if end >= _LARGE_BYTES and tail[end - 20 :].startswith(b"PK\6\7"):
-        return int.from_bytes(tail[end - _LARGE_BYTES + 40 : end - _LARGE_BYTES + 48], "little")
-    return int.from_bytes(tail[end + 12 : end + 16], "little")
 
 
 def check_archive(path: Path, archive: zipfile.ZipFile, limits: Limits) -> None:

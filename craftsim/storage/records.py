@@ -32,7 +32,7 @@ from pydantic import ConfigDict, FailFast, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from craftsim.errors import InputError, suggestion
-from craftsim.storage.limits import JSON_VALUES, Limits, Range
+from craftsim.storage.limits import JSON_VALUES, Limits, Range, shorten
 from craftsim.storage.reading import read_bytes
 
 T = TypeVar("T")
@@ -47,13 +47,10 @@ Listed = Annotated[tuple[T, ...], FailFast()]
 STRICT: Final = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 """No conversion from text to numbers, finite numbers only, no unknown keys."""
 MOST_REPORTED: Final = 5
-"""Mistakes reported together."""
 _DESCRIBED: Final = 50_000
 """Limit of mistakes, to bound memory: with more none is listed."""
 _QUOTED: Final = 40
-"""Longest quotation from a file in a message."""
 _COMPARED: Final = 100
-"""Unknown keys compared with a missing one."""
 _UNKNOWN: Final = ("unexpected_keyword_argument", "extra_forbidden")
 """pydantic's names of the error for an unknown key."""
 _NOUNS: Final = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
@@ -152,8 +149,7 @@ def _dotted(loc: Loc) -> str:
 
 def _cut(text: str) -> str:
     """Return a shortened and escaped text for messages."""
-    shown = text if text.isprintable() else repr(text)[1:-1]
-    return shown if len(shown) <= _QUOTED else f"{shown[: _QUOTED - 3]}..."
+    return shorten(text if text.isprintable() else repr(text)[1:-1], _QUOTED)
 
 
 def described(value: object) -> str:
@@ -240,9 +236,8 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
         return f"{name(loc)}: must be a mapping{keys and ' with keys '}{keys}, not {described(value)}"
     if type_ in ("too_short", "too_long", "string_too_short", "string_too_long"):
         what = "characters" if type_.startswith("string") else "entries"
-        most = "max_length" if type_.endswith("long") else "min_length"
-        text = f"at {'most' if most == 'max_length' else 'least'} {error['ctx'][most]}"
-        return f"{name(loc)}: has {len(value)} {what}, allowed: {text}"
+        end, key = ("most", "max_length") if type_.endswith("long") else ("least", "min_length")
+        return f"{name(loc)}: has {len(value)} {what}, allowed: at {end} {error['ctx'][key]}"
     if type_ == "is_instance_of":
         return f"{name(loc)}: must be an instance of {error['ctx']['class']}, not {described(value)}"
     if wanted in _NOUNS:
@@ -255,12 +250,8 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
 
 def _range_of(bound: Mapping[str, Any]) -> Range:
     """Return the range of one of pydantic's bounds."""
-    low, high = (
-        next((bound[end] for end in ends if end in bound), None) for ends in (("ge", "gt"), ("le", "lt"))
-    )
-    return Range(
-        -math.inf if low is None else low, math.inf if high is None else high, "gt" in bound, "lt" in bound
-    )
+    low, high = bound.get("ge", bound.get("gt", -math.inf)), bound.get("le", bound.get("lt", math.inf))
+    return Range(low, high, "gt" in bound, "lt" in bound)
 
 
 def _keys(kind: Any, required: bool = False) -> list[str]:
@@ -277,12 +268,11 @@ def _keys(kind: Any, required: bool = False) -> list[str]:
 
 
 def _type_at(kind: Any, loc: Loc) -> Any:
-    """Return the type of the value at a path in a type; None if it is not unique."""
     return _type_and_range(kind, loc)[0]
 
 
 def _type_and_range(kind: Any, loc: Loc) -> tuple[Any, Range | None]:
-    """Return the same, with the range of a number."""
+    """Return the type of the value at a path in a type (None if it is not unique), and the range of a number."""
     allowed = None
     for part in (None, *loc):
         if part is not None:

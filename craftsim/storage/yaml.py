@@ -1,9 +1,7 @@
 """Reading of untrusted YAML files: bounded in size and time, validated by type, each mistake with its line.
 
-The parser's events are checked before anything is built. Anchors, aliases and tags are refused. The keys of several
-documents in a file are merged.
-
-A format is a record (:mod:`craftsim.storage.records`): ``read_document(path).to(Format)``.
+The parser's events are checked before anything is built; anchors, aliases and tags are refused, and the keys of several
+documents in a file merged. A format is a record: ``read_document(path).to(Format)``.
 """
 
 from __future__ import annotations
@@ -40,11 +38,9 @@ class Document:
     path: Path
     """The file, for messages."""
     plain: dict[str, Any] = field(default_factory=dict)
-    """Lists, mappings, numbers, texts and None."""
     lines: dict[Loc, int] = field(default_factory=dict)
     """Line of each key and list item, by path."""
     error: type[InputError] = InputError
-    """Class of the errors raised for mistakes."""
     instead: Any = None
     """The content if it is not a mapping."""
 
@@ -79,9 +75,8 @@ class Document:
             value: T = adapter(cast(Hashable, kind)).validate_json(data, context=context)
         except ValidationError as error:
             # A missing key has no line.
-            found = list(
-                mistakes(kind, error, line_of=lambda loc: self.lines.get(loc, self.lines.get(loc[:-1], 0)))
-            )
+            lines = self.lines
+            found = list(mistakes(kind, error, line_of=lambda loc: lines.get(loc, lines.get(loc[:-1], 0))))
             # Mistakes in this file before those in values that were taken from another one.
             self.refuse(one for one in found if not one[0] or one[0] in self.lines)
             self.refuse(found)
@@ -94,10 +89,8 @@ class Document:
 def _over(nominal: Mapping[str, Any], plain: Mapping[str, Any]) -> dict[str, Any]:
     merged = dict(nominal)
     for key, value in plain.items():
-        inner = merged.get(key)
-        merged[key] = (
-            _over(inner, value) if isinstance(value, Mapping) and isinstance(inner, Mapping) else value
-        )
+        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        merged[key] = _over(merged[key], value) if both else value
     return merged
 
 
@@ -150,12 +143,19 @@ def _guard(document: Document, text: str) -> None:
 
 def _value(document: Document, node: Any, loc: Loc) -> Any:
     """Return the Python value of a node, and record the lines of its parts."""
+    text = node.value
     if isinstance(node, yaml.MappingNode):
         return _merge(document, {}, node, loc)
     if isinstance(node, yaml.SequenceNode):
-        document.lines.update({(*loc, i): _line(item) for i, item in enumerate(node.value)})
-        return [_value(document, item, (*loc, i)) for i, item in enumerate(node.value)]
-    return _scalar(node)
+        document.lines.update({(*loc, i): _line(item) for i, item in enumerate(text)})
+        return [_value(document, item, (*loc, i)) for i, item in enumerate(text)]
+    if node.style not in (None, ""):  # It is quoted.
+        return text
+    if text in ("", "~", "null"):
+        return None
+    if _INTEGER.fullmatch(text):
+        return int(text)
+    return float(text) if _FLOAT.fullmatch(text) else text
 
 
 def _merge(document: Document, mapping: dict[str, Any], node: yaml.MappingNode, loc: Loc) -> dict[str, Any]:
@@ -165,9 +165,8 @@ def _merge(document: Document, mapping: dict[str, Any], node: yaml.MappingNode, 
         if not isinstance(key, yaml.ScalarNode):
             document.fail_in(line, f"a key must be a word, not {described(_value(document, key, loc))}")
         if key.value in mapping:
-            document.fail_in(
-                line, f"{key_words((key.value,))}: given twice, first in line {document.lines[at]}"
-            )
+            first = document.lines[at]
+            document.fail_in(line, f"{key_words((key.value,))}: given twice, first in line {first}")
         document.lines[at] = line
         mapping[key.value] = _value(document, value, at)
     return mapping
@@ -176,17 +175,6 @@ def _merge(document: Document, mapping: dict[str, Any], node: yaml.MappingNode, 
 def _line(part: yaml.Node | yaml.Event) -> int:
     mark = part.start_mark
     return 1 if mark is None else int(mark.line) + 1
-
-
-def _scalar(node: yaml.ScalarNode) -> float | str | None:
-    text: str = node.value
-    if node.style not in (None, ""):  # It is quoted.
-        return text
-    if text in ("", "~", "null"):
-        return None
-    if _INTEGER.fullmatch(text):
-        return int(text)
-    return float(text) if _FLOAT.fullmatch(text) else text
 
 
 def dump(plain: Mapping[str, Any], indent: str = "") -> str:

@@ -25,7 +25,7 @@ from craftsim.experiments.bundle import write_bundles
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.intervals import wilson
-from craftsim.experiments.records import Selected
+from craftsim.experiments.records import RecordView
 from craftsim.experiments.session import Session, open_session
 from craftsim.experiments.statistics import (
     RESULTS,
@@ -142,7 +142,7 @@ DISAGREEMENTS: Final = (RuleVerdict.UNSOUND, RuleVerdict.CONSERVATIVE)
 
 @dataclass(frozen=True)
 class AuditRow:
-    """All trials of one action in one context."""
+    """All trials of one action in one context, with the 95 % interval of the share as predicted."""
 
     action: str
     context: str
@@ -156,13 +156,10 @@ class AuditRow:
     unsafe: int
     wilson_low: float
     wilson_high: float
-    """95 % interval of the share as predicted."""
     verdict: str
-    """A :class:`RuleVerdict`."""
     reason: str
     """The most frequent reason why trials were not as predicted, with its count if there are others."""
     bundles: tuple[str, ...]
-    """Folders that replay disagreements."""
     numerics: int = 0
     """Trials in which the solver did not converge; they do not count for the rule."""
     errors: int = 0
@@ -254,35 +251,30 @@ def find(rows: Sequence[AuditRow], at_once: Sequence[AuditRow]) -> list[dict[str
             [r for r in some if r.trials and any(fnmatchcase(r.name, p) for p in suspect["rows"])]
             for some in (rows, at_once)
         )
-        counts = verdict_counts(mine)
-        gravest = next((verdict for verdict, n in counts.items() if n), None)
-        clearest = sorted((r for r in mine if r.verdict == gravest), key=_clarity)[:1]
-        evidence = [f"{row.name}: {row.evidence}" for row in clearest]
+        counts = {verdict: n for verdict, n in verdict_counts(mine).items() if n}
+        gravest = [row for row in mine if row.verdict == next(iter(counts))]
+        # Rows that disagree in most trials first.
+        gravest.sort(key=lambda r: (r.as_predicted if r.legal else r.trials - r.as_predicted, r.name))
+        evidence = [f"{row.name}: {row.evidence}" for row in gravest[:1]]
         evidence += [f"begun all at once, {row.name}: {row.evidence}" for row in together]
-        verdict = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n) or "not tried"
         found.append(
             {
                 "number": number,
                 "question": suspect["question"],
                 "rows": len(mine),
                 "trials": sum(row.trials for row in mine),
-                "verdict": verdict,
+                "verdict": ", ".join(f"{n} {verdict}" for verdict, n in counts.items()) or "not tried",
                 "evidence": "; ".join(evidence),
             }
         )
     return found
 
 
-def _clarity(row: AuditRow) -> tuple[int, str]:
-    """Sort key: rows that disagree in most trials first."""
-    return row.as_predicted if row.legal else row.trials - row.as_predicted, row.name
-
-
 @dataclass(frozen=True)
 class Audit:
     """The result of an audit."""
 
-    records: Sequence[TrialRecord]
+    records: Iterable[TrialRecord]
     rows: tuple[AuditRow, ...]
     """Rows of actions in sequence, or concurrent by the schedule; not those begun all at once."""
     suspects: Sequence[Mapping[str, Any]]
@@ -290,7 +282,6 @@ class Audit:
     config: dict[str, Any]
     seed: int
     corrections: Mapping[str, Sequence[str]]
-    """The corrections of the rules that concern each unsound row, by its name."""
     comparison: Comparison | None
     smallest: tuple[Counterexample, ...] = ()
     """The first failure of each kind in its smallest world, with the option ``minimize``."""
@@ -303,7 +294,7 @@ class Audit:
 
 def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
     """Return the records without those of actions begun all at once, of which the rules say nothing."""
-    return Selected(records, lambda record: not record["group"].endswith(_AT_ONCE))
+    return RecordView(records, lambda some: (one for one in some if not one["group"].endswith(_AT_ONCE)))
 
 
 def corrected(
@@ -328,24 +319,18 @@ def run_audit(
 ) -> Audit:
     """Try the rows of a plan in physics, and write report.json, durations.csv and replay bundles into a folder.
 
-    Args:
-        plan: the rows.
-        setup: configuration of the physics; its rules are audited.
-        trials: least number of trials of each row; each of its situations is tried at least once.
-        seed: random seed of places, physics and noise.
-        out: the folder.
-        asked: the options that chose the rows, for the report.
-        options: how the experiment is run.
-        batch: trials sent to a worker together; the default suits rows of many trials.
-        minimize: progress of the minimization of the first failure of each kind; None for no minimization.
+    Each row has at least ``trials`` trials, and each of its situations one. ``asked`` are the options that chose the
+    rows, for the report; ``batch`` trials are sent to a worker together; ``minimize`` is the progress of a
+    minimization, if any.
     """
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     items = trials_of(plan, trials, seed, setup)
     experiment = Experiment("audit", seed, config, items, try_it, TRIALS, TIMEOUT_S, batch)
     earlier = read_earlier(experiment, out, options)
     with open_session(experiment, out, options) as session:
-        records = session.run()
-        records = records.with_bundles(_bundle_disagreements(session, records))
+        tried = session.run()
+        bundles = _bundle_disagreements(session, tried)
+        records = RecordView(tried, lambda some: (_with_bundle(one, bundles) for one in some))
         smallest = () if minimize is None else minimize_failures(session, records, minimize)
         every = audit_rows(records)
         together = tuple(row for row in every if row.context.endswith(_AT_ONCE))
@@ -378,6 +363,10 @@ def run_audit(
         )
         write_durations(out, figures.durations)
     return Audit(records, rows, suspects, figures, config, seed, corrects, comparison, smallest)
+
+
+def _with_bundle(record: TrialRecord, bundles: Mapping[int, str]) -> TrialRecord:
+    return {**record, "bundle": bundles.get(record["index"], record["bundle"])}
 
 
 def _bundle_disagreements(session: Session, records: Sequence[TrialRecord]) -> dict[int, str]:

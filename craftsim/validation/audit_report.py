@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.experiments import sections as shared
@@ -44,25 +46,21 @@ if TYPE_CHECKING:
 
 MOST_STRIKING: Final = 6
 """Unsound rows shown before all others, of as many actions as there are."""
+_UNSOUND, _CONSERVATIVE, _SOUND, _RIGHT, _NO_PREDICTION, _NOT_TRIED = RuleVerdict
 _TONES: Final = {
-    RuleVerdict.UNSOUND: Tone.BAD,
-    RuleVerdict.CONSERVATIVE: Tone.CAUTION,
-    RuleVerdict.SOUND: Tone.GOOD,
-    RuleVerdict.RIGHTLY_FORBIDDEN: Tone.PLAIN,
-    RuleVerdict.NO_PREDICTION: Tone.MUTED,
-    RuleVerdict.NOT_TRIED: Tone.CAUTION,
+    _UNSOUND: Tone.BAD,
+    _CONSERVATIVE: Tone.CAUTION,
+    _SOUND: Tone.GOOD,
+    _RIGHT: Tone.PLAIN,
+    _NO_PREDICTION: Tone.MUTED,
+    _NOT_TRIED: Tone.CAUTION,
 }
-_COLOURS: Final = {
-    RuleVerdict.SOUND: GOOD,
-    RuleVerdict.UNSOUND: BAD,
-    RuleVerdict.CONSERVATIVE: CAUTION,
-    RuleVerdict.RIGHTLY_FORBIDDEN: MUTED,
-}
+_COLOURS: Final = {_SOUND: GOOD, _UNSOUND: BAD, _CONSERVATIVE: CAUTION, _RIGHT: MUTED}
 _OTHERS: Final = {
-    RuleVerdict.SOUND: "The rules allow these, and they work.",
-    RuleVerdict.RIGHTLY_FORBIDDEN: "The rules forbid these, and they do not work.",
-    RuleVerdict.NO_PREDICTION: "The rules forbid these, and nothing is intended that could be tried.",
-    RuleVerdict.NOT_TRIED: "Errors kept all trials of these from an end.",
+    _SOUND: "The rules allow these, and they work.",
+    _RIGHT: "The rules forbid these, and they do not work.",
+    _NO_PREDICTION: "The rules forbid these, and nothing is intended that could be tried.",
+    _NOT_TRIED: "Errors kept all trials of these from an end.",
 }
 """What is listed last, and what it means."""
 _INTERVAL: Final = Column(f"{100 * CONFIDENCE:.0f} % interval", tip="of the share that did as predicted")
@@ -72,9 +70,7 @@ def audit_report(audit: Audit, command: str) -> Report:
     """Return the report of an audit; ``command`` is how it can be run again."""
     rows, figures = audit.rows, audit.figures
     found = verdict_counts(rows)
-    unsound, conservative = (
-        _striking_first(rows, j) for j in (RuleVerdict.UNSOUND, RuleVerdict.CONSERVATIVE)
-    )
+    unsound, conservative = (_striking_first(rows, verdict) for verdict in (_UNSOUND, _CONSERVATIVE))
     first = {row.action: row for row in reversed(unsound)}
     one_each = [row for row in unsound if first[row.action] is row]
     flags = audit.rows_by_flag | {"no flag": sum(not flags for flags in audit.corrections.values())}
@@ -92,15 +88,8 @@ def audit_report(audit: Audit, command: str) -> Report:
         _matrix(rows, figures),
         *shared.paired_sections(audit.comparison),
         *smallest_section(audit.smallest),
-        *_groups(
-            rows, RuleVerdict.UNSOUND, "The rules allow these, and physics refuses.", unsound, *striking_first
-        ),
-        *_groups(
-            rows,
-            RuleVerdict.CONSERVATIVE,
-            "The rules forbid these, and they would have worked.",
-            conservative,
-        ),
+        *_groups(rows, "The rules allow these, and physics refuses.", unsound, *striking_first),
+        *_groups(rows, "The rules forbid these, and they would have worked.", conservative),
         Section(
             "others",
             "All other rows",
@@ -130,12 +119,7 @@ def audit_report(audit: Audit, command: str) -> Report:
         *shared.run_notes(statistics.capped_steps(audit.records), statistics.retried(audit.records)),
         *shared.comparison_notes(audit.comparison),
     ]
-    decided = (
-        RuleVerdict.UNSOUND,
-        RuleVerdict.SOUND,
-        RuleVerdict.CONSERVATIVE,
-        RuleVerdict.RIGHTLY_FORBIDDEN,
-    )
+    decided = (_UNSOUND, _SOUND, _CONSERVATIVE, _RIGHT)
     least = min((row.trials for row in rows if row.trials), default=0)
     return Report(
         "Audit of the rules",
@@ -147,19 +131,18 @@ def audit_report(audit: Audit, command: str) -> Report:
         ],
         sections,
         notes,
-        exit_code=int(bool(found[RuleVerdict.UNSOUND] or statistics.error_counts(audit.records))),
+        exit_code=int(bool(found[_UNSOUND] or statistics.error_counts(audit.records))),
     )
 
 
 def _headline(audit: Audit) -> Headline:
     found, errors = verdict_counts(audit.rows), sum(statistics.error_counts(audit.records).values())
-    unsound, conservative = found[RuleVerdict.UNSOUND], found[RuleVerdict.CONSERVATIVE]
-    allowed = unsound + found[RuleVerdict.SOUND]
+    unsound, conservative = found[_UNSOUND], found[_CONSERVATIVE]
+    allowed = unsound + found[_SOUND]
     few = sum(row.provisional for row in audit.rows)
     sentence = (
         f"{audit.config['rules']}: {unsound:,} of {count(allowed, 'row')} that the rules allow are unsound; "
-        f"{conservative:,} that they forbid would have worked, {found[RuleVerdict.RIGHTLY_FORBIDDEN]:,} are rightly "
-        "forbidden."
+        f"{conservative:,} that they forbid would have worked, {found[_RIGHT]:,} are rightly forbidden."
     )
     sentence += f" {count(errors, 'trial')} did not finish." if errors else ""
     if few:
@@ -167,7 +150,7 @@ def _headline(audit: Audit) -> Headline:
         sentence += f" {few:,} {are} judged by fewer than {MIN_TRIALS} trials: provisional."
     if unsound:
         return Headline("Unsound", Tone.BAD, sentence)
-    if not allowed or found[RuleVerdict.NOT_TRIED]:
+    if not allowed or found[_NOT_TRIED]:
         return Headline("Not decided", Tone.CAUTION, sentence)
     return Headline("Sound", Tone.GOOD, sentence)
 
@@ -182,8 +165,8 @@ def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:
         # Verdicts are listed the gravest first.
         gravest = next((j for j in RuleVerdict if one["verdict"].split(", ")[0].endswith(f" {j}")), None)
         verdict = Cell(one["verdict"], _TONES[gravest] if gravest else Tone.MUTED)
-        counts = one["evidence"], one["rows"], one["trials"]
-        rows.append((f"{one['number']}. {one['question']}", verdict, *counts))
+        question = f"{one['number']}. {one['question']}"
+        rows.append((question, verdict, one["evidence"], one["rows"], one["trials"]))
     table = DataTable(columns, rows, "Suspects", "Evidence is the clearest row of the gravest verdict.")
     lead = "Rules that were under suspicion before the audit."
     return Section("suspects", "Suspects", lead, [table], terminal=True)
@@ -192,11 +175,8 @@ def _suspects(suspects: Iterable[Mapping[str, Any]]) -> Section:
 def _matrix(rows: Sequence[AuditRow], figures: statistics.Figures) -> Section:
     actions = _by_action(rows)
     parts = {
-        judgement.value: (
-            colour,
-            [sum(row.verdict == judgement for row in group) for group in actions.values()],
-        )
-        for judgement, colour in _COLOURS.items()
+        verdict.value: (colour, [sum(r.verdict == verdict for r in group) for group in actions.values()])
+        for verdict, colour in _COLOURS.items()
     }
 
     def draw(axes: Axes) -> None:
@@ -209,29 +189,23 @@ def _matrix(rows: Sequence[AuditRow], figures: statistics.Figures) -> Section:
         "A row is one action in situations that physics cannot tell apart. The action works there when at least "
         f"{100 * SOUND_SHARE:.0f} % of the trials did what was predicted, and nothing else."
     )
-    blocks: list[Block] = [
-        shared.legality_table(figures.matrix),
-        drawing,
-        *shared.error_tables(figures.errors),
-    ]
+    blocks = [shared.legality_table(figures.matrix), drawing, *shared.error_tables(figures.errors)]
     return Section("matrix", "Rules against physics", lead, blocks)
 
 
-def _groups(
-    rows: Sequence[AuditRow], judgement: RuleVerdict, lead: str, chosen: Sequence[AuditRow], *first: Block
-) -> list[Section]:
+def _groups(rows: Sequence[AuditRow], lead: str, chosen: Sequence[AuditRow], *first: Block) -> list[Section]:
     """Return the rows with a verdict by action, with the films of them that there are; nothing for no row."""
     if not chosen:
         return []
-    blocks, legal = [*first], chosen[0].legal
+    blocks, legal, verdict = [*first], chosen[0].legal, chosen[0].verdict
     for action, group in _by_action(chosen).items():
         tried = sum(row.action == action and row.legal == legal and row.trials > 0 for row in rows)
         title = f"{action}: {len(group):,} of {tried:,} that are {'allowed' if legal else 'forbidden'}"
         blocks.append(Group(title, [_row_table(group), Cases([*map(_case, group)], unfilmed=0)]))
     if first:
         lead += " First the most striking row of an action each, then all of them."
-    title = f"{judgement.value.capitalize()}: {count(len(chosen), 'row')}"
-    return [Section(judgement.value, title, f"{lead} Replay bundles from the folder of this page.", blocks)]
+    title = f"{verdict.capitalize()}: {count(len(chosen), 'row')}"
+    return [Section(verdict, title, f"{lead} Replay bundles from the folder of this page.", blocks)]
 
 
 def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
@@ -242,12 +216,8 @@ def _disagreements(verdict: str, rows: Sequence[AuditRow]) -> Section:
         Column("physical reason", "wide"),
     )
     cells = [
-        (
-            row.name,
-            f"{row.as_predicted:,} of {row.trials:,}",
-            *(interval(row.wilson_low, row.wilson_high), row.reason),
-        )
-        for row in rows
+        (r.name, f"{r.as_predicted:,} of {r.trials:,}", interval(r.wilson_low, r.wilson_high), r.reason)
+        for r in rows
     ]
     return Section(verdict.lower(), title, "", [DataTable(columns, cells, title)], terminal=True, page=False)
 
@@ -286,10 +256,8 @@ def _striking_first(rows: Sequence[AuditRow], judgement: RuleVerdict) -> list[Au
 
 def _by_action(rows: Iterable[AuditRow]) -> dict[str, list[AuditRow]]:
     """Return rows by their action, in the order of the actions' names."""
-    groups: dict[str, list[AuditRow]] = {}
-    for row in rows:
-        groups.setdefault(row.action, []).append(row)
-    return dict(sorted(groups.items()))
+    by_action = attrgetter("action")
+    return {name: list(some) for name, some in groupby(sorted(rows, key=by_action), by_action)}
 
 
 def _case(row: AuditRow) -> Case:

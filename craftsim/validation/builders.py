@@ -22,7 +22,7 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.registry import DESIGNS
-from craftsim.discrete.tasks.starts import Targets, read_split
+from craftsim.discrete.tasks.starts import read_split
 from craftsim.envs.parallel import Observations
 from craftsim.envs.planner import PlannerPolicy
 from craftsim.envs.text import FORBIDDEN, MARK, Answer, TextConstruction, answer_text, converse
@@ -42,11 +42,9 @@ from craftsim.validation.policies import PLANNER, RANDOM, make_policy, policy_di
 DIFFICULTIES: Final = ("one level", "with a ramp", "two levels")
 """Blocks on the floor; blocks on the floor and a ramp; blocks on blocks, with or without a ramp."""
 EACH: Final = 10
-"""Designs of each difficulty."""
 TURNS: Final = 2
 """Turns for each tick of the stored plan."""
 BASELINES: Final = (RANDOM, PLANNER, DESIGNS)
-"""Builders by default; the last one is a shipped policy."""
 ANSWER_S: Final = 300.0
 """Mean time of an answer in seconds, for the time limit."""
 _KEPT: Final = 1000
@@ -62,7 +60,6 @@ class BuilderCase:
     """``planner``, what :func:`make_policy` knows, or ``module:function`` of a function from two texts to an answer."""
     backend: Backend
     row: int
-    """Index in the held-out starts."""
     seed: int
 
     def task(self) -> Task:
@@ -85,15 +82,10 @@ def chosen_rows() -> dict[str, list[int]]:
     starts, _ = read_split(DESIGNS, "test")
     found: dict[str, dict[bytes, int]] = {name: {} for name in DIFFICULTIES}
     for row, targets in enumerate(starts.designs):
-        found[_difficulty(targets)].setdefault(shape_digest(targets), row)
+        kinds, levels = targets[:, 0], targets[:, 3]
+        high, ramp = levels[kinds == Kind.BLOCK].max() > 1, (kinds == Kind.BODY).any()
+        found[DIFFICULTIES[2 if high else int(ramp)]].setdefault(shape_digest(targets), row)
     return {name: [*rows.values()][:EACH] for name, rows in found.items()}
-
-
-def _difficulty(targets: Targets) -> str:
-    kinds, levels = targets[:, 0], targets[:, 3]
-    if levels[kinds == Kind.BLOCK].max() > 1:
-        return DIFFICULTIES[2]
-    return DIFFICULTIES[int((kinds == Kind.BODY).any())]
 
 
 def build(case: BuilderCase) -> Result:
@@ -111,7 +103,7 @@ def build(case: BuilderCase) -> Result:
         {
             "answer": turn.answer.rpartition(MARK)[2][-_KEPT:] if isinstance(turn.answer, str) else "",
             "unreadable": turn.unreadable,
-            "feedback": [str(one) for one in turn.feedback],
+            "feedback": list(map(str, turn.feedback)),
         }
         for turn in talk.turns
     ]
@@ -180,7 +172,14 @@ def builders_report(
         found.setdefault(item.job.builder, {}).setdefault(item.job.backend, []).append(record)
     figures = {
         "builders": {
-            builder: {backend: _by_difficulty(some) for backend, some in of.items()}
+            builder: {
+                backend: {
+                    name: builder_figures(some)
+                    for name in (*DIFFICULTIES, _ALL)
+                    if (some := [one for one in every if name in (one["group"], _ALL)])
+                }
+                for backend, every in of.items()
+            }
             for builder, of in found.items()
         },
         "differences": {
@@ -192,28 +191,22 @@ def builders_report(
     return _report(figures, seed, config, len(numbered))
 
 
-def _by_difficulty(records: Sequence[TrialRecord]) -> dict[str, Any]:
-    parts = {name: [one for one in records if one["group"] == name] for name in DIFFICULTIES}
-    return {name: builder_figures(some) for name, some in {**parts, _ALL: records}.items() if some}
-
-
 def builder_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return what a builder comes to on some designs; of those without a result nothing is in place."""
     kept = [record["extra"] for record in records if record["error"] is None]
-    total = {
-        key: sum(one[key] for one in kept) for key in ("predicted", "allowed", "acted", "unreadable", "turns")
-    }
+    names = ("predicted", "allowed", "acted", "unreadable", "turns")
+    predicted, allowed, acted, unreadable, turns = (sum(one[name] for one in kept) for name in names)
     place = mean_of([one["in_place"] for one in kept] + [0.0] * (len(records) - len(kept)))
     if place.low is not None and place.high is not None:
         place = Estimate(place.value, max(0.0, place.low), min(1.0, place.high))
     return {
         "built": Proportion.of(sum(one["built"] for one in kept), len(records)),
         "in_place": place,
-        "as_predicted": Proportion.of(total["predicted"], total["allowed"]),
-        "forbidden": total["acted"] - total["allowed"],
-        "acted": total["acted"],
-        "unreadable": total["unreadable"],
-        "turns": total["turns"],
+        "as_predicted": Proportion.of(predicted, allowed),
+        "forbidden": acted - allowed,
+        "acted": acted,
+        "unreadable": unreadable,
+        "turns": turns,
         "errors": len(records) - len(kept),
     }
 
@@ -241,13 +234,11 @@ def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_design
         "the rules allow, stop aside; forbidden: of all actions; unreadable: answers"
     )
     tables = [DataTable(columns, rows, "Builders", note)]
-    if pairs := {
-        name: (one["built"], one["least_detectable"]) for name, one in figures["differences"].items()
-    }:
+    if pairs := figures["differences"]:
         first = next(iter(figures["builders"]))
         others = [
-            (name, *(f"{share:+.2f}" for share in astuple(more)), f"{least:.2f}")
-            for name, (more, least) in pairs.items()
+            (name, *(f"{share:+.2f}" for share in astuple(one["built"])), f"{one['least_detectable']:.2f}")
+            for name, one in pairs.items()
         ]
         head = numbers("builder", "more built", "from", "to", "detectable")
         tables.append(DataTable(head, others, f"Compared with {first}, in physics, paired by design"))

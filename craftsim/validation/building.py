@@ -29,7 +29,6 @@ class Building:
     episode: Episode | None = None
     trajectory: Trajectory | None = None
     logs: Mapping[int, Log] = field(default_factory=dict)
-    """Logs by car."""
 
     @property
     def name(self) -> str:
@@ -62,17 +61,9 @@ class Building:
         return self.n_agree == self.n_actions and self.reached is not False
 
     def run(
-        self,
-        setup: Setup,
-        seed: int,
-        order: PlanOrder,
-        watch: Watch = unwatched,
-        where: SetUp = set_up,
+        self, setup: Setup, seed: int, order: PlanOrder, watch: Watch = unwatched, where: SetUp = set_up
     ) -> Building:
-        """Execute the plan and return the building with its episode.
-
-        ``watch`` is called with the world, and ``where`` sets it up.
-        """
+        """Execute the plan in a world that ``where`` sets up, and return the building with its episode."""
         steps = steps_of(self.plan.ticks, order, self.plan.after)
         run = Run(key=self.name, world=self.task, by=steps, seed=seed, setup=setup, record=True, set_up=where)
         done = roll_out(run, watch)
@@ -106,13 +97,13 @@ class Building:
     @property
     def files(self) -> dict[str, str | None]:
         """Names of its files, and the task's digest."""
-        design = self.task.design
+        task = self.task
         return {
             "task": self.name,
-            "task_digest": self.task.digest,
-            "blueprint": self.task.starts[0].path.name,
+            "task_digest": task.digest,
+            "blueprint": task.starts[0].path.name,
             "plan": self.plan.path.name,
-            "goal": design.path.name if design else None,
+            "goal": task.design.path.name if task.design else None,
         }
 
 
@@ -128,6 +119,5 @@ def read_building(task: str, plan: Path | None = None, goal: Path | None = None)
             f"(shipped ones: {', '.join(TASK_NAMES)})"
         )
     if goal is not None:
-        design = read_design(goal)
-        found = replace(found, design=design, success="built")
+        found = replace(found, design=read_design(goal), success="built")
     return Building(found, read_plan(plan or shipped_plan(found.name), found.layout.n_cars))

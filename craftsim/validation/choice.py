@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -39,8 +40,7 @@ World = Task | Grid | RandomWorlds | str | Path
 """A task, a start without a goal, or a reference: a task's name, a file, ``module:factory``, or ``random``."""
 
 
-@dataclass(frozen=True)
-class RolloutWorld:
+class RolloutWorld(NamedTuple):
     """A world to run in."""
 
     name: str
@@ -48,17 +48,19 @@ class RolloutWorld:
     digest: str
     n_cars: int
 
+    @property
+    def has_goal(self) -> bool:
+        """Whether it has a goal."""
+        return not isinstance(self.world, RandomWorlds) and as_task(self.world).has_goal
 
-@dataclass(frozen=True)
-class PolicySpec:
+
+class PolicySpec(NamedTuple):
     """A source of actions: a plan, an action list or a policy."""
 
     name: str
     digest: str
-    """Digest of its files, so that a change is noticed."""
     by: By
-    plans: Mapping[str, By] = field(default_factory=dict)
-    """Plans by world, where they differ."""
+    plans: Mapping[str, By] = {}
 
 
 def subjects_of(
@@ -70,19 +72,13 @@ def subjects_of(
     """Return the worlds for some references.
 
     ``n_cars`` and ``n_blocks`` set the numbers of things placed at random, ``max_steps`` the length of an episode in
-    ``random`` worlds.
-
-    Raises InputError for an unknown world, and for two of one name.
+    ``random`` worlds. Raises InputError for an unknown world, and for two of one name.
     """
-    found: dict[str, RolloutWorld] = {}
-    for world in worlds:
-        one = _subject(world, n_cars, n_blocks, max_steps)
-        if one.name in found:
-            raise InputError(
-                f"two worlds are called '{one.name}'; rename one, or run them one after the other"
-            )
-        found[one.name] = one
-    return list(found.values())
+    found = [_subject(world, n_cars, n_blocks, max_steps) for world in worlds]
+    for name, number in Counter(one.name for one in found).items():
+        if number > 1:
+            raise InputError(f"two worlds are called '{name}'; rename one, or run them one after the other")
+    return found
 
 
 def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None) -> RolloutWorld:
@@ -104,11 +100,11 @@ def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: 
 
 def check_starts(subjects: Sequence[RolloutWorld], setup: Setup, seed: int) -> None:
     """Raise StartError for a user's world in which solids overlap, and InputError for a skill for a missing car."""
-    for subject in subjects:
-        world = subject.world
-        if not isinstance(world, RandomWorlds):
-            check_cars(setup.skills, subject.n_cars)
-        if not isinstance(world, RandomWorlds) and world not in TASK_NAMES:
+    for _, world, _, n_cars in subjects:
+        if isinstance(world, RandomWorlds):
+            continue
+        check_cars(setup.skills, n_cars)
+        if world not in TASK_NAMES:
             start = as_task(world).draw(np.random.default_rng(seed))
             check_start(PhysicsWorld(start, setup.simulation, machines=setup.machines))
 
@@ -123,7 +119,7 @@ def plan_pilot(plan: Plan, order: PlanOrder) -> PolicySpec:
 def replanning_pilot(replanning: Replanning, subjects: Sequence[RolloutWorld]) -> PolicySpec:
     """Return the source that plans, and plans again after a failure. Raises InputError for a world without a goal."""
     for subject in subjects:
-        if isinstance(subject.world, RandomWorlds) or not as_task(subject.world).has_goal:
+        if not subject.has_goal:
             raise InputError(f"{subject.name} has no goal to plan for; give a design with --goal")
     return PolicySpec(AUTO, _digest(repr(replanning).encode()), replanning)
 
@@ -147,13 +143,12 @@ def policy_pilot(
     if policy != PLANNER:
         own = exists(policy) and not is_shipped_policy(policy)
         place = str(resolved(policy)) if own else policy
-        for subject in subjects:
-            world = subject.world
+        for _, world, _, _ in subjects:
             task = world.task(np.random.default_rng(0)) if isinstance(world, RandomWorlds) else as_task(world)
             check_policy(place, task, rules, timeout_s)
         return PolicySpec(writable(policy), policy_digest(place), place)
     for subject in subjects:
-        if isinstance(subject.world, RandomWorlds) or not as_task(subject.world).has_goal:
+        if not subject.has_goal:
             raise InputError(
                 f"there is no shipped plan for {subject.name}, and no goal to plan for; "
                 "give a plan with --plan, or a --policy"
@@ -171,19 +166,11 @@ def items_of(
     setup: Setup,
     **terms: Any,
 ) -> Iterator[Trial]:
-    """Yield all trials: every source of actions in every world, ``trials`` times.
-
-    ``terms`` are further fields of :class:`Run`.
-    """
-    for episode in range(trials):
-        for subject in subjects:
-            for pilot in pilots:
-                key = f"{subject.name}/{pilot.name}/{episode:04d}"
-                by = pilot.plans.get(subject.name, pilot.by)
-                run = Run(
-                    key=key, world=subject.world, by=by, episode=episode, seed=seed, setup=setup, **terms
-                )
-                yield Trial(key, pilot.name, seed, run, subject.name, episode)
+    """Yield all trials: every source of actions in every world; ``terms`` are further fields of :class:`Run`."""
+    for episode, (name, world, *_), pilot in product(range(trials), subjects, pilots):
+        key, by = f"{name}/{pilot.name}/{episode:04d}", pilot.plans.get(name, pilot.by)
+        run = Run(key=key, world=world, by=by, episode=episode, seed=seed, setup=setup, **terms)
+        yield Trial(key, pilot.name, seed, run, name, episode)
 
 
 def _digest(data: bytes) -> str:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from craftsim.audit import builder
+from craftsim.audit.situation import grid_of as built
+from craftsim.audit.situation import turned
 from craftsim.checking.attempt import Verdict
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import KINDS_WITH_YAW, SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
@@ -19,6 +19,7 @@ _WAYS: Final = ("ahead", "to the left", "behind", "to the right")
 _DOWN: Final = ("ahead", "to the left", "backwards", "to the right")
 _NUMBERS: Final = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 _LOADS: Final = {kind: NAMES[kind] for kind in CARRIED}
+_THINGS: Final = {Kind.WALL: "a wall", Kind.BODY: "a ramp", **_LOADS}
 _RESULTS: Final = {
     Verdict.FAILED: "it fails",
     Verdict.SIDE_EFFECT: "it moves something else",
@@ -34,8 +35,7 @@ _CLIMBS: Final = {
 }
 
 
-@dataclass(frozen=True)
-class WorldPart:
+class WorldPart(NamedTuple):
     """A wall, a block, a flag, a slope, or a car in a world."""
 
     cell: Cell
@@ -43,7 +43,6 @@ class WorldPart:
     """AIR for a car."""
     yaw: int = 0
     load: Kind = Kind.AIR
-    """Load of a car."""
     load_yaw: int = 0
     slope: int = 0
     """Slope that a car is on: 0 none, 1 foot, 2 body."""
@@ -71,39 +70,31 @@ class WorldPart:
     def moved(self, by: Cell) -> WorldPart:
         """Return it elsewhere."""
         (x, y, z), (dx, dy, dz) = self.cell, by
-        return replace(self, cell=(x + dx, y + dy, z + dz))
+        return self._replace(cell=(x + dx, y + dy, z + dz))
 
     def turned(self, quarters: int) -> WorldPart:
         """Return it turned about the column (0, 0), counterclockwise."""
         yaw = (self.yaw + quarters) % 4 if self.is_car or self.kind in KINDS_WITH_YAW else 0
         load_yaw = (self.load_yaw + quarters) % 4 if self.load == Kind.FSLOPE else 0
-        return replace(self, cell=builder.turned(self.cell, quarters), yaw=yaw, load_yaw=load_yaw)
+        return self._replace(cell=turned(self.cell, quarters), yaw=yaw, load_yaw=load_yaw)
 
 
 def pieces_of(grid: Grid, first: int = 0) -> tuple[WorldPart, ...]:
     """Return the pieces of a world: the car ``first``, the other cars in their order, and the things."""
     rows = grid.cars.tolist()
     cars = [
-        WorldPart(
-            tuple(row[: CarField.Z + 1]),
-            Kind.AIR,
-            row[CarField.YAW],
-            Kind(row[CarField.LOAD]),
-            row[CarField.LOAD_YAW],
-            row[CarField.SLOPE],
-        )
-        for row in (rows[first], *rows[:first], *rows[first + 1 :])
+        WorldPart((x, y, z), Kind.AIR, yaw, Kind(load), load_yaw, slope)
+        for x, y, z, yaw, load, load_yaw, slope in (rows[first], *rows[:first], *rows[first + 1 :])
     ]
-    things = [WorldPart(piece.cell, piece.kind, piece.yaw) for piece in grid.pieces(*STANDING)]
-    return (*cars, *things)
+    return (*cars, *(WorldPart(cell, kind, yaw) for kind, cell, yaw in grid.pieces(*STANDING)))
 
 
 def grid_of(pieces: Iterable[WorldPart], size: Cell) -> Grid:
     """Return the world of pieces, its cars numbered in their order."""
     pieces = list(pieces)
-    cars = [(*one.cell, one.yaw, one.load, one.load_yaw, one.slope) for one in pieces if one.is_car]
+    cars = [(*cell, *rest) for cell, kind, *rest in pieces if kind == Kind.AIR]
     things = [Piece(one.kind, one.cell, one.yaw) for one in pieces if not one.is_car]
-    return builder.grid_of(things, cars, size)
+    return built(things, cars, size)
 
 
 def without(pieces: Sequence[WorldPart], gone: Collection[WorldPart]) -> tuple[WorldPart, ...]:
@@ -115,11 +106,6 @@ def without(pieces: Sequence[WorldPart], gone: Collection[WorldPart]) -> tuple[W
         if not fallen:
             return tuple(piece for piece in pieces if piece not in gone)
         gone |= fallen
-
-
-def distance(piece: WorldPart, cell: Cell) -> int:
-    """Return how many steps along the axes a piece is from a cell."""
-    return sum(abs(a - b) for a, b in zip(piece.cell, cell, strict=True))
 
 
 def lowered(pieces: Sequence[WorldPart]) -> tuple[WorldPart, ...]:
@@ -167,7 +153,7 @@ def _acts(me: WorldPart, grid: Grid, after: Grid, action: Action) -> str:
         does = spec.words.replace("rotate", "turns")
     if spec.verb in ("MOVE", "ROTATE_LEFT", "ROTATE_RIGHT"):
         does += f" with {_LOADS[me.load]}" if me.load != Kind.AIR else ""
-        does += f" from under {_thing(own)}" if own in (*_LOADS, Kind.BODY) else ""
+        does += f" from under {_THINGS[own]}" if own in (*_LOADS, Kind.BODY) else ""
     return f"{does} on level {me.cell[2]}"
 
 
@@ -180,35 +166,32 @@ def _around(me: WorldPart, others: Sequence[WorldPart]) -> Iterator[str]:
         bears = piece.kind in (Kind.BLOCK, Kind.WALL) and piece.cell in borne
         if bears or (piece.kind == Kind.BODY and not ridden.isdisjoint(piece.cells)) or piece.cell == me.cell:
             continue
-        name = f"car {1 + cars.index(piece)}" if piece.is_car else _thing(piece.kind)
+        name = f"car {1 + cars.index(piece)}" if piece.is_car else _THINGS[piece.kind]
         yield f"{name}{_state(me, piece, others)} {_place(me, piece.cell)}"
 
 
 def _ramp_below(car: WorldPart) -> Cell | None:
     """Return the cell of the part of a ramp that a car is on."""
     x, y, z = car.cell
-    return {1: (x, y, z), 2: (x, y, z - 1)}.get(car.slope)
+    return (x, y, z - (car.slope == 2)) if car.slope else None
 
 
 def _state(me: WorldPart, piece: WorldPart, others: Sequence[WorldPart]) -> str:
     """Say what a car carries and is on, or where a slope points."""
-    if piece.kind == Kind.BODY:
-        return f" that leads down {_DOWN[(piece.yaw - me.yaw) % 4]} is"
-    if piece.kind == Kind.FSLOPE:
-        return f" whose gear points {_DOWN[(piece.yaw - me.yaw) % 4]} is"
+
+    def points(what: str, yaw: int) -> str:
+        return f" {what} {_DOWN[(yaw - me.yaw) % 4]}"
+
     if not piece.is_car:
-        return " is"
+        words = {Kind.BODY: "that leads down", Kind.FSLOPE: "whose gear points"}.get(piece.kind)
+        return f"{points(words, piece.yaw) if words else ''} is"
     load = f" with {_LOADS[piece.load]}" if piece.load != Kind.AIR else ""
-    load += f" whose gear points {_DOWN[(piece.load_yaw - me.yaw) % 4]}" if piece.load == Kind.FSLOPE else ""
+    load += points("whose gear points", piece.load_yaw) if piece.load == Kind.FSLOPE else ""
     ramp = next((p for p in others if p.kind == Kind.BODY and _ramp_below(piece) in p.cells), None)
     if ramp is None:
         return f"{load} is"
     part = "foot" if piece.slope == 1 else "upper half"
-    return f"{load} is on the {part} of a ramp that leads down {_DOWN[(ramp.yaw - me.yaw) % 4]},"
-
-
-def _thing(kind: Kind) -> str:
-    return {Kind.WALL: "a wall", Kind.BODY: "a ramp", **_LOADS}[kind]
+    return f"{load} is on the {part} of a ramp{points('that leads down', ramp.yaw)},"
 
 
 def _relative(me: WorldPart, cell: Cell) -> tuple[int, int, int]:
@@ -222,20 +205,16 @@ def _relative(me: WorldPart, cell: Cell) -> tuple[int, int, int]:
 def _place(me: WorldPart, cell: Cell) -> str:
     ahead, left, above = _relative(me, cell)
     ways = [_WAYS[0 if ahead > 0 else 2]] * (ahead != 0) + [_WAYS[1 if left > 0 else 3]] * (left != 0)
+    far, wide, high = (_NUMBERS[n] if n < len(_NUMBERS) else str(n) for n in map(abs, (ahead, left, above)))
     if not ways:
         place = "in the same column"
     elif len(ways) == 1:
-        n = abs(ahead + left)
-        place = f"in the next cell {ways[0]}" if n == 1 else f"{_number(n)} cells {ways[0]}"
+        n = far if ahead else wide
+        place = f"in the next cell {ways[0]}" if n == _NUMBERS[1] else f"{n} cells {ways[0]}"
     elif abs(ahead) == abs(left) == 1:
         place = f"in the cell diagonally {ways[0]} {ways[1]}"
     else:
-        place = f"{_number(abs(ahead))} {ways[0]} and {_number(abs(left))} {ways[1]}"
+        place = f"{far} {ways[0]} and {wide} {ways[1]}"
     if not above:
         return place
-    levels = f"{_number(abs(above))} level{'s' * (abs(above) > 1)}"
-    return f"{place}, {levels} {'above' if above > 0 else 'below'}"
-
-
-def _number(n: int) -> str:
-    return _NUMBERS[n] if n < len(_NUMBERS) else str(n)
+    return f"{place}, {high} level{'s' * (abs(above) > 1)} {'above' if above > 0 else 'below'}"

@@ -35,17 +35,17 @@ from craftsim.errors import InputError
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Estimate, Proportion, mean_of
 from craftsim.experiments.session import open_session
+from craftsim.experiments.statistics import carried_out
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.reordering import reordered
 from craftsim.reports.json_file import document
-from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
+from craftsim.reports.report import DataTable, Headline, Report, Section, Tone, numbers
 from craftsim.robots import need_network
 from craftsim.training.policy import load_policy
 from craftsim.validation.policies import policy_digest
 
 ORDERS: Final[tuple[PlanOrder, ...]] = get_args(PlanOrder)
 ROUNDS: Final = 20
-"""Attempts at the plan of a random design; the best one is used."""
 TIMEOUT_S: Final = 3600.0
 """After which a world or an episode counts as hanging."""
 
@@ -54,9 +54,8 @@ PlanCase = tuple[str, int | None, int, Setup]
 """The name of a world, the number of its random design, which sets its difficulty (None for a task), seed and setup."""
 
 
-def _planned(case: PlanCase) -> tuple[Grid, Sequence[Sequence[Any]]]:
+def _planned(name: str, design: int | None, seed: int, setup: Setup) -> tuple[Grid, Sequence[Sequence[Any]]]:
     """Return the start, and the ticks of the plan that is shipped or made. Raises NoPlanError where none is found."""
-    name, design, seed, setup = case
     if design is None:
         grid = make_task(name).draw(np.random.default_rng(seed))
         return grid, read_plan(shipped_plan(name), grid.n_cars).ticks
@@ -70,7 +69,7 @@ def executed(case: PlanCase) -> Result:
     """Return a world's makespans in physics, by order, each from the same start in the same physics."""
     name, _, seed, setup = case
     try:
-        grid, ticks = _planned(case)
+        grid, ticks = _planned(*case)
     except NoPlanError as error:
         return Result(agrees=False, extra={"world": name, "no_plan": str(error)})
     orders, took_s = {}, list[float]()
@@ -112,8 +111,8 @@ def _executed(
     begun = [attempt for attempt in attempts if attempt.performed]
     end_s = max((attempt.start_s + attempt.duration_s for attempt in begun), default=0.0)
     took_s = end_s - min((attempt.start_s for attempt in begun), default=0.0)
-    agrees = all(attempt.agrees for attempt in attempts)
-    found = {"agrees": agrees, "predicted_s": round(predicted_s, 3), "executed_s": round(took_s, 3)}
+    found = {"predicted_s": round(predicted_s, 3), "executed_s": round(took_s, 3)}
+    found["agrees"] = all(attempt.agrees for attempt in attempts)
     return found, [attempt.duration_s for attempt in attempts]
 
 
@@ -125,12 +124,12 @@ def ratio_of(pairs: Iterable[tuple[float, float]]) -> Estimate:
 
 def plan_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return how many plans go as predicted, by order, and the ratios of makespans over worlds where all three do."""
-    planned = [record for record in records if "orders" in record]
-    good = [record["orders"] for record in planned if all(one["agrees"] for one in record["orders"].values())]
+    orders = [record["orders"] for record in records if "orders" in record]
+    good = [some for some in orders if all(one["agrees"] for one in some.values())]
+    again = [record["reordered"] for record in records if "reordered" in record]
     return {
         "as_predicted": {
-            order: Proportion.of(sum(r["orders"][order]["agrees"] for r in planned), len(planned))
-            for order in ORDERS
+            order: Proportion.of(sum(one[order]["agrees"] for one in orders), len(orders)) for order in ORDERS
         },
         "compared": len(good),
         "executed_by_predicted": {
@@ -142,11 +141,7 @@ def plan_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             for order in ORDERS[:-1]
         },
         "reordered": {
-            f"{one}_by_{other}": ratio_of(
-                (r["reordered"][f"{one}_s"], r["reordered"][f"{other}_s"])
-                for r in planned
-                if "reordered" in r
-            )
+            f"{one}_by_{other}": ratio_of((r[f"{one}_s"], r[f"{other}_s"]) for r in again)
             for one, other in (("before", "planned"), ("hindsight", "before"))
         },
         "worlds": list(records),
@@ -168,16 +163,12 @@ def plans_report(n_designs: int, seed: int, setup: Setup, out: Path | None, opti
         for record in records
         if "orders" in record
     ]
-    columns = (
-        Column("world"),
-        *(Column(name, "number") for name in ("cars", "actions", *ORDERS)),
-    )
     before, hindsight = map(_shown, figures["reordered"].values())
     note = (
         "simulated seconds, and how much more than predicted; ! where an action did not do as predicted. Concurrent, "
         f"re-ordered: by predicted durations {before} times, and by actual ones, in hindsight, {hindsight} times that."
     )
-    table = DataTable(columns, rows, "Makespans", note)
+    table = DataTable(numbers("world", "cars", "actions", *ORDERS), rows, "Makespans", note)
     said = [f"{_shown(figures['concurrent_by'][order])} times {order}" for order in figures["concurrent_by"]]
     return Report(
         "Execution of plans",
@@ -197,10 +188,9 @@ def _run(
     with open_session(experiment, out, options) as session:
         records = list(session.run())
     found: dict[str, list[dict[str, Any]]] = {record["group"]: [] for record in records}
-    for record in records:
-        if record["error"] is None:
-            found[record["group"]].append(record["extra"])
-    return found, sum(record["error"] is not None for record in records)
+    for record in carried_out(records):
+        found[record["group"]].append(record["extra"])
+    return found, len(records) - sum(map(len, found.values()))
 
 
 def _headline(sentence: str, lost: int) -> Headline:
@@ -224,12 +214,10 @@ class Mode(NamedTuple):
     backend: Backend
     execution: Execution
     randomize: str
-    """Preset of the randomization of the physics."""
     drive: Drive = "reduced"
     network: tuple[float, float, float] | None = None
     """Delay and jitter in seconds, and loss, of the network between the policy with its skills and the robots."""
     most: int = 1_000_000
-    """Largest number of episodes."""
 
     def __str__(self) -> str:
         drawn = self.randomize if self.network is None else "network"
@@ -327,12 +315,8 @@ def policies_report(
     policies = [*dict.fromkeys(policies)]
     for name in policies:
         load_policy(name)
-    config = {
-        "what": "execution",
-        "policies": {name: policy_digest(name) for name in policies},
-        "episodes": episodes,
-        "modes": MODES,
-    }
+    digests = {name: policy_digest(name) for name in policies}
+    config = {"what": "execution", "policies": digests, "episodes": episodes, "modes": MODES}
     items = [
         Trial(f"{name}, {mode}, {seed + n}", f"{name}, {mode}", seed + n, (name, mode, seed + n))
         for name in policies
@@ -342,9 +326,8 @@ def policies_report(
     found, lost = _run(Experiment("bench", seed, config, items, episode, timeout_s=TIMEOUT_S), out, options)
     figures: dict[str, Any] = {}
     tables = []
-    names = ("success", "makespan, s", "blocked, %", "deadlocks", "failed")
+    columns = numbers("mode", "success", "makespan, s", "blocked, %", "deadlocks", "failed")
     cpu_s: dict[str, dict[str, float]] = {}
-    columns = (Column("mode"), *(Column(name, "number") for name in names))
     for policy in policies:
         rows = []
         for mode in MODES:
@@ -374,10 +357,6 @@ def policies_report(
         _headline(sentence, lost),
         sections=[Section("modes", "Modes", note, tables, terminal=True)],
         document=document(
-            {"modes": figures},
-            command="bench",
-            seed=seed,
-            config=config,
-            wall={"cpu_s": cpu_s},
+            {"modes": figures}, command="bench", seed=seed, config=config, wall={"cpu_s": cpu_s}
         ),
     )

@@ -9,9 +9,8 @@ from typing import Annotated, Final, Literal
 from pydantic import Field
 
 from craftsim.checking.attempt import Attempt, Finding, Verdict
-from craftsim.errors import InputError
 from craftsim.experiments.experiment import STRICT, Form
-from craftsim.experiments.records import Finished, described, read_finished
+from craftsim.experiments.records import Finished, read_any
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 
@@ -57,19 +56,12 @@ class _BuildExtra(_RunExtra):
 
 
 RUNS: Final = Form(Judged, _RunExtra)
-"""Of a validation."""
 BUILDS: Final = Form(Judged, _BuildExtra)
-"""Of buildings with re-planning."""
 TRIALS: Final = Form(Judged, dict[Literal["does_not_stand"], tuple[str, ...]])
-"""Of an audit."""
 COMPARED: Final = {"validate": RUNS, "audit": TRIALS}
 """What the records of the commands hold that make runs to compare."""
 
 
 def read_run(folder: Path) -> Finished:
     """Return the finished run in a folder; raise InputError for a folder that holds none of validate or audit."""
-    with described(folder, "give the --out of 'craftsim validate' or 'craftsim audit'") as (_, manifest):
-        command = manifest["command"]
-    if command not in COMPARED:
-        raise InputError(f"{folder} holds a run of another command; allowed: {', '.join(COMPARED)}")
-    return read_finished(folder, command, COMPARED[command])
+    return read_any(folder, COMPARED, "give the --out of 'craftsim validate' or 'craftsim audit'")

@@ -20,7 +20,6 @@ PREFERRED: Final = (
 )
 """Preferred numbers of ISO 3's series R20, in steps of 12 %: levels are these times a power of ten."""
 DECADES: Final = 2
-"""Decades from the smallest level to the largest."""
 _UNITS: Final = {
     "_m": ("mm", 1e3, 0.02),
     "_rad": ("mrad", 1e3, 0.1),
@@ -115,15 +114,21 @@ DEFAULT_IMPERFECTIONS: Final = (
     *("wheel-radius", "underside-height", "pocket-place", "position-noise", "heading-noise", "position-bias"),
     *("heading-bias", "delay", "localisation-period", "lost-localisations"),
 )
-"""The imperfections that are searched by default."""
 ALL: Final = "all"
 
 
 @cache
 def imperfections() -> dict[str, Imperfection]:
     """Return all imperfections by name, in the order of the fields."""
-    found = [_axis(figure) for figure in _figures(NONE) if figure not in _SHAPES]
-    return {axis.name: axis for axis in found}
+    found = {}
+    for figure in _figures(NONE):
+        name, largest, also = _SAID.get(figure, ("", 0, {}))
+        ending = next(end for end in _UNITS if figure.endswith(end))
+        unit, scale, usual = _UNITS[ending]
+        name = name or figure.rpartition(".")[2].removesuffix(ending).replace("_", "-")
+        if figure not in _SHAPES:
+            found[name] = Imperfection(name, figure, unit, scale, largest or usual, tuple(also.items()))
+    return found
 
 
 def imperfections_of(names: Sequence[str]) -> tuple[Imperfection, ...]:
@@ -135,14 +140,6 @@ def imperfections_of(names: Sequence[str]) -> tuple[Imperfection, ...]:
                 f"no imperfection '{name}'{suggestion(name, known)}; there are {', '.join(known)}, {ALL}"
             )
     return tuple(known[name] for name in dict.fromkeys(known if ALL in names else names))
-
-
-def _axis(figure: str) -> Imperfection:
-    name, largest, also = _SAID.get(figure, ("", 0, {}))
-    ending = next(end for end in _UNITS if figure.endswith(end))
-    unit, scale, usual = _UNITS[ending]
-    name = name or figure.rpartition(".")[2].removesuffix(ending).replace("_", "-")
-    return Imperfection(name, figure, unit, scale, largest or usual, tuple(also.items()))
 
 
 def _figures(part: Any, prefix: str = "") -> Iterator[str]:

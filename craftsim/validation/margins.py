@@ -1,17 +1,10 @@
 """Robustness margins: the largest value of each imperfection at which an action still works.
 
-Trial i uses the same random draws at every level (common random numbers): it passes low levels and fails from its own
-*critical level* on. Critical levels of independent trials are independent, so their order statistics give
-distribution-free tolerance bounds (S. S. Wilks, "Determination of sample sizes for setting tolerance limits", 1941):
-
-- at least 95 % of all worlds pass the smallest of n critical levels, with confidence 1 - 0.95**n: 95 % for n = 59;
-- above the third smallest of 16 more than 5 % of all worlds fail, with 95 % confidence.
-
-The search assumes that a trial which fails at a level fails at all higher ones; the result does not: at the margin
-itself every trial is run.
-
-In a scenario the car first drives to its place, so that its pose error there is that of its own localisation. Mirror
-images are left out, since the machines are symmetric; diagonal moves are never legal.
+Trial i uses the same random draws at every level: it passes low levels and fails from its own *critical level* on.
+Order statistics of independent critical levels give distribution-free tolerance bounds (S. S. Wilks, "Determination of
+sample sizes for setting tolerance limits", 1941): with n = 59 trials at least 95 % of all worlds pass the smallest one,
+with confidence 1 - 0.95**n = 95 %; above the third smallest of 16 more than 5 % fail. The search assumes that a trial
+which fails at a level fails at all higher ones; the result does not: at the margin itself every trial is run.
 """
 
 from __future__ import annotations
@@ -35,6 +28,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.rules import RuleSet
 from craftsim.errors import InputError, StartError
 from craftsim.experiments.bundle import write_bundles
+from craftsim.experiments.compare import read_other
 from craftsim.experiments.experiment import (
     STRICT,
     Experiment,
@@ -44,9 +38,8 @@ from craftsim.experiments.experiment import (
     Trial,
     TrialRecord,
 )
-from craftsim.experiments.records import read_finished
 from craftsim.experiments.session import open_session
-from craftsim.storage.paths import resolved
+from craftsim.experiments.statistics import carried_out
 from craftsim.validation.audit import compiled_world
 from craftsim.validation.forms import Judged
 from craftsim.validation.imperfections import Imperfection
@@ -55,7 +48,6 @@ COMMAND: Final = "margins"
 TIMEOUT_S: Final = 600.0
 """Limit of a search, which takes seconds, and of writing a bundle."""
 SHARE: Final = 0.95
-"""Share of all worlds that pass a margin."""
 TRIALS: Final = 59
 """Trials that must all pass a level for 95 % confidence that 95 % of all worlds pass it."""
 RANKS: Final = ((16, 3), (7, 2), (1, 1))
@@ -65,18 +57,15 @@ BASE: Final = 0
 PROBES: Final = 3
 """Trials that must be bit-equal at the largest and the nominal level for the verdict "no effect"."""
 MAP_TRIALS: Final = 20
-"""Largest number of trials of each pair of levels of a map."""
 STRIDE: Final = 4
 """A map has every fourth level: the preferred numbers R5, a factor of 1.6 apart."""
 
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 Levels = Sequence[tuple[Imperfection, float]]
-"""Imperfections and their values."""
 End = Literal["base", "edge", "largest", "no effect"]
 """How a search ended: a trial fails at the nominal level, or at the level above the margin; all trials pass the largest
 level; or the largest level gives the results of the nominal level, bit for bit."""
 _ENDS: Final[tuple[End, ...]] = ("base", "edge", "largest", "no effect")
-"""The weakest first."""
 
 
 class Scenario(NamedTuple):
@@ -99,7 +88,6 @@ CHOSEN: Final = tuple(
     for action, places in shipped("margins.yaml").items()
     for where, said in places.items()
 )
-"""The scenarios of ``craftsim/data/margins.yaml``."""
 
 
 def scenarios(pattern: str = "*", quick: bool = False) -> tuple[Scenario, ...]:
@@ -125,17 +113,11 @@ def confidence(trials: int) -> float:
 def search(
     passes: Callable[[int, int], bool], levels: int, trials: int
 ) -> tuple[int | None, int | None, tuple[int, int] | None]:
-    """Search the margin among the levels 0 (nominal) to ``levels``.
+    """Search the margin among the levels 0 (nominal) to ``levels``; ``passes`` says whether a trial passes a level.
 
-    Args:
-        passes: whether a trial passes a level; asked several times of some.
-        levels: the largest level.
-        trials: number of trials.
-
-    Returns:
-        The largest level that all trials pass, None if one fails at the nominal level; the level above which more than
-        5 % of all worlds fail, None if too few trials fail at the largest level; and a trial that fails at the level
-        above the margin, with that level, None if all pass the largest level.
+    Returns the largest level that all trials pass, None if one fails at the nominal level; the level above which more
+    than 5 % of all worlds fail, None if too few trials fail at the largest level; and a trial that fails at the level
+    above the margin, with that level, None if all pass the largest level.
     """
     failed = set[tuple[int, int]]()
 
@@ -195,9 +177,7 @@ class MarginResult:
     trial: int | None
     """The trial that failed there, or at the nominal level."""
     reason: str
-    """Its reason."""
     tried: _Count
-    """Number of trials run."""
 
     @property
     def rank(self) -> tuple[int, float]:
@@ -220,12 +200,10 @@ class MarginSearch:
 
     scenario: Scenario
     setup: Setup
-    """The nominal setup."""
     seed: int
     axes: tuple[Imperfection, ...]
     trials: int
     up: int = 0
-    """Index of the row's level."""
 
     def recipe(self, number: int, levels: Levels = ()) -> Recipe:
         """Return the recipe of a trial; a trial has the same random draws at all levels."""
@@ -296,15 +274,10 @@ def find(one: MarginSearch) -> Result:
         margin, upper, edge = search(lambda trial, level: not result(trial, level)[1], largest, one.trials)
         end = "largest" if edge is None else "base" if margin is None else "edge"
     attempts, reason = result(*edge) if edge else ((), "")
-    found = MarginResult(
-        end,
-        None if margin is None else values[margin],
-        None if upper is None else values[upper],
-        values[edge[1]] if edge and edge[1] != BASE else None,
-        edge[0] if edge else None,
-        reason,
-        len(tried),
-    )
+    trial, fails_at = edge or (None, None)
+    at = margin, upper, fails_at if fails_at != BASE else None
+    margin_at, upper_at, edge_at = (None if level is None else values[level] for level in at)
+    found = MarginResult(end, margin_at, upper_at, edge_at, trial, reason, len(tried))
     return Result(end != "base", attempts, extra=asdict(found))
 
 
@@ -322,7 +295,6 @@ class Margin:
     axis: Imperfection
     limit: MarginResult
     before: MarginResult | None = None
-    """That of the run given as baseline."""
     bundle: str = ""
     """Replay bundle of the trial that fails above it, relative to the run's folder; empty without one."""
 
@@ -346,7 +318,6 @@ class Margins:
 
     records: Sequence[TrialRecord]
     margins: tuple[Margin, ...]
-    """One for each finished search."""
     maps: Mapping[str, Sequence[Sequence[int]]]
     """By scenario, how many trials pass, by vertical, then by horizontal level; empty unless a pair was given."""
     pair: tuple[Imperfection, ...]
@@ -395,18 +366,13 @@ def run_margins(
 ) -> Margins:
     """Search the margin of each scenario for each imperfection; write report.json and replay bundles into a folder.
 
-    Args:
-        scenarios: the scenarios.
-        axes: the imperfections, varied one at a time.
-        setup: the nominal setup.
-        trials: number of trials of each scenario, all of which must pass a margin.
-        seed: random seed.
-        out: the folder.
-        asked: the given options, for the report.
-        options: how the experiment is run.
-        pair: two imperfections of which a map is drawn for each scenario, too.
+    The imperfections ``axes`` are varied one at a time, beyond the nominal setup; of a ``pair`` a map is drawn for each
+    scenario, too. ``asked`` are the given options, for the report.
     """
-    earlier = _earlier(options.against, out)
+    earlier: dict[str, MarginResult] = {}
+    if options.against is not None:
+        for r in carried_out(read_other(options.against, out, COMMAND, MARGINS).records):
+            earlier |= {r["key"]: MarginResult(**r["extra"])} if "margin" in r["extra"] else {}
     config = {**asked, "trials": trials, "rules": setup.rules, "setup": setup, "digests": setup.digests}
     searches = [MarginSearch(one, setup, seed, (axis,), trials) for one in scenarios for axis in axes]
     ups = range(len(values_of(pair[1])) if pair else 0)
@@ -433,18 +399,6 @@ def run_margins(
         result = Margins(records, margins, whole, pair, config, seed)
         session.write_report({"margins": _figures(result)})
     return result
-
-
-def _earlier(folder: Path | None, out: Path) -> dict[str, MarginResult]:
-    """Return the margins of an earlier run, by the keys of their records."""
-    if folder is None:
-        return {}
-    if resolved(folder) == resolved(out):
-        raise InputError(f"--against {folder} is the folder of this run; choose another --out")
-    records = read_finished(folder, COMMAND, MARGINS).records
-    return {
-        r["key"]: MarginResult(**r["extra"]) for r in records if r["error"] is None and "margin" in r["extra"]
-    }
 
 
 def _recipes(

@@ -120,19 +120,13 @@ def _first_failures(result: Margins) -> Section:
         min((by[axis.name] for by in weakest if axis.name in by), key=lambda one: one.limit.rank)
         for axis in result.with_effect
     ]
-    cases = [
-        case_of(
-            f"{one.axis.words}: {one.scenario}",
-            "at the nominal level"
-            if one.limit.fails_at is None
-            else f"at {one.axis.text(one.limit.fails_at)}",
-            Tone.BAD if one.limit.fails_at is None else Tone.CAUTION,
-            one.limit.reason,
-            one.bundle,
-        )
-        for one in first
-        if one.limit.reason
-    ]
+    cases = []
+    for one in (one for one in first if one.limit.reason):
+        at, tone = "the nominal level", Tone.BAD
+        if one.limit.fails_at is not None:
+            at, tone = one.axis.text(one.limit.fails_at), Tone.CAUTION
+        title = f"{one.axis.words}: {one.scenario}"
+        cases.append(case_of(title, f"at {at}", tone, one.limit.reason, one.bundle))
     lead = "The scenario that fails first for each imperfection, and at which value."
     return Section("first", "First failures", lead, [Cases(cases, most=40)], terminal=bool(cases))
 
@@ -198,11 +192,9 @@ def _text(axis: Imperfection, value: float | None, otherwise: str) -> str:
 
 
 def _notes(result: Margins) -> Iterator[str]:
-    quiet = [
-        axis for axis in dict.fromkeys(one.axis for one in result.margins) if axis not in result.with_effect
-    ]
-    if quiet:
-        yield f"no effect on any action: {', '.join(axis.words for axis in quiet)}"
+    every = dict.fromkeys(one.axis for one in result.margins)
+    if quiet := [axis.words for axis in every if axis not in result.with_effect]:
+        yield f"no effect on any action: {', '.join(quiet)}"
     for one in result.margins:
         if one.before is not None and one.before.margin != one.limit.margin:
             was = "fails at nominal" if one.before.margin is None else one.axis.text(one.before.margin)

@@ -1,8 +1,7 @@
 """Minimization: the smallest world in which an action still fails.
 
 The search is delta debugging (Zeller and Hildebrandt, Simplifying and Isolating Failure-Inducing Input, IEEE TSE
-2002): it removes halves of the surrounding pieces, then quarters, down to single ones. The result is 1-minimal: without
-any single piece (and those on top of it) the action is as predicted, or forbidden.
+2002). The result is 1-minimal: without any single piece (and those on it) the action is as predicted, or forbidden.
 """
 
 from __future__ import annotations
@@ -35,11 +34,9 @@ from craftsim.storage.writing import write_whole
 from craftsim.validation import counterexample as parts
 
 FOLDER: Final = "smallest"
-"""Subfolder of a run for minimized worlds."""
 BLUEPRINT: Final = "smallest.yaml"
 ACTIONS: Final = "smallest.actions"
 _TIMEOUT_S: Final = 3600.0
-"""Time limit of one minimization."""
 
 MOST_TRIALS: Final = 150
 """Trials after which the search ends with the smallest world so far; also after :data:`MINIMIZE_S`."""
@@ -118,29 +115,16 @@ def minimize(
 
 
 class Smallest:
-    """The smallest world in which an action still fails, and the search for it; the acting car is car 0.
-
-    Attributes:
-        action: the action, turned as the world is.
-        attempt: the failing attempt.
-        setup: configuration of the physics in which it fails.
-        trials: number of trials.
-    """
+    """The smallest world in which an action still fails, and the search for it; the acting car is car 0."""
 
     attempt: Attempt
 
     def __init__(self, failing: FailingAction, on_trial: OnTrial, most: int, trials: int = 0) -> None:
         """Try the action alone, as one of at most ``most`` trials after ``trials``."""
         self.setup, self.action, self.trials = failing.setup, failing.action, trials
-        self.found = False
-        self._seed, self._rules, self._on_trial, self._most = (
-            failing.seed,
-            Rules(failing.setup.rules),
-            on_trial,
-            most,
-        )
-        self._left_s = MINIMIZE_S
-        self._known: dict[str, bool] = {}
+        self.found, self._left_s, self._known = False, MINIMIZE_S, dict[str, bool]()
+        self._seed, self._rules = failing.seed, Rules(failing.setup.rules)
+        self._on_trial, self._most = on_trial, most
         self._pieces, self._size = parts.pieces_of(failing.grid, failing.car), failing.grid.size
         # What play led to need not be what a drawing may show; then no smaller world need be.
         self._drawn = "snapshot:" not in blueprint_text(self.grid)
@@ -217,23 +201,24 @@ class Smallest:
                 keep = parts.without(self._pieces, part)
                 if len(keep) < len(self._pieces):
                     self._fails(keep, self._size, self.action)
-            if len(self._pieces) < before:
-                n = max(n - 1, 2)
-            elif n == len(others):
+            if len(self._pieces) == before and n == len(others):
                 return
-            else:
-                n *= 2
+            n = 2 * n if len(self._pieces) == before else max(n - 1, 2)
 
     def _others(self) -> list[parts.WorldPart]:
-        """Return all pieces but the acting car and those below it, furthest first."""
+        """Return all pieces but the acting car and those below it, furthest along the axes first."""
         me, *others = self._pieces
         free = (piece for piece in others if me in parts.without(self._pieces, (piece,)))
-        return sorted(free, key=lambda piece: (-parts.distance(piece, me.cell), piece.cell, piece.kind))
+
+        def distance(piece: parts.WorldPart) -> int:
+            return sum(abs(a - b) for a, b in zip(piece.cell, me.cell, strict=True))
+
+        return sorted(free, key=lambda piece: (-distance(piece), piece.cell, piece.kind))
 
     def _simplify(self) -> bool:
         """Remove a load, or lower everything by a level; return whether the failure remains."""
         for place, piece in enumerate(self._pieces):
-            bare = replace(piece, load=Kind.AIR, load_yaw=0)
+            bare = piece._replace(load=Kind.AIR, load_yaw=0)
             pieces = (*self._pieces[:place], bare, *self._pieces[place + 1 :])
             if piece.load != Kind.AIR and self._fails(pieces, self._size, self.action):
                 return True
@@ -246,16 +231,12 @@ class Counterexample:
     """A minimized failure."""
 
     key: str
-    """Key of the trial."""
     sentence: str
     """The failure in one sentence, or why it could not be minimized."""
     rules: str
-    """The rule set that allows the action."""
     minimal: bool = False
-    """Whether no further piece can be removed."""
     trials: int = 0
     cells: tuple[int, int, int] | None = None
-    """Size of the smallest world; None without one."""
     folder: str | None = None
     """Folder with its blueprint and actions, relative to the run's."""
 

@@ -5,10 +5,9 @@ Actions are counted by kind and surroundings, and so is the coverage of a run.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -34,14 +33,12 @@ _VERBS: Final = {
 _COMMON: Final = 0.2
 """Weight below which an action is common."""
 _IDLE: Final = 0.8
-"""Probability that a car waits instead of a common action."""
 _LOADED_TURN: Final = 4.0
 _SLOPE: Final = 20.0
 _ABOVE_FLOOR: Final = 1.5
 _AHEAD: Final = 6.0
 """Weight of an action that brings a car before a ramp."""
 _NEAR: Final = 0.5
-"""Additional weight for each other car within two cells."""
 _AROUND: Final = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
 _THINGS: Final = {
     Kind.BLOCK: "block",
@@ -62,15 +59,13 @@ ALL: Final = "all"
 """The column that counts every action once; the others count it for each neighbour."""
 
 
-@dataclass(frozen=True)
-class PlayedAction:
+class PlayedAction(NamedTuple):
     """An action with its place and surroundings."""
 
     verb: str
     level: int
     load: Kind
     on_slope: bool
-    """Whether it starts or ends on a slope."""
     near: tuple[str, ...]
     """Members of :data:`NEIGHBOURS`, in their order."""
 
@@ -130,12 +125,8 @@ def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tu
                 continue
             after = [rules.apply(grid, car, action) for action in options]
             found = [doing(grid, then, car, a) for a, then in zip(options, after, strict=True)]
-            weights = np.array(
-                [
-                    _weight(grid, then, rules, car, one) / (1 + done[one.name])
-                    for one, then in zip(found, after, strict=True)
-                ]
-            )
+            pairs = zip(found, after, strict=True)
+            weights = np.array([_weight(then, rules, car, one) / (1 + done[one.name]) for one, then in pairs])
             choice = int(rng.choice(len(options), p=weights / weights.sum()))
             if weights[choice] < _COMMON and rng.random() < _IDLE:
                 continue
@@ -146,7 +137,7 @@ def play(grid: Grid, rules: Rules, rng: np.random.Generator, n_ticks: int) -> tu
     return tuple(ticks)
 
 
-def _weight(grid: Grid, after: Grid, rules: Rules, car: int, one: PlayedAction) -> float:
+def _weight(after: Grid, rules: Rules, car: int, one: PlayedAction) -> float:
     weight = _VERBS.get(one.verb, 1.0)
     weight *= _ABOVE_FLOOR if one.level > 1 else 1.0
     weight *= _SLOPE if one.on_slope else 1.0
@@ -170,26 +161,25 @@ def covered(
 ) -> dict[str, dict[str, int]]:
     """Return the number of performed actions of play by name, in all and by neighbour, as JSON values."""
     done = {(a.tick, a.car) for a in attempts if a.performed}
-    found: dict[str, Counter[str]] = {}
+    found = defaultdict[str, Counter[str]](Counter)
     for tick, joint in enumerate(ticks):
         for car, action in joint:
             before, grid = grid, rules.apply(grid, car, action)
             if (tick, car) in done:
                 one = doing(before, grid, car, action)
-                found.setdefault(one.name, Counter()).update((ALL, *one.near, *_classes(one)))
+                found[one.name].update((ALL, *one.near, *_classes(one)))
     return {name: dict(counts) for name, counts in found.items()}
 
 
 def _classes(doing: PlayedAction) -> list[str]:
     """Return the totals in which an action counts."""
-    loaded_turn = doing.verb.startswith("ROTATE") and doing.load != Kind.AIR
     classes = {
-        "on slopes": doing.on_slope,
-        "turns of loads": loaded_turn,
-        "folding": doing.verb in ("FOLD", "UNFOLD"),
-        "above the floor": doing.level > 1,
+        "~on slopes": doing.on_slope,
+        "~turns of loads": doing.verb.startswith("ROTATE") and doing.load != Kind.AIR,
+        "~folding": doing.verb in ("FOLD", "UNFOLD"),
+        "~above the floor": doing.level > 1,
     }
-    return [f"~{name}" for name, holds in classes.items() if holds]
+    return [name for name, holds in classes.items() if holds]
 
 
 def coverage_of(records: Iterable[TrialRecord]) -> dict[str, Any] | None:
@@ -200,12 +190,12 @@ def coverage_of(records: Iterable[TrialRecord]) -> dict[str, Any] | None:
     action the ``rows``: ``all``, and the number beside each neighbour.
     """
     played = fallen = 0
-    counts: dict[str, Counter[str]] = {}
+    counts = defaultdict[str, Counter[str]](Counter)
     for extra in (record["extra"] for record in records):
         fallen += "does_not_stand" in extra
         played += "coverage" in extra
         for name, found in extra.get("coverage", {}).items():
-            counts.setdefault(name, Counter()).update(found)
+            counts[name].update(found)
     if not played:
         return None
     every = sum(counts.values(), Counter())

@@ -38,9 +38,6 @@ PLANNER: Final = "planner"
 _CONTRACT: Final = (
     "a policy takes observations by agent and returns a dictionary with a whole number from 0 to 14 for each"
 )
-_ANYTHING: Final = (Exception, SystemExit)
-"""What user code may raise when it is imported or called."""
-
 _WEIGHTS: Final = {
     Action.STOP: 0.05,
     Action.ROTATE_LEFT: 0.3,
@@ -78,6 +75,7 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
     from craftsim.envs.options import Options
     from craftsim.envs.parallel import ParallelConstruction
 
+    did = "raised"
     try:
         with _time_limit(timeout_s):
             policy = make_policy(name, 0, task, rules)
@@ -85,33 +83,27 @@ def check_policy(name: str, task: Task, rules: RuleSet, timeout_s: float) -> Non
         observations, _ = env.reset(seed=0)
         with _time_limit(timeout_s):
             answer = policy(observations)
+        did = "returned what is no answer:"
+        if isinstance(answer, Mapping):
+            checked(by_agent(answer, env.agents), (len(env.agents),))
     except _Hanging:
         raise InputError(f"policy '{name}' gave no first answer within {timeout_s:g} s") from None
-    except InputError:
-        raise
-    except _ANYTHING as error:
-        raise InputError(f"policy '{name}' raised {_said(error)}; {_CONTRACT}") from error
+    except (Exception, SystemExit) as error:
+        if did == "raised" and isinstance(error, InputError):
+            raise
+        said = textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
+        raise InputError(f"policy '{name}' {did} {said}; {_CONTRACT}") from error
     if not isinstance(answer, Mapping):
         raise InputError(f"policy '{name}' returned {type(answer).__name__}; {_CONTRACT}")
-    try:
-        checked(by_agent(answer, env.agents), (len(env.agents),))
-    except _ANYTHING as error:
-        raise InputError(
-            f"policy '{name}' returned what is no answer: {_said(error)}; {_CONTRACT}"
-        ) from error
 
 
 def make_policy(name: str, seed: int, task: Task | None = None, rules: RuleSet | None = None) -> Policy:
-    """Return a policy.
+    """Return a policy: ``random``, ``module:function``, what ``craftsim train`` wrote (a file or its folder), or a
+    shipped one.
 
-    Args:
-        name: ``random``; ``module:function``; what ``craftsim train`` wrote, a file or its folder; or a shipped one's.
-        seed: of the random policy, and of a trained one whose actions are sampled; the others draw nothing.
-        task: what it is to play; a trained policy refuses another task than its own.
-        rules: what it is to play under, without an action helper; a trained policy refuses what it was not trained for.
-
-    Raises:
-        InputError: there is no such policy, or it is one for another task, other rules, or an action helper.
+    ``seed`` is that of the random policy, and of a trained one whose actions are sampled. Raises InputError without
+    such a policy; for a trained one also for another task or other rules than its own, and for rules where it has a
+    helper.
     """
     if name == RANDOM:
         return random_policy(seed)
@@ -125,7 +117,15 @@ def make_policy(name: str, seed: int, task: Task | None = None, rules: RuleSet |
                 "do without here; 'craftsim validate --backend grid' plays it with one"
             )
         return policy
-    return _function(name)
+    known = f"'{RANDOM}', '{PLANNER}', 'module:function', the path of a trained policy, or a shipped one: "
+    known += ", ".join(shipped_policies())
+    if ":" not in name:
+        raise InputError(f"no policy '{name}': there is no such file; allowed: {known}")
+    what = f"policy '{name}'"
+    found: Policy = find_named(name, what, "module:function, such as mypackage.policies:greedy", known)
+    if not callable(found):
+        raise InputError(f"{what} is a {type(found).__name__}, not a function")
+    return found
 
 
 def policy_digest(name: str) -> str:
@@ -140,22 +140,6 @@ def policy_digest(name: str) -> str:
 
 def _is_trained(name: str) -> bool:
     return exists(name) or name in shipped_policies()
-
-
-def _function(name: str) -> Policy:
-    shipped = ", ".join(shipped_policies())
-    known = f"'{RANDOM}', '{PLANNER}', 'module:function', the path of a trained policy, or a shipped one: {shipped}"
-    if ":" not in name:
-        raise InputError(f"no policy '{name}': there is no such file; allowed: {known}")
-    what = f"policy '{name}'"
-    found: Policy = find_named(name, what, "module:function, such as mypackage.policies:greedy", known)
-    if not callable(found):
-        raise InputError(f"{what} is a {type(found).__name__}, not a function")
-    return found
-
-
-def _said(error: BaseException) -> str:
-    return textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
 
 
 class _Hanging(BaseException):

@@ -16,7 +16,7 @@ from craftsim.checking.episode import Step
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup
 from craftsim.discrete.geometry import CELL_PITCH_M
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, beside
+from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import PLACE_TOLERANCE_M
 from craftsim.discrete.rules import Rules
@@ -61,11 +61,8 @@ class Replanner:
         self.ended: tuple[str, str] = ("", "")
         """How the building ended, and why; empty before."""
         self.folded = ""
-        """The disturbance by folding a slope, in words."""
         self.out: set[int] = set()
-        """Cars out of action."""
         self.failures: Counter[int] = Counter()
-        """Number of failures by car since its last success."""
         self.n_ticks = self.n_acts = 0
 
     def steps(self, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
@@ -96,24 +93,14 @@ class Replanner:
     def end(self, judge: Judge) -> tuple[bool, bool, dict[str, str | float]]:
         """Return whether it is built in physics and by the rules, and what :class:`Episode` says of its ending."""
         fleet, (ended, why) = judge.executor.fleet, self.ended
-        return (
-            ended == "built",
-            True,
-            {
-                "ended": ended,
-                "why": why,
-                "replans": self.replans,
-                "planned_s": self.first.makespan_s,
-                "disturbed": fleet.happened if isinstance(fleet, DisturbedFleet) else self.folded,
-            },
-        )
+        found: dict[str, str | float] = {"ended": ended, "why": why, "replans": self.replans}
+        found["planned_s"] = self.first.makespan_s
+        found["disturbed"] = fleet.happened if isinstance(fleet, DisturbedFleet) else self.folded
+        return ended == "built", True, found
 
     def _plan(self, grid: Grid, number: int) -> Planned:
-        """Return a plan that nothing but the arguments of all this decides."""
-        rules = Rules(self.setup.rules)
-        return plan_building(
-            grid, self.task, rules, rounds=self.asked.rounds, time_s=math.inf, seed=self.seed + number
-        )
+        rules, rounds, seed = Rules(self.setup.rules), self.asked.rounds, self.seed + number
+        return plan_building(grid, self.task, rules, rounds=rounds, time_s=math.inf, seed=seed)
 
     def _carry_out(self, ticks: Ticks, judge: Judge, found: Sequence[Sequence[Attempt]]) -> Iterator[Step]:
         """Yield the steps of a plan, as many as can be done."""
@@ -189,10 +176,8 @@ def without(judge: Judge, task: Task, out: Iterable[int]) -> tuple[Grid, tuple[i
         walled -= {target.cell for target, hit in task.design.hits(real) if hit} - nearly
     for cell in list(walled):
         kind, yaw = real.kind[cell], int(real.yaw[cell])
-        if kind in (Kind.FSLOPE, Kind.BODY):
-            walled.add(beside(cell, yaw))
-        elif kind in (Kind.GEAR, Kind.FOOT):
-            walled.add(beside(cell, yaw + 2))
+        if kind in (Kind.FSLOPE, Kind.BODY, Kind.GEAR, Kind.FOOT):
+            walled.add(beside(cell, yaw if kind in SECOND_PART else yaw + 2))
     for cell in walled:
         grid.kind[cell], grid.yaw[cell] = Kind.WALL, 0
     grid.derive_marks()

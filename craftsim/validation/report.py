@@ -62,9 +62,7 @@ def validation_report(result: Validation, command: str) -> Report:
     """Return the report of a validation; ``command`` is how it can be run again."""
     figures, records, builds = result.figures, result.records, result.builds
     runs = ((record["key"], [*map(Attempt.of, record["attempts"])]) for record in records)
-    of_plans = (
-        [] if builds else [shared.survival_section(figures.survival), *shared.policies_section(figures)]
-    )
+    survival = [shared.survival_section(figures.survival), *shared.policies_section(figures)]
     sections = [
         _builds(records) if builds else _results(figures, records),
         *_coverage(result.coverage),
@@ -72,7 +70,7 @@ def validation_report(result: Validation, command: str) -> Report:
         *smallest_section(result.smallest),
         *([actions_section(runs, len(records))] if records else []),
         failures_section(failures_of(records), shared.error_tables(figures.errors)),
-        *of_plans,
+        *([] if builds else survival),
         Section(
             "errors",
             "Errors and forces",
@@ -98,7 +96,14 @@ def validation_report(result: Validation, command: str) -> Report:
         title = "Validation in physics"
         about = f"{', '.join(result.config['worlds'])}: {', '.join(result.config['by'])}"
         headline, key_figures, good = _headline(figures, records), _key_figures(figures), result.agrees
-        notes += _drift(figures)
+        if all(figures.drift.values()):
+            thirds = (
+                f"{d.median:.2f} (at most {d.max:.2f}, {d.n} things)" for d in figures.drift.values() if d
+            )
+            notes.append(
+                "Set down in the first, middle and last third of the runs: median "
+                f"{', '.join(thirds)} mm off."
+            )
     return Report(title, about, headline, [*key_figures], sections, notes, exit_code=0 if good else 1)
 
 
@@ -145,22 +150,12 @@ def _share(label: str, p: Proportion) -> KeyFigure:
     return KeyFigure(percent(p.rate), label, note)
 
 
-def _drift(figures: Figures) -> list[str]:
-    if not all(thirds := figures.drift.values()):
-        return []
-    found = ", ".join(f"{d.median:.2f} (at most {d.max:.2f}, {d.n} things)" for d in thirds if d)
-    return [f"Set down in the first, middle and last third of the runs: median {found} mm off."]
-
-
 def _results(figures: Figures, records: Sequence[TrialRecord]) -> Section:
     blocks: list[Block] = [runs_table(records)]
     if len(figures.by_group) > 1:
         columns = ("runs", "runs that agree", SHARE[1].name, "actions", "actions as predicted", SHARE[1].name)
         rows = [
-            (
-                *(name, one["runs"].trials, *share_cells(one["runs"])),
-                *(one["actions"].trials, *share_cells(one["actions"])),
-            )
+            (name, *(cell for p in (one["runs"], one["actions"]) for cell in (p.trials, *share_cells(p))))
             for name, one in figures.by_group.items()
         ]
         heads = (Column("plan or policy", "path"), *(Column(name, "number") for name in columns))
@@ -180,8 +175,7 @@ def runs_table(records: Sequence[TrialRecord]) -> DataTable:
     figures = (
         {"world": r["context"] or "", "by": r["group"], "done": r["error"] is None, "agree": r["agrees"]}
         | {"actions": len(r["attempts"]), "good": sum(not _disagrees(a) for a in r["attempts"])}
-        | {name: r["extra"].get(name) for name in _GOALS}
-        | {"makespan_s": r["extra"].get("makespan_s", 0.0)}
+        | {"makespan_s": r["extra"].get("makespan_s", 0.0), **{goal: r["extra"].get(goal) for goal in _GOALS}}
         for r in records
     )
     rows: list[tuple[Value, ...]] = []
@@ -194,9 +188,9 @@ def runs_table(records: Sequence[TrialRecord]) -> DataTable:
         ]
         makespan = f"{done.makespan_s.median():.1f}" if n else None
         rows.append((*key, len(runs), *counts, *goals, makespan, len(runs) - n))
-    names = ("runs", "agree", "actions", "good", "goal", "rules", "makespan", "errors")
+    heads = ("plan or policy", "runs", "agree", "actions", "good", "goal", "rules", "makespan", "errors")
     return DataTable(
-        (Column("world"), Column("plan or policy"), *(Column(name, "number") for name in names)),
+        (Column("world"), *numbers(*heads)),
         rows,
         "Runs",
         "goal: runs that reach it, in physics and by the rules; makespan: median, s simulated",
@@ -248,8 +242,7 @@ def _builds(records: Iterable[TrialRecord]) -> Section:
         tone = Tone.GOOD if extra["ended"] == "built" else Tone.BAD
         times = [f"{extra[key]:.1f}" for key in ("planned_s", "makespan_s")]
         rows.append((record["key"], len(attempts), good, extra["replans"], *times, Cell(ended, tone)))
-    names = ("actions", "good", "replans", "planned", "real")
-    columns = (Column("building"), *(Column(name, "number") for name in names), Column("ended"))
+    columns = *numbers("building", "actions", "good", "replans", "planned", "real"), Column("ended")
     note = "good: actions as predicted; planned: makespan of the first plan; both times in simulated seconds"
     table = DataTable(columns, rows, "Buildings", note)
     return Section("buildings", "Buildings", "One row for each building.", [table], terminal=True)
@@ -261,13 +254,8 @@ def demo_report(
     document: Mapping[str, Any],
     films: Mapping[str, Path],
 ) -> Report:
-    """Return the report of a demonstration.
-
-    Args:
-        buildings: with their episodes.
-        command: how it can be run again.
-        document: content of ``report.json``.
-        films: of buildings, by their names.
+    """Return the report of a demonstration; ``document`` is the content of ``report.json``, ``films`` are those of
+    buildings, by their names.
     """
     figures = [one.figures for one in buildings]
     agree, total = sum(one.n_agree for one in buildings), sum(one.n_actions for one in buildings)
@@ -279,6 +267,13 @@ def demo_report(
         for attempt in one.attempts
         if not attempt.agrees
     ]
+    reached = [one.reached for one in buildings]
+    words = {None: "no goal was given", True: "the goal is reached", False: "the goal is NOT reached"}
+    goals = words[reached[0]]
+    if len(buildings) > 1:
+        goals = f"{reached.count(True)} of {len(buildings)} goals are reached"
+    sentence = f"{agree} of {total} actions agree with the rules; {goals}."
+    shown = [_film(one, films[one.name]) for one in buildings if films]
     makespan_s = sum(one["makespan_s"] for one in figures)
     key_figures = [_share("actions as predicted", Proportion.of(agree, total))]
     key_figures.append(KeyFigure(f"{makespan_s:.1f} s", "makespan, simulated"))
@@ -288,13 +283,13 @@ def demo_report(
     return Report(
         "Demonstration",
         ", ".join(one.name for one in buildings),
-        Headline(badge, Tone.GOOD if good else Tone.BAD, _conclusion(buildings, agree, total)),
+        Headline(badge, Tone.GOOD if good else Tone.BAD, sentence),
         key_figures,
         [
             _summary(buildings, figures),
             actions_section(((one.name, one.attempts) for one in buildings), len(buildings)),
             *([failures_section(iter(failures), note=_RENDER)] if failures else []),
-            *_films(buildings, films),
+            *([Section("films", "Films", "From the start to the end.", [Cases(shown)])] if films else []),
             shared.provenance_section(command, document["seed"], document["config"]),
         ],
         [*shared.run_notes(*(sum(one[name] for one in figures) for name in ("capped_steps", "retried")))],
@@ -306,48 +301,21 @@ def demo_report(
 
 def _summary(buildings: Sequence[Building], figures: Sequence[Mapping[str, Any]]) -> Section:
     """Return a section with a row for each building."""
-    goals = {
-        None: Cell("none", Tone.MUTED),
-        True: Cell("reached", Tone.GOOD),
-        False: Cell("missed", Tone.BAD),
-    }
+    goals = {None: ("none", Tone.MUTED), True: ("reached", Tone.GOOD), False: ("missed", Tone.BAD)}
     rows = []
     for one, found in zip(buildings, figures, strict=True):
         tone = Tone.GOOD if one.n_agree == one.n_actions else Tone.BAD
+        cells = Cell(f"{one.n_agree} of {one.n_actions}", tone), Cell(*goals[one.reached])
         worst = (found[f"max_{name}"] for name in _WORST)
-        rows.append(
-            (
-                *(one.name, found["ticks"], Cell(f"{one.n_agree} of {one.n_actions}", tone)),
-                *(goals[one.reached], f"{found['makespan_s']:.1f}"),
-                *(None if value is None else f"{value:.2f}" for value in worst),
-            )
-        )
+        lengths = (None if value is None else f"{value:.2f}" for value in worst)
+        rows.append((one.name, found["ticks"], *cells, f"{found['makespan_s']:.1f}", *lengths))
     note = "s: makespan; at worst: mm, mrad of cars, set: mm of things set down, others: mm that bystanders moved"
     columns = numbers("task", "ticks", "agree", "goal", "s", *_WORST.values())
     table = DataTable(columns, rows, "Built in physics, checked by the rules", note)
     return Section("buildings", "Buildings", _LEAD, [table], terminal=True)
 
 
-def _films(buildings: Sequence[Building], films: Mapping[str, Path]) -> list[Section]:
-    if not films:
-        return []
-    cases = [
-        Case(
-            *(one.name, "built" if one.good else "not as planned", Tone.GOOD if one.good else Tone.BAD),
-            f"{one.figures['makespan_s']:.1f} s, {one.n_agree} of {one.n_actions} actions as predicted",
-            film=films[one.name].name,
-            trajectory=f"{one.name}{SUFFIX}",
-        )
-        for one in buildings
-    ]
-    return [Section("films", "Films", "From the start to the end.", [Cases(cases)])]
-
-
-def _conclusion(buildings: Sequence[Building], agree: int, total: int) -> str:
-    """Return how many actions agree, and whether the goal, or each goal, is reached."""
-    actions = f"{agree} of {total} actions agree with the rules"
-    reached = [one.reached for one in buildings]
-    if len(buildings) > 1:
-        return f"{actions}; {reached.count(True)} of {len(buildings)} goals are reached."
-    words = {None: "no goal was given", True: "the goal is reached", False: "the goal is NOT reached"}
-    return f"{actions}; {words[reached[0]]}."
+def _film(one: Building, film: Path) -> Case:
+    said = f"{one.figures['makespan_s']:.1f} s, {one.n_agree} of {one.n_actions} actions as predicted"
+    result = ("built", Tone.GOOD) if one.good else ("not as planned", Tone.BAD)
+    return Case(one.name, *result, said, film=film.name, trajectory=f"{one.name}{SUFFIX}")

@@ -38,7 +38,6 @@ from craftsim.validation.worlds import RandomWorlds
 
 BUNDLES: Final = "bundles"
 WORLDS: Final = "worlds"
-"""Subfolder for random worlds and their plans."""
 PLAY: Final = "play"
 """Random legal play, weighted towards rare actions: a plan that each run draws for its world."""
 
@@ -53,7 +52,6 @@ class Run:
 
     key: str
     world: Task | str | RandomWorlds
-    """A task, a reference to one, or a family of random worlds."""
     by: By
     episode: int = 0
     """Index that, with the seed, determines all random draws; equal for all plans and policies, which pairs them."""
@@ -64,16 +62,9 @@ class Run:
     order: PlanOrder = "concurrent"
     """Execution of the plan that random play draws for its world."""
     observers: tuple[Observer, ...] = ()
-    """Called with the PhysicsWorld after every control period."""
     record: bool = False
-    """Whether to record a trajectory and the logs."""
     set_up: SetUp = set_up
     """Sets up a plan's world: simulated here, or remote robots."""
-
-    @property
-    def file_name(self) -> str:
-        """The key as a file name."""
-        return re.sub(r"[^\w.-]+", "-", self.key)
 
 
 @dataclass(frozen=True)
@@ -83,11 +74,9 @@ class RolloutResult:
     task: Task
     start: Grid
     played: Sequence[Joint] | None
-    """The random play, if any."""
     episode: Episode
     trajectory: Trajectory | None = None
     logs: Mapping[int, Log] = field(default_factory=dict)
-    """Logs by car."""
 
 
 def steps_of(
@@ -98,16 +87,16 @@ def steps_of(
     if order == "concurrent":
         return (Step.joint(0, *ticks, after=after),)
     numbered = [(tick, joint) for tick, joint in enumerate(ticks) if joint]
-    if order == "ticks":
-        return tuple(Step.joint(tick, joint, after=_within(after, tick, joint)) for tick, joint in numbered)
-    return tuple(Step.single(tick, *act) for tick, joint in numbered for act in joint)
-
-
-def _within(after: Constraints, tick: int, joint: Sequence[tuple[int, Action]]) -> Constraints:
-    """Return the order constraints within one tick, renumbered to tick 0; those between ticks hold anyway."""
-    return {
-        (0, car): [(0, other) for at, other in after.get((tick, car), ()) if at == tick] for car, _ in joint
-    }
+    if order == "sequential":
+        return tuple(Step.single(tick, *act) for tick, joint in numbered for act in joint)
+    steps = []
+    for tick, joint in numbered:
+        # Of a tick alone, whose number is then 0; order constraints between ticks hold anyway.
+        within = {
+            (0, car): [(0, c) for at, c in after.get((tick, car), ()) if at == tick] for car, _ in joint
+        }
+        steps.append(Step.joint(tick, joint, after=within))
+    return tuple(steps)
 
 
 def do_run(run: Run) -> Result:
@@ -145,18 +134,19 @@ def do_run(run: Run) -> Result:
 
 def _write(run: Run, done: RolloutResult, out: Path) -> str | None:
     """Write recordings, random world, and the bundle of the first disagreement; return the bundle's folder."""
+    name = re.sub(r"[^\w.-]+", "-", run.key)
     if done.trajectory is not None:
         folder = directory_within(out, TRAJECTORIES)
-        done.trajectory.write(folder / f"{run.file_name}{SUFFIX}")
-        write_table(folder / f"{run.file_name}{LOG_SUFFIX}", done.logs)
+        done.trajectory.write(folder / f"{name}{SUFFIX}")
+        write_table(folder / f"{name}{LOG_SUFFIX}", done.logs)
     if done.played is not None and any(done.played):
         folder = directory_within(out, WORLDS)
-        write_blueprint(done.start, folder / f"{run.file_name}.yaml")
-        write_plan(done.played, folder / f"{run.file_name}.plan")
+        write_blueprint(done.start, folder / f"{name}.yaml")
+        write_plan(done.played, folder / f"{name}.plan")
     number = done.episode.first_disagreement
     if number is None:
         return None
-    bundle = f"{BUNDLES}/{run.file_name}"
+    bundle = f"{BUNDLES}/{name}"
     write_bundle(out / bundle, run.key, done.episode.until(number), done.episode.steps[number])
     return bundle
 
@@ -171,9 +161,8 @@ def roll_out(run: Run, watch: Watch = unwatched) -> RolloutResult:
     number, policy_number = (int(s.generate_state(1)[0]) for s in (world_seed, policy_seed))
     # As an environment spawns them from the same seed.
     start, physics = (np.random.default_rng(s) for s in np.random.SeedSequence(number).spawn(2))
-    drawn = (
-        run.world.task(np.random.default_rng(number)) if isinstance(run.world, RandomWorlds) else run.world
-    )
+    world = run.world
+    drawn = world.task(np.random.default_rng(number)) if isinstance(world, RandomWorlds) else world
     task = as_task(drawn).for_episode(start)
     grid, played = task.draw(start), None
     if by == PLAY:

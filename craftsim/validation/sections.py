@@ -11,6 +11,7 @@ from typing import Any, Final
 from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.experiments.bundle import FILM, TRAJECTORY
 from craftsim.experiments.experiment import TrialRecord
+from craftsim.experiments.sections import TONES
 from craftsim.rendering.trajectory import SUFFIX
 from craftsim.reports.report import (
     Block,
@@ -28,24 +29,14 @@ from craftsim.reports.report import (
 from craftsim.validation.minimize import ACTIONS, BLUEPRINT, Counterexample
 
 MOST_FAILURES: Final = 1000
-"""Failures that a report lists."""
 MOST_PLANS: Final = 20
-"""Runs whose actions a page lists one by one."""
 _ON_TERMINAL: Final = 20
-"""Failures that the terminal lists."""
 
 REPLAY: Final = (
     "Replay, from the folder of this report: craftsim replay BUNDLE. The first failure of a run, of an action that the "
     "rules allow, has a bundle; what fails after it starts from the world that it left."
 )
 
-TONES: Final = {
-    Verdict.AS_PREDICTED: Tone.GOOD,
-    Verdict.FAILED: Tone.CAUTION,
-    Verdict.SIDE_EFFECT: Tone.CAUTION,
-    Verdict.UNSAFE: Tone.BAD,
-    Verdict.SOLVER: Tone.MUTED,
-}
 _LENGTHS: Final = ("car_error_m", "placed_error_m", "bystander_displacement_m")
 
 
@@ -64,12 +55,9 @@ Row = tuple[Value, ...]
 def failure(run: str, attempt: Mapping[str, Any] | None, error: str = "", kept: str = "") -> tuple[Row, Case]:
     """Return a failed action, or a run that did not finish, as a row of :func:`failures_section` and in detail.
 
-    Args:
-        run: name of the run.
-        attempt: the attempt; None if the run as a whole failed.
-        error: reason of that.
-        kept: file that shows it, relative to the report's folder, or empty: the replay bundle of a run's first failure
-            of a legal action, or the trajectory of a demonstration.
+    There is no ``attempt`` if the run as a whole failed, with an ``error``. ``kept`` is the file that shows it,
+    relative to the report's folder: the replay bundle of a run's first failure of a legal action, or the trajectory of
+    a demonstration.
     """
     if attempt is None:
         row = (run, None, None, None, Cell("error", Tone.MUTED), None, error, kept or None)
@@ -108,8 +96,8 @@ def failures_section(
     listed = list(islice(found, MOST_FAILURES))
     more = sum(1 for _ in found)
     columns = (
-        *(Column("run", "path"), Column("tick", "number"), Column("car", "number"), Column("action")),
-        Column("result"),
+        *(Column("run", "path"), Column("tick", "number"), Column("car", "number")),
+        *(Column("action"), Column("result")),
         Column("mm off", "number", "of the car, of what it set down, or of what it does not concern"),
         *(Column("cause", "wide"), Column("replay", "path", "what shows it again")),
     )
@@ -135,27 +123,17 @@ def actions_table(attempts: Iterable[Attempt], title: str = "Action by action") 
     for one in attempts:
         result = "agrees" if one.agrees else one.result if one.legal else "not tried"
         errors = (one.duration_s, 1e3 * one.car_error_m, 1e3 * one.heading_error_rad)
-        rows.append(
-            (
-                *(str(one.tick), str(one.car), one.action, one.predicted),
-                *(
-                    "same" if one.read == one.predicted else one.read,
-                    Cell(result, TONES[Verdict(one.result)]),
-                ),
-                *(f"{error:.2f}" for error in errors),
-                one.reason,
-            )
-        )
+        read = "same" if one.read == one.predicted else one.read
+        cell, shown = Cell(result, TONES[Verdict(one.result)]), (f"{error:.2f}" for error in errors)
+        rows.append((str(one.tick), str(one.car), one.action, one.predicted, read, cell, *shown, one.reason))
     note = "Predicted by the rules, read from poses: cell, heading, load, low or high on a slope; mm, mrad: of the car."
     return DataTable(columns, rows, title, note, tall=True, most=400)
 
 
 def actions_section(runs: Iterable[tuple[str, Sequence[Attempt]]], total: int) -> Section:
     """Return a section of what each action did; ``runs`` are names and attempts, and only one alone is printed."""
-    title, lead = (
-        "Action by action",
-        "What the rules predict of each action, and what was read from poses after it.",
-    )
+    title = "Action by action"
+    lead = "What the rules predict of each action, and what was read from poses after it."
     if total == 1:
         tables = [actions_table(attempts) for _, attempts in runs]
         return Section("actions", title, lead, tables, terminal=True)
@@ -174,8 +152,7 @@ def smallest_section(found: Sequence[Counterexample]) -> list[Section]:
         return []
     title = f"Smallest worlds: {count(len(found), 'kind')} of failure"
     lead = "The first failure of each kind, with all taken away that it does not need. Try it again from this folder."
-    cases = Cases([_smallest(one) for one in found], most=40)
-    return [Section("smallest", title, lead, [cases], terminal=True)]
+    return [Section("smallest", title, lead, [Cases([*map(_smallest, found)], most=40)], terminal=True)]
 
 
 def _smallest(one: Counterexample) -> Case:

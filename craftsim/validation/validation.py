@@ -26,7 +26,7 @@ from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
 from craftsim.experiments.experiment import Experiment, Progress, TrialRecord
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.session import open_session
-from craftsim.experiments.statistics import Figures, campaign_figures, write_durations
+from craftsim.experiments.statistics import Figures, campaign_figures, carried_out, write_durations
 from craftsim.options import Physics, Rollouts, Trials, changed
 from craftsim.planning import Planned, plan_building
 from craftsim.rendering.trajectory import Trajectory
@@ -48,17 +48,13 @@ PHYSICS: Final = Physics()
 TRIALS: Final = Trials()
 REPLANNING: Final = Replanning()
 _FORMER: Final = {"against": "baseline", "shrink": "minimize"}
-"""Former names of arguments of validate."""
 
 
 def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
-    """Return the metrics of all buildings of a run.
-
-    They are the share built of all that finished, how many ended in which way, the number of further plans, in how many
-    the disturbance took place, and the medians of the first plan's predicted and of the real makespan in simulated
-    seconds.
-    """
-    extras = [record["extra"] for record in records if record["error"] is None]
+    """Return the metrics of all buildings of a run: the share ``built`` of all that finished, the number of each
+    ending, of further plans and of disturbances, and the medians of the first plan's and of the real makespan in
+    simulated seconds."""
+    extras = [record["extra"] for record in carried_out(records)]
     endings = Counter(extra["ended"] for extra in extras)
     times = [extra["makespan_s"] for extra in extras if extra["ended"] == "built"]
     return {
@@ -207,21 +203,19 @@ def validate(
             "several workers, an engine, resume, baseline, minimize and record need the folder 'out'"
         )
     subjects = choice.subjects_of(several, what.n_cars, what.n_blocks, what.max_steps)
+    n_cars = subjects[0].n_cars if subjects else 0
     if plan == choice.AUTO:
         pilots = [choice.replanning_pilot(replanning, subjects)]
     elif plan is not None:
-        read = plan if isinstance(plan, Plan) else read_plan(Path(plan), subjects[0].n_cars)
+        read = plan if isinstance(plan, Plan) else read_plan(Path(plan), n_cars)
         pilots = [choice.plan_pilot(read, order)]
     elif actions is not None:
-        pilots = [choice.plan_pilot(read_actions(Path(actions), subjects[0].n_cars), "sequential")]
+        pilots = [choice.plan_pilot(read_actions(Path(actions), n_cars), "sequential")]
     else:
-        default = choice.PLAY if all(s.name == RANDOM for s in subjects) else choice.PLANNER
-        chosen = policy or default
+        chosen = policy or (choice.PLAY if all(s.name == RANDOM for s in subjects) else choice.PLANNER)
         named = [chosen] if isinstance(chosen, str) or callable(chosen) else list(chosen)
-        pilots = [
-            choice.policy_pilot(one, subjects, order, physics.rules, timeout_s)
-            for one in dict.fromkeys(named)
-        ]
+        asked = subjects, order, physics.rules, timeout_s
+        pilots = [choice.policy_pilot(one, *asked) for one in dict.fromkeys(named)]
     folder = None if out is None else Path(out)
     setup = physics.setup()
     config: dict[str, Any] = {
@@ -244,9 +238,8 @@ def validate(
     earlier = read_earlier(experiment, folder, how)
     if plan == choice.AUTO:
         # Fail before the run starts if nothing can be built; finding out may take long.
-        rng, rules = np.random.default_rng(seed), Rules(setup.rules)
+        rng, rules, rounds = np.random.default_rng(seed), Rules(setup.rules), replanning.rounds
         first = as_task(items[0].job.world).for_episode(rng)
-        rounds = replanning.rounds
         plan_building(first.draw(rng), first, rules, rounds=rounds, time_s=math.inf, report=_enough)
     with open_session(experiment, folder, how) as session:
         records = session.run()
@@ -275,8 +268,7 @@ def read_goal(start: str, goal: Path | None) -> Task:
     """
     task = as_task(start)
     if goal is not None:
-        design = read_design(goal)
-        return replace(task, design=design, success="built")
+        return replace(task, design=read_design(goal), success="built")
     if not task.has_goal:
         raise InputError(f"{start} has no goal; give a design with --goal")
     return task
@@ -295,13 +287,13 @@ def record_once(
 
     Raises InputError if there is no plan, and for an invalid file.
     """
-    if plan is not None and policy is not None:
-        raise InputError("plan and policy exclude each other")
     subjects = choice.subjects_of([world])
-    if plan is not None:
-        pilot = choice.plan_pilot(read_plan(plan, subjects[0].n_cars), order)
-    else:
+    if plan is None:
         pilot = choice.policy_pilot(policy or choice.PLANNER, subjects, order, setup.rules)
+    elif policy is not None:
+        raise InputError("plan and policy exclude each other")
+    else:
+        pilot = choice.plan_pilot(read_plan(plan, subjects[0].n_cars), order)
     (item,) = choice.items_of(subjects, [pilot], 1, seed, setup, order=order, record=True)
     trajectory = roll_out(item.job).trajectory
     assert trajectory is not None

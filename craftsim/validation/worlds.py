@@ -16,15 +16,12 @@ from craftsim.errors import BlueprintError, CraftsimError, InputError
 
 MAX_CARS: Final = 12
 LENGTHS: Final = (4, 12)
-"""Least and largest number of cells along x and along y."""
 HEIGHTS: Final = (1, 5)
 _MAX_BLOCKS: Final = 40
 """Limit for the speed of the physics."""
 _TRIES: Final = 200
 _LEVELLING: Final = 8
-"""Maximum number of blocks added below one slope."""
 _PATCH: Final = 4
-"""Upper bound of the length and width of a terrace in cells, exclusive."""
 _LOADS: Final = (Kind.BLOCK, Kind.BLOCK, Kind.FLAG, Kind.FSLOPE, Kind.FSLOPE)
 
 
@@ -82,19 +79,13 @@ class _Drawing:
         n_cars = drawn if family.n_cars is None else family.n_cars
         self.grid = Grid.empty((length, width, height), n_cars)
         self.tops = np.zeros((length, width), np.int64)
-        """Number of blocks by column."""
         self.taken: set[tuple[int, int]] = set()
-        """Columns with something on their blocks."""
         budget = int(rng.integers(min(length * width, _MAX_BLOCKS) + 1))
         self._terraces(budget if family.n_blocks is None else family.n_blocks)
-        for _ in range(int(rng.integers(5))):
-            self._slope()
-        for _ in range(int(rng.integers(3))):
-            self._stand(Kind.FLAG)
-        for _ in range(int(rng.integers(3))):
-            self._stand(Kind.WALL)
-        for _ in range(int(rng.integers(3))):
-            self._hang_wall()
+        flag, wall = (lambda: self._stand(Kind.FLAG)), (lambda: self._stand(Kind.WALL))
+        for most, draw in ((5, self._slope), (3, flag), (3, wall), (3, self._hang_wall)):
+            for _ in range(int(rng.integers(most))):
+                draw()
         self._cars(n_cars)
         self.grid.derive_marks()
 
@@ -239,20 +230,16 @@ def _cells(grid: Grid, place: str) -> list[_Start]:
         elif place == "under a slope" and here in (Kind.FSLOPE, Kind.BODY):
             found.append((cell, ((along + 2) % 4,), 0, frozenset()))
         elif "a ramp" in place and here == Kind.BODY:
-            way, up, above = _way(cell, along), (along + 2) % 4, (x, y, z + 2)
+            foot, up, above = beside(cell, along), (along + 2) % 4, (x, y, z + 2)
+            way = frozenset(one[:2] for one in (beside(cell, up), cell, foot, beside(foot, along)))
             if place == "on a ramp":
-                found.append((beside(cell, along), (along, up), 1, way))
+                found.append((foot, (along, up), 1, way))
                 if grid.kind_at(above) == Kind.AIR:
                     found.append((above, (along, up), 2, way))
                 continue
-            ends = ((beside(beside(cell, along), along), up), (beside(above, up), along))
+            ends = ((beside(foot, along), up), (beside(above, up), along))
             found += [(there, (yaw,), 0, way) for there, yaw in ends if _free(grid, there)]
     return found
-
-
-def _way(body: Cell, yaw: int) -> frozenset[tuple[int, int]]:
-    cells = (beside(body, yaw + 2), body, beside(body, yaw), beside(beside(body, yaw), yaw))
-    return frozenset(cell[:2] for cell in cells)
 
 
 def _free(grid: Grid, cell: Cell) -> bool:

@@ -24,7 +24,6 @@ from craftsim.errors import CraftsimError
 from craftsim.modules import REGISTERING, SAFE_PATH, import_registering, safe_path, set_safe_path
 
 Handler = Callable[[Any], Any]
-"""From a request to its answer."""
 
 _starting: Final = threading.Lock()
 
@@ -51,7 +50,6 @@ class Actor:
         their_requests.close()
         their_answers.close()
         self.due = 0
-        """Number of unanswered requests."""
 
     @property
     def pid(self) -> int:
@@ -141,7 +139,7 @@ def spawn_context() -> SpawnContext:
     Its processes have the module path of this process at that moment.
     """
     # Otherwise the first queue or lock starts it, with the usual path.
-    with _safe_path():
+    with _starting, safe_path():
         resource_tracker.ensure_running()
     return _Context()
 
@@ -151,7 +149,7 @@ class _Process(SpawnProcess):
         self._inherited = os.environ.get(SAFE_PATH)
         self._tells = reports_compiling()
         self._registering = tuple(REGISTERING)
-        with _safe_path():
+        with _starting, safe_path():
             # Otherwise its first start unblocks the signal.
             resource_tracker.ensure_running()
             usual = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -172,12 +170,6 @@ class _Process(SpawnProcess):
 
 class _Context(SpawnContext):
     Process = _Process
-
-
-@contextmanager
-def _safe_path() -> Iterator[None]:
-    with _starting, safe_path():
-        yield
 
 
 @contextmanager

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from types import TracebackType
 from typing import Any, Final, Self, TypeAlias, TypeVar
 
 from craftsim.choices import Engine as Engine
@@ -24,7 +23,6 @@ Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
 RELEASE_EVERY: Final = 20
-"""Jobs after which a worker releases memory."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,6 @@ class Failure:
     stops: bool = False
     """Whether the run must stop, for instance on a full disk."""
     traceback: str = ""
-    """Traceback of the exception."""
 
 
 def answered(answer: Answer | Failure) -> Answer:
@@ -53,12 +50,10 @@ _Batch: TypeAlias = tuple[tuple[Any, ...], int]
 class _Worker:
     actor: Any
     function: object = None
-    """The function that it has loaded."""
     batch: _Batch = ((), 0)
     has_batch: bool = False
     """False while it is still loading the function, which does not count for the time limit."""
     end_s: float = math.inf
-    """Deadline of its batch."""
 
     def send(self, timeout_s: float) -> None:
         jobs, _ = self.batch
@@ -82,7 +77,6 @@ class Pool:
         self._n = min(n, processors()) if engine == "ray" else n
         self._idle: list[_Worker] = []
         self._running: dict[Any, _Worker] = {}
-        """By actor."""
 
     def map_unordered(
         self,
@@ -92,15 +86,12 @@ class Pool:
         batch: int = 1,
         retries: int = 1,
     ) -> Iterator[tuple[Job, Answer | Failure]]:
-        """Yield each job with its answer, as soon as it is known.
+        """Yield each job with its answer, as soon as it is known; exceptions of the function are raised here.
 
-        Args:
-            function: picklable; each worker keeps its own copy as long as it gets jobs for this function. Its
-                exceptions are raised here.
-            jobs: started in this order; consumed as workers become free.
-            timeout_s: time limit of each job, after which its worker is killed.
-            batch: jobs sent to a worker together. If one of them fails, each is run again alone.
-            retries: repetitions of a job whose worker died.
+        Each worker keeps its own copy of the picklable ``function`` as long as it gets jobs for it. Jobs are started in
+        their order and consumed as workers become free, ``batch`` sent together; if one of these fails, each is run
+        again alone. A worker is killed after ``timeout_s`` a job; a job whose worker died is repeated ``retries``
+        times.
 
         Raises InputError if a Ray cluster is gone.
         """
@@ -164,10 +155,9 @@ class Pool:
         """Return the workers that answered or died, as soon as there are some, and those past their deadline."""
         end_s = min(worker.end_s for worker in self._running.values())
         timeout_s = None if math.isinf(end_s) else max(0.0, end_s - time.monotonic())
-        ready = [self._running[actor] for actor in self._kind.wait(list(self._running), timeout_s)]
-        now = time.monotonic()
-        late = [worker for worker in self._running.values() if worker.end_s <= now and worker not in ready]
-        return [*((worker, False) for worker in ready), *((worker, True) for worker in late)]
+        ready, now = self._kind.wait(list(self._running), timeout_s), time.monotonic()
+        late = [actor for actor, one in self._running.items() if one.end_s <= now and actor not in ready]
+        return [(self._running[actor], actor in late) for actor in (*ready, *late)]
 
     def _kill(self, worker: _Worker) -> None:
         worker.actor.kill()
@@ -182,9 +172,7 @@ class Pool:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

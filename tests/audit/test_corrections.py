@@ -86,12 +86,6 @@ def test_what_only_published_allows_goes_wrong_and_its_twin_disturbs_nothing(nam
     assert shifted_m < 1e-3
 
 
-def test_a_flap_that_comes_down_beside_a_block_pushes_it_less_than_one_that_rises_but_pushes_it():
-    beside_block, apart = ([(3, 1, 1, 0)], [FOLDED, (BLOCK, (1, 1, 1))]), ([(3, 1, 1, 0)], [FOLDED])
-    assert 1e-3 < _run(beside_block, 0, UNFOLD, PUBLISHED)[1] < 5e-3
-    assert _run(apart, 0, UNFOLD, PHYSICAL)[1] < 1e-4
-
-
 def test_from_a_top_onto_a_second_foot_a_car_is_where_physical_says():
     stairs = [(Kind.BODY, (4, 1, 1), 0), *[(BLOCK, (x, 1, 1)) for x in (1, 2, 3)], (Kind.BODY, (2, 1, 2), 0)]
     world = [(4, 1, 2, 2, 0, 0, 2)], [*stairs, (BLOCK, (1, 1, 2))]

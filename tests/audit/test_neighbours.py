@@ -6,7 +6,6 @@ import re
 import numpy as np
 import pytest
 
-from craftsim.audit.builder import Builder
 from craftsim.audit.neighbours import (
     HOME,
     bare_situations,
@@ -23,7 +22,6 @@ from craftsim.checking.setup import setup_of
 from craftsim.cli import main
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.geometry import CELL_PITCH_M
-from craftsim.discrete.grid import Kind
 from craftsim.discrete.rules import Rules
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.composition import placements
@@ -139,10 +137,3 @@ def test_physics_meets_what_geometry_expects_in_the_way():
     done = try_it(AuditTrial(near, True, 0, 0, setup_of("none", "published")))
     assert near.clearance_mm < -10
     assert "wall touched block 0" in done.attempts[0].reason
-
-
-def test_without_a_neighbour_the_ramp_that_its_gear_crosses_is_whole():
-    world = Builder.of(SITUATIONS["MOVE-down/load=block"].grid)
-    _, alone = OCCUPANTS["fslope-back"].added(world, (2, 0, 0))
-    foot = HOME[0] + 1, *HOME[1:]
-    assert alone.kind[foot] == Kind.FOOT

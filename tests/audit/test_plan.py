@@ -1,21 +1,17 @@
 """The audit's rows cover every situation once, and forbidden actions have an intended effect or a reason for none."""
 
 from collections import Counter
-from importlib.resources import files
 
 import numpy as np
 import pytest
-import yaml
 
-from craftsim.audit.builder import ImpossibleError
 from craftsim.audit.neighbours import nearby
 from craftsim.audit.plan import audit_plan, distribute_trials
-from craftsim.audit.situation import SCENES, intended
+from craftsim.audit.situation import SCENES, ImpossibleError, intended
 from craftsim.audit.survey import survey
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.readback import describe_car
 from craftsim.discrete.rules import Rules
 from craftsim.validation.audit import trials_of
 
@@ -105,15 +101,3 @@ def test_where_nothing_is_intended_there_is_a_reason_and_else_the_next_cell():
     under = _alone(bare, (Kind.BLOCK, (1, 1, 1)))
     assert not Rules("physical").legal(under, 0, Action.MOVE_FORWARD)
     assert intended(under, 0, Action.MOVE_FORWARD).cars[0, :2].tolist() == [1, 2]
-
-
-def test_cars_of_scenes_are_written_as_reports_write_them():
-    groups = yaml.safe_load((files("craftsim.data") / "scenes.yaml").read_text(encoding="utf-8"))
-    told = {
-        name: (group, own) for group in groups for name, own in group["scenes"].items() if "action" in group
-    }
-    for scene in SCENES:
-        name = scene.row.scene
-        if name in told and told[name][0]["action"] == scene.acts[0].name:
-            written = [text for part in told[name] if "cars" in part for text in part["cars"].split("; ")]
-            assert [describe_car(scene.grid, car) for car in range(scene.grid.n_cars)] == written

@@ -77,14 +77,3 @@ def test_a_cover_takes_no_more_than_it_may_and_nothing_in_vain():
     assert sorted(covering(rows, [], 99, strength=3)) == rows
     assert len(covering(rows, [], 3)) == 3
     assert covering(rows, rows, 99) == []
-
-
-def test_the_properties_of_a_neighbourhood_are_read_as_one_text():
-    row = Row("LIFT", load="block", near="car+block-low-left", column="1,0", above="-1")
-    assert str(row) == "LIFT/load=block/near=car+block-low-left@(1,0,-1)"
-    far = Row("MOVE-left", near="car", kind="allowed out of reach")
-    assert str(far) == "MOVE-left/near=car/allowed out of reach"
-    assert (
-        str(Row("MOVE-forward", level="1", then=("LIFT", "DROP")))
-        == "MOVE-forward/level=1 then LIFT then DROP"
-    )

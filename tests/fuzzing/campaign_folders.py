@@ -9,7 +9,9 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from craftsim.checking.attempt import Attempt
+from validation.synthetic import attempt
+
+from craftsim.checking.attempt import Attempt, Verdict
 from craftsim.experiments.compare import compare_paired
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.records import DATABASE, OLD, TRIALS, read_finished
@@ -31,41 +33,15 @@ EXTRA = {
 }
 
 
-def _attempt(tick: int, result: str = "as predicted") -> Attempt:
-    good = result == "as predicted"
-    return Attempt(
-        tick=tick,
-        car=0,
-        action="MOVE_LEFT",
-        verb="MOVE",
-        level=1,
-        load="none",
-        slope=False,
-        legal=True,
-        performed=True,
-        result=result,
-        skill="succeeded",
-        finding="agrees" if good else "wrong place",
-        reason="" if good else "blocked: 41 mm behind the path",
-        differences=() if good else ("car 0: predicted 1,1,1 +x, read 0,1,1 +x",),
-        predicted="1,1,1 +x",
-        read="1,1,1 +x",
-        placed_error_m=None if tick else 0.0003,
-        car_error_m=0.0002,
-        heading_error_rad=-0.001,
-        height_error_m=0.0001,
-        bystander_displacement_m=0.0,
-        start_s=0.3,
-        duration_s=1.0,
-        peak_force_n=20.0,
-    )
+def _attempt(tick: int, result: Verdict = Verdict.AS_PREDICTED) -> Attempt:
+    return Attempt.of(attempt(result, tick=tick, placed_error_m=None if tick else 0.0003))
 
 
 def _stored(number: int) -> Result:
     """Return the result of a trial."""
     return (
         Result(True, [_attempt(0), _attempt(1)], extra=EXTRA),
-        Result(False, [_attempt(0), _attempt(1, "failed")], "bundles/strip-play-0001", EXTRA),
+        Result(False, [_attempt(0), _attempt(1, Verdict.FAILED)], "bundles/strip-play-0001", EXTRA),
         Result(True, (), extra={**EXTRA, "does_not_stand": "two in one place"}),
     )[number]
 

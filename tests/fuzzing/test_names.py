@@ -7,7 +7,6 @@ in whatever process.
 
 import contextlib
 import io
-import json
 import re
 import shutil
 import sys
@@ -133,33 +132,3 @@ def test_no_command_imports_what_a_policy_or_run_names(changes, place):
     ):
         _run(*words)
         assert not _imported(place), words
-
-
-COMMANDS = {
-    "show a.yaml --goal a.yaml": "area_length: 3\narea_width: 3\narea_height: 2\nload: {0}\n",
-    "show a.yaml": "start: {0}\n",
-    "train study a.yaml --out study": "title: x\ntasks: [{0}]\nsteps: 1\n",
-    "train study a.yaml --out tests": "title: x\ntasks: [strip]\nsteps: 1\ntests: {{strip: [{0}]}}\n",
-    "train --settings a.yaml": "learning_rate: {0}\n",
-    "train --starts a.yaml": "{0}\n",
-    "validate strip --plan a.yaml --trials 1": "0 0 {0}\n",
-    "validate strip --gains a.yaml --trials 1": "gains: {0}\n",
-    "validate strip --machines a.yaml --trials 1": "smartcar: {0}\n",
-    "validate strip --noise a.yaml --trials 1": "{0}\n",
-    "replay .": "{0}\n",
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("words", COMMANDS)
-def test_no_command_imports_what_a_file_names(words, place):
-    (place / "a.yaml").write_text(COMMANDS[words].format(f'"{NAME}"'))
-    assert _run(*words.split()) == 2
-    assert not _imported(place)
-
-
-def test_a_dataset_names_no_code_but_what_gymnasium_makes_the_task_of(place):
-    """Minari imports what a dataset names as its environment; craftsim reads none."""
-    assert _run("export", "strip", "--episodes", "1", "--name", "strip-v0", "--out", str(place / "sets")) == 0
-    described = json.loads((place / "sets" / "strip-v0" / "data" / "metadata.json").read_text())
-    spec = json.loads(described["env_spec"])
-    assert spec["entry_point"].startswith("craftsim.")

@@ -68,21 +68,23 @@ def drawn_attempt(rng, verb, works, *, legal=True):
     """Return an attempt that does as predicted with a probability of ``works``."""
     bad = (Verdict.FAILED, Verdict.SIDE_EFFECT, Verdict.UNSAFE)
     result = Verdict.AS_PREDICTED if rng.random() < works else bad[rng.choice(3, p=(0.7, 0.2, 0.1))]
-    return attempt(
-        result,
-        legal=legal,
-        verb=verb,
-        level=int(rng.integers(1, 4)),
-        load=str(rng.choice(("none", "block"))),
-        slope=bool(verb == "MOVE" and rng.random() < 0.3),
-        car_error_m=float(rng.gamma(2.0, 8e-5)),
-        heading_error_rad=float(rng.gamma(2.0, 3e-4)),
-        height_error_m=float(rng.gamma(2.0, 5e-5)),
-        placed_error_m=float(rng.gamma(2.0, 2e-4)) if verb in ("DROP", "FOLD", "UNFOLD") else None,
-        bystander_displacement_m=float(rng.gamma(1.0, 3e-5)),
-        duration_s=float(SECONDS[verb] * rng.normal(1.0, 0.04)),
-        peak_force_n=float(rng.gamma(4.0, 12.0)),
+    names = (
+        "car_error_m",
+        "heading_error_rad",
+        "height_error_m",
+        "bystander_displacement_m",
+        "placed_error_m",
     )
+    errors = dict(zip(names, rng.gamma(2.0, (8e-5, 3e-4, 5e-5, 3e-5, 2e-4)).tolist(), strict=True))
+    if verb not in ("DROP", "FOLD", "UNFOLD"):
+        errors["placed_error_m"] = None
+    level, load, slope = int(rng.integers(1, 4)), str(rng.choice(("none", "block"))), verb == "MOVE"
+    numbers = {
+        "duration_s": float(SECONDS[verb] * rng.normal(1.0, 0.04)),
+        "peak_force_n": rng.gamma(4.0, 12.0),
+    }
+    kind = {"verb": verb, "level": level, "load": load, "slope": slope and bool(rng.random() < 0.3)}
+    return attempt(result, legal=legal, **kind, **errors, **numbers)
 
 
 def episodes(seed=0, n=60, policies=("random", "planner", "ippo", "qmix")):
@@ -92,17 +94,12 @@ def episodes(seed=0, n=60, policies=("random", "planner", "ippo", "qmix")):
     for index in range(n):
         which = index % len(policies)
         works = 0.98 - 0.012 * which
-        attempts = [
-            drawn_attempt(rng, str(rng.choice(VERBS)), works) for _ in range(int(rng.integers(12, 40)))
-        ]
-        for tick, a in enumerate(attempts):
-            a["tick"] = tick
-        key = f"{policies[which]}/{index}"
-        grid = rng.random() < 0.9 - 0.2 * which
-        extra = {"grid_success": bool(grid), "physics_success": bool(grid and rng.random() < 0.8)}
-        entry = record(
-            key, *attempts, group=policies[which], index=index, seed=index, episode=index, extra=extra
-        )
+        verbs = [str(verb) for verb in rng.choice(VERBS, int(rng.integers(12, 40)))]
+        attempts = [drawn_attempt(rng, verb, works) | {"tick": tick} for tick, verb in enumerate(verbs)]
+        grid = bool(rng.random() < 0.9 - 0.2 * which)
+        extra = {"grid_success": grid, "physics_success": grid and bool(rng.random() < 0.8)}
+        about = {"group": policies[which], "index": index, "episode": index, "extra": extra}
+        entry = record(f"{policies[which]}/{index}", *attempts, **about)
         if not entry["agrees"]:
             entry["bundle"] = f"bundles/{policies[which]}-{index}"
         if index % 29 == 28:
@@ -124,21 +121,15 @@ def audit(seed=0, contexts=60, trials=20):
         verb = VERBS[row % len(VERBS)]
         legal = row % 3 != 2
         works = (0.1 if row % 11 == 0 else 1.0) if legal else (1.0 if row % 17 == 2 else 0.05)
-        name = "MOVE-forward" if verb == "MOVE" else verb
         group = (
-            f"{name}/level={row % 3 + 1}/ground=flat/own=air/load=none/next=fslope-left/room=free/row={row}"
+            f"{verb}/level={row % 3 + 1}/ground=flat/own=air/load=none/next=fslope-left/room=free/row={row}"
         )
         if not legal and row % 5 == 0:
             records.append(record(f"{group}#0", group=group, context=group, agrees=False))
             continue
         for index in range(trials):
-            entry = record(
-                f"{group}#{index}",
-                drawn_attempt(rng, verb, works, legal=legal),
-                group=group,
-                context=group,
-                index=len(records),
-            )
+            about = {"group": group, "context": group, "index": len(records)}
+            entry = record(f"{group}#{index}", drawn_attempt(rng, verb, works, legal=legal), **about)
             if legal is not entry["agrees"] and index < 2:
                 entry["bundle"] = f"bundles/row-{row}-{index}"
             records.append(entry)

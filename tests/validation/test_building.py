@@ -10,11 +10,10 @@ import pytest
 
 from craftsim.checking.episode import unwatched
 from craftsim.checking.setup import setup_of
-from craftsim.discrete.grid import CarField, Grid, Kind, beside
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
-from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
+from craftsim.discrete.tasks import TASK_NAMES, as_task
 from craftsim.errors import InputError
 from craftsim.validation.building import Building, read_building
 
@@ -48,14 +47,6 @@ def test_every_action_is_legal_and_the_goal_is_reached_with_nothing_left_in_the_
     assert (last.cars[:, CarField.LOAD] == Kind.AIR).all()
 
 
-def test_every_car_works_and_the_plan_fits_into_a_published_episode():
-    for name in TASK_NAMES:
-        building, task = read(name), make_task(name)
-        working = {car for joint in building.plan.ticks for car, _ in joint}
-        assert working == set(range(building.task.layout.n_cars))
-        assert len(building.plan.ticks) <= task.max_steps + 2
-
-
 def test_the_actions_of_a_tick_do_not_depend_on_their_order():
     for name in TASK_NAMES:
         building, rules = read(name), Rules("physical")
@@ -67,30 +58,8 @@ def test_the_actions_of_a_tick_do_not_depend_on_their_order():
                 assert after.same_visible(grids[tick + 1]), f"tick {tick}: {order}"
 
 
-@pytest.mark.parametrize("name", ["simple_two_story", COMPLEX])
-def test_no_block_and_no_load_is_near_where_a_flap_comes_down(name):
-    building = read(name)
-    grids = _grids(building, Rules("physical"))
-    unfolds = [
-        (tick, car)
-        for tick, joint in enumerate(building.plan.ticks)
-        for car, action in joint
-        if action is Action.UNFOLD
-    ]
-    assert unfolds
-    for tick, car in unfolds:
-        for grid in grids[tick : tick + 2]:
-            x, y, z, yaw = (int(v) for v in grid.cars[car, : CarField.YAW + 1])
-            foot = beside((x, y, z), yaw + 2)
-            beyond = beside(foot, yaw + 2)
-            assert grid.kind[beyond] == Kind.AIR
-            for other in grid.cars:
-                near = tuple(other[:3]) in (foot, beyond)
-                assert not (near and other[CarField.LOAD] != Kind.AIR), f"tick {tick}"
-
-
 @cache
-def _built(name, order="sequential"):
+def _built(name, order="sequential", drive="rollers"):
     """Return a building with the world that it ends in."""
     worlds = []
 
@@ -98,7 +67,7 @@ def _built(name, order="sequential"):
         worlds.append(judge)
         return unwatched(judge)
 
-    return read(name).run(setup_of("none"), 0, order, watch), worlds[0].reading
+    return read(name).run(setup_of("none", drive=drive), 0, order, watch), worlds[0].reading
 
 
 @pytest.mark.parametrize("name", [name for name in TASK_NAMES if name != "simple_two_story"])
@@ -122,7 +91,7 @@ def test_in_physics_every_action_does_what_the_rules_predict_within_the_bands(na
 
 def test_many_cars_at_once_build_the_same_world_in_at_most_60_percent_of_the_time():
     (one_by_one, before), (at_once, after) = (
-        _built(COMPLEX, order) for order in ("sequential", "concurrent")
+        _built(COMPLEX, order, "reduced") for order in ("sequential", "concurrent")
     )
     assert at_once.good, [a for a in at_once.attempts if not a.agrees]
     assert all(attempt.performed for attempt in at_once.attempts)
@@ -132,7 +101,7 @@ def test_many_cars_at_once_build_the_same_world_in_at_most_60_percent_of_the_tim
 
 @pytest.mark.parametrize("order", ["sequential", "concurrent"])
 def test_no_step_starts_before_all_that_it_waits_for_have_ended_and_cars_do_one_thing_at_a_time(order):
-    building, _ = _built(COMPLEX, order)
+    building, _ = _built(COMPLEX, order, "reduced")
     schedule = make_schedule(_start(building), building.plan.ticks, Rules("physical"), order)
     times = [(a.start_s, a.start_s + a.duration_s) for a in building.attempts]
     assert len(times) == len(schedule.steps)

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from craftsim.discrete.tasks import as_task, make_task
+from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
 from craftsim.validation.policies import check_policy, make_policy, policy_digest
 
@@ -49,20 +49,17 @@ def test_a_changed_module_has_another_digest(module, tmp_path):
     assert policy_digest(f"{module}:stop") != before
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
+def test_what_is_wrong_with_a_name_is_said(module):
+    for name, message in (
         ("rendom", "no policy 'rendom': there is no such file; allowed: 'random'"),
         ("no_such_module:f", "No module named 'no_such_module'"),
         ("own_policy:go", r"own_policy\.py\) has no 'go'"),
         ("own_policy:N", "is a int, not a function"),
         ("own_policy:", "must be module:function"),
         (".rel:x", "must be module:function"),
-    ],
-)
-def test_what_is_wrong_with_a_name_is_said(module, name, message):
-    with pytest.raises(InputError, match=message):
-        make_policy(name, 0)
+    ):
+        with pytest.raises(InputError, match=message):
+            make_policy(name, 0)
 
 
 ODD = """
@@ -81,39 +78,26 @@ def words(seen): return {name: "STOP" for name in seen}
 """
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("odd_policy:raises", r"raised RuntimeError: no idea .{0,300}; a policy takes"),
-        ("odd_policy:leaves", "raised SystemExit: 3"),
-        ("odd_policy:hangs", "gave no first answer within 0.5 s"),
-        ("odd_policy:nothing", "returned NoneType"),
-        ("odd_policy:one_short", "no action for car_0"),
-        ("odd_policy:too_large", "99"),
-        ("odd_policy:words", "whole numbers from 0 to 14"),
-        ("leave_policy:x", "cannot be imported: SystemExit: 4"),
-        ("broken_policy:x", "cannot be imported: SyntaxError"),
-    ],
-)
-def test_what_is_no_policy_is_refused_after_one_question(name, message, tmp_path, monkeypatch):
+def test_what_is_no_policy_is_refused_after_one_question_and_nothing_is_left_of_the_clock(
+    tmp_path, monkeypatch
+):
+    before = signal.getsignal(signal.SIGALRM)
     for module, source in {"odd_policy": ODD, "leave_policy": ODD, "broken_policy": "a b"}.items():
         (tmp_path / f"{module}.py").write_text(source)
         monkeypatch.delitem(sys.modules, module, raising=False)
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(InputError, match=f"policy '{name}'.*{message}"):
-        check_policy(name, make_task("strip"), "physical", 0.5)
-
-
-def test_a_policy_that_answers_is_asked_once_and_nothing_is_left_of_the_clock(module):
-    before = signal.getsignal(signal.SIGALRM)
-    check_policy(f"{module}:stop", make_task("strip"), "physical", 60)
+    for name, message in {
+        "odd_policy:raises": r"raised RuntimeError: no idea .{0,300}; a policy takes",
+        "odd_policy:leaves": "raised SystemExit: 3",
+        "odd_policy:hangs": "gave no first answer within 0.5 s",
+        "odd_policy:nothing": "returned NoneType",
+        "odd_policy:one_short": "no action for car_0",
+        "odd_policy:too_large": "99",
+        "odd_policy:words": "whole numbers from 0 to 14",
+        "leave_policy:x": "cannot be imported: SystemExit: 4",
+        "broken_policy:x": "cannot be imported: SyntaxError",
+    }.items():
+        with pytest.raises(InputError, match=f"policy '{name}'.*{message}"):
+            check_policy(name, make_task("strip"), "physical", 0.5)
     assert signal.getsignal(signal.SIGALRM) == before
     assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)
-
-
-@pytest.mark.parametrize("name", ["::", ".rel:x", "os:", "a b:c", "leave_task:x", "sys:exit"])
-def test_what_is_no_factory_of_tasks_is_refused(name, tmp_path, monkeypatch):
-    (tmp_path / "leave_task.py").write_text("import sys\nsys.exit(4)\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(InputError, match=f"task '{name}'|the factory raised SystemExit"):
-        as_task(name)

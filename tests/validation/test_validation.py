@@ -10,7 +10,7 @@ from disturbances import pushed
 from drawn import draw
 
 from craftsim.checking import setup
-from craftsim.checking.attempt import Attempt, Thresholds
+from craftsim.checking.attempt import Attempt
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
@@ -86,26 +86,6 @@ def test_a_bystander_that_moves_too_far_disagrees_whoever_asks(monkeypatch):
     assert 0.001 < told["bystander_displacement_m"] < 0.025
 
 
-def test_a_car_beyond_its_limit_disagrees(monkeypatch):
-    strict = (Thresholds(car_m=1e-9), *setup.RANDOMIZE["none"][1:])
-    monkeypatch.setitem(setup.RANDOMIZE, "none", strict)
-    result = validate(GRID, plan=_plan(((0, RIGHT),)), **ONCE)
-    (attempt,) = result.attempts
-    assert (attempt.result, attempt.finding, result.agrees) == ("failed", "agrees", False)
-    assert attempt.reason.startswith("the car is ")
-
-
-def test_what_the_rules_forbid_is_not_tried_and_named_with_rule_and_cells():
-    result = validate(GRID, plan=_plan(((0, Action.LIFT),)), **ONCE)
-    (attempt,) = result.attempts
-    assert not result.agrees
-    assert (attempt.legal, attempt.performed, attempt.result) == (False, False, "failed")
-    assert attempt.reason.startswith("the rules forbid it: ")
-    assert "(0, 0, 1)" in attempt.reason
-    matrix = result.figures.matrix
-    assert (matrix["legal"].trials, matrix["forbidden"].trials) == (0, 0)
-
-
 def test_a_failing_car_stops_what_depends_on_it_and_nothing_else(monkeypatch):
     class Weak(setup.Executor):
         def __init__(self, physics, *args, **kwargs):
@@ -148,23 +128,16 @@ def test_records_in_a_folder_are_those_without_one(tmp_path):
 
 
 def test_wrong_arguments_are_refused():
-    for options, message in [
-        ({"trials": 0}, "at least 1"),
-        ({"plan": MOVES, "policy": "random"}, "plan and policy exclude each other"),
-        ({"workers": 2}, "need the folder 'out'"),
-        ({}, "there is no shipped plan for grid"),
-    ]:
-        with pytest.raises(InputError, match=message):
-            validate(GRID, **options)
-
-
-def test_worlds_that_do_not_fit_are_refused():
     for worlds, options, message in [
+        (GRID, {"trials": 0}, "at least 1"),
+        (GRID, {"plan": MOVES, "policy": "random"}, "plan and policy exclude each other"),
+        (GRID, {"workers": 2}, "need the folder 'out'"),
+        (GRID, {}, "there is no shipped plan for grid"),
         ([GRID, GRID], {"policy": "random"}, "two worlds are called 'grid'"),
         (["strip", "block"], {"plan": MOVES}, "plan needs the one world"),
     ]:
         with pytest.raises(InputError, match=message):
-            validate(worlds, **options, **ONCE)
+            validate(worlds, **options)
 
 
 def test_an_observer_of_ones_own_sees_every_control_period_and_the_start_is_not_changed():

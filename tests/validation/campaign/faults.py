@@ -13,7 +13,6 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,16 +27,16 @@ KILLS = 2
 class Command:
     """A command, and what it leaves of its results."""
 
-    words: tuple[str, ...]
-    results: Callable[[Path], bytes]
-    begun: str
+    words: str
+    results: str = "trials.jsonl"
+    begun: str = "session.db"
     """File with which a run can be resumed."""
 
     def start(self, out: Path, scratch: Path) -> subprocess.Popen[bytes]:
         """Begin the command in a session of its own, or go on with it."""
         resume = ["--resume"] if (out / self.begun).exists() else []
         return subprocess.Popen(
-            [sys.executable, "-m", "craftsim", *self.words, *resume, "--out", str(out)],
+            [sys.executable, "-m", "craftsim", *shlex.split(self.words), *resume, "--out", str(out)],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             start_new_session=True,
@@ -45,41 +44,15 @@ class Command:
         )
 
 
-def _trials(out: Path) -> bytes:
-    return (out / "trials.jsonl").read_bytes()
-
-
-def _curve(out: Path) -> bytes:
-    return (out / "curve.csv").read_bytes()
-
-
-def _words(text: str) -> tuple[str, ...]:
-    return tuple(shlex.split(text))
-
-
 COMMANDS = {
     "validate": Command(
-        _words(
-            "validate strip block --policy planner random --randomize strong --trials 3 --workers 2 --video none"
-        ),
-        _trials,
-        "session.db",
+        "validate strip block --policy planner random --randomize strong --trials 3 --workers 2 --video none"
     ),
-    "play": Command(
-        _words("validate random --cars 1 --max-steps 4 --trials 6 --workers 2 --video none"),
-        _trials,
-        "session.db",
-    ),
-    "audit": Command(
-        _words("audit --situations 'MOVE/scene=on* a second ramp' --trials 2 --workers 2"),
-        _trials,
-        "session.db",
-    ),
-    "margins": Command(
-        _words("audit margins --quick --situations 'lift*' --workers 2"), _trials, "session.db"
-    ),
-    "tune": Command(_words("tune board --evaluations 4 --trials 1 --workers 2"), _trials, "session.db"),
-    "train": Command(_words("train strip --steps 60000 --set worlds=50 --episodes 50"), _curve, "run.pt"),
+    "play": Command("validate random --cars 1 --max-steps 4 --trials 6 --workers 2 --video none"),
+    "audit": Command("audit --situations 'MOVE/scene=on* a second ramp' --trials 2 --workers 2"),
+    "margins": Command("audit margins --quick --situations 'lift*' --workers 2"),
+    "tune": Command("tune board --evaluations 4 --trials 1 --workers 2"),
+    "train": Command("train strip --steps 60000 --set worlds=50 --episodes 50", "curve.csv", "run.pt"),
 }
 
 
@@ -88,7 +61,7 @@ def _results(command: Command, out: Path) -> tuple[object, bytes, list[str]]:
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     del report["wall"]
     files = sorted(str(path.relative_to(out)) for path in out.rglob("*"))
-    return report, command.results(out), files
+    return report, (out / command.results).read_bytes(), files
 
 
 def _names(folder: Path) -> set[str]:

@@ -50,7 +50,7 @@ def _refused(folder, match, resume=True):
     assert _content(folder) == before
 
 
-@pytest.mark.parametrize("name", ["trials.jsonl", "report.json", "durations.csv", "worlds", "smallest"])
+@pytest.mark.parametrize("name", ["trials.jsonl", "durations.csv", "worlds"])
 def test_what_no_run_of_ours_wrote_is_never_overwritten(tmp_path, name):
     if "." in name:
         (tmp_path / name).write_text("mine\n")
@@ -58,13 +58,7 @@ def test_what_no_run_of_ours_wrote_is_never_overwritten(tmp_path, name):
         (tmp_path / name).mkdir()
         (tmp_path / name / "mine").touch()
     for resume in (False, True):
-        _refused(tmp_path, rf"holds {name}, but no session\.db .*choose another --out", resume)
-
-
-def test_lines_whose_database_is_gone_are_not_lost(unfinished):
-    (unfinished / "session.db").unlink()
-    for resume in (False, True):
-        _refused(unfinished, r"holds trials\.jsonl, but no session\.db .*put session\.db back", resume)
+        _refused(tmp_path, rf"holds {name}, but no session\.db .*put session\.db back", resume)
 
 
 @pytest.mark.parametrize(
@@ -173,7 +167,5 @@ def test_records_stay_as_they_were_when_another_run_begins(tmp_path):
     with open_session(own, tmp_path):
         assert records == before == records[:] == pickle.loads(pickle.dumps(records))
     assert [records[-1], records[1]] == [before[2], before[1]]
-    assert records.with_bundles({1: "bundles/1"})[1]["bundle"] == "bundles/1"
-    assert records[1]["bundle"] is None
     with pytest.raises(IndexError):
         records[3]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import cheap_work
 import pytest
-from sessions import cut_off, make_old, put
+from sessions import make_old
 
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Failure, Result, RunOptions
@@ -77,22 +77,14 @@ def _map(out, items, options=RunOptions(workers=2), **more):  # noqa: B008
         return session.map("more", items, cheap_work.work, "testing", timeout_s=1.0, **more)
 
 
-def test_what_goes_wrong_is_the_answer_and_harms_no_other(tmp_path):
-    items = cheap_work.items(
-        8, i1="raise", i3="die", i4="hang", i6=("die once", tmp_path / "died"), i7="exit"
-    )
+def test_a_stage_has_an_answer_for_each_item_and_what_was_done_is_not_done_again(tmp_path):
     seen = []
+    items = cheap_work.items(4, i1="raise", i3="hang")
     answers = _map(tmp_path, items, on_answer=lambda number, answer: seen.append(number))
-    assert sorted(seen) == list(range(8))
-    assert {i: a.text for i, a in enumerate(answers) if isinstance(a, Failure)} == {
-        1: "ValueError: no 1\nin two lines",
-        3: "its worker process died, 2 times",
-        4: "no answer within 1 s",
-        7: "SystemExit: 3",
-    }
-    assert answers[6] == Result(True, [{"sum": 2.0}], extra={"number": 6})
-    # What was done is not done again when the run goes on.
-    again = _map(tmp_path, cheap_work.items(8, i0="die", i2="die"), RunOptions(resume=True))
+    assert sorted(seen) == list(range(4))
+    failures = {i: a.text for i, a in enumerate(answers) if isinstance(a, Failure)}
+    assert failures == {1: "ValueError: no 1\nin two lines", 3: "no answer within 1 s"}
+    again = _map(tmp_path, cheap_work.items(4, i0="die", i2="die"), RunOptions(resume=True))
     assert [again[0], again[2]] == [answers[0], answers[2]]
     assert again[1] == Result(True, [{"sum": 1 / 3}], extra={"number": 1})
     with pytest.raises(InputError, match=r"bundles/one: No space left on device; .*--resume"):
@@ -105,52 +97,19 @@ def test_nothing_to_do_starts_no_worker(tmp_path):
         assert session._pool is None
 
 
-@pytest.fixture
-def finished(tmp_path):
-    """Return the folder of a finished run, and its records."""
-    items = cheap_work.items(3, i1="raise")
-    return tmp_path, run_experiment(cheap_work.experiment(items, "validate", {"trials": 3}), tmp_path)
-
-
 @pytest.mark.parametrize("old", [False, True])
-def test_it_is_read_back_whole(finished, old):
-    folder, records = finished
-    expected = list(records)
+def test_it_is_read_back_whole_and_of_its_command_alone(tmp_path, old):
+    items = cheap_work.items(3, i1="raise")
+    expected = list(run_experiment(cheap_work.experiment(items, "validate", {"trials": 3}), tmp_path))
     if old:
-        make_old(folder)
-    found = read_finished(folder, "validate")
+        make_old(tmp_path)
+    found = read_finished(tmp_path, "validate")
     assert found.records == expected
     assert (found.manifest["seed"], found.manifest["config"]) == (7, {"trials": 3})
-
-
-def test_another_commands_and_an_unfinished_one_are_refused(finished):
-    folder, _ = finished
     with pytest.raises(InputError, match="holds a run of 'craftsim validate'"):
-        read_finished(folder, "audit")
-    cut_off(folder, (0, 1))
-    with pytest.raises(InputError, match=r"unfinished run \(2 of 3 trials\)"):
-        read_finished(folder, "validate")
-
-
-@pytest.mark.parametrize("text", ["{", "3", '{"key": "item 0"}'])
-def test_what_is_no_record_is_named(finished, text):
-    folder, _ = finished
-    put(folder, 1, text)
-    with pytest.raises(InputError, match=r"session\.db: trial 1: not a trial's record"):
-        read_finished(folder, "validate")
-    lines = make_old(folder) / "trials.jsonl"
-    first, *rest = lines.read_text().splitlines()
-    lines.write_text("\n".join([first, text, *rest[1:]]) + "\n")
-    with pytest.raises(InputError, match=r"trials\.jsonl:2: not a trial's record"):
-        read_finished(folder, "validate")
-
-
-def test_a_folder_without_a_run_is_refused(tmp_path):
+        read_finished(tmp_path, "audit")
     with pytest.raises(InputError, match="holds no run"):
         read_finished(tmp_path / "nowhere", "validate")
-    (tmp_path / "campaign.json").write_text("[]")
-    with pytest.raises(InputError, match="not a run's manifest"):
-        read_finished(tmp_path, "validate")
 
 
 def _start(out, *options, what="cheap", **popen):
@@ -210,24 +169,21 @@ def test_a_campaign_whose_workers_or_itself_are_killed_or_interrupted_goes_on_to
     assert (out / "trials.jsonl").read_bytes() == (tmp_path / "undisturbed" / "trials.jsonl").read_bytes()
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL, None])
-def test_no_signal_leaves_workers_behind_and_killed_ones_are_replaced(tmp_path, number):
+def test_a_terminated_stage_leaves_no_workers_behind_and_killed_ones_are_replaced(tmp_path):
     process = _start(tmp_path, what="after", start_new_session=True)
     _wait_for(lambda: list(tmp_path.glob("left-*")))
+    os.kill(_children(process.pid)[-1], signal.SIGKILL)
+    done = len(list(tmp_path.glob("left-*")))
+    _wait_for(lambda: len(list(tmp_path.glob("left-*"))) > done + 3)
     workers = _children(process.pid)
     assert workers
-    if number is None:
-        os.kill(workers[-1], signal.SIGKILL)
-        assert process.wait(60) == 0, process.stderr.read()
-        assert len(list(tmp_path.glob("left-*"))) == 40
-        return
-    os.kill(process.pid, number)
-    status = process.wait(60)
+    process.terminate()
+    assert process.wait(60) == 130
     _wait_for(lambda: not any(map(_alive, workers)))
-    if number == signal.SIGTERM:
-        assert status == 130
-        said = f"interrupted: while leaving files; all trials are kept in {tmp_path}; the same command with --resume"
-        assert process.stderr.read() == f"craftsim: {said} goes on\n"
+    said = (
+        f"interrupted: while leaving files; all trials are kept in {tmp_path}; the same command with --resume"
+    )
+    assert process.stderr.read() == f"craftsim: {said} goes on\n"
 
 
 def test_a_disk_that_fills_up_stops_with_a_message_and_resume_goes_on(tmp_path):
@@ -244,17 +200,3 @@ def test_a_disk_that_fills_up_stops_with_a_message_and_resume_goes_on(tmp_path):
         cheap_work.experiment(cheap_work.items(40), "cheap", batch=3), tmp_path, RunOptions(resume=True)
     )
     assert all(record["agrees"] for record in records)
-
-
-def test_a_full_file_system_stops_with_a_message(tmp_path):
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], capture_output=True, check=False
-    )
-    if mounted.returncode:
-        pytest.skip("this user may not mount a small file system")
-    try:
-        with pytest.raises(InputError, match=r"cannot write into .* make room, then --resume"):
-            run_experiment(cheap_work.experiment(4000), tmp_path)
-        assert 0 < _finished(tmp_path) < 4000
-    finally:
-        subprocess.run(["umount", tmp_path], check=True)

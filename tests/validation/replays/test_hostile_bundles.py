@@ -1,10 +1,7 @@
 """Hostile bundles: one message that names the file, exit status 2, little time and memory, and an end."""
 
-import io
 import json
-import os
 import time
-import zipfile
 
 import numpy as np
 import pytest
@@ -12,7 +9,7 @@ from fuzzing.replays import bundle_files
 
 from craftsim import cli
 from craftsim.errors import InputError
-from craftsim.experiments.bundle import AFTER, BEFORE, PHYSICS, TEXT, read_bundle, replay
+from craftsim.experiments.bundle import AFTER, TEXT, read_bundle, replay
 
 WORLD = (
     "area_length: {0}\narea_width: {0}\narea_height: {1}\nblock_num: {2}\nslope_num: 0\nsmartcar_num: {3}\n"
@@ -82,14 +79,12 @@ def test_a_hostile_value_is_one_message_before_any_work(name, folder):
 
 def test_a_command_says_it_too(folder, capsys):
     _edit(folder, ("end_s",), -1.0)
-    for words in ([], ["--minimize"]):
-        assert cli.main(["replay", str(folder), "--out", str(folder / "out"), *words]) == 2
-        assert "must be 0 or more" in capsys.readouterr().err
+    assert cli.main(["replay", str(folder), "--out", str(folder / "out"), "--minimize"]) == 2
+    assert "must be 0 or more" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_a_hostile_text_is_one_message(folder):
+    for text, message in (
         (b"[" * 200_000, "recursion limit"),
         (b'{"schema_version": %b}' % (b"1" * 5000), "number out of range"),
         (b'{"end_s": NaN}', "finite number"),
@@ -98,63 +93,29 @@ def test_a_command_says_it_too(folder, capsys):
         (b" " * 9_000_000, "no larger than the 8 MiB"),
         (b"\xff\xfe", "Invalid JSON"),
         (b"null", "must be a mapping"),
-    ],
-    ids=range(8),
-)
-def test_a_hostile_text_is_one_message(text, message, folder):
-    (folder / TEXT).write_bytes(text)
-    begun = time.process_time()
-    with pytest.raises(InputError, match=TEXT) as caught:
-        read_bundle(folder)
-    assert time.process_time() - begun < 10
-    assert message in str(caught.value) or "is missing" in str(caught.value)
-    assert len(str(caught.value)) < 1000
-
-
-@pytest.mark.parametrize(("file", "make"), [(TEXT, os.mkfifo), (PHYSICS, os.mkdir), (AFTER, os.mkfifo)])
-def test_what_is_no_regular_file_is_refused_and_not_waited_for(make, file, folder):
-    (folder / file).unlink()
-    make(folder / file)
-    with pytest.raises(InputError, match=rf"{file}: not a regular file"):
-        read_bundle(folder)
-
-
-def _claim():
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**13,)})
-    archive = io.BytesIO()
-    with zipfile.ZipFile(archive, "w") as packed:
-        packed.writestr("qpos.npy", header.getvalue())
-    return archive.getvalue()
-
-
-def _saved(save, *arguments, **arrays):
-    file = io.BytesIO()
-    save(file, *arguments, **arrays)
-    return file.getvalue()
-
-
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
-        (_claim(), "claims shape"),
-        (_saved(np.save, np.zeros(3)), "not an archive"),
-        (_saved(np.savez_compressed, qpos=np.zeros(70 * 2**20, np.int8)), "allowed: at most 64 MiB"),
-        (b"", "not an archive"),
-    ],
-    ids=["claim", "npy", "bomb", "empty"],
-)
-def test_an_archive_that_is_none_or_too_much_is_refused(data, message, folder):
-    (folder / BEFORE).write_bytes(data)
-    with pytest.raises(InputError, match=rf"{BEFORE}.*{message}"):
-        read_bundle(folder)
+    ):
+        (folder / TEXT).write_bytes(text)
+        begun = time.process_time()
+        with pytest.raises(InputError, match=TEXT) as caught:
+            read_bundle(folder)
+        assert time.process_time() - begun < 10
+        assert message in str(caught.value) or "is missing" in str(caught.value)
+        assert len(str(caught.value)) < 1000
 
 
 def test_arrays_of_another_world_are_refused_before_anything_moves(folder):
     with np.load(folder / AFTER) as archive:
         arrays = dict(archive)
-    np.savez(folder / AFTER, **arrays, more=np.zeros(3))
-    with pytest.raises(InputError, match=f"{AFTER}: has an unknown array 'more'"):
+    for changes, message in (
+        ({"more": np.zeros(3)}, "has an unknown array 'more'"),
+        ({"qpos": arrays["qpos"][:-1]}, "array 'qpos' .* recipe's world"),
+    ):
+        np.savez(folder / AFTER, **{**arrays, **changes})
+        with pytest.raises(InputError, match=f"{AFTER}: {message}"):
+            replay(read_bundle(folder))
+    del arrays["act"]
+    np.savez(folder / AFTER, **arrays)
+    with pytest.raises(InputError, match=f"{AFTER}: has no array 'act'"):
         replay(read_bundle(folder))
 
 

@@ -19,16 +19,17 @@ from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
 from craftsim.rendering.plots import figures, style
-from craftsim.rendering.plots.figures import SIGNS, plots_of, write_figures
-from craftsim.rendering.plots.gantt import VERB_COLOURS, draw_gantt
-from craftsim.rendering.plots.signals import (
+from craftsim.rendering.plots.figures import (
+    SIGNS,
     motor_forces,
     notes_of,
     path_points,
     place_of,
-    thinned,
+    plots_of,
     tracking_error,
+    write_figures,
 )
+from craftsim.rendering.plots.gantt import VERB_COLOURS, draw_gantt
 from craftsim.rendering.trajectory import GoalCell, Trajectory, trajectory_files
 
 
@@ -44,15 +45,8 @@ def recorded() -> Trajectory:
     return replace(trajectory, story=replace(trajectory.story, attempts=(failed,), design=design))
 
 
-def test_a_thinned_line_keeps_its_peaks_its_gaps_and_its_ends():
-    time, values = np.arange(10_000.0), np.zeros(10_000)
-    values[7123], values[2001], values[5000:5200] = 9.0, -9.0, np.nan
-    times, kept = thinned(time, values, 100)
-    assert len(kept) < 200
-    assert (np.nanmax(kept), np.nanmin(kept), np.isnan(kept).any()) == (9.0, -9.0, True)
-    assert (times[0], times[-1]) == (0, 9999)
-    assert thinned(time[:5], values[:5], 5)[1].base is values
-    assert path_points(np.ones((1000, 3))) == [0, 999], "a resting car needs two points of its path"
+def test_a_resting_car_needs_two_points_of_its_path():
+    assert path_points(np.ones((1000, 3))) == [0, 999]
 
 
 def test_errors_are_along_and_across_the_car(recorded):

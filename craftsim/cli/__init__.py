@@ -85,7 +85,6 @@ def _answer(words: list[str]) -> int:
 
 
 def _import_plugins(words: list[str]) -> list[str]:
-    """Import the user modules, and return the remaining words."""
     if len(words) < 3:
         raise InputError(f"{PLUGINS} needs modules and then a command: craftsim {PLUGINS} MODULE,... COMMAND")
     for module in words[1].split(","):
@@ -126,7 +125,6 @@ def _run(words: list[str]) -> int:
 
 
 def _complete(words: list[str]) -> int:
-    """Print the completion script of a shell."""
     from craftsim.cli.app import make_app
 
     if len(words) != 1 or words[0] not in SHELLS:

@@ -54,7 +54,6 @@ def make_app() -> App:
 
 
 def _command(app: App, words: Sequence[str]) -> tuple[App, list[str]]:
-    """Return the command of a command line, and its name."""
     name = words[0]
     found = app[name]
     if len(words) > 1 and words[1] in BELOW.get(name, ()):
@@ -94,7 +93,6 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
 
 
 def _said(error: cyclopts.CycloptsError) -> str:
-    """Return an error in one line."""
     argument = error.argument
     if (
         isinstance(error, ValidationError)
@@ -121,7 +119,6 @@ def _outside(text: str, allowed: Range) -> bool:
 
 
 def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
-    """Return the words without ``--config FILE``, and the file, if any."""
     for place, word in enumerate(words):
         if word == "--":
             break

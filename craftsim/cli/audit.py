@@ -107,7 +107,6 @@ def audit(
 
 
 def _check_actions(actions: Iterable[str]) -> None:
-    """Raise InputError for a word that is no action; own ones that are registered are some."""
     from craftsim.discrete.actions import verbs
 
     for action in actions:
@@ -119,7 +118,6 @@ def _check_actions(actions: Iterable[str]) -> None:
 
 
 def _chosen(plan: Sequence[PlanRow], contexts: str, only: str) -> list[PlanRow]:
-    """Return the rows that are asked for, by patterns of their names."""
     wanted = [
         row
         for row in plan
@@ -247,7 +245,6 @@ def clearance(
 
 
 def _judged(one: Neighbour, rules: Rules) -> dict[str, Any]:
-    """Return what the report says of a neighbour: how close it comes, and whether the rules allow the action."""
     legal, alone = one.legal(rules)
     return {
         "situation": one.situation.id,
@@ -325,7 +322,6 @@ def conformance(
 
 
 def _compared(checker: Checker) -> Iterable[Section]:
-    """Yield what was compared, and the first mismatches if there are any."""
     from craftsim.discrete.drawing import LEGEND
     from craftsim.discrete.kinds import Action
 

@@ -72,7 +72,6 @@ def film_bundle(recorded: Recorded, path: Path) -> Replay:
 
 
 def _film_failure(trajectory: Trajectory, path: Path) -> None:
-    """Film one failure: a close-up of the car that acts first."""
     from craftsim.rendering.film import FilmOptions
     from craftsim.rendering.render import render
 

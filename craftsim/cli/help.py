@@ -69,7 +69,6 @@ def _explanation(function: Callable[..., Any] | None, app: App, width: int) -> I
 
 
 def _option(one: Argument, width: int) -> Iterator[str]:
-    """Yield the lines of an option: names, value and explanation."""
     name = (
         _value(one) if _is_positional(one) else " ".join(filter(None, [", ".join(_names(one)), _value(one)]))
     )
@@ -102,7 +101,6 @@ def _names(one: Argument) -> list[str]:
 
 
 def _value(one: Argument) -> str:
-    """Return the placeholder of an option's value."""
     several = " ..." if "tuple" in str(one.hint) and "..." not in (one.parameter.metavar or "") else ""
     if one.parameter.metavar:
         return f"{one.parameter.metavar}{several}"

@@ -110,7 +110,6 @@ def render(
 
 
 def _pixels(text: str) -> tuple[int, int]:
-    """Return width and height from a text such as ``1280x720``; raise InputError for another one."""
     width, sign, height = text.partition("x")
     if not (sign and width.isdecimal() and height.isdecimal() and len(text) < 12):
         raise InputError(f"--size is '{text}'; allowed: width and height in pixels, such as 1280x720")
@@ -176,7 +175,6 @@ def view(
 
 
 def _runs(path: Path) -> Runs:
-    """Return the recorded runs in a file or a folder, by name."""
     from craftsim.experiments.bundle import TEXT
     from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
 
@@ -186,7 +184,6 @@ def _runs(path: Path) -> Runs:
 
 
 def _carry_out(building: Building, live: LiveView) -> Trajectory:
-    """Carry out a plan while people look on, and return what happened."""
     from craftsim.checking.attempt import Attempt
     from craftsim.checking.episode import OnAttempts
     from craftsim.checking.judge import Judge
@@ -238,7 +235,6 @@ def _find_trajectory(
 
 
 def _recorded(path: Path) -> Trajectory:
-    """Return the trajectory in a file, or the one in a folder."""
     from craftsim.cli.films import record_bundle
     from craftsim.experiments.bundle import TEXT, read_bundle
     from craftsim.rendering.trajectory import Trajectory, trajectory_files

@@ -100,7 +100,6 @@ def _minimize(folder: Path, out: Path) -> int:
 
 
 def _report(recorded: Recorded, result: Replay, written: dict[str, object], files: dict[str, Path]) -> Report:
-    """Return the report of a replay; ``written`` is what ``report.json`` holds."""
     from craftsim.reports.json_file import versions
     from craftsim.validation.sections import actions_table
 

@@ -147,7 +147,6 @@ def _export(spec_of: Callable[[Machines], MjSpec], files: Iterable[Path], drive:
 
 
 def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) -> int:
-    """Say how long a plan takes and what of it is forbidden, draw and film it; return the exit status."""
     from craftsim.discrete.rules import Rules
     from craftsim.discrete.schedule import make_schedule
 

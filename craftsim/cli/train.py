@@ -234,7 +234,6 @@ def _trainer(
 
 
 def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: bool) -> None:
-    """Train, show how it goes, and save after each evaluation."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     from craftsim.reports.terminal import Terminal
@@ -275,7 +274,6 @@ def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: 
 def _evaluate(
     trainer: Trainer, folder: Path, asked: dict[str, Any], seconds: float, record: Path | None
 ) -> int:
-    """Evaluate what was learned on fresh episodes, and report it."""
     from craftsim.reports.json_file import document
     from craftsim.training.config import LEARNED
     from craftsim.training.curve import last_fifth, plot_curve

@@ -223,7 +223,6 @@ def _least_hidden(
 
 
 def _smooth(samples: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-    """Return samples (n, ...) without what is faster than a Gaussian of ``sigma`` samples, and without delay."""
     from scipy.ndimage import gaussian_filter1d  # a quarter of a second that only films take
 
     smooth: NDArray[np.float64] = gaussian_filter1d(samples, sigma, axis=0, mode="nearest")
@@ -231,6 +230,5 @@ def _smooth(samples: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
 
 
 def _headings(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the headings (n,) in radians of the x axes of unit quaternions (n, 4), w first."""
     w, x, y, z = quaternions.T
     return np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)

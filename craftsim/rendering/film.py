@@ -226,7 +226,6 @@ class _Pane:
         return frame
 
     def _seen(self, camera: str, tile: Tile) -> _Picture:
-        """Return what a camera sees of the stage."""
         stage, trajectory, data = self._stage, self.trajectory, self._data
         view = make_view(camera, trajectory, tile.width / tile.height)
         renderer = make_renderer(stage.model, tile.size, stage.shadows)
@@ -244,13 +243,11 @@ class _Pane:
         return draw
 
     def close(self) -> None:
-        """Close the renderers."""
         for renderer in self._renderers:
             renderer.close()
 
 
 def _aspect(trajectory: Trajectory, camera: str) -> float:
-    """Return width over height of what a view shows."""
     if camera != GRID:
         return aspect_of(camera, trajectory)
     _, grids = predicted_worlds(trajectory)
@@ -352,7 +349,6 @@ def _adapted_pace(trajectory: Trajectory, fps: int) -> Pace:
 
 
 def _slow_down(speed: NDArray[np.float64], time: NDArray[np.float64], attempt: Attempt) -> None:
-    """Lower the speed (n,) at each sample's time (n,) to that of an action while it runs."""
     start, end = attempt.start_s, attempt.start_s + attempt.duration_s
     usual = SPEEDS.get(attempt.verb, _OTHERWISE)
     wanted = np.full(len(time), min(usual, _ON_A_SLOPE) if attempt.slope else usual)

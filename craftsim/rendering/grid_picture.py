@@ -176,7 +176,6 @@ def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
 
 
 def _treads(x: float, y: float, turn: float) -> Iterator[Outline]:
-    """Yield two signs that point downhill."""
     for along in (-0.14, 0.22):
         yield Outline(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=_WHITE, width=0.07)
 
@@ -191,7 +190,6 @@ def _wanted(one: Piece) -> Iterator[Outline]:
 
 
 def _dashes(corners: Points) -> Iterator[Points]:
-    """Yield pieces of a square's border, the same in each corner."""
     for first, second in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         marks = np.linspace(first, second, _DASHES + 1)
         yield from (marks[i : i + 2] for i in range(0, _DASHES, 2))
@@ -207,12 +205,10 @@ def _square(cell: Cell, half: float) -> Points:
 
 
 def _closed(points: Points) -> Points:
-    """Return a polygon as a line that ends where it begins."""
     return np.concatenate([points, points[:1]])
 
 
 def _placed(points: Points, x: float, y: float, turn_rad: float = 0.0) -> Points:
-    """Return points turned around the origin, and moved there."""
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     return points @ np.array([(c, s), (-s, c)]) + (x, y)
 
@@ -256,7 +252,6 @@ def world_image(
 
 
 def _paint(image: NDArray[np.uint8], one: Outline, width: int) -> None:
-    """Draw a shape into the picture of a level that is ``width`` cells wide along y."""
     x, y = one.points.T
     pixels = MARGIN_PX + np.stack([x + 0.5, width - 0.5 - y], axis=1) * CELL_PX
     thick = max(1, round(one.width * CELL_PX))
@@ -274,7 +269,6 @@ def _paint(image: NDArray[np.uint8], one: Outline, width: int) -> None:
 
 
 def _letter(image: NDArray[np.uint8], x: int, y: int, text: str, height_px: int, colour: Rgb) -> None:
-    """Write a text, centred."""
     scale = cv2.getFontScaleFromHeight(_FONT, height_px)
     (wide, high), _ = cv2.getTextSize(text, _FONT, scale, 1)
     place = (x - wide // 2, y + high // 2)

@@ -104,7 +104,6 @@ def arrange(
 
 
 def _filled(tiles: Sequence[Tile], aspects: Sequence[float]) -> float:
-    """Return the pixels of tiles that pictures of some aspects fill."""
     pairs = zip(tiles, aspects, strict=True)
     return sum(min(t.width, t.height * a) * min(t.height, t.width / a) for t, a in pairs)
 
@@ -124,7 +123,6 @@ def row_of(area: Tile, aspects: Sequence[float]) -> list[Tile]:
 
 
 def _beside(area: Tile, aspects: Sequence[float]) -> Iterator[list[Tile]]:
-    """Yield a large tile with small ones in a column at its right, or in a row below it."""
     n = len(aspects) - 1
     for share in _SHARES:
         first, rest = row_of(area, (share, 1 - share))
@@ -134,7 +132,6 @@ def _beside(area: Tile, aspects: Sequence[float]) -> Iterator[list[Tile]]:
 
 
 def _corners(area: Tile, n: int) -> Iterator[list[Tile]]:
-    """Yield n small tiles one above the other in each corner of an area, large ones first."""
     for share in _INSETS:
         width, height = round(share * area.width), round(share * area.height)
         for right, lower in ((True, False), (False, False), (True, True), (False, True)):

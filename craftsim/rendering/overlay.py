@@ -78,7 +78,6 @@ def caption_of(trajectory: Trajectory, time_s: float, factor: float | None) -> C
 
 
 def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:
-    """Return the caption of a car whose actions so far are ``begun``."""
     running = [a for a in begun if time_s < a.start_s + a.duration_s]
     action = ACTIONS[Action[running[-1].action]].words if running else "waits"
     ended = [a for a in begun if a.start_s + a.duration_s <= time_s]
@@ -231,7 +230,6 @@ _SPACE: Final = re.compile(r"\s+(?!(?<=\d )(?:mm|m|ms|s|N|rad|mrad|%)(?!\w))")
 
 @lru_cache(maxsize=32)
 def _font(size: int, weight: Literal["regular", "bold"] = "regular") -> ImageFont.FreeTypeFont:
-    """Return DejaVu Sans, which comes with Matplotlib, ``size`` pixels high."""
     import matplotlib  # here, since most of what imports this module draws no text
 
     name = "DejaVuSans-Bold.ttf" if weight == "bold" else "DejaVuSans.ttf"

@@ -148,7 +148,6 @@ def _stills(
 
 
 def _sheet(shown: Trajectory | Sequence[Trajectory], path: Path, look: FilmOptions) -> Path:
-    """Write moments of the film, at equal distances, as one picture of the look's size."""
     with closing(Frames(shown, look)) as frames:
         moments = np.linspace(0, len(frames.times) - 1, SHEET).round().astype(int)
         times = frames.times[moments].tolist()

@@ -189,7 +189,6 @@ class Stage:
 
 
 def _columns(model: mujoco.MjModel) -> list[tuple[str, int, int]]:
-    """Return name, type and place in ``qpos`` of each joint."""
     return [
         (model.joint(j).name, int(model.jnt_type[j]), int(model.jnt_qposadr[j])) for j in range(model.njnt)
     ]
@@ -381,7 +380,6 @@ def _give_materials(spec: mujoco.MjSpec) -> None:
 
 
 def _look(name: str, group: int) -> tuple[str, Rgb | None]:
-    """Return material and colour of a geom; an empty name and None for one that keeps its own."""
     part, _, own = name.partition("/")
     look = next((look for start, look in _LOOKS.items() if own.startswith(start)), ("", None))
     if group != 2:
@@ -458,7 +456,6 @@ def number_plate(number: int, rgb: Rgb) -> Pixels:
 
 
 def _wood(rng: np.random.Generator) -> Pixels:
-    """Return a board's face with its grain along the picture's rows."""
     side = 512
     rows = np.arange(side)[:, None]
     bend = cv2.GaussianBlur(rng.normal(0, 1, (side, side)), (0, 0), 60) * 900
@@ -472,7 +469,6 @@ def _wood(rng: np.random.Generator) -> Pixels:
 def _write(
     picture: Pixels, text: str, centre: tuple[float, float], height: float, rgb: _Bytes, weight: float = 0.10
 ) -> None:
-    """Write a text of a height in pixels about a point (column, row)."""
     thickness = max(1, round(weight * height))
     scale = cv2.getFontScaleFromHeight(_FONT, max(4, round(height)), thickness)
     (width, tall), _ = cv2.getTextSize(text, _FONT, scale, thickness)

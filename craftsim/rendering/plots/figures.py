@@ -212,7 +212,6 @@ def _each_car(cars: Sequence[int], make: Callable[[int], Diagram]) -> list[Diagr
 
 
 def _tracking(trajectory: Trajectory) -> list[Diagram]:
-    """Return a diagram for each car that drove: its measured pose less its path."""
     errors = {car: 1e3 * tracking_error(trajectory, car) for car in range(len(trajectory.physics.cars))}
 
     def tracking(car: int) -> Diagram:
@@ -227,8 +226,6 @@ def _tracking(trajectory: Trajectory) -> list[Diagram]:
 
 
 def _torques(trajectory: Trajectory) -> list[Diagram]:
-    """Return a diagram of the wheel torques of each car that acted."""
-
     def torques(car: int) -> Diagram:
         def draw(axes: Axes) -> None:
             limit_nm = trajectory.physics.cars[car].parameters.wheel_torque_nm
@@ -245,7 +242,6 @@ def _torques(trajectory: Trajectory) -> list[Diagram]:
 
 
 def _boards(trajectory: Trajectory) -> list[Diagram]:
-    """Return diagrams of the boards' heights and forces, and of the hinges where there are slopes."""
     cars, slopes = trajectory.physics.cars, trajectory.physics.slopes
     forces = [motor_forces(trajectory, car)[1] for car in range(len(cars))]
     limit_n = max((car.parameters.board_force_n for car in cars), default=0.0)
@@ -281,7 +277,6 @@ def _boards(trajectory: Trajectory) -> list[Diagram]:
 
 
 def _contact(trajectory: Trajectory) -> list[Diagram]:
-    """Return the diagram of the largest force between any two machines; none where contacts were not looked at."""
     force, setup = _finite(trajectory.contact), trajectory.story.recipe.setup
     if np.isnan(force).all():
         return []
@@ -304,26 +299,22 @@ _ROWS: Final[dict[str, Callable[[Trajectory], list[Diagram]]]] = {
 
 
 def _draw_line(axes: Axes, time_s: Floats, values: Floats, label: str, number: int, colour: Any) -> None:
-    """Draw a line; ``number`` decides its dashes, and gaps are where there is none."""
     axes.plot(time_s, values, color=colour, ls=dash(number), lw=0.8, label=label)
 
 
 def _draw_of_car(axes: Axes, time_s: Floats, values: Floats, labels: Sequence[str], car: int) -> None:
-    """Draw a line for each column (n, m), the first in the car's colour, with a legend."""
     for number, (label, column) in enumerate(zip(labels, values.T, strict=True)):
         _draw_line(axes, time_s, column, label, number, shade(number - 1) if number else car_colour(car))
     _draw_legend(axes, len(labels))
 
 
 def _draw_limit(axes: Axes, value: float, words: str) -> None:
-    """Draw a value that is not to be passed."""
     axes.axhline(value, color=shade(0), lw=0.8, ls=(0, (8, 2)))
     corner: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
     axes.annotate(words, (0, value), (2, 1.5), **corner, fontsize=6.5, color=shade(0))
 
 
 def _draw_legend(axes: Axes, columns: int) -> None:
-    """Draw a legend above a diagram, at its right."""
     place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 0.98), "borderaxespad": 0}
     axes.legend(**place, ncols=columns, handlelength=2.2 if columns < 6 else 1.5, columnspacing=1.2)
 

@@ -92,7 +92,6 @@ def _draw_bars(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> tu
 
 
 def _draw_waits(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> None:
-    """Draw a line where a car waits before an action."""
     free: dict[int, float] = {}
     waits = []
     for step, (start, end) in zip(schedule.steps, times.tolist(), strict=True):

@@ -109,7 +109,6 @@ def _draw(axes: Axes, one: Outline, cell_in: float, order: float) -> None:
 
 
 def _legend(grid: Grid, goal: Cell | None, design: Collection[Piece]) -> Iterator[Patch]:
-    """Yield what the signs mean that a world's picture has."""
     from matplotlib.patches import Patch
 
     kinds = {Kind(int(kind)) for kind in np.unique(grid.kind)}

@@ -253,7 +253,6 @@ def _verdict(attempt: Attempt) -> str:
 
 
 def _bar(name: str, force: float, limit: float) -> str:
-    """Return what a motor gives, over a bar that is full at its limit."""
     share = min(1.0, abs(force) / limit) if limit else 0.0
     bar = f"<span style='display:block;width:{100 * share:.0f}%;height:0.3em;background:#4dabf7'></span>"
     style = "display:inline-block;width:24%;margin-right:1%;font-size:0.9em"

@@ -231,7 +231,6 @@ def _is_roller(model: mujoco.MjModel, body: int) -> bool:
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """Return a geom's mesh in its colour; None for a floor, which is drawn otherwise."""
     import trimesh
 
     size = model.geom_size[geom]
@@ -268,7 +267,6 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
 
 
 def _faceted(points: NDArray[np.floating], normals: NDArray[np.floating]) -> trimesh.Trimesh:
-    """Return the triangles between each three points (3 n, 3)."""
     import trimesh
 
     faces = np.arange(len(points)).reshape(-1, 3)

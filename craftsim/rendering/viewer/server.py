@@ -75,7 +75,6 @@ class LocalServer(ViserServer):
         return False
 
     def _offers(self, part: str, value: object) -> bool:
-        """Return whether a part of the panel can be set to a value."""
         # viser has no public way from the name that a page uses to the part.
         match self.gui._gui_input_handle_from_uuid.get(part):
             case GuiDropdownHandle() as choice:
@@ -143,7 +142,6 @@ def _is_ours(host: str, name: str) -> bool:
 
 
 def _name(place: str) -> str:
-    """Return the host of ``host:port``, in lower case; empty where there is none."""
     with contextlib.suppress(ValueError):
         return urlsplit(f"//{place}").hostname or ""
     return ""

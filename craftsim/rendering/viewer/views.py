@@ -165,7 +165,6 @@ class LiveView:
         self.page.show_playing(self._playing)
 
     def _pace(self, time_s: float) -> None:
-        """Keep to the chosen speed from this moment on."""
         self._speed = SPEEDS[self.page.speed.value]
         self._then, self._from_s = time.monotonic(), time_s
 
@@ -311,7 +310,6 @@ def recorded(trajectory: Trajectory, sample: int, car: int) -> Moment:
 def _motors(
     physics: PhysicsWorld, force: NDArray[np.floating], car: int
 ) -> tuple[tuple[str, float, float], ...]:
-    """Return the motors of a car as of :class:`Moment`, for the forces (nu,) of all motors."""
     machine, model = physics.cars[car], physics.model
     columns = [*machine.wheel_actuators.tolist(), machine.board.actuator]
     names = [model.actuator(column).name.split("/")[-1] for column in columns]
@@ -320,6 +318,5 @@ def _motors(
 
 
 def _last(attempts: Sequence[Attempt], car: int, time_s: float) -> Attempt | None:
-    """Return a car's last attempt that has begun."""
     own = (one for one in reversed(attempts) if one.car == car and one.start_s <= time_s + _SAME_S)
     return next(own, None)

@@ -25,8 +25,7 @@ _LENGTH: Final = 12
 _CARS: Final = 3
 _HEADINGS: Final = ((1, 0), (0, 1), (-1, 0), (0, -1))
 _TURNS: Final = 10
-_SHARE: Final = 0.25
-"""Time of the calibration over that of the work it stands beside."""
+_SHARE: Final = 0.25  # time of the calibration over that of the work it stands beside
 
 
 class _Vehicle:

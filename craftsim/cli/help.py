@@ -14,10 +14,8 @@ if TYPE_CHECKING:
     from cyclopts import App
     from cyclopts.argument import Argument
 
-_INDENT: Final = 26
-"""Column of the explanations."""
-_ORDER: Final = ("Arguments", "Options", "Rollouts", "Physics", "Trials", "Results")
-"""The headings."""
+_INDENT: Final = 26  # column of the explanations
+_ORDER: Final = ("Arguments", "Options", "Rollouts", "Physics", "Trials", "Results")  # the headings
 REFERRED: Final = ("Rollouts", "Physics", "Trials")
 """Groups of options explained by the help of validate; other commands list them with their defaults."""
 

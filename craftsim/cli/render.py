@@ -200,8 +200,7 @@ def _carry_out(building: Building, live: LiveView) -> Trajectory:
     return done.trajectory
 
 
-_NAMED: Final = 12
-"""Trajectories of a folder that an error names."""
+_NAMED: Final = 12  # trajectories of a folder that an error names
 
 
 def _find_trajectory(

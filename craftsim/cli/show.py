@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 
 
 MACHINES: Final = ("smartcar", "block", "flag", "wall", "slope")
-_NAMED: Final = 12
-"""Forbidden actions that are named."""
+_NAMED: Final = 12  # forbidden actions that are named
 
 
 def show(

@@ -30,8 +30,7 @@ CAR_VIEWS: Final = ("follow", "closeup")
 _STRIP_SHARE: Final = 0.13
 _STRIP_CELLS: Final = 0.6
 """Of the strip with the coordinates around an area: its width over the area's longer side, and at most, in cells."""
-_ORBIT_S: Final = 60.0
-"""An orbit takes the whole trajectory, and no less than this."""
+_ORBIT_S: Final = 60.0  # an orbit takes the whole trajectory, and no less than this
 _Metres = Annotated[float, Range(-1000.0, 1000.0)]
 
 
@@ -169,8 +168,7 @@ def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View
 _HEADING_S: Final = 1.2
 """Standard deviation of the low-pass of a heading: a car turns by a right angle in less than a second, too fast for a
 camera."""
-_LOOKS: Final = 40
-"""Samples at which it is tried from where a car is seen."""
+_LOOKS: Final = 40  # samples at which it is tried from where a car is seen
 
 
 def _beside(trajectory: Trajectory, car: int, closeup: bool) -> View:

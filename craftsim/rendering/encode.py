@@ -41,10 +41,8 @@ _THREADS: Final = {"threads": "2"}
 """Encoders are deterministic at a given number of threads, so the number must not depend on the machine."""
 _ANIMATION_PIXELS: Final = 400_000_000
 """Of all frames of an animation together: they are all in memory at its end."""
-_GIF_FPS: Final = 50
-"""More than that is shown slowly: a frame of 10 ms is taken for a mistake."""
-_WAITING: Final = 16
-"""Frames that wait for the encoder at most."""
+_GIF_FPS: Final = 50  # more than that is shown slowly: a frame of 10 ms is taken for a mistake
+_WAITING: Final = 16  # frames that wait for the encoder at most
 
 
 def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None) -> None:

@@ -39,8 +39,7 @@ GRID: Final = "grid"
 TITLE_S: Final = 1.5
 END_S: Final = 2.5
 """How long the cards stay."""
-_BETWEEN: Final = 196
-"""Grey between trajectories that are side by side."""
+_BETWEEN: Final = 196  # grey between trajectories that are side by side
 LEAST_PIXELS: Final = 64
 """Of a side of a frame, and of a view."""
 IDLE: Final = 12.0
@@ -55,10 +54,8 @@ _DOCKING_S: Final = 0.6
 _FAILING: Final = 0.5
 """About the end of an action that did not do as predicted, for :data:`_FAILING_S`."""
 _FAILING_S: Final = 0.8
-_SMOOTH_S: Final = 0.8
-"""Simulated time over which a change of speed is spread."""
-_SMOOTH_SAMPLES: Final = 2000
-"""At most, of which a recording has 40 in that time."""
+_SMOOTH_S: Final = 0.8  # simulated time over which a change of speed is spread
+_SMOOTH_SAMPLES: Final = 2000  # at most, of which a recording has 40 in that time
 _Picture = Callable[[int, float], Frame]
 """Gives what a view shows at a sample and its time."""
 

@@ -39,12 +39,9 @@ CELL_PX: Final = 48
 MARGIN_PX: Final = 24
 """Around each level, for coordinates and titles."""
 _WHITE: Final[Rgb] = (1.0, 1.0, 1.0)
-_FRAME: Final = 0.44
-"""Half the side of the frame around a goal cell."""
-_DASHES: Final = 7
-"""Of a side of a frame, and the gaps between them."""
-_BITS: Final = 4
-"""Of a pixel's fraction, as OpenCV takes places."""
+_FRAME: Final = 0.44  # half the side of the frame around a goal cell
+_DASHES: Final = 7  # of a side of a frame, and the gaps between them
+_BITS: Final = 4  # of a pixel's fraction, as OpenCV takes places
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _ROUND: Final = np.array(
     [(math.cos(a), math.sin(a)) for a in np.linspace(0, 2 * math.pi, 24, endpoint=False)]

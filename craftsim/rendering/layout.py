@@ -26,14 +26,10 @@ _PANEL: Final = 0.23
 """Share of a wide frame's width for the captions; of a tall frame's height it is a little more."""
 _SHARES: Final = (0.5, 0.55, 0.6, 0.66, 0.72, 0.78)
 """Shares of a side that the large view may have beside smaller ones."""
-_LEAST_SHARE: Final = 0.25
-"""Of an equal part of a side, for a view that is narrow or flat."""
-_INSETS: Final = (0.34, 0.28, 0.22)
-"""Shares of the first view's sides that an inset may have."""
-_GAP: Final = 4
-"""Pixels between views."""
-_MOMENTS: Final = 24
-"""Of a trajectory, at which a camera that moves is looked through."""
+_LEAST_SHARE: Final = 0.25  # of an equal part of a side, for a view that is narrow or flat
+_INSETS: Final = (0.34, 0.28, 0.22)  # shares of the first view's sides that an inset may have
+_GAP: Final = 4  # pixels between views
+_MOMENTS: Final = 24  # of a trajectory, at which a camera that moves is looked through
 
 
 @dataclass(frozen=True)

@@ -33,12 +33,10 @@ from craftsim.workers.pool import Pool, answered
 FORMATS: Final = (*FILMS, *ANIMATIONS, ".png")
 SHEET: Final = 12
 """Moments on a contact sheet."""
-_BATCH: Final = 8
-"""Frames that a process makes at once."""
+_BATCH: Final = 8  # frames that a process makes at once
 PLAN_SIZE: Final = (1280, 720)
 PLAN_FPS: Final = 20
-_PLAN_SPEED: Final = 4.0
-"""Seconds of the plan in a second of film, at least."""
+_PLAN_SPEED: Final = 4.0  # seconds of the plan in a second of film, at least
 LONGEST_S: Final = 60.0
 """Length of a plan's film at most: a long plan is shown faster."""
 END_S: Final = 1.5

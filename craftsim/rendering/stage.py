@@ -41,20 +41,16 @@ _TEXT_RGB: Final = (92, 98, 104)
 _PLATE_RGB: Final = (250, 250, 250)
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _CELL_PIXELS: Final = 160
-_MOST_PIXELS: Final = 4096
-"""Of a side of a texture: what every OpenGL has."""
+_MOST_PIXELS: Final = 4096  # of a side of a texture: what every OpenGL has
 _UNLIT: Final = 1e-3
 """Share of its colour that the floor takes from the light: it glows with the rest, and its texture has the shadows."""
 _SHADOW_CELL_PIXELS: Final = 80
 _SHADE: Final = ((1.0, 0.02, 0.34), (0.0, 0.14, 0.22))
 """Of the shadows on the floor, that of the sun and that of the open sky: how far they fall to the side over how far
 things are up, in parts of the sun's slope; the width of their edges in cells; and how dark they are."""
-_AROUND_M: Final = 30.0
-"""How far the floor goes on around the area: further than any camera sees."""
-_PROUD_M: Final = 0.0005
-"""So high the area lies on the ground, so that the two do not flicker."""
-_PLATE_M: Final = 0.0004
-"""Half of the thickness of a car's number plates."""
+_AROUND_M: Final = 30.0  # how far the floor goes on around the area: further than any camera sees
+_PROUD_M: Final = 0.0005  # so high the area lies on the ground, so that the two do not flicker
+_PLATE_M: Final = 0.0004  # half of the thickness of a car's number plates
 _ONLY_SEEN: Final = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 2}
 
 _MATERIALS: Final = {
@@ -86,8 +82,7 @@ _LOOKS: Final[dict[str, tuple[str, Rgb | None]]] = {
 }
 """Material and colour (r, g, b; None leaves that which it has) of the visual geoms whose names begin so."""
 _WALL_RGB: Final = (0.60, 0.60, 0.60)
-_SKY_RGB: Final = [0.97, 0.97, 0.97], [0.86, 0.86, 0.84]
-"""Overhead and at the horizon, where the floor ends."""
+_SKY_RGB: Final = [0.97, 0.97, 0.97], [0.86, 0.86, 0.84]  # overhead and at the horizon, where the floor ends
 _SUN: Final = np.array([-0.42, -0.38, 1.0])
 """Towards the light: from the left of the overview, so that shadows fall to the right and backwards."""
 _SHADOW_PIXELS: Final = 4096
@@ -96,15 +91,12 @@ _SHADOW_RADII: Final = 1.4
 too far out, which speckles faces with their own shadow towards the light, in the outer half of the map."""
 _SHADOW_SHIFT: Final = 0.35
 """By so many radii the maps are moved towards the light: nothing then stands in that half."""
-_FAR_RADII: Final = 40.0
-"""How far cameras and lights see."""
+_FAR_RADII: Final = 40.0  # how far cameras and lights see
 
 _GHOST_RGBA: Final = np.array([0.10, 0.62, 0.42, 0.16], np.float32)
-_NEAR_M: Final = 0.02
-"""What stands nearer than this to its place fills it."""
+_NEAR_M: Final = 0.02  # what stands nearer than this to its place fills it
 _NEAR_RAD: Final = 0.15
-_HINGE_RAD: Final = {"fslope": math.pi, "body": 0.0}
-"""Angle at which the hinge of a slope is wanted."""
+_HINGE_RAD: Final = {"fslope": math.pi, "body": 0.0}  # angle at which the hinge of a slope is wanted
 
 
 class Stage:

@@ -42,25 +42,17 @@ _AXIS_IN: Final = 0.5
 _FOOT_IN: Final = 0.15
 _NOTE_IN: Final = 0.14
 _LEGEND_ROW_IN: Final = 0.16
-_SIGN_IN: Final = 0.07
-"""Width of an action's sign."""
-_MOST_CARS: Final = 24
-"""With a diagram of their own."""
+_SIGN_IN: Final = 0.07  # width of an action's sign
+_MOST_CARS: Final = 24  # with a diagram of their own
 _MOST_NOTES: Final = 6
 _LONGEST_NOTE: Final = 135
 _LEGEND_COLUMNS: Final = 8
-_STEP_M: Final = 0.002
-"""Between two points of a path that is drawn."""
-_ARROW_EVERY: Final = 0.9
-"""Cells of way between two arrows, at least."""
-_MOST_ARROWS: Final = 100
-"""Of a car."""
-_STAYED: Final = 0.5
-"""Cells of way that are none."""
-_BESIDE: Final = 0.33
-"""Cells in x and in y: where no number of a car stands that began there."""
-_WIDTHS: Final = (2.6, 2.0, 1.5, 1.1)
-"""Of paths in points, car after car, so that one shows below another."""
+_STEP_M: Final = 0.002  # between two points of a path that is drawn
+_ARROW_EVERY: Final = 0.9  # cells of way between two arrows, at least
+_MOST_ARROWS: Final = 100  # of a car
+_STAYED: Final = 0.5  # cells of way that are none
+_BESIDE: Final = 0.33  # cells in x and in y: where no number of a car stands that began there
+_WIDTHS: Final = (2.6, 2.0, 1.5, 1.1)  # of paths in points, car after car, so that one shows below another
 
 SIGNS: Final = {
     "LIFT": "L",

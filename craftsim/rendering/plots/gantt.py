@@ -29,14 +29,11 @@ VERB_COLOURS: Final[dict[str, Rgb]] = {
     "stop": (0.93, 0.93, 0.92),
 }
 """By the row of an action in the table of durations."""
-_REGISTERED: Final[Rgb] = (0.80, 0.47, 0.65)
-"""Of actions that were registered, which have no such row."""
+_REGISTERED: Final[Rgb] = (0.80, 0.47, 0.65)  # of actions that were registered, which have no such row
 _HATCH: Final = "////"
 _ROW_IN: Final = 0.22
-_FRAME_IN: Final = 1.15
-"""For title, axis and legend."""
-_BAR: Final = 0.72
-"""Height of a bar, of that of its row."""
+_FRAME_IN: Final = 1.15  # for title, axis and legend
+_BAR: Final = 0.72  # height of a bar, of that of its row
 
 
 def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:

@@ -20,14 +20,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
     from matplotlib.patches import Patch
 
-_CELL_IN: Final = (0.16, 0.5)
-"""The smallest and the largest side of a cell."""
-_MARGIN_IN: Final = 0.45
-"""Beside and below a level, for its coordinates and title."""
+_CELL_IN: Final = (0.16, 0.5)  # the smallest and the largest side of a cell
+_MARGIN_IN: Final = 0.45  # beside and below a level, for its coordinates and title
 CARS: Final = 4.0
 """Place of cars in the order of drawing (zorder); that of lines is 2."""
-_POINTS: Final = 72.0
-"""In an inch."""
+_POINTS: Final = 72.0  # in an inch
 _LEAST_WIDTH_IN: Final = 4.2
 _HEAD_IN: Final = 0.3
 _LEGEND_IN: Final = 0.4

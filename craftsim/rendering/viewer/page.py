@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 FRAMES_HZ: Final = 25.0
 """How often poses are sent at most."""
-_TEXT_S: Final = 0.15
-"""Real time between two updates of texts and the slider; eyes do not follow faster ones."""
+_TEXT_S: Final = 0.15  # real time between two updates of texts and the slider; eyes do not follow faster ones
 REAL_TIME: Final = "1 x"
 AS_IT_GOES: Final = "as it goes"
 SPEEDS: Final = {
@@ -41,8 +40,7 @@ SPEEDS: Final = {
 }
 """Simulated seconds in a second."""
 _SAME_S: Final = 1e-6
-_LISTED: Final = 9
-"""Actions in the list at one time."""
+_LISTED: Final = 9  # actions in the list at one time
 _GOOD, _BAD, _QUIET = "#2b8a3e", "#c92a2a", "#868e96"
 _ROWS: Final = "<table style='width:100%;font-size:0.8em;border-spacing:0 0.15em'>"
 

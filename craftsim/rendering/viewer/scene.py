@@ -26,25 +26,20 @@ if TYPE_CHECKING:
     from viser import SceneNodeHandle, ViserServer
 
 _MOVED_M: Final = 1e-5
-_TURNED: Final = 1e-4
-"""Of a quaternion's part. What has moved less since it was last sent is not sent again."""
-_FURTHER: Final = 1.3
-"""How much further away than the camera: the panel takes a part of the window."""
+_TURNED: Final = 1e-4  # of a quaternion's part. What has moved less since it was last sent is not sent again
+_FURTHER: Final = 1.3  # how much further away than the camera: the panel takes a part of the window
 MARK: Final = 0.02
 """Height in levels of the mark of a cell whose content is not that of a whole cell."""
-_LABEL_M: Final = 0.16
-"""Height of a car's number above its centre."""
+_LABEL_M: Final = 0.16  # height of a car's number above its centre
 _FACE_UP_FORWARD: Final = (0.0, math.sqrt(0.5), -math.sqrt(0.5), 0.0)
 """The turn after which a picture lies flat with its top ahead along x: viser's own hang as a camera sees them, with y
 down."""
-_PLATE_SHARE: Final = 0.84
-"""Side of a car's number plate, of that of the boss it lies on."""
+_PLATE_SHARE: Final = 0.84  # side of a car's number plate, of that of the boss it lies on
 _PLATE_PROUD_M: Final = 0.0012
 _SHOWN_GROUPS: Final = 3
 """MuJoCo's viewer and renderer show the groups of geoms below this one; the others are there to collide."""
 _Geom = mujoco.mjtGeom
-_PROUD_M: Final = 0.001
-"""So high the floor lies on the bare ground, so that the two do not flicker."""
+_PROUD_M: Final = 0.001  # so high the floor lies on the bare ground, so that the two do not flicker
 
 
 class BrowserScene:

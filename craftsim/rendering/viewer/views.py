@@ -23,8 +23,7 @@ from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
 from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Moment, ViewerPage
 from craftsim.rendering.viewer.scene import MARK
 
-_WHOLE: Final = (Kind.BLOCK, Kind.FSLOPE)
-"""What of a building fills its cell."""
+_WHOLE: Final = (Kind.BLOCK, Kind.FSLOPE)  # what of a building fills its cell
 _SAME_S: Final = 1e-6
 
 

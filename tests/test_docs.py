@@ -1,8 +1,11 @@
-"""What the documents name exists, their examples run, their tables are those of what is stored, their words plain."""
+"""What documents name exists, links lead somewhere, examples run, tables are of what is stored, words are plain; the
+site builds without a warning, and its reference is the public API."""
 
 import re
 import runpy
 import shlex
+import subprocess
+import sys
 import types
 from pathlib import Path
 
@@ -11,6 +14,7 @@ import pytest
 from generated import command_names, help_text
 from results import tables
 
+import craftsim
 from craftsim.cli import former, main
 from craftsim.cli.app import bind
 from craftsim.discrete.files.blueprint import KEYS, parse_blueprint
@@ -58,21 +62,17 @@ def test_the_readme_lists_every_command_in_the_order_of_the_help():
 
 
 def test_commands_targets_and_files_exist():
-    for document in DOCUMENTS:
-        _check_code(document)
-
-
-def _check_code(document):
-    text = _text(document)
-    if document == "CHANGELOG.md":  # older versions had other commands and files
-        text = "".join(text.split("\n## [")[:2])
-    code = " ; ".join(re.findall(r"`([^`\n]+)`", text) + re.findall(r"^    (.+)$", text, re.MULTILINE))
     targets = set(re.findall(r"^([a-z]+):", _text("Makefile"), re.MULTILINE))
-    assert set(re.findall(r"\bmake ([a-z]+)", code)) <= targets, document
     commands = {*(words[0] for words in command_names()), "completion"}
-    assert set(re.findall(r"\bcraftsim ([a-z]+)", code)) <= commands, document
-    for path in re.findall(r"\b(?:tests|scripts|craftsim|examples|docs)/[\w/-]+(?:\.\w+)+", code):
-        assert (ROOT / path).exists(), path
+    for document in DOCUMENTS:
+        text = _text(document)
+        if document == "CHANGELOG.md":  # older versions had other commands and files
+            text = "".join(text.split("\n## [")[:2])
+        code = " ; ".join(re.findall(r"`([^`\n]+)`", text) + re.findall(r"^    (.+)$", text, re.MULTILINE))
+        assert set(re.findall(r"\bmake ([a-z]+)", code)) <= targets, document
+        assert set(re.findall(r"\bcraftsim ([a-z]+)", code)) <= commands, document
+        for path in re.findall(r"\b(?:tests|scripts|craftsim|examples|docs)/[\w/-]+(?:\.\w+)+", code):
+            assert (ROOT / path).exists(), path
 
 
 def test_every_command_line_of_a_page_is_understood():
@@ -133,9 +133,30 @@ def test_the_observation_of_the_page_on_text_is_that_of_the_environment():
 PATH_AND_HEADING = re.compile(r"docs/([\w/-]+\.md)(?:#([\w-]+))?")
 
 
-def _headings(page: Path) -> set[str]:
-    titles = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+def _prose(document: str) -> str:
+    """Return a page without its code, which has names of its own."""
+    text = re.sub(r"^```.*?^```", "", _text(document), flags=re.DOTALL | re.MULTILINE)
+    return re.sub(r"`[^`\n]*`", "code", text)
+
+
+def _anchors(document: Path) -> set[str]:
+    """Return the anchors of a page's headings, as GitHub and MyST make them."""
+    text = re.sub(r"^```.*?^```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    titles = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-") for title in titles}
+
+
+def test_links_within_the_repository_lead_somewhere():
+    broken = []
+    for document in DOCUMENTS:
+        for link in re.findall(r"\]\(([^)\s]+)\)", _prose(document)):
+            name, _, anchor = link.partition("#")
+            target = ((ROOT / document).parent / name).resolve() if name else ROOT / document
+            if not re.match(r"[a-z]+:", link) and (
+                not target.exists() or (anchor and anchor not in _anchors(target))
+            ):
+                broken.append((document, link))
+    assert broken == []
 
 
 def test_pages_that_the_code_names_exist_and_every_oddity_is_named():
@@ -147,7 +168,7 @@ def test_pages_that_the_code_names_exist_and_every_oddity_is_named():
     assert {("rules.md", "marks"), ("rules.md", "drop-overwrites")} <= named
     for page, heading in named:
         assert (DOCS / page).exists(), page
-        assert not heading or heading in _headings(DOCS / page), heading
+        assert not heading or heading in _anchors(DOCS / page), heading
     oddities = _text("docs/rules.md").split("# Oddities")[1]
     explained = {
         title.lower().replace(" ", "-") for title in re.findall(r"^## (.+)$", oddities, re.MULTILINE)
@@ -192,18 +213,12 @@ WORDS_TO_AVOID = {
 """Words that the field does not use for what they meant here, and what it says instead."""
 
 
-def _prose(text: str) -> str:
-    """Return a page without its code, which has names of its own."""
-    text = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
-    return re.sub(r"`[^`\n]*`", "code", text)
-
-
 def test_pages_have_the_words_of_the_field():
     found = {
         (document, match[0]): instead
         for document in DOCUMENTS
         for words, instead in WORDS_TO_AVOID.items()
-        for match in re.finditer(rf"\b(?:{words})\b", _prose(_text(document)), re.IGNORECASE)
+        for match in re.finditer(rf"\b(?:{words})\b", _prose(document), re.IGNORECASE)
         if document != "CHANGELOG.md"
     }
     assert found == {}
@@ -217,7 +232,7 @@ def test_help_texts_have_the_words_of_the_field():
 
 def test_no_line_of_prose_is_longer_than_a_screen():
     for document in (one for one in DOCUMENTS if not one.startswith(MADE)):
-        lines = [line for line in _prose(_text(document)).splitlines() if not line.startswith(("|", "!["))]
+        lines = [line for line in _prose(document).splitlines() if not line.startswith(("|", "!["))]
         assert [line for line in lines if len(line) > LONGEST_LINE] == [], document
 
 
@@ -233,8 +248,8 @@ def test_a_task_of_ones_own_takes_fewer_than_twenty_lines_beside_its_layout():
 
 
 def test_a_guide_is_short():
-    for page in (DOCS / "how-to").glob("*.md"):
-        text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    for page in (page for page in PAGES if page.startswith("docs/how-to/")):
+        text = re.sub(r"^```.*?^```", "", _text(page), flags=re.DOTALL | re.MULTILINE)
         assert len([word for word in text.split() if re.search(r"\w", word)]) <= 500, page
 
 
@@ -275,3 +290,33 @@ def test_the_notebook_of_the_tutorial_runs(capsys):
     exec(compile(text, str(path), "exec"), module.__dict__)
     assert "cannot be entered sideways" in capsys.readouterr().out
     assert module.__dict__["result"].agrees
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Build the site as 'make docs' does; a warning is an error."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", DOCS, folder]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_every_page_is_built(site):
+    pages = {
+        path.relative_to(DOCS).with_suffix("") for path in DOCS.rglob("*.md") if path.parent.name != "results"
+    }
+    assert pages <= {path.relative_to(site).with_suffix("") for path in site.rglob("*.html")}
+
+
+def test_the_reference_documents_every_public_name(site):
+    reference = (site / "reference" / "api.html").read_text(encoding="utf-8")
+    for name in set(craftsim.__all__) - {"__version__"}:
+        assert f'id="craftsim.{name}"' in reference, name
+        assert (getattr(craftsim, name).__doc__ or "").strip(), f"{name} has no docstring"
+
+
+def test_the_reference_has_the_help_of_every_command(site):
+    reference = (site / "reference" / "commands.html").read_text(encoding="utf-8")
+    for words in command_names():
+        assert f"<h2>{' '.join(words)}<" in reference

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Final
 
@@ -22,7 +23,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule
 from craftsim.errors import InputError
 from craftsim.rendering.encode import ANIMATIONS, FILMS, Frame, OnFrame, check_animation, encode
-from craftsim.rendering.film import FilmOptions, Frames, fitted, longest, several
+from craftsim.rendering.film import FilmOptions, Frames, Shown, fitted, longest, several
 from craftsim.rendering.grid_picture import levels_of, world_image
 from craftsim.rendering.layout import arrange
 from craftsim.rendering.overlay import PAPER, Caption, CarCaption, draw_panel, label
@@ -52,7 +53,7 @@ def no_progress(total: int) -> AbstractContextManager[OnFrame]:
 
 
 def render(
-    shown: Trajectory | Sequence[Trajectory],
+    shown: Shown,
     path: str | Path,
     look: FilmOptions | None = None,
     *,
@@ -97,9 +98,7 @@ def check_format(path: Path, at: Sequence[float] = ()) -> None:
         raise InputError(f"{path}: moments are pictures; give a name that ends in .png, or leave them out")
 
 
-def render_frames(
-    shown: Trajectory | Sequence[Trajectory], look: FilmOptions, workers: int = 1
-) -> Iterator[Frame]:
+def render_frames(shown: Shown, look: FilmOptions, workers: int = 1) -> Iterator[Frame]:
     """Yield the frames of a film, the same for any number of workers."""
     if workers == 1:
         with closing(Frames(shown, look)) as frames:
@@ -108,8 +107,10 @@ def render_frames(
     n_frames = Frames.count(shown, look)
     batches = [range(first, min(first + _BATCH, n_frames)) for first in range(0, n_frames, _BATCH)]
     early: dict[range, list[Frame]] = {}
+    # Copies have no compiled model, which would be sent along.
+    copies = tuple(replace(trajectory) for trajectory in several(shown))
     with Pool(workers) as pool:
-        answers = pool.map_unordered(FrameMaker(shown, look), batches)
+        answers = pool.map_unordered(partial(_make_frames, copies, look), batches)
         for batch in batches:
             while batch not in early:
                 done, frames_of_it = next(answers)
@@ -117,25 +118,17 @@ def render_frames(
             yield from early.pop(batch)
 
 
-class FrameMaker:
-    """Makes frames of a film in a worker, by their numbers; the film is prepared there, once."""
-
-    def __init__(self, shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> None:
-        """Prepare nothing yet."""
-        # Copies have no compiled model, which would be sent along.
-        self._shown, self._look = [replace(trajectory) for trajectory in several(shown)], look
-        self._frames: Frames | None = None
-
-    def __call__(self, numbers: Iterable[int]) -> list[Frame]:
-        """Return the frames of these numbers."""
-        if self._frames is None:
-            self._frames = Frames(self._shown, self._look)
-        return [self._frames[number] for number in numbers]
+@lru_cache(1)
+def _prepared(shown: tuple[Trajectory, ...], look: FilmOptions) -> Frames:
+    return Frames(shown, look)
 
 
-def _stills(
-    shown: Trajectory | Sequence[Trajectory], path: Path, look: FilmOptions, at: Sequence[float]
-) -> list[Path]:
+def _make_frames(shown: tuple[Trajectory, ...], look: FilmOptions, numbers: range) -> list[Frame]:
+    """Make frames in a worker, which prepares the film once."""
+    return [_prepared(shown, look)[number] for number in numbers]
+
+
+def _stills(shown: Shown, path: Path, look: FilmOptions, at: Sequence[float]) -> list[Path]:
     first, last = longest(shown).time[[0, -1]].tolist()
     for moment in at:
         if not first <= moment <= last:
@@ -145,7 +138,7 @@ def _stills(
         return [_write_png(name, frames.at(moment)) for name, moment in zip(names, at, strict=True)]
 
 
-def _sheet(shown: Trajectory | Sequence[Trajectory], path: Path, look: FilmOptions) -> Path:
+def _sheet(shown: Shown, path: Path, look: FilmOptions) -> Path:
     with closing(Frames(shown, look)) as frames:
         moments = np.linspace(0, len(frames.times) - 1, SHEET).round().astype(int)
         times = frames.times[moments].tolist()

@@ -18,7 +18,7 @@ import socket
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Final
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 import msgspec
 import viser
@@ -124,9 +124,11 @@ def _in_use(host: str, port: int) -> str:
 def why_refused(host: str, headers: Headers) -> str:
     """Return why a request to a server that listens on an address is refused; empty where it is not."""
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-    if len(hosts) != 1 or not _is_ours(host, _name(hosts[0])):
+    if len(hosts) != 1 or not _is_ours(host, _parts(f"//{hosts[0]}").hostname or ""):
         return f"this is no name of the viewer; open it by the address of its machine, or with --host {host}"
-    if origins and (len(origins) > 1 or _place(origins[0]) != hosts[0].lower()):
+    origin = _parts(origins[0] if origins else "")
+    place = origin.netloc.lower() if origin.scheme in ("http", "https") else ""
+    if origins and (len(origins) > 1 or place != hosts[0].lower()):
         return "the viewer talks to no page but its own"
     return ""
 
@@ -141,18 +143,11 @@ def _is_ours(host: str, name: str) -> bool:
     return False
 
 
-def _name(place: str) -> str:
+def _parts(url: str) -> SplitResult:
+    """Return the parts of an address; all are empty of one that is none."""
     with contextlib.suppress(ValueError):
-        return urlsplit(f"//{place}").hostname or ""
-    return ""
-
-
-def _place(origin: str) -> str:
-    """Return the ``host:port`` of an Origin; empty for one that has none, such as ``null``."""
-    with contextlib.suppress(ValueError):
-        parts = urlsplit(origin)
-        return parts.netloc.lower() if parts.scheme in ("http", "https") else ""
-    return ""
+        return urlsplit(url)
+    return urlsplit("")
 
 
 @contextmanager

@@ -67,12 +67,14 @@ class LiveView:
         self.page = ViewerPage(server, speed)
         self.page.controls = {"toggle": self.toggle}
         self._physics: PhysicsWorld | None = None
+        self._forget()
+        self._playing, self._due_s = True, 0.0
+        self._pace(0.0)
+
+    def _forget(self) -> None:
         self._judge: Judge | None = None
         self._attempts: Callable[[], Sequence[Attempt]] = tuple
         self._running: dict[int, ScheduledAction] = {}
-        self._playing = True
-        self._due_s = 0.0
-        self._pace(0.0)
 
     @classmethod
     def anywhere(cls) -> Self:
@@ -113,7 +115,7 @@ class LiveView:
     def __call__(self, physics: PhysicsWorld) -> None:
         """Show a PhysicsWorld as it is now, if it is time; wait where people want it slower, or paused."""
         if physics is not self._physics:
-            self._judge, self._attempts, self._running = None, tuple, {}
+            self._forget()
             self._begin(physics, "", ())
         speed = SPEEDS[self.page.speed.value]
         if time.monotonic() >= self._due_s:
@@ -175,14 +177,9 @@ def live(
     attempts: Sequence[Attempt],
     car: int,
 ) -> Moment:
-    """Return what is known of a car of a PhysicsWorld now.
+    """Return what is known of a car of a PhysicsWorld now, by its number.
 
-    Args:
-        physics: the world.
-        judge: the judge on it, where there is one.
-        running: names of the actions on their way, by car.
-        attempts: those that have been judged.
-        car: its number.
+    ``running`` are names of the actions on their way, by car, and ``attempts`` those that have been judged.
     """
     measured, contact_n = None, math.nan
     if judge is not None:

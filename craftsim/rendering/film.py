@@ -166,7 +166,7 @@ class Frames:
             return pictures[0]
         frame: Frame = np.full((*self.look.size[::-1], 3), _BETWEEN, np.uint8)
         for pane, picture in zip(self._panes, pictures, strict=True):
-            frame[pane.tile.rows, pane.tile.columns] = picture
+            frame[pane.tile.place] = picture
         return frame
 
     def close(self) -> None:
@@ -209,11 +209,11 @@ class _Pane:
     def at(self, time_s: float, factor: float | None) -> Frame:
         frame, sample = self._blank.copy(), self.trajectory.at(time_s)
         for tile, picture in self._views:
-            frame[tile.rows, tile.columns] = picture(sample, min(time_s, float(self.trajectory.time[-1])))
+            frame[tile.place] = picture(sample, min(time_s, float(self.trajectory.time[-1])))
         if self._panel is not None:
             caption = caption_of(self.trajectory, time_s, factor)
             words = draw_panel(caption, self._panel.size, min(self.look.size))
-            frame[self._panel.rows, self._panel.columns] = words
+            frame[self._panel.place] = words
         return frame
 
     def _seen(self, camera: str, tile: Tile) -> _Picture:

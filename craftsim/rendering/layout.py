@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -32,8 +31,7 @@ _GAP: Final = 4  # pixels between views
 _MOMENTS: Final = 24  # of a trajectory, at which a camera that moves is looked through
 
 
-@dataclass(frozen=True)
-class Tile:
+class Tile(NamedTuple):
     """A rectangle of a frame, in pixels from its upper left corner."""
 
     left: int
@@ -47,14 +45,9 @@ class Tile:
         return self.width, self.height
 
     @property
-    def rows(self) -> slice:
-        """Of a frame."""
-        return slice(self.top, self.top + self.height)
-
-    @property
-    def columns(self) -> slice:
-        """Of a frame."""
-        return slice(self.left, self.left + self.width)
+    def place(self) -> tuple[slice, slice]:
+        """Its rows and columns of a frame."""
+        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
 
 def arrange(
@@ -86,7 +79,7 @@ def arrange(
     if layout == "inset" and n_views > 1:
         mask = np.zeros((height, width), bool) if covered is None else covered(area.size)
         for tiles in _corners(area, n_views - 1):
-            if not any(mask[tile.rows, tile.columns].any() for tile in tiles):
+            if not any(mask[tile.place].any() for tile in tiles):
                 return [area, *tiles], panel
     if layout != "side" and n_views > 1:
         candidates = list(_beside(area, aspects))
@@ -142,15 +135,8 @@ def _grid(area: Tile, n: int, columns: int) -> list[Tile]:
     rows = math.ceil(n / columns)
     width = (area.width - _GAP * (columns - 1)) // columns
     height = (area.height - _GAP * (rows - 1)) // rows
-    return [
-        Tile(
-            area.left + (i % columns) * (width + _GAP),
-            area.top + (i // columns) * (height + _GAP),
-            width,
-            height,
-        )
-        for i in range(n)
-    ]
+    corners = [((i % columns) * (width + _GAP), (i // columns) * (height + _GAP)) for i in range(n)]
+    return [Tile(area.left + x, area.top + y, width, height) for x, y in corners]
 
 
 def covered_by(trajectory: Trajectory, view: View, size: tuple[int, int]) -> Mask:

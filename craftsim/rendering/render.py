@@ -225,9 +225,9 @@ def plan_frames(
             doing[car] = ACTIONS[step.action].words
         picture = world_image(grid, levels=levels, design=design, shifts=shifts)
         frame = np.full((*PLAN_SIZE[::-1], 3), PAPER, np.uint8)
-        frame[tile.rows, tile.columns] = fitted(picture, tile.size)
+        frame[tile.place] = fitted(picture, tile.size)
         cars = tuple(CarCaption(car, doing.get(car, "waits")) for car in range(grid.n_cars))
         begun = int((times[:, 0] <= moment).sum())
         caption = Caption(title, begun, len(steps), cars, moment, speed)
-        frame[panel.rows, panel.columns] = draw_panel(caption, panel.size, PLAN_SIZE[1])
+        frame[panel.place] = draw_panel(caption, panel.size, PLAN_SIZE[1])
         yield frame

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import islice
 from typing import Final, Literal, NamedTuple
 
 import cv2
@@ -130,8 +131,6 @@ class Stage:
             _give_materials(spec)
         self.model: mujoco.MjModel = spec.compile()
         """Its ``qpos`` are those of the trajectory."""
-        if _columns(self.model) != _columns(trajectory.model):
-            raise RuntimeError("the stage has other joints than the physics")
         self._pieces = [piece for goal in story.design for piece in _pieces(self.model, machines, goal)]
         self._blocks = [block.qpos for block in physics.blocks]
         self._slopes = [(slope.base.qpos, slope.hinge.qpos) for slope in physics.slopes]
@@ -146,15 +145,11 @@ class Stage:
             qpos: (nq,) the positions that it shows.
             ghost: whether to draw what the design wants and does not stand in its place.
         """
-        left = len(self._floors)
-        for number in range(scene.ngeom):
-            if left == 0:
-                break
-            geom = scene.geoms[number]
-            if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in self._floors:
-                # What decorates shows shadows and casts none: without it a floor is speckled with its own.
-                geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-                left -= 1
+        geoms = (scene.geoms[number] for number in range(scene.ngeom))
+        floors = (g for g in geoms if g.objtype == mujoco.mjtObj.mjOBJ_GEOM and g.objid in self._floors)
+        for geom in islice(floors, len(self._floors)):
+            # What decorates shows shadows and casts none: without it a floor is speckled with its own.
+            geom.category = mujoco.mjtCatBit.mjCAT_DECOR
         for piece in self._pieces if ghost else ():
             if scene.ngeom == scene.maxgeom or self._stands(piece, qpos):
                 continue
@@ -171,19 +166,12 @@ class Stage:
         upload_texture(renderer, self._shadow.texture)
 
     def _stands(self, piece: _Piece, qpos: Floats) -> bool:
-        if not piece.slope:
-            return any(math.dist(qpos[at : at + 3], piece.place) < _NEAR_M for at in self._blocks)
+        slopes = self._slopes if piece.slope else [(at, at) for at in self._blocks]
         return any(
             math.dist(qpos[at : at + 3], piece.place) < _NEAR_M
             and (piece.angle is None or abs(qpos[hinge] - piece.angle) < _NEAR_RAD)
-            for at, hinge in self._slopes
+            for at, hinge in slopes
         )
-
-
-def _columns(model: mujoco.MjModel) -> list[tuple[str, int, int]]:
-    return [
-        (model.joint(j).name, int(model.jnt_type[j]), int(model.jnt_qposadr[j])) for j in range(model.njnt)
-    ]
 
 
 # The goal ghost: what a design still wants, drawn translucent where it is to stand.
@@ -382,9 +370,7 @@ def _look(name: str, group: int) -> tuple[str, Rgb | None]:
 def dressed_rgb(name: str, group: int) -> Rgb | None:
     """Return the colour of a geom in ``paper`` quality where there are no materials; None for one that keeps its own.
 
-    Args:
-        name: of the geom in a world, such as ``car0/board_visual``.
-        group: of the geom; only what is there to be seen is dressed.
+    ``name`` is of a geom in a world, such as ``car0/board_visual``; only what is there to be seen is dressed.
     """
     material, rgb = _look(name, group)
     if rgb is None or material != _WOOD:

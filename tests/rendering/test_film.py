@@ -120,8 +120,8 @@ def test_views_and_captions_are_in_the_frame_and_do_not_overlap(layout, n, size)
     boxes, panel = arrange(size, (1.3, 2.0, 0.4, 1.3, 9.0)[:n], layout, captions=True)
     covered = np.zeros(size[::-1], int)
     for box in (*boxes, panel):
-        covered[box.rows, box.columns] += 1
-        assert covered[box.rows, box.columns].size == box.width * box.height
+        covered[box.place] += 1
+        assert covered[box.place].size == box.width * box.height
     assert (covered.max(), len(boxes)) == (1, n)
 
 
@@ -159,8 +159,8 @@ def test_the_captions_leave_the_picture_alone(trajectory, rendering):
     (box,), panel = arrange(SMALL.size, (1,), "side", captions=True)
     picture, words = frames.at(1.0), frames.at(1.0, 3.0)
     frames.close()
-    assert np.array_equal(picture[box.rows, box.columns], words[box.rows, box.columns])
-    assert (picture[panel.rows, panel.columns] != PAPER).any()
+    assert np.array_equal(picture[box.place], words[box.place])
+    assert (picture[panel.place] != PAPER).any()
 
 
 def test_trajectories_side_by_side_show_the_same_time_and_the_shorter_one_its_end(trajectory, rendering):

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from generated import TABLES, allowed, command_names, docstrings
+from generated import TABLES
 
 from craftsim.discrete.reasons import REASONS
 from craftsim.models.sensing import SensorNoise
@@ -43,14 +43,3 @@ def test_every_reason_is_in_the_reference_without_fields():
     rows = _rows("reasons")
     assert len(rows) == len(REASONS) + 2
     assert not any("{" in cell for row in rows for cell in row)
-
-
-def test_docstrings_and_ranges_are_those_of_the_types():
-    assert docstrings(SensorNoise)["lost_share"].startswith("Share of the localisations")
-    assert allowed(SensorNoise)["lost_share"]
-
-
-def test_the_commands_are_found_in_the_help():
-    names = command_names()
-    assert len(names) == len(set(names)) > 10
-    assert ("validate",) in names

@@ -30,7 +30,7 @@ from craftsim.rendering.cameras import make_view, reached_m
 from craftsim.rendering.encode import VideoWriter
 from craftsim.rendering.film import IDLE, SPEEDS, FilmOptions, Frames, pace_of, predicted_worlds
 from craftsim.rendering.layout import arrange
-from craftsim.rendering.overlay import PAPER, caption_of
+from craftsim.rendering.overlay import caption_of
 from craftsim.rendering.render import LONGEST_S, PLAN_FPS, plan_frames, plan_moments, plan_worlds, render
 from craftsim.rendering.trajectory import Recorder
 
@@ -55,6 +55,9 @@ def test_a_film_begins_with_the_first_sample_and_ends_with_the_last(trajectory):
         times, _ = pace_of(trajectory, look)
         assert (times[0], times[-1]) == pytest.approx((trajectory.time[0], trajectory.time[-1]))
         assert (np.diff(times) >= 0).all()
+    times, _ = pace_of(trajectory, FilmOptions(length_s=2.0))
+    assert (len(times), times[-1] < trajectory.time[-1] + 1e-9) == (60, True)
+    assert pace_of(trajectory, FilmOptions(length_s=100.0))[1][0] == 1.0, "never slower than life"
 
 
 def test_an_adapted_film_is_slow_where_something_is_lifted_and_fast_where_nobody_acts(trajectory):
@@ -68,20 +71,13 @@ def test_an_adapted_film_is_slow_where_something_is_lifted_and_fast_where_nobody
     assert film_s[:-1].mean() == pytest.approx(1 / 30, rel=0.02), "the factor is the one that is shown"
     close = replace(trajectory, time=1e-300 * np.arange(len(trajectory)))
     assert len(pace_of(close, FilmOptions())[0]) == 1, "smoothing does not take all of the memory"
-
-
-def test_an_adapted_film_shows_the_end_of_a_failed_action_in_slow_motion(trajectory):
-    attempts = [replace(attempt, result="unsafe") for attempt in trajectory.story.attempts]
-    failed = replace(trajectory, story=replace(trajectory.story, attempts=tuple(attempts)))
-    (times, factors), (_, plain) = (pace_of(one, FilmOptions()) for one in (failed, trajectory))
-    ends_s = [attempt.start_s + attempt.duration_s for attempt in attempts]
-    assert np.interp(ends_s, times, factors).max() < 1.0 < plain.min()
-
-
-def test_a_fitted_film_has_its_length_and_is_never_slower_than_life(trajectory):
-    times, _ = pace_of(trajectory, FilmOptions(length_s=2.0))
-    assert (len(times), times[-1] < trajectory.time[-1] + 1e-9) == (60, True)
-    assert pace_of(trajectory, FilmOptions(length_s=100.0))[1][0] == 1.0
+    attempts = tuple(replace(attempt, result="unsafe") for attempt in trajectory.story.attempts)
+    failed = replace(trajectory, story=replace(trajectory.story, attempts=attempts))
+    moments, slow = pace_of(failed, FilmOptions())
+    ends = [attempt.start_s + attempt.duration_s for attempt in attempts]
+    assert np.interp(ends, moments, slow).max() < 1.0 < factors.min(), (
+        "the end of a failed one in slow motion"
+    )
 
 
 def test_captions_say_what_a_car_does_and_then_what_came_of_it(trajectory):
@@ -123,17 +119,10 @@ def test_views_and_captions_are_in_the_frame_and_do_not_overlap(layout, n, size)
         covered[box.place] += 1
         assert covered[box.place].size == box.width * box.height
     assert (covered.max(), len(boxes)) == (1, n)
-
-
-@pytest.mark.parametrize("layout", ["side", "main"])
-def test_views_fill_the_frame_as_far_as_their_shapes_allow(layout):
-    for aspects in ((1.3, 2.0), (1.3, 1.3)):
-        boxes, _ = arrange((1280, 720), aspects, layout, captions=False)
-        shown = [
-            min(b.width, b.height * a) * min(b.height, b.width / a)
-            for b, a in zip(boxes, aspects, strict=True)
-        ]
-        assert sum(shown) > 0.5 * 1280 * 720
+    # They fill a frame as far as their shapes allow.
+    (one, other), _ = arrange((1280, 720), (1.3, 2.0), layout, captions=False)
+    shown = [min(b.width, b.height * a) * min(b.height, b.width / a) for b, a in ((one, 1.3), (other, 2.0))]
+    assert sum(shown) > 0.5 * 1280 * 720
 
 
 @pytest.mark.parametrize("camera", ["overview", "top"])
@@ -152,15 +141,6 @@ def test_insets_hide_none_of_the_area_and_go_into_a_column_where_they_would(traj
     assert (
         arrange(size, (1, 1), "inset", False, lambda size: np.ones(size[::-1], bool))[0][1].left > size[0] / 2
     )
-
-
-def test_the_captions_leave_the_picture_alone(trajectory, rendering):
-    frames = Frames(trajectory, SMALL)
-    (box,), panel = arrange(SMALL.size, (1,), "side", captions=True)
-    picture, words = frames.at(1.0), frames.at(1.0, 3.0)
-    frames.close()
-    assert np.array_equal(picture[box.place], words[box.place])
-    assert (picture[panel.place] != PAPER).any()
 
 
 def test_trajectories_side_by_side_show_the_same_time_and_the_shorter_one_its_end(trajectory, rendering):
@@ -217,13 +197,9 @@ def test_other_formats_last_as_long(trajectory, name, tmp_path, rendering):
 
 def test_pictures_of_moments_and_a_contact_sheet(trajectory, tmp_path, rendering):
     stills = render(trajectory, tmp_path / "still.png", QUICK, at=(0.5, 1.23456, 1.234561))
-    with_panel = replace(QUICK, captions=True)
-    assert (
-        render(trajectory, tmp_path / "panel.png", with_panel, at=(0.5,))[0].read_bytes()
-        != stills[0].read_bytes()
-    )
-    assert len({path.read_bytes()[:4] and path.name for path in stills}) == 3
-    assert stills[0].name == "still-0.5.png"
+    (panel,) = render(trajectory, tmp_path / "panel.png", replace(QUICK, captions=True), at=(0.5,))
+    assert panel.read_bytes() != stills[0].read_bytes()
+    assert (len({path.name for path in stills}), stills[0].name) == (3, "still-0.5.png")
     assert render(trajectory, tmp_path / "sheet.png", QUICK)[0].stat().st_size > 1000
     with pytest.raises(InputError, match="no moment 99 s"):
         render(trajectory, tmp_path / "late.png", QUICK, at=(1.0, 99.0))
@@ -260,16 +236,13 @@ def test_what_no_film_is_is_refused_before_it_is_rendered(trajectory, tmp_path, 
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
+def test_what_several_runs_cannot_have_is_refused(capsys):
+    for words, said in (
         (("--title", "one"), "--title names 1 of 2 runs; give a title for each, or none"),
         (("--out", "figures/"), "figures are of one run"),
-    ],
-)
-def test_what_several_runs_cannot_have_is_refused(words, said, capsys):
-    assert main(["render", "a.npz", "--beside", "b.npz", *words]) == 2
-    assert said in " ".join(capsys.readouterr().err.split())
+    ):
+        assert main(["render", "a.npz", "--beside", "b.npz", *words]) == 2
+        assert said in " ".join(capsys.readouterr().err.split())
 
 
 # The writer of films.

@@ -23,7 +23,6 @@ from craftsim.rendering.plots.figures import (
     SIGNS,
     motor_forces,
     notes_of,
-    path_points,
     place_of,
     plots_of,
     tracking_error,
@@ -45,10 +44,6 @@ def recorded() -> Trajectory:
     return replace(trajectory, story=replace(trajectory.story, attempts=(failed,), design=design))
 
 
-def test_a_resting_car_needs_two_points_of_its_path():
-    assert path_points(np.ones((1000, 3))) == [0, 999]
-
-
 def test_errors_are_along_and_across_the_car(recorded):
     path, measured = np.full_like(recorded.path, np.nan), recorded.measured.copy()
     path[:, 0] = (0.5, 0.5, np.pi / 2)
@@ -67,9 +62,6 @@ def test_signals_are_what_was_recorded(recorded):
     thrown = recorded.qpos.copy()
     thrown[-1, recorded.story.poses["car 0"] :][:3] = 1e12
     assert (place_of(replace(recorded, qpos=thrown), 0) <= (4, 2, 2)).all(), "drawn at the edge"
-
-
-def test_what_failed_is_named_with_its_number_time_and_reason(recorded):
     (note,) = notes_of(recorded)
     assert note.startswith("✗1 1.")
     assert "car 0 move right: unsafe. it fell on" in note
@@ -89,11 +81,7 @@ def test_there_is_no_figure_of_contacts_where_none_were_looked_at(recorded):
 
 def test_trajectories_of_a_run_have_names_and_an_audit_s_lie_in_its_bundles(tmp_path: Path):
     run, bundle = tmp_path / "run", tmp_path / "bundles" / "00000"
-    for path in (
-        run / "trajectories" / "move-1.npz",
-        run / "trajectories" / "move-0.npz",
-        bundle / "before.npz",
-    ):
+    for path in (*(run / "trajectories" / f"move-{n}.npz" for n in (1, 0)), bundle / "before.npz"):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
     (run / "trajectories" / ".partial-0-move-0.npz").touch()  # left by a kill

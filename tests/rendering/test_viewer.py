@@ -3,7 +3,6 @@
 import threading
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 
 import gymnasium
 import mujoco
@@ -139,24 +138,20 @@ def test_machines_have_the_colours_of_the_films(run: Trajectory):
     assert tried >= 5
 
 
-def test_only_what_has_moved_is_sent(run: Trajectory, opened: LiveView):
-    RecordedView(opened.page, {"one": lambda: run})
-    scene = opened.page.scene
-    scene.show(run.qpos[0])
-    before = scene.sent
-    scene.show(run.qpos[0])
-    assert scene.sent == before
-    scene.show(run.qpos[-1])
-    assert 0 < scene.sent - before <= 2 * 6, "the car's parts; the block has stayed"
-
-
-def test_a_step_shows_where_the_next_action_begins(run: Trajectory, opened: LiveView):
-    shown = RecordedView(opened.page, {"one": lambda: run})
-    opened.page.ask(shown.step)
+def test_only_what_has_moved_is_sent_and_a_step_shows_where_the_next_action_begins(
+    run: Trajectory, opened: LiveView
+):
+    shown, page = RecordedView(opened.page, {"one": lambda: run}), opened.page
+    before = page.scene.sent
+    page.scene.show(run.qpos[0])
+    assert page.scene.sent == before
+    page.scene.show(run.qpos[-1])
+    assert 0 < page.scene.sent - before <= 2 * 6, "the car's parts; the block has stayed"
+    page.ask(shown.step)
     shown.advance(0.0)
     begin_s = run.story.attempts[1].start_s
-    assert opened.page.slider.value == pytest.approx(begin_s, abs=0.021)
-    car = next(n for n in opened.page.scene.nodes.values() if n.name.endswith("/smartcar"))
+    assert page.slider.value == pytest.approx(begin_s, abs=0.021)
+    car = next(n for n in page.scene.nodes.values() if n.name.endswith("/smartcar"))
     assert car.position == pytest.approx(run.pose("car 0")[run.at(begin_s), :3], abs=2e-5)
 
 
@@ -164,18 +159,14 @@ def test_another_run_can_be_chosen_whenever_it_was(run: Trajectory, opened: Live
     later = replace(run, time=run.time + 1000)
     moment = replace(later, **{name: getattr(later, name)[:1] for name in SAMPLED})
     runs = {"one": lambda: run, "later": lambda: later, "a moment": lambda: moment}
+    runs["gone"] = lambda: Trajectory.read("no.npz")
     shown = RecordedView(opened.page, runs)
     for name, chosen in (("later", later), ("a moment", moment), ("one", run)):
         shown.choose(name)
         assert shown.trajectory is chosen
         assert opened.page.slider.value == pytest.approx(chosen.time[0])
-
-
-def test_a_run_that_cannot_be_read_leaves_the_one_before(run: Trajectory, opened: LiveView, tmp_path: Path):
-    runs = {"one": lambda: run, "two": lambda: Trajectory.read(tmp_path / "no.npz")}
-    shown = RecordedView(opened.page, runs)
-    shown.choose("two")
-    assert shown.trajectory is run
+    shown.choose("gone")
+    assert shown.trajectory is run, "one that cannot be read leaves the one before"
 
 
 def test_looking_on_changes_nothing(opened: LiveView):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, product
 from typing import Final
 
 import cv2
@@ -109,12 +109,9 @@ def car_shapes(
     ``shifts`` are how far cars on their way have come from their cells, along x and y.
     """
     for cell, cars in cars_by_cell(grid).items():
-        if cell[2] == z:
-            for car in cars:
-                shift = (shifts or {}).get(car, (0.0, 0.0))
-                yield from (
-                    replace(one, points=one.points + np.array(shift)) for one in _car(grid, car, cell)
-                )
+        for car in cars if cell[2] == z else ():
+            shift = np.array((shifts or {}).get(car, (0.0, 0.0)))
+            yield from (replace(one, points=one.points + shift) for one in _car(grid, car, cell))
 
 
 def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline]:
@@ -122,17 +119,15 @@ def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline]:
     x, y, _ = cell
     load = Kind(row[CarField.LOAD])
     if load != Kind.AIR:
-        yield Outline(_closed(_square(cell, 0.38)), line=INK, width=0.13)
-        yield Outline(_closed(_square(cell, 0.38)), line=KIND_COLOURS[load], width=0.09)
+        for colour, width in ((INK, 0.13), (KIND_COLOURS[load], 0.09)):
+            yield Outline(_closed(_square(cell, 0.38)), line=colour, width=width)
         if load == Kind.FSLOPE:
-            yaw = yaw_angle(int(row[CarField.LOAD_YAW]))
             tip = np.array([(0.36, 0.1), (0.47, 0.0), (0.36, -0.1)])
-            yield Outline(_placed(tip, x, y, yaw), fill=INK)
+            yield Outline(_placed(tip, x, y, yaw_angle(int(row[CarField.LOAD_YAW]))), fill=INK)
     turn = yaw_angle(int(row[CarField.YAW]))
-    for along in (-0.2, 0.2):
-        for across in (-0.26, 0.26):
-            wheel = _box(along - 0.1, across - 0.06, along + 0.1, across + 0.06)
-            yield Outline(_placed(wheel, x, y, turn), fill=TYRE)
+    for along, across in product((-0.2, 0.2), (-0.26, 0.26)):
+        wheel = _box(along - 0.1, across - 0.06, along + 0.1, across + 0.06)
+        yield Outline(_placed(wheel, x, y, turn), fill=TYRE)
     body = _box(-0.33, -0.2, 0.33, 0.2)
     yield Outline(_placed(body, x, y, turn), fill=car_colour(car), line=INK, width=0.015)
     yield Outline(_placed(_NOSE, x, y, turn), fill=_WHITE)
@@ -162,34 +157,25 @@ def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
             yield Outline(_placed(_CHEVRON, x, y, turn), line=_WHITE, width=0.07)
         case Kind.GEAR:
             yield Outline(_placed(0.13 * _ROUND - np.array([0.4, 0]), x, y, turn), fill=colour, line=INK)
-        case Kind.BODY:
-            yield Outline(_placed(_box(-0.45, -0.45, 0.5, 0.45), x, y, turn), fill=colour, line=INK)
-            yield from _treads(x, y, turn)
-        case Kind.FOOT:
-            yield Outline(_placed(_box(-0.5, -0.45, 0.45, 0.45), x, y, turn), fill=colour, line=INK)
-            yield from _treads(x, y, turn)
+        case Kind.BODY | Kind.FOOT:
+            low, high = (-0.45, 0.5) if kind == Kind.BODY else (-0.5, 0.45)
+            yield Outline(_placed(_box(low, -0.45, high, 0.45), x, y, turn), fill=colour, line=INK)
+            for along in (-0.14, 0.22):  # two signs that point downhill
+                yield Outline(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=_WHITE, width=0.07)
         case _ if kind in STANDING:
             yield Outline(_square(cell, 0.45), fill=colour, line=INK)
 
 
-def _treads(x: float, y: float, turn: float) -> Iterator[Outline]:
-    for along in (-0.14, 0.22):
-        yield Outline(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=_WHITE, width=0.07)
-
-
 def _wanted(one: Piece) -> Iterator[Outline]:
     x, y, _ = one.cell
-    for dash in _dashes(_square(one.cell, _FRAME)):
-        yield Outline(dash, line=GOAL, width=0.06)
+    corners = _square(one.cell, _FRAME)
+    for first, second in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        marks = np.linspace(first, second, _DASHES + 1)
+        for i in range(0, _DASHES, 2):
+            yield Outline(marks[i : i + 2], line=GOAL, width=0.06)
     if one.yaw >= 0:
         tip = np.array([(_FRAME - 0.14, 0.11), (_FRAME, 0.0), (_FRAME - 0.14, -0.11)])
         yield Outline(_placed(tip, x, y, yaw_angle(one.yaw)), fill=GOAL)
-
-
-def _dashes(corners: Points) -> Iterator[Points]:
-    for first, second in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        marks = np.linspace(first, second, _DASHES + 1)
-        yield from (marks[i : i + 2] for i in range(0, _DASHES, 2))
 
 
 def _box(left: float, low: float, right: float, high: float) -> Points:
@@ -229,6 +215,7 @@ def world_image(
     """
     length, width, height = grid.size
     shown = range(1, height + 2) if levels is None else levels
+    half = CELL_PX // 2
     pitch = length * CELL_PX + MARGIN_PX
     image = np.full((width * CELL_PX + 2 * MARGIN_PX, len(shown) * pitch + MARGIN_PX, 3), 255, np.uint8)
     for column, z in enumerate(shown):
@@ -239,11 +226,10 @@ def world_image(
             _paint(part, one, width)
         _letter(part, MARGIN_PX + length * CELL_PX // 2, MARGIN_PX // 2, f"level {z}", 9, INK)
         for x in range(length):
-            at = MARGIN_PX + x * CELL_PX + CELL_PX // 2
+            at = MARGIN_PX + x * CELL_PX + half
             _letter(part, at, image.shape[0] - MARGIN_PX // 2, str(x), 8, INK)
         for y in range(width):
-            at = MARGIN_PX + (width - 1 - y) * CELL_PX + CELL_PX // 2
-            _letter(part, MARGIN_PX // 2, at, str(y), 8, INK)
+            _letter(part, MARGIN_PX // 2, MARGIN_PX + (width - 1 - y) * CELL_PX + half, str(y), 8, INK)
         tile[:] = part
     return image
 

@@ -1,6 +1,7 @@
 """What documents name exists, links lead somewhere, examples run, tables are of what is stored, words are plain; the
 site builds without a warning, and its reference is the public API."""
 
+import dataclasses
 import re
 import runpy
 import shlex
@@ -11,14 +12,20 @@ from pathlib import Path
 
 import forked
 import pytest
-from generated import command_names, help_text
+from actions_page import ENTRIES, durations
+from generated import TABLES, command_names, help_text
 from results import tables
 
 import craftsim
+from craftsim import Action
 from craftsim.cli import former, main
 from craftsim.cli.app import bind
 from craftsim.discrete.files.blueprint import KEYS, parse_blueprint
+from craftsim.discrete.reasons import REASONS
 from craftsim.envs.text import TextConstruction
+from craftsim.models.sensing import SensorNoise
+from craftsim.skills.gains import SECTIONS
+from craftsim.storage import limits
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -33,6 +40,7 @@ DOCUMENTS = [
 ]
 MADE = ("docs/reference/actions.md", "docs/gallery.md", "docs/results/")
 """Pages that scripts write."""
+ACTIONS = DOCS / "reference" / "actions.md"
 MOST_WORDS = 28_000
 LONGEST_LINE = 160
 
@@ -187,47 +195,22 @@ def test_tables_of_results_and_the_gallery_are_those_of_what_is_stored():
     )
 
 
-WORDS_TO_AVOID = {
-    r"told|tells? (?:you )?whether|untold": "commanded, identified",
-    r"things?": "object",
-    r"crews?|errands?|sightings?|outings?": "joint plan, delivery, marker update",
-    r"knobs?": "tunable gain",
-    r"suspects?": "hypothesis",
-    r"shrinks?|shrunk|shrinking": "minimize",
-    r"pilots?|players?": "policy",
-    r"planted": "disturbance",
-    r"guidance": "demonstrations",
-    r"judged on seeds held out": "evaluated on held-out seeds",
-    r"(?:goes|go) in by the same doors?|doors": "uses the same interfaces",
-    r"physics that is only physics": "no scripted physics",
-    r"(?:stands?|stood) (?:a|an|it|all|none|that) (?:delay|bias|lag)": "tolerates",
-    r"decides all that is drawn": "random seed",
-    r"came to no end": "timed out",
-    r"prefers the rare": "weighted towards rare actions",
-    r"let cars learn": "train a policy",
-    r"those who read and do not look": "text observations",
-    r"whatever happens next": "durable",
-    r"tell most": "most informative",
-    r"learnt": "learned",
-}
-"""Words that the field does not use for what they meant here, and what it says instead."""
+WORDS_TO_AVOID = re.compile(
+    r"""\b(?:told|tells?\ (?:you\ )?whether|untold|things?|crews?|errands?|sightings?|outings?|knobs?|suspects?
+    |shrinks?|shrunk|shrinking|pilots?|players?|planted|guidance|judged\ on\ seeds\ held\ out|doors
+    |(?:goes|go)\ in\ by\ the\ same\ doors?|physics\ that\ is\ only\ physics|decides\ all\ that\ is\ drawn
+    |(?:stands?|stood)\ (?:a|an|it|all|none|that)\ (?:delay|bias|lag)|came\ to\ no\ end|prefers\ the\ rare
+    |let\ cars\ learn|those\ who\ read\ and\ do\ not\ look|whatever\ happens\ next|tell\ most|learnt)\b""",
+    re.IGNORECASE | re.VERBOSE,
+)
+"""Words that the field does not use for what they meant here."""
 
 
-def test_pages_have_the_words_of_the_field():
-    found = {
-        (document, match[0]): instead
-        for document in DOCUMENTS
-        for words, instead in WORDS_TO_AVOID.items()
-        for match in re.finditer(rf"\b(?:{words})\b", _prose(document), re.IGNORECASE)
-        if document != "CHANGELOG.md"
-    }
-    assert found == {}
-
-
-def test_help_texts_have_the_words_of_the_field():
-    texts = " ".join(help_text(*words) for words in ((), *command_names()))
-    found = [words for words in WORDS_TO_AVOID if re.search(rf"\b(?:{words})\b", texts, re.IGNORECASE)]
-    assert found == []
+def test_pages_and_help_texts_have_the_words_of_the_field():
+    texts = {page: _prose(page) for page in DOCUMENTS if page != "CHANGELOG.md"}
+    texts["help"] = " ".join(help_text(*words) for words in ((), *command_names()))
+    found = {page: WORDS_TO_AVOID.findall(text) for page, text in texts.items()}
+    assert {page: words for page, words in found.items() if words} == {}
 
 
 def test_no_line_of_prose_is_longer_than_a_screen():
@@ -245,6 +228,58 @@ def test_a_guide_is_short():
     for page in (page for page in PAGES if page.startswith("docs/how-to/")):
         text = re.sub(r"^```.*?^```", "", _text(page), flags=re.DOTALL | re.MULTILINE)
         assert len([word for word in text.split() if re.search(r"\w", word)]) <= 500, page
+
+
+# References that are built with the site, and the page of actions.
+
+
+def _rows(name: str) -> list[list[str]]:
+    return [line.strip("| ").split(" | ") for line in TABLES[name]().splitlines() if line.startswith("| ")]
+
+
+def test_a_table_has_rows_of_one_width():
+    for name in [name for name in TABLES if name != "commands"]:
+        for part in TABLES[name]().split("\n\n"):
+            widths = {
+                line.replace("\\|", "").count("|") for line in part.splitlines() if line.startswith("|")
+            }
+            assert len(widths) <= 1
+
+
+def test_every_limit_is_in_the_reference():
+    named = {row[0] for row in _rows("limits")}
+    numbers = {
+        name for name, value in vars(limits).items() if name.isupper() and isinstance(value, int | float)
+    }
+    assert named - {"constant", "---"} == {f"`{name}`" for name in numbers - {"KIB", "MIB"}}
+
+
+def test_every_gain_and_every_kind_of_noise_is_in_the_reference():
+    gains = {row[0] for row in _rows("gains")}
+    assert {f"`{field.name}`" for kind in SECTIONS.values() for field in dataclasses.fields(kind)} <= gains
+    assert {f"`{field.name}`" for field in dataclasses.fields(SensorNoise)} <= {
+        row[0] for row in _rows("noise")
+    }
+
+
+def test_every_reason_is_in_the_reference_without_fields():
+    rows = _rows("reasons")
+    assert len(rows) == len(REASONS) + 2
+    assert not any("{" in cell for row in rows for cell in row)
+
+
+def test_an_action_has_its_section_and_its_film():
+    for entry in ENTRIES:
+        text = ACTIONS.read_text(encoding="utf-8").split(f"## {entry.title}\n", 1)[1].split("\n## ")[0]
+        assert f"Takes: {durations(entry)}." in text
+        assert all(f"- {line}" in text for line in entry.needs)
+        film = text.split(f"![{entry.title}](")[1].split(")")[0]
+        assert 1000 < (ACTIONS.parent / film).stat().st_size < 200_000
+
+
+def test_every_action_has_its_number():
+    text = ACTIONS.read_text(encoding="utf-8")
+    assert all(f"{int(action)} `{action.name}`" in text for action in Action)
 
 
 TUTORIALS = {"own-world": "yard", "failure": "corner", "asynchronous": "overlap"}

@@ -194,32 +194,17 @@ def test_a_plan_with_a_registered_action_is_validated_audited_and_replayed(push,
     done = forked.run("craftsim", *words.split(), *options)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 of " in done.stdout
+    for plugin, said in (
+        ([], "unknown action 'PUSH'"),
+        (["--plugins", "nowhere"], "'nowhere' cannot be imported"),
+    ):
+        done = forked.run("craftsim", *plugin, "validate", "world.yaml", "--plan", "mine.plan")
+        assert (done.returncode, said in done.stderr) == (2, True), done.stderr
     recipe = Recipe(blueprint_text(_before_a_block()), (Step.single(0, 0, push),))
     assert recipe.steps[0].acts[0].action == "PUSH"
     first, again = (do(run_up(recipe), recipe.steps[-1]) for _ in range(2))
     assert first == again
     assert first[0].agrees
-
-
-def test_commands_import_plugins_first(tmp_path):
-    (tmp_path / "world.yaml").write_text("", encoding="utf-8")
-    craftsim.write_blueprint(_before_a_block(), tmp_path / "world.yaml")
-    (tmp_path / "mine.plan").write_text("0 0 PUSH\n", encoding="utf-8")
-    (tmp_path / "push.py").write_text((Path(__file__).parent / "push.py").read_text("utf-8"), "utf-8")
-    words = ["validate", "world.yaml", "--plan", "mine.plan", "--randomize", "none", "--drive", "reduced"]
-
-    def run(*arguments):
-        done = forked.run("craftsim", *arguments, cwd=tmp_path)
-        return done.returncode, done.stdout + done.stderr
-
-    status, said = run("--plugins", "push", *words)
-    assert status == 0, said
-    status, said = run(*words)
-    assert status == 2
-    assert "unknown action 'PUSH'" in said
-    status, said = run("--plugins", "nowhere", *words)
-    assert status == 2
-    assert "the module 'nowhere' cannot be imported" in said
 
 
 def _legal(grid, car):

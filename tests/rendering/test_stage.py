@@ -10,8 +10,6 @@ from recorded import record
 from craftsim import Trajectory
 from craftsim.discrete.drawing import KIND_COLOURS, car_colour
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
-from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.composition import machine_spec
 from craftsim.rendering.cameras import make_view
 from craftsim.rendering.grid_picture import CELL_PX, MARGIN_PX, levels_of, world_image
 from craftsim.rendering.offscreen import make_renderer
@@ -146,16 +144,3 @@ def test_levels_with_nothing_are_left_out():
     grid.kind[0, 0, 3] = Kind.BLOCK
     assert levels_of([grid], (0, 0, 2)) == (1, 2, 3)
     assert levels_of([grid], None, [Piece(Kind.BLOCK, (0, 0, 4), -1)]) == (1, 3, 4)
-
-
-def test_things_have_the_colours_that_films_show():
-    for part, geom, kind in [
-        ("wall", None, Kind.WALL),
-        ("block", None, Kind.BLOCK),
-        ("flag", "flag_visual", Kind.FLAG),
-        ("slope", None, Kind.BODY),
-        ("slope", "flap_visual", Kind.FOOT),
-        ("slope", "gear_left_visual", Kind.GEAR),
-    ]:
-        shown = [g.rgba[:3] for g in machine_spec(part, NOMINAL).geoms if geom is None or g.name == geom]
-        assert any(np.allclose(rgb, KIND_COLOURS[kind], atol=1e-4) for rgb in shown)

@@ -347,26 +347,6 @@ def test_each_shell_gets_a_script_with_all_commands(shell, capsys):
         assert subprocess.run([program, "-n"], input=script, text=True, check=False).returncode == 0
 
 
-def test_bash_completes_commands_options_and_values(capsys, tmp_path):
-    cli.main(["completion", "bash"])
-    (tmp_path / "completion").write_text(capsys.readouterr().out)
-    for line, expected in (
-        ("craftsim val", {"validate"}),
-        ("craftsim audit mar", {"margins"}),
-        ("craftsim validate --rand", {"--randomize"}),
-        ("craftsim validate --drive r", {"rollers", "reduced"}),
-        ("craftsim robot identify --held", {"--held-out"}),
-    ):
-        words = line.split()
-        program = f"""source {tmp_path}/completion
-COMP_WORDS=({" ".join(words)}); COMP_CWORD={len(words) - 1}; COMP_LINE='{line}'; COMP_POINT={len(line)}
-_craftsim craftsim {words[-1]} {words[-2]}
-printf '%s\\n' "${{COMPREPLY[@]}}"
-"""
-        child = subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=True)
-        assert {word.strip() for word in child.stdout.split()} == expected, line
-
-
 def test_a_shell_that_is_not_known_is_refused(capsys):
     for words in [[], ["powershell"], ["bash", "more"]]:
         assert "needs a shell: bash, zsh, fish" in _refused(["completion", *words], capsys)

@@ -25,26 +25,22 @@ BOUNDS = {
 }
 
 
-def _load(name: str) -> trimesh.Trimesh:
-    return trimesh.util.concatenate([_solid(part) for part in SOLIDS[name]])
-
-
 def _solid(solid: ClosedSolid) -> trimesh.Trimesh:
     return trimesh.Trimesh(*solid, process=False)
 
 
-def test_meshes_are_small():
+def _load(name: str) -> trimesh.Trimesh:
+    return trimesh.util.concatenate(list(map(_solid, SOLIDS[name])))
+
+
+def test_every_part_is_a_small_closed_solid_facing_outward():
     sizes = [len(mesh_of(solids)[0]) for solids in SOLIDS.values()]
     assert max(sizes) < 1500
     assert sum(sizes) < 6000
-
-
-def test_every_part_is_a_closed_solid_facing_outward():
-    for name in SOLIDS:
-        for part in map(_solid, SOLIDS[name]):
-            assert part.is_watertight
-            assert part.is_winding_consistent
-            assert part.volume > 0
+    for part in (_solid(part) for parts in SOLIDS.values() for part in parts):
+        assert part.is_watertight
+        assert part.is_winding_consistent
+        assert part.volume > 0
 
 
 def test_a_car_of_other_lengths_has_closed_solids_of_those_lengths():

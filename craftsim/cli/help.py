@@ -21,14 +21,7 @@ REFERRED: Final = ("Rollouts", "Physics", "Trials")
 
 
 def command_help(app: App, found: Iterable[Argument], words: Sequence[str], below: Mapping[str, str]) -> str:
-    """Return the help of a command.
-
-    Args:
-        app: the command's application.
-        found: its arguments.
-        words: its name, with that of a subcommand.
-        below: its subcommands, with one line each.
-    """
+    """Return the help of a command: of its application, its arguments, its name, and one line for each subcommand."""
     width = min(100, shutil.get_terminal_size().columns)
     function = app.default_command
     arguments = [one for one in found if one.show]

@@ -19,9 +19,7 @@ Progress = Callable[[int], AbstractContextManager[Callable[[Any], None]]]
 def counting(what: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> Progress:
     """Return a progress display: a function from the number of items to a context that is called with each result.
 
-    Args:
-        what: name of the items.
-        good: whether a result counts as a success.
+    ``good`` says whether a result counts as a success.
     """
     return partial(_count, what, good)
 
@@ -76,13 +74,7 @@ def _count(what: str, good: Callable[[Any], bool], total: int) -> Iterator[Calla
 def progress_of(
     what: str, total: int, every_s: float, done: int = 0
 ) -> Iterator[Callable[[int, str, str], None]]:
-    """Show a bar; without a terminal print a line from time to time.
-
-    Args:
-        what: is done.
-        total: how much of it.
-        every_s: interval of the lines.
-        done: how much is done already.
+    """Show a bar for a total, of which some is done; without a terminal print a line from time to time.
 
     Yields what is to be called with how much is done, words beside the bar, and those of a line.
     """

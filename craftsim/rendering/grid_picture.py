@@ -205,13 +205,9 @@ def world_image(
 ) -> NDArray[np.uint8]:
     """Return a picture (height, width, 3), RGB, of levels side by side, the lowest at the left.
 
-    Args:
-        grid: the world.
-        goal: a cell to be framed.
-        levels: those to be shown. All that there are and the one on top of them unless given, so that all pictures of
-            a world have one size.
-        design: cells of a building, to be framed with dashes.
-        shifts: how far cars on their way have come from their cells, along x and y.
+    ``goal`` is framed, ``design`` with dashes, and ``shifts`` say how far cars on their way have come from their cells,
+    along x and y. All levels that there are and the one on top of them are shown, unless ``levels`` names them, so that
+    all pictures of a world have one size.
     """
     length, width, height = grid.size
     shown = range(1, height + 2) if levels is None else levels

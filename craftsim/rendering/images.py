@@ -112,10 +112,7 @@ class CameraImages:
     ) -> Images:
         """Return what the cameras see of a world, each array with a leading dimension of one entry a camera.
 
-        Args:
-            physics: the world.
-            qpos: (nq,) MuJoCo's positions of everything; those of the world unless given.
-            time_s: simulated time, which moves views.
+        ``qpos`` (nq,) are MuJoCo's positions of everything, those of the world unless given; ``time_s`` moves views.
         """
         if physics is not self._physics:
             self._begin(physics)

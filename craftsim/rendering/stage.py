@@ -138,12 +138,10 @@ class Stage:
         self._shadow = _FloorShadow(self.model)
 
     def finish(self, scene: mujoco.MjvScene, qpos: Floats, ghost: bool = True) -> None:
-        """Complete a scene after ``update_scene``, which makes it anew.
+        """Complete a scene of a renderer after ``update_scene``, which makes it anew, with the positions (nq,) that it
+        shows.
 
-        Args:
-            scene: of the renderer.
-            qpos: (nq,) the positions that it shows.
-            ghost: whether to draw what the design wants and does not stand in its place.
+        ``ghost`` says whether to draw what the design wants and does not stand in its place.
         """
         geoms = (scene.geoms[number] for number in range(scene.ngeom))
         floors = (g for g in geoms if g.objtype == mujoco.mjtObj.mjOBJ_GEOM and g.objid in self._floors)

@@ -264,13 +264,8 @@ class Recorder:
     def trajectory(
         self, title: str, recipe: Recipe, attempts: Iterable[Attempt], design: Design | None = None
     ) -> Trajectory:
-        """Return what was recorded so far.
-
-        Args:
-            title: what it is of.
-            recipe: what was done, from the world's start.
-            attempts: what was tried since the recording began.
-            design: the building that is to be put up.
+        """Return what was recorded so far: what it is of, what was done from the world's start, what was tried since
+        the recording began, and the building that is to be put up.
         """
         physics, n = self._judge.physics, len(self._samples)
         time, qpos, ctrl, force, read, path, contact = zip(*self._samples, strict=True)

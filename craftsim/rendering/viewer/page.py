@@ -162,11 +162,8 @@ class ViewerPage:
     ) -> None:
         """Show a moment: poses at once, words not more often than they can be read.
 
-        Args:
-            qpos: (nq,) MuJoCo's positions of everything.
-            time_s: simulated time.
-            attempts: those of the run, as far as they are known.
-            moment: returns what is known of a car, by its number.
+        ``qpos`` are MuJoCo's positions of everything (nq,), ``attempts`` those of the run as far as they are known, and
+        ``moment`` returns what is known of a car, by its number.
         """
         assert self.scene is not None, "show_world() comes first"
         self.scene.show(qpos)

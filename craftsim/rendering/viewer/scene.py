@@ -52,13 +52,10 @@ class BrowserScene:
         marks: Mapping[Cell, float],
         on_pick: Callable[[int], None],
     ) -> None:
-        """Send the meshes.
+        """Send the meshes of a world, which is looked at alone.
 
-        Args:
-            server: of the page.
-            physics: the world, which is looked at alone.
-            marks: cells to mark, such as those of a building that is to be put up, and how high in levels.
-            on_pick: called with the number of a car that is clicked.
+        ``marks`` are cells to mark, such as those of a building that is to be put up, with how high in levels;
+        ``on_pick`` is called with the number of a car that is clicked.
         """
         self._server, self._seen = server, SeenWorld(physics)
         self._model = self._seen.model

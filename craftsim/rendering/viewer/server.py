@@ -152,13 +152,10 @@ def _parts(url: str) -> SplitResult:
 
 @contextmanager
 def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[None]:
-    """Let the server that viser starts within the block refuse other pages.
+    """Let the server that viser starts within the block, on the address ``host``, refuse other pages.
 
-    Args:
-        host: address on which it listens.
-        allows: says of a message of a page whether it is one that viser may see; all others are dropped.
-
-    Raises RuntimeError for a viser that starts none, or in another way.
+    ``allows`` says of a message of a page whether viser may see it; all others are dropped. Raises RuntimeError for a
+    viser that starts no server, or in another way.
     """
     started = []
 

@@ -92,13 +92,10 @@ class LiveView:
         goals: Sequence[Cell] = (),
         attempts: Callable[[], Sequence[Attempt]] = tuple,
     ) -> None:
-        """Show a judged PhysicsWorld from now on, with what its cars do.
+        """Show a judged PhysicsWorld from now on, with what its cars do: the judge calls this view.
 
-        Args:
-            judge: the judge on the PhysicsWorld; it calls this view from now on.
-            title: stands above the page.
-            goals: cells to mark.
-            attempts: returns those that were judged so far.
+        ``title`` stands above the page, ``goals`` are cells to mark, and ``attempts`` returns those that were judged so
+        far.
         """
         self._judge, self._attempts, self._running = judge, attempts, {}
         before = judge.on_change

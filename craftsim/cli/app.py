@@ -152,9 +152,12 @@ def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
 def write_config(
     words: Sequence[str], function: Callable[..., Any], bound: inspect.BoundArguments, folder: Path | None
 ) -> None:
-    """Write the configuration of a command, for ``--config``, into its output folder, or the default one, if it has
-    one.""" bound.apply_defaults() out = bound.arguments.get("out") or folder if out is None or not (out /
-    "report.json").is_file(): return import yaml
+    """Write the configuration of a command, for ``--config``, into its output folder, or the default one ``folder``."""
+    bound.apply_defaults()
+    out = bound.arguments.get("out") or folder
+    if out is None or not (out / "report.json").is_file():
+        return
+    import yaml
 
     from craftsim.reports.json_file import versions
     from craftsim.storage.writing import write_whole

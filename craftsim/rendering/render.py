@@ -139,16 +139,13 @@ def _stills(shown: Shown, path: Path, look: FilmOptions, at: Sequence[float]) ->
 
 
 def _sheet(shown: Shown, path: Path, look: FilmOptions) -> Path:
-    with closing(Frames(shown, look)) as frames:
-        moments = np.linspace(0, len(frames.times) - 1, SHEET).round().astype(int)
-        times = frames.times[moments].tolist()
-        pictures = [frames.at(time_s) for time_s in times]
     columns = 3 if look.size[0] >= look.size[1] else 4
-    width, height = look.size[0] // columns, look.size[1] // columns
-    small = [
-        label(np.asarray(Image.fromarray(picture).resize((width, height))), f"{time_s:.1f} s")
-        for picture, time_s in zip(pictures, times, strict=True)
-    ]
+    size, small = (look.size[0] // columns, look.size[1] // columns), []
+    with closing(Frames(shown, look)) as frames:
+        for number in np.linspace(0, len(frames.times) - 1, SHEET).round().astype(int):
+            time_s = float(frames.times[number])
+            picture = Image.fromarray(frames.at(time_s)).resize(size)
+            small.append(label(np.asarray(picture), f"{time_s:.1f} s"))
     rows = [np.hstack(small[i : i + columns]) for i in range(0, SHEET, columns)]
     return _write_png(path, np.vstack(rows))
 
@@ -190,20 +187,13 @@ def plan_worlds(
 ) -> Iterator[tuple[Grid, dict[int, int]]]:
     """Yield for each moment the world as what has ended left it, and the running step of each car."""
     steps, times = schedule.steps, schedule.times()
-    starts, ends = (np.argsort(column, kind="stable").tolist() for column in times.T)
-    grid, begun, ended = steps[0].before if steps else schedule.final, 0, 0
-    running: dict[int, int] = {}
+    grids = [steps[0].before if steps else schedule.final]
+    # In the order of their ends, in which each comes after all that it waits for.
+    for step in (steps[index] for index in np.argsort(times[:, 1], kind="stable").tolist()):
+        grids.append(rules.tick(grids[-1], [(step.car, step.action)])[0])
     for moment in moments:
-        # In the order of their ends, in which each comes after all that it waits for.
-        while ended < len(ends) and times[ends[ended], 1] <= moment:
-            step = steps[ends[ended]]
-            grid, _ = rules.tick(grid, [(step.car, step.action)])
-            ended += 1
-        while begun < len(starts) and times[starts[begun], 0] <= moment:
-            running[steps[starts[begun]].car] = starts[begun]
-            begun += 1
-        running = {car: index for car, index in running.items() if times[index, 1] > moment}
-        yield grid, running.copy()
+        running = np.flatnonzero((times[:, 0] <= moment) & (moment < times[:, 1])).tolist()
+        yield grids[int((times[:, 1] <= moment).sum())], {steps[index].car: index for index in running}
 
 
 def plan_frames(

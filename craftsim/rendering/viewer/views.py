@@ -265,9 +265,8 @@ class RecordedView:
         story = trajectory.story
         self._start_s, self._end_s = trajectory.time[[0, -1]].tolist()
         marks = {piece.cell: 1.0 if piece.kind in _WHOLE else MARK for piece in trajectory.wanted}
-        self._page.show_world(
-            story.title, trajectory.physics, marks or dict.fromkeys(story.recipe.goals, MARK)
-        )
+        marks = marks or dict.fromkeys(story.recipe.goals, MARK)
+        self._page.show_world(story.title, trajectory.physics, marks)
         self._page.offer(tuple(self._runs), (self._start_s, self._end_s))
         self.trajectory, self.time_s, self.playing = trajectory, self._start_s, False
         begins = {attempt.start_s for attempt in story.attempts}

@@ -194,15 +194,6 @@ def test_a_bug_is_not_hidden(command, error):
         cli.main(["probe"])
 
 
-def test_parameters_become_options_and_the_result_the_status(command):
-    def probe(count: int, video: bool = True) -> int:
-        return count if video else -count
-
-    command(probe)
-    assert cli.main(["probe", "--count", "3"]) == 3
-    assert cli.main(["probe", "--count", "3", "--no-video"]) == -3
-
-
 def test_so_many_runs_that_they_never_end_and_numbers_of_too_many_digits_are_refused(capsys, tmp_path):
     error = _refused(["validate", "--trials", "1000000", "--out", str(tmp_path / "out")], capsys)
     assert error.startswith("craftsim: --trials times worlds and policies is 6000000")

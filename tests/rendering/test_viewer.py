@@ -24,35 +24,27 @@ pytestmark = pytest.mark.skipif(not find_spec("viser"), reason="needs the extra 
 SAMPLED = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
 
 
-def test_playing_goes_on_at_its_speed_pauses_at_the_end_and_starts_over(run: Trajectory, opened: LiveView):
-    shown, (start_s, end_s) = RecordedView(opened.page, {"one": lambda: run}), run.time[[0, -1]]
-    opened.page.speed.value = "1/4 x"
-    shown.advance(1.0)
-    assert shown.time_s == start_s, "it begins paused"
-    shown.toggle()
-    shown.advance(2.0)
-    assert (shown.time_s, shown.playing) == (start_s + 0.5, True)
-    shown.advance(4 * run.duration_s)
-    assert (shown.time_s, shown.playing) == (end_s, False)
-    shown.toggle()
-    assert (shown.time_s, shown.playing) == (start_s, True), "it starts over"
-
-
-def test_steps_lead_from_action_to_action_and_pause(run: Trajectory, opened: LiveView):
+def test_playing_pauses_at_the_end_and_starts_over_and_steps_lead_from_action_to_action(
+    run: Trajectory, opened: LiveView
+):
     attempts = [replace(run.story.attempts[0], start_s=at_s) for at_s in (0.5, 1.0, 0.5, 99.0)]
     acted = replace(run, story=replace(run.story, attempts=tuple(attempts)))
     shown, (start_s, end_s) = RecordedView(opened.page, {"one": lambda: acted}), run.time[[0, -1]]
+    opened.page.speed.value = "1/4 x"
+    shown.advance(1.0)
+    assert shown.time_s == start_s, "it begins paused"
+    for wall_s, expected in ((2.0, (start_s + 0.5, True)), (4 * run.duration_s, (end_s, False))):
+        if not shown.playing:
+            shown.toggle()
+        shown.advance(wall_s)
+        assert (shown.time_s, shown.playing) == expected
     shown.toggle()
+    assert (shown.time_s, shown.playing) == (start_s, True), "it starts over"
     seen = []
-    for _ in range(4):
-        shown.step()
+    for move in (*[shown.step] * 4, lambda: shown.seek(1.2), *[shown.step_back] * 4):
+        move()
         seen.append(shown.time_s)
-    assert (seen, shown.playing) == ([0.5, 1.0, end_s, end_s], False)
-    shown.seek(1.2)
-    for _ in range(4):
-        shown.step_back()
-        seen.append(shown.time_s)
-    assert seen[4:] == [1.0, 0.5, start_s, start_s]
+    assert (seen, shown.playing) == ([0.5, 1.0, end_s, end_s, 1.2, 1.0, 0.5, start_s, start_s], False)
 
 
 def test_a_recorded_moment_has_the_action_the_poses_the_forces_and_the_verdict(run: Trajectory):

@@ -67,6 +67,12 @@ def main() -> None:
         measure(name)
 
 
+def revision() -> str:
+    """Return the revision of the checkout."""
+    command = ["git", "rev-parse", "--short=8", "HEAD"]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+
 def measure(name: str) -> None:
     """Run a command, and store what its report says."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -80,13 +86,10 @@ def measure(name: str) -> None:
 
 def store(name: str, out: Path, cpu_s: float | None) -> None:
     """Store of a report what a table says, with command and revision; a resumed run has no CPU time."""
-    revision = subprocess.run(
-        ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     kept = {
         "command": MEASURED[name],
-        "revision": revision.stdout.strip(),
+        "revision": revision(),
         "cpu_s": None if cpu_s is None else round(cpu_s, 1),
         "versions": report["versions"],
         "figures": {key: _without_lists(value) for key, value in report["figures"].items()},

@@ -7,10 +7,9 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from importlib.metadata import requires
 from importlib.resources import files
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from cyclopts import Parameter
 
@@ -238,18 +237,13 @@ if abs(data.qpos[2] - 0.1) > 0.001:
 """
 
 
-@dataclass(frozen=True)
-class Check:
-    """One thing that was tried."""
+class Check(NamedTuple):
+    """One thing that was tried: what it is for, whether it works, what was found or why not, the command that fixes it."""
 
     what: str
-    """What it is for."""
     works: bool
-    """Whether it does."""
     found: str
-    """What was found, or why it fails."""
     remedy: str = ""
-    """The command that fixes it."""
 
 
 @owning
@@ -283,7 +277,11 @@ def doctor(*, out: OptionalDir = None) -> int:
         if check.remedy:
             print_safe(f"{check.what}: run this to fix it:\n    {check.remedy}")
     if out is not None:
-        figures = {"checks": checks, "processors": processors, "audited": audited}
+        figures = {
+            "checks": [check._asdict() for check in checks],
+            "processors": processors,
+            "audited": audited,
+        }
         print_safe(f"Report: {write_report(out, figures, command='doctor')}")
     if not physics.works:
         print_safe("Physics does not run.")

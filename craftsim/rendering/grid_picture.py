@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import chain, product
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -50,8 +49,7 @@ _NOSE: Final = np.array([(0.22, 0.13), (0.33, 0.0), (0.22, -0.13)])
 _CHEVRON: Final = np.array([(-0.16, 0.20), (0.04, 0.0), (-0.16, -0.20)])
 
 
-@dataclass(frozen=True, eq=False)
-class Outline:
+class Outline(NamedTuple):
     """A polygon, an open line where it is not filled, or a word that is centred at its only point."""
 
     points: Points
@@ -111,7 +109,7 @@ def car_shapes(
     for cell, cars in cars_by_cell(grid).items():
         for car in cars if cell[2] == z else ():
             shift = np.array((shifts or {}).get(car, (0.0, 0.0)))
-            yield from (replace(one, points=one.points + shift) for one in _car(grid, car, cell))
+            yield from (one._replace(points=one.points + shift) for one in _car(grid, car, cell))
 
 
 def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline]:

@@ -178,18 +178,18 @@ _GHOST_MESHES: Final = ("block", "slope_base", "slope_flap")
 
 
 class _Piece(NamedTuple):
-    """A block, or the base or the flap of a slope, that the design wants."""
+    """A block, or the base or the flap of a slope, that the design wants.
+
+    ``place`` (3,) is that of the frame of the block or slope, ``angle`` that of a flap's hinge; ``pos`` (3,) and
+    ``mat`` (9,) say where and how turned the mesh is drawn. In metres.
+    """
 
     place: Floats
-    """(3,) metres: of the frame of the block or slope."""
     angle: float | None
-    """Of a flap's hinge."""
     slope: bool
     mesh: int
     pos: Floats
-    """(3,) metres: where the mesh is drawn."""
     mat: Floats
-    """(9,) how it is turned."""
 
 
 def _pieces(model: mujoco.MjModel, machines: Machines, goal: GoalCell) -> Iterator[_Piece]:

@@ -15,7 +15,7 @@ from craftsim.rendering.layout import arrange
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.render import render_frames
 from craftsim.rendering.stage import Stage
-from craftsim.rendering.trajectory import place
+from craftsim.rendering.trajectory import show_at
 from craftsim.validation.choice import PLANNER, items_of, policy_pilot, subjects_of
 from craftsim.validation.rollout import do_run
 from craftsim.validation.validation import record_once
@@ -39,7 +39,7 @@ def bare(trajectory, look):
 
     def loop():
         for moment in map(float, pace_of(trajectory, look)[0]):
-            place(stage.model, data, trajectory.qpos[trajectory.at(moment)])
+            show_at(stage.model, data, trajectory.qpos[trajectory.at(moment)])
             renderer.update_scene(data, view.camera(moment))
             stage.finish(renderer.scene, data.qpos)
             renderer.render()

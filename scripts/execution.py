@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from measure_results import revision
 
 from craftsim.discrete.files.blueprint import parse_blueprint
 from craftsim.discrete.tasks.starts import save_starts
@@ -87,9 +88,6 @@ def craftsim(*words: object) -> None:
 
 def store(reports: list[Path]) -> None:
     """Store learning curves, and of each seed what comparisons came to."""
-    revision = subprocess.run(
-        ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
     curves, by_seed = [], dict[str, dict[str, Any]]()
     for path in reports:
         report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -101,7 +99,7 @@ def store(reports: list[Path]) -> None:
             ]
             curves.append({"task": task, "trained": way[0], "seed": int(seed), "curve": curve})
             continue
-        modes = by_seed.setdefault(seed, report | {"revision": revision.stdout.strip()})["figures"]["modes"]
+        modes = by_seed.setdefault(seed, report | {"revision": revision()})["figures"]["modes"]
         for policy in figures["modes"].copy():
             modes[Path(policy).name] = figures["modes"].pop(policy)
         by_seed[seed]["config"]["policies"] = sorted(modes)

@@ -71,9 +71,15 @@ def is_older(path: Path) -> bool:
     """Return whether a result is missing, or the package has changed since its revision."""
     if not path.exists():
         return True
-    revision = json.loads(path.read_text(encoding="utf-8")).get("revision", "none")
-    diff = ["git", "diff", "--quiet", revision, "HEAD", "--", "craftsim"]
+    measured = json.loads(path.read_text(encoding="utf-8")).get("revision", "none")
+    diff = ["git", "diff", "--quiet", measured, "HEAD", "--", "craftsim"]
     return subprocess.run(diff, cwd=ROOT, check=False, stderr=subprocess.DEVNULL).returncode != 0
+
+
+def revision() -> str:
+    """Return the revision of the checkout."""
+    command = ["git", "rev-parse", "--short=8", "HEAD"]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
 
 def measure(name: str) -> None:
@@ -89,13 +95,10 @@ def measure(name: str) -> None:
 
 def store(name: str, out: Path, cpu_s: float | None) -> None:
     """Store of a report what a table says, with command and revision; a resumed run has no CPU time."""
-    revision = subprocess.run(
-        ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     kept = {
         "command": MEASURED[name],
-        "revision": revision.stdout.strip(),
+        "revision": revision(),
         "cpu_s": None if cpu_s is None else round(cpu_s, 1),
         "versions": report["versions"],
         "figures": {key: _without_lists(value) for key, value in report["figures"].items()},

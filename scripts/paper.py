@@ -13,6 +13,8 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
+from measure_results import revision
+
 ROOT: Final = Path(__file__).parents[1]
 OUT: Final = ROOT / "out" / "paper"
 STORED: Final = ROOT / "docs" / "results" / "training" / "paper_runs.json"
@@ -49,9 +51,6 @@ def main() -> None:
 
 def store(reports: list[Path]) -> None:
     """Store of each run its curve and what it came to."""
-    revision = subprocess.run(
-        ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
     runs, versions = [], {}
     for path in reports:
         report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -62,7 +61,7 @@ def store(reports: list[Path]) -> None:
         ]
         of_run = {name: config[name] for name in ("task", "algo", "seed", "steps")}
         runs.append(of_run | {"last_fifth": figures["last_fifth"], "curve": curve})
-    stored = {"revision": revision.stdout.strip(), "versions": versions, "runs": runs}
+    stored = {"revision": revision(), "versions": versions, "runs": runs}
     STORED.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
 
 

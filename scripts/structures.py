@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
 import time
 from collections.abc import Sequence
@@ -24,6 +23,7 @@ from statistics import median
 from typing import Any, Final
 
 import numpy as np
+from measure_results import revision
 
 from craftsim.checking.setup import Seed, set_up, setup_of
 from craftsim.choices import Drive
@@ -193,13 +193,10 @@ def main() -> None:
     if unknown := set(asked.sets) - set(SETS):
         parser.error(f"no set {', '.join(sorted(unknown))}; there are {', '.join(SETS)}")
     drive = None if asked.what == "plan" else asked.drive
-    revision = subprocess.run(
-        ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
     for name in asked.sets or SETS:
         figures = run(name, asked.trials, drive, asked.out)
         stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else {}
-        stored.setdefault(name, {})[drive or "plan"] = plain(figures) | {"revision": revision.stdout.strip()}
+        stored.setdefault(name, {})[drive or "plan"] = plain(figures) | {"revision": revision()}
         STORED.write_text(json.dumps(stored, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 

@@ -74,13 +74,9 @@ def test_the_shipped_demo_succeeds_and_reports_it(demo, folder):
         *("simple_two_story.log.csv", "simple_two_story.npz"),
     ]
     report = _report("new/folder")
-    assert sorted(report) == ["command", "config", "figures", "schema_version", "seed", "versions", "wall"]
     assert (report["schema_version"], report["command"], report["seed"]) == (SCHEMA_VERSION, "demo", 7)
-    assert {"craftsim", "mujoco", "numpy", "python", "platform"} <= report["versions"].keys()
     config, figures = report["config"], report["figures"]
     assert config["setup"]["thresholds"]["car_m"] == 0.001
-    assert set(config["digests"]) == {"gains", "machines"}
-    assert (config["rules"], config["randomize"]) == ("physical", "none")
     assert (figures["agree"], figures["total"], figures["matches_goal"]) == (24, 24, True)
     assert figures["max_car_error_mm"] <= 1.0
     assert figures["max_car_heading_error_mrad"] <= 3.0
@@ -94,21 +90,6 @@ def test_the_same_seed_gives_the_same_report(demo):
     one, two = _report("one"), _report("two")
     assert one.pop("wall")["total_s"] > 0 < two.pop("wall")["total_s"]
     assert one == two
-
-
-@pytest.mark.usefixtures("rendering")
-def test_the_film_plays_in_a_browser(demo, folder):
-    import av
-
-    assert demo(*FAST, own={"task": FLAT, "plan": "0 0 MOVE_RIGHT\n"}, video=True)[0] == 0
-    with av.open("out/own.mp4") as film:
-        stream = film.streams.video[0]
-        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
-        frames = sum(1 for _ in film.decode(stream))
-    trajectory = Trajectory.read(folder / "out/own.npz")
-    assert frames == Frames.count(trajectory, FilmOptions())
-    assert trajectory.time[-1] == pytest.approx(_report()["figures"]["simulated_s"])
-    assert not [path for path in (folder / "out").glob(".*") if path.name != ".craftsim-lock"]
 
 
 @pytest.mark.parametrize(
@@ -176,20 +157,13 @@ def test_files_that_are_missing_or_do_not_fit_are_named(demo, folder):
             assert not list(folder.glob("out/*"))
 
 
-def test_a_plan_that_leaves_blocks_apart_misses_the_goal(demo):
-    status, said = demo("--task", "free_building", *FAST, own={"plan": "0 0 MOVE_RIGHT\n"})
-    assert status == 1
-    assert said.out.endswith("1 of 1 actions agree with the rules; the goal is NOT reached.\n")
-
-
-def test_all_tasks_give_one_summary_and_one_report(demo, folder, monkeypatch):
+def test_all_tasks_give_one_summary_and_one_report(demo, monkeypatch):
     names = ("block", "breaking_barrier")
     monkeypatch.setattr(tasks, "TASK_NAMES", names)
     status, said = demo("--task", "all", *FAST)
     lines = said.out.splitlines()
     assert (status, lines[-1]) == (0, "40 of 40 actions agree with the rules; 2 of 2 goals are reached.")
-    rows = [line.split() for line in lines if "reached" in line and line.startswith(names)]
-    assert [row[0] for row in rows] == list(names)
+    assert [line.split()[0] for line in lines if "reached" in line and line.startswith(names)] == list(names)
     assert max(map(len, (line for line in lines if not line.startswith(("Report:", "Page:"))))) <= 80
     figures = _report()["figures"]
     assert (figures["agree"], figures["total"], figures["good"]) == (40, 40, 2)
@@ -198,6 +172,8 @@ def test_all_tasks_give_one_summary_and_one_report(demo, folder, monkeypatch):
 
 @pytest.mark.usefixtures("rendering")
 def test_one_failure_among_all_tasks_is_named_and_each_task_has_its_film(demo, folder, monkeypatch):
+    import av
+
     (folder / "wrong.plan").write_text("0 0 DROP\n", encoding="utf-8")
     monkeypatch.setattr(tasks, "TASK_NAMES", ("strip", "block"))
     monkeypatch.setattr(building, "shipped_plan", lambda name: folder / "wrong.plan")
@@ -208,6 +184,9 @@ def test_one_failure_among_all_tasks_is_named_and_each_task_has_its_film(demo, f
     assert said.out.count("Film of ") == 2
     kinds = {f"{name}.{ending}" for name in ("strip", "block") for ending in ("mp4", "npz", "log.csv")}
     assert kinds <= {path.name for path in (folder / "out").iterdir()}
+    with av.open("out/block.mp4") as film:
+        frames = sum(1 for _ in film.decode(video=0))
+    assert frames == Frames.count(Trajectory.read(folder / "out/block.npz"), FilmOptions())
 
 
 @pytest.mark.parametrize("disturbance", ["bystander", "limit"])
@@ -227,13 +206,3 @@ def test_what_the_reading_does_not_show_disagrees_nevertheless(demo, monkeypatch
     (action,) = figures["actions"]
     assert (action["finding"], action["result"]) == ("agrees", result)
     assert figures["max_placed_error_mm"] is None
-
-
-@pytest.mark.parametrize("order", ["sequential", "ticks", "concurrent"])
-def test_many_cars_at_once_build_the_same_in_less_time(demo, order):
-    status, said = demo("--task", "strip", "--order", order, *FAST)
-    figures = _report()["figures"]
-    assert (status, figures["matches_goal"]) == (0, True)
-    busy_s = sum(action["duration_s"] for action in figures["actions"])
-    assert (figures["makespan_s"] < 0.9 * busy_s) is (order != "sequential")
-    assert "-0.00" not in said.out

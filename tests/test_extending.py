@@ -91,7 +91,7 @@ def test_masks_have_a_column_for_those_that_are_named_alone(push):
     assert not rules.mask(Grid.empty((3, 1, 1), 1))[0, 15]
 
 
-def test_a_schedule_waits_for_who_is_where_a_block_is_pushed(push):
+def test_a_schedule_waits_for_who_is_where_a_block_is_pushed_and_is_drawn(push, tmp_path):
     grid = _before_a_block(3)
     grid.cars[1, :2], grid.cars[2, :2] = (3, 1), (5, 0)
     grid.derive_marks()
@@ -99,10 +99,6 @@ def test_a_schedule_waits_for_who_is_where_a_block_is_pushed(push):
     schedule = make_schedule(grid, ticks, craftsim.Rules("physical"))
     assert [step.waits_for for step in schedule.steps] == [frozenset(), {0}, frozenset()]
     assert schedule.makespan() > 4.1
-
-
-def test_a_chart_of_a_schedule_draws_registered_actions(push, tmp_path):
-    schedule = make_schedule(_before_a_block(), [[(0, push)]], craftsim.Rules("physical"))
     assert draw_gantt(tmp_path / "chart.png", schedule, "pushing").stat().st_size > 0
 
 
@@ -198,32 +194,17 @@ def test_a_plan_with_a_registered_action_is_validated_audited_and_replayed(push,
     done = forked.run("craftsim", *words.split(), *options)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "0 of " in done.stdout
+    for plugin, said in (
+        ([], "unknown action 'PUSH'"),
+        (["--plugins", "nowhere"], "'nowhere' cannot be imported"),
+    ):
+        done = forked.run("craftsim", *plugin, "validate", "world.yaml", "--plan", "mine.plan")
+        assert (done.returncode, said in done.stderr) == (2, True), done.stderr
     recipe = Recipe(blueprint_text(_before_a_block()), (Step.single(0, 0, push),))
     assert recipe.steps[0].acts[0].action == "PUSH"
     first, again = (do(run_up(recipe), recipe.steps[-1]) for _ in range(2))
     assert first == again
     assert first[0].agrees
-
-
-def test_commands_import_plugins_first(tmp_path):
-    (tmp_path / "world.yaml").write_text("", encoding="utf-8")
-    craftsim.write_blueprint(_before_a_block(), tmp_path / "world.yaml")
-    (tmp_path / "mine.plan").write_text("0 0 PUSH\n", encoding="utf-8")
-    (tmp_path / "push.py").write_text((Path(__file__).parent / "push.py").read_text("utf-8"), "utf-8")
-    words = ["validate", "world.yaml", "--plan", "mine.plan", "--randomize", "none", "--drive", "reduced"]
-
-    def run(*arguments):
-        done = forked.run("craftsim", *arguments, cwd=tmp_path)
-        return done.returncode, done.stdout + done.stderr
-
-    status, said = run("--plugins", "push", *words)
-    assert status == 0, said
-    status, said = run(*words)
-    assert status == 2
-    assert "unknown action 'PUSH'" in said
-    status, said = run("--plugins", "nowhere", *words)
-    assert status == 2
-    assert "the module 'nowhere' cannot be imported" in said
 
 
 def _legal(grid, car):
@@ -255,12 +236,6 @@ def test_a_wrong_registration_says_what_is_wrong(arguments, message, free_names)
     assert len(ACTIONS) == 15
 
 
-def test_a_name_is_registered_once(free_names):
-    craftsim.register_action("NOD", _legal, _effect, duration_s=1.0)
-    with pytest.raises(InputError, match="there is an action 'NOD' already"):
-        craftsim.register_action("NOD", _legal, _effect, duration_s=1.0)
-
-
 def test_what_functions_return_is_checked(free_names):
     def out_of_the_map(grid, car):
         grid.cars[car, 0] = 99
@@ -278,6 +253,8 @@ def test_what_functions_return_is_checked(free_names):
     with pytest.raises(InputError, match="RENEW: effect"):
         rules.apply(grid, 0, new)
     nod = craftsim.register_action("NOD", _legal, _effect, duration_s=1.0)
+    with pytest.raises(InputError, match="there is an action 'NOD' already"):
+        craftsim.register_action("NOD", _legal, _effect, duration_s=1.0)
     with pytest.raises(InputError, match="'RENEW' was registered without a skill"):
         craftsim.parallel_env("strip", "physics", actions=("RENEW",))
     with pytest.raises(InputError, match="no skill performs NOD"):

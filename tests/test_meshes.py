@@ -25,26 +25,22 @@ BOUNDS = {
 }
 
 
-def _load(name: str) -> trimesh.Trimesh:
-    return trimesh.util.concatenate([_solid(part) for part in SOLIDS[name]])
-
-
 def _solid(solid: ClosedSolid) -> trimesh.Trimesh:
     return trimesh.Trimesh(*solid, process=False)
 
 
-def test_meshes_are_small():
+def _load(name: str) -> trimesh.Trimesh:
+    return trimesh.util.concatenate(list(map(_solid, SOLIDS[name])))
+
+
+def test_every_part_is_a_small_closed_solid_facing_outward():
     sizes = [len(mesh_of(solids)[0]) for solids in SOLIDS.values()]
     assert max(sizes) < 1500
     assert sum(sizes) < 6000
-
-
-def test_every_part_is_a_closed_solid_facing_outward():
-    for name in SOLIDS:
-        for part in map(_solid, SOLIDS[name]):
-            assert part.is_watertight
-            assert part.is_winding_consistent
-            assert part.volume > 0
+    for part in (_solid(part) for parts in SOLIDS.values() for part in parts):
+        assert part.is_watertight
+        assert part.is_winding_consistent
+        assert part.volume > 0
 
 
 def test_a_car_of_other_lengths_has_closed_solids_of_those_lengths():
@@ -93,30 +89,3 @@ def test_wheels_have_room_in_the_chassis():
     beside = chassis.vertices[np.abs(chassis.vertices[:, 1]) > 0.0595]
     from_axle = np.hypot(np.abs(beside[:, 0]) - 0.060, beside[:, 2])
     assert from_axle.min() > 0.0496
-
-
-def _normals(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the normals (n, 3) of the larger faces of a mesh, and those (n, 3, 3) that it gives their corners."""
-    points, given, corners = mesh_of(SOLIDS[name])
-    a, b, c = points[corners].transpose(1, 0, 2)
-    across = np.cross(b - a, c - a)
-    area = np.linalg.norm(across, axis=1) / 2
-    large = area > 0.05 * area.max()
-    return (across / (2 * area[:, None]))[large], given[corners[large]]
-
-
-def test_flat_faces_are_shaded_flat_and_round_ones_round():
-    for name in ("slope_base", "slope_flap", "block_trim", "lift_post"):
-        faces, corners = _normals(name)
-        assert np.abs(corners - faces[:, None]).max() < 0.06, name  # 3 degrees
-    faces, corners = _normals("wheel_hub")
-    assert np.abs(corners - faces[:, None]).max() > 0.1
-
-
-def test_a_worm_meshes_with_its_gear():
-    p = NOMINAL.slope
-    offset = -slope.worm_offset(p)[2]
-    gear, worm = _load("gear").vertices, _load("worm").vertices
-    tip = np.hypot(gear[:, 0], gear[:, 2]).max()
-    thread = np.hypot(worm[:, 1], worm[:, 2])[worm[:, 0] > -0.010].max()
-    assert 0.001 < tip + thread - offset < 0.003, "as deep as the teeth"

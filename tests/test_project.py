@@ -6,7 +6,6 @@ from importlib.metadata import requires
 from itertools import chain
 from pathlib import Path
 
-import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -23,11 +22,6 @@ def _yaml(name: str):
     return yaml.safe_load((ROOT / name).read_text(encoding="utf-8"))
 
 
-@pytest.fixture
-def job():
-    return _yaml(".github/workflows/test.yml")["jobs"]["test"]
-
-
 def test_the_citation_and_the_changelog_are_of_this_version_and_licence():
     citation = _yaml("CITATION.cff")
     released = re.search(
@@ -40,13 +34,11 @@ def test_the_citation_and_the_changelog_are_of_this_version_and_licence():
     assert citation["title"].split(":")[0] == PROJECT["name"]
 
 
-def test_the_workflow_tests_every_python_that_the_package_claims(job):
+def test_the_workflow_runs_make_test_on_every_python_with_the_libraries_of_the_renderer():
+    job = _yaml(".github/workflows/test.yml")["jobs"]["test"]
     claimed = re.findall(r"Python :: (3\.\d+)", "\n".join(PROJECT["classifiers"]))
     assert job["strategy"]["matrix"]["python"] == claimed
     assert PROJECT["requires-python"] == f">={claimed[0]}"
-
-
-def test_the_workflow_runs_make_test_with_the_libraries_of_the_renderer(job):
     commands = [step["run"] for step in job["steps"] if "run" in step]
     assert "make test" in commands
     assert any(all(name in command for name in DEBIAN_PACKAGES) for command in commands)
@@ -100,14 +92,6 @@ def test_what_make_test_installs_needs_nothing_that_is_not_pinned():
             # A build of torch for GPUs, which CPU builds need nothing of, brings libraries of its version.
             if wanted and name != "torch":
                 assert canonicalize_name(requirement.name) in pinned, f"{name} needs {line}"
-
-
-def test_make_installs_within_the_constraints():
-    text = (ROOT / "Makefile").read_text(encoding="utf-8")
-    recipe = text[text.index("$(VENV)/installed: ") :]
-    assert "$(CONSTRAINTS)" in recipe.splitlines()[0]
-    assert recipe.count("$(PIP)") == 3
-    assert "-m pip" not in recipe
 
 
 def test_contributing_draws_the_rooms_as_they_are():

@@ -1,6 +1,7 @@
 """Imports follow the one-way arrows between the package's rooms."""
 
 import ast
+import re
 from functools import cache
 from pathlib import Path
 
@@ -8,101 +9,40 @@ import craftsim
 
 PACKAGE = Path(craftsim.__file__).parent
 
+_ALLOWED = """
+errors:
+choices:
+options: storage discrete mjcf models skills checking.setup experiments.experiment
+extras:
+modules:
+compiling:
+workers:
+storage:
+discrete: storage
+designs: storage discrete
+mjcf: storage discrete
+models: storage discrete mjcf
+skills: storage mjcf models discrete
+planning: discrete
+logs: storage skills mjcf models discrete
+robots: storage checking skills mjcf models discrete
+checking: storage skills mjcf models discrete
+experiments: storage checking skills models discrete mjcf reports
+audit: storage checking skills mjcf models discrete
+validation: options designs storage audit experiments checking rendering envs skills mjcf models discrete
+    reports training.policy logs planning robots
+tuning: storage audit experiments validation checking envs rendering skills mjcf models discrete reports
+    logs
+envs: planning storage checking skills mjcf models discrete rendering reports
+studies: storage discrete training experiments reports
+training: storage discrete mjcf.parameters checking.setup envs planning reports
+rendering: storage checking skills mjcf models discrete reports
+testing: envs discrete
+reports: storage
+__main__: cli
+"""
 ALLOWED = {
-    "errors": set(),
-    "choices": set(),
-    "options": {
-        "storage",
-        "discrete",
-        "mjcf",
-        "models",
-        "skills",
-        "checking.setup",
-        "experiments.experiment",
-    },
-    "extras": set(),
-    "modules": set(),
-    "compiling": set(),
-    "workers": set(),
-    "storage": set(),
-    "discrete": {"storage"},
-    "designs": {"storage", "discrete"},
-    "mjcf": {"storage", "discrete"},
-    "models": {"storage", "discrete", "mjcf"},
-    "skills": {"storage", "mjcf", "models", "discrete"},
-    "planning": {"discrete"},
-    "logs": {"storage", "skills", "mjcf", "models", "discrete"},
-    "robots": {"storage", "checking", "skills", "mjcf", "models", "discrete"},
-    "checking": {"storage", "skills", "mjcf", "models", "discrete"},
-    "experiments": {
-        "storage",
-        "checking",
-        "skills",
-        "models",
-        "discrete",
-        "mjcf",
-        "reports",
-    },
-    "audit": {"storage", "checking", "skills", "mjcf", "models", "discrete"},
-    "validation": {
-        "options",
-        "designs",
-        "storage",
-        "audit",
-        "experiments",
-        "checking",
-        "rendering",
-        "envs",
-        "skills",
-        "mjcf",
-        "models",
-        "discrete",
-        "reports",
-        "training.policy",
-        "logs",
-        "planning",
-        "robots",
-    },
-    "tuning": {
-        "storage",
-        "audit",
-        "experiments",
-        "validation",
-        "checking",
-        "envs",
-        "rendering",
-        "skills",
-        "mjcf",
-        "models",
-        "discrete",
-        "reports",
-        "logs",
-    },
-    "envs": {
-        "planning",
-        "storage",
-        "checking",
-        "skills",
-        "mjcf",
-        "models",
-        "discrete",
-        "rendering",
-        "reports",
-    },
-    "studies": {"storage", "discrete", "training", "experiments", "reports"},
-    "training": {
-        "storage",
-        "discrete",
-        "mjcf.parameters",
-        "checking.setup",
-        "envs",
-        "planning",
-        "reports",
-    },
-    "rendering": {"storage", "checking", "skills", "mjcf", "models", "discrete", "reports"},
-    "testing": {"envs", "discrete"},
-    "reports": {"storage"},
-    "__main__": {"cli"},
+    room: set(rooms.split()) for room, rooms in re.findall(r"^(\w+):((?:.|\n +)*)", _ALLOWED, re.MULTILINE)
 }
 """What each room may import of ours, besides itself, the version and those of SHARED; cli may import all."""
 
@@ -188,9 +128,6 @@ def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
     assert places["Attempt"] == places["Verdict"] == places["verdict_of"] == ["checking/attempt.py"]
     assert places["Episode"] == ["checking/episode.py"]
     assert places["Judge"] == ["checking/judge.py"]
-    gone = {"ActionRecord", "CheckedRun", "ScheduledRun", "StepRecord", "JointStep", "CarStep", "JointSite"}
-    gone |= {"EpisodeRecord", "JobRecord", "JobResult", "TrialSettings", "Evidence", "Finding"}
-    assert not gone & set(places)
 
 
 def test_a_class_has_a_name_of_its_own():
@@ -203,28 +140,19 @@ def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
     assert _calling("compare", "own_differences") == [PACKAGE / "checking" / "judge.py"]
 
 
-def test_an_import_against_the_arrows_is_found():
-    for module, source in [
-        ("craftsim.discrete.grid", "import mujoco"),
-        ("craftsim.discrete.grid", "def f():\n    from mujoco import MjModel"),
-        ("craftsim.discrete.grid", "from craftsim.models import world"),
-        ("craftsim.discrete.grid", "from craftsim import models"),
-        ("craftsim.discrete.grid", "from ..models import world"),
-        ("craftsim.models.world", "import craftsim.skills.move"),
-        ("craftsim.skills.move", "from craftsim.rendering.film import Frames"),
-        ("craftsim.reports.report", "from craftsim.discrete.grid import Grid"),
+def test_an_import_against_the_arrows_is_found_and_one_along_them_is_fine():
+    for module, source, wrong in [
+        ("craftsim.discrete.grid", "import mujoco", 1),
+        ("craftsim.discrete.grid", "def f():\n    from mujoco import MjModel", 1),
+        ("craftsim.discrete.grid", "from craftsim.models import world", 1),
+        ("craftsim.discrete.grid", "from craftsim import models", 1),
+        ("craftsim.discrete.grid", "from ..models import world", 1),
+        ("craftsim.models.world", "import craftsim.skills.move", 1),
+        ("craftsim.skills.move", "from craftsim.rendering.film import Frames", 1),
+        ("craftsim.reports.report", "from craftsim.discrete.grid import Grid", 1),
+        ("craftsim.skills.move", "from craftsim.models.world import PhysicsWorld", 0),
+        ("craftsim.models.world", "import mujoco\nfrom .parameters import Car", 0),
+        ("craftsim.reports.report", "from craftsim.errors import InputError", 0),
+        ("craftsim.cli.demo", "from craftsim.skills.move import Move", 0),
     ]:
-        assert len(_violations(module, ast.parse(source))) == 1
-
-
-def test_an_import_along_the_arrows_is_fine():
-    for module, source in [
-        (
-            "craftsim.skills.move",
-            "from craftsim.models.world import PhysicsWorld\nfrom craftsim.discrete import grid",
-        ),
-        ("craftsim.models.world", "import mujoco\nfrom .parameters import Car"),
-        ("craftsim.reports.report", "from craftsim.errors import InputError"),
-        ("craftsim.cli.demo", "from craftsim.skills.move import Move"),
-    ]:
-        assert _violations(module, ast.parse(source)) == []
+        assert len(_violations(module, ast.parse(source))) == wrong, source

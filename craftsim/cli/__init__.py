@@ -7,7 +7,7 @@ parameters become options and its integer result the exit status. It is imported
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from craftsim.cli.commands import COMMANDS, overview
@@ -78,14 +78,16 @@ def _answer(words: list[str]) -> int:
         return 130
     except ImportError as error:
         # An extension module such as MuJoCo's turns a Ctrl-C during its import into an ImportError.
-        if not any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error)):
+        cause: BaseException | None = error
+        while cause is not None and not isinstance(cause, KeyboardInterrupt):
+            cause = cause.__cause__ or cause.__context__
+        if cause is None:
             raise
         print_error("interrupted")
         return 130
 
 
 def _import_plugins(words: list[str]) -> list[str]:
-    """Import the user modules, and return the remaining words."""
     if len(words) < 3:
         raise InputError(f"{PLUGINS} needs modules and then a command: craftsim {PLUGINS} MODULE,... COMMAND")
     for module in words[1].split(","):
@@ -98,12 +100,6 @@ def _import_plugins(words: list[str]) -> list[str]:
                 f"{PLUGINS}: the module '{module}' cannot be imported: {type(error).__name__}: {error}"
             ) from error
     return words[2:]
-
-
-def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    while error is not None:
-        yield error
-        error = error.__cause__ or error.__context__
 
 
 def _run(words: list[str]) -> int:
@@ -126,7 +122,6 @@ def _run(words: list[str]) -> int:
 
 
 def _complete(words: list[str]) -> int:
-    """Print the completion script of a shell."""
     from craftsim.cli.app import make_app
 
     if len(words) != 1 or words[0] not in SHELLS:

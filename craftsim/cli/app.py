@@ -5,8 +5,9 @@ from __future__ import annotations
 import inspect
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from contextvars import ContextVar
-from dataclasses import fields, is_dataclass
+from dataclasses import is_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, get_args, get_type_hints
@@ -20,7 +21,6 @@ from craftsim.cli.help import command_help
 from craftsim.cli.text import print_error
 from craftsim.errors import InputError
 from craftsim.options import option_name, range_of
-from craftsim.storage.limits import Range
 
 CONFIG: Final = "config.yaml"
 """Configuration file that every run writes into its output folder, and ``--config`` reads."""
@@ -54,7 +54,6 @@ def make_app() -> App:
 
 
 def _command(app: App, words: Sequence[str]) -> tuple[App, list[str]]:
-    """Return the command of a command line, and its name."""
     name = words[0]
     found = app[name]
     if len(words) > 1 and words[1] in BELOW.get(name, ()):
@@ -94,15 +93,17 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
 
 
 def _said(error: cyclopts.CycloptsError) -> str:
-    """Return an error in one line."""
     argument = error.argument
-    if (
-        isinstance(error, ValidationError)
-        and argument is not None
-        and (allowed := range_of(argument.parameter))
-    ):
-        outside = next((one for one in argument.tokens if _outside(one.value, allowed)), argument.tokens[0])
-        return f"{outside.keyword or argument.name} is {outside.value}; allowed: {allowed}"
+    allowed = None if argument is None else range_of(argument.parameter)
+    if isinstance(error, ValidationError) and argument is not None and allowed:
+
+        def outside(text: str) -> bool:
+            with suppress(ValueError):
+                return float(text) not in allowed
+            return True
+
+        token = next((one for one in argument.tokens if outside(one.value)), argument.tokens[0])
+        return f"{token.keyword or argument.name} is {token.value}; allowed: {allowed}"
     if isinstance(error, UnusedCliTokensError):
         words = " ".join(error.command_chain or ())
         return f"'{shlex.join(error.unused_tokens or ())}' is too much: see craftsim {words} --help"
@@ -113,15 +114,7 @@ def _said(error: cyclopts.CycloptsError) -> str:
     return text
 
 
-def _outside(text: str, allowed: Range) -> bool:
-    try:
-        return float(text) not in allowed
-    except ValueError:
-        return True
-
-
 def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
-    """Return the words without ``--config FILE``, and the file, if any."""
     for place, word in enumerate(words):
         if word == "--":
             break
@@ -159,30 +152,20 @@ def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
 def write_config(
     words: Sequence[str], function: Callable[..., Any], bound: inspect.BoundArguments, folder: Path | None
 ) -> None:
-    """Write the configuration of a command into its output folder, if it has one, for ``--config``.
-
-    Args:
-        words: the command line.
-        function: the command's function.
-        bound: its arguments.
-        folder: its default output folder.
-    """
+    """Write the configuration of a command, for ``--config``, into its output folder, or the default one ``folder``."""
     bound.apply_defaults()
     out = bound.arguments.get("out") or folder
     if out is None or not (out / "report.json").is_file():
         return
-    named = len(words) > 1 and words[1] in BELOW.get(words[0], ())
     import yaml
 
     from craftsim.reports.json_file import versions
     from craftsim.storage.writing import write_whole
 
-    options = _options(inspect.unwrap(function), bound.arguments)
-    document = {
-        "command": " ".join(words[: 1 + named]),
-        "versions": versions(),
-        "options": {name: value for name, value in options if name not in NO_MATTER},
-    }
+    named = len(words) > 1 and words[1] in BELOW.get(words[0], ())
+    options = dict(_options(inspect.unwrap(function), bound.arguments))
+    kept = {name: value for name, value in options.items() if name not in NO_MATTER}
+    document = {"command": " ".join(words[: 1 + named]), "versions": versions(), "options": kept}
     write_whole(out / CONFIG, yaml.safe_dump(document, sort_keys=False))
 
 
@@ -191,12 +174,10 @@ def _options(taker: Any, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]
     hints = get_type_hints(taker, include_extras=True)
     for name, value in values.items():
         if is_dataclass(value):
-            yield from _options(
-                type(value), {field.name: getattr(value, field.name) for field in fields(value)}
-            )
-            continue
-        own = (part for part in get_args(hints[name]) if isinstance(part, Parameter) and part.name)
-        yield option_name(next(own, Parameter()), name), _plain(value)
+            yield from _options(type(value), vars(value))
+        else:
+            own = (part for part in get_args(hints[name]) if isinstance(part, Parameter) and part.name)
+            yield option_name(next(own, Parameter()), name), _plain(value)
 
 
 def _plain(value: Any) -> Any:

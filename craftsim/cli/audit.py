@@ -34,11 +34,7 @@ from craftsim.storage.limits import RUNS
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from craftsim.audit.neighbours import Neighbour
-    from craftsim.audit.plan import PlanRow
     from craftsim.discrete.conformance import Checker
-    from craftsim.discrete.grid import Grid
-    from craftsim.discrete.rules import Rules
 
 Actions = Annotated[tuple[str, ...], Parameter(metavar="ACTION")]
 Situations = Annotated[str, Parameter(metavar="PATTERN")]
@@ -87,11 +83,16 @@ def audit(
 
     setup = physics.setup()  # says what is wrong with its files before contexts are looked for
     filming = video and rendering_works()
-    plan = _chosen(audit_plan(physics.rules, actions), situations, only)
+    rows = audit_plan(physics.rules, actions)
+    kinds = {"all": (True, False), "legal": (True,), "forbidden": (False,)}[only]
+    plan = [row for row in rows if fnmatchcase(row.name, situations) and row.legal in kinds]
+    if not plan:
+        raise InputError(
+            f"no row matches '{situations}' with these actions; a row's name is such as '{rows[0].name}'"
+        )
     trials = campaign.trials
     if quick:
-        plan = quick_rows(plan, physics.rules)
-        trials = 1
+        plan, trials = quick_rows(plan, physics.rules), 1
     RUNS.check("--trials times rows", trials * len(plan))
     asked = {"actions": actions, "contexts": situations, "only": only, "quick": quick}
     result = run_audit(
@@ -107,7 +108,6 @@ def audit(
 
 
 def _check_actions(actions: Iterable[str]) -> None:
-    """Raise InputError for a word that is no action; own ones that are registered are some."""
     from craftsim.discrete.actions import verbs
 
     for action in actions:
@@ -116,20 +116,6 @@ def _check_actions(actions: Iterable[str]) -> None:
             raise InputError(
                 f"--actions: no action '{action}'{suggestion(action, verbs())} (actions: {known})"
             )
-
-
-def _chosen(plan: Sequence[PlanRow], contexts: str, only: str) -> list[PlanRow]:
-    """Return the rows that are asked for, by patterns of their names."""
-    wanted = [
-        row
-        for row in plan
-        if fnmatchcase(row.name, contexts) and only in ("all", "legal" if row.legal else "forbidden")
-    ]
-    if not wanted:
-        raise InputError(
-            f"no row matches '{contexts}' with these actions; a row's name is such as '{plan[0].name}'"
-        )
-    return wanted
 
 
 @owning
@@ -201,13 +187,27 @@ def clearance(
     from craftsim.reports.json_file import document
 
     _check_actions(actions)
-    parameters = NOMINAL if machines is None else load_machines(machines)
-    judged = [_judged(one, Rules(rules)) for one in neighbours(parameters, actions)]
+    parameters, judge = NOMINAL if machines is None else load_machines(machines), Rules(rules)
+    judged = list[dict[str, Any]]()
+    for one in neighbours(parameters, actions):
+        legal, alone = one.legal(judge)
+        judged.append(
+            {
+                "situation": one.situation.id,
+                "occupant": one.occupant.name,
+                "at": one.at,
+                "clearance_mm": None if one.clearance is None else round(one.clearance.distance_m * 1e3, 2),
+                "closest": one.closest,
+                "legal": legal,
+                "legal_alone": alone,
+            }
+        )
     reach = [one for one in judged if one["clearance_mm"] is not None]
     within = sorted((one for one in reach if one["clearance_mm"] < 0.0), key=itemgetter("clearance_mm"))
     allowed = [one for one in within if one["legal"]]
-    forbidden = (one for one in judged if one["legal_alone"] and not one["legal"])
-    unexplained = [one for one in forbidden if one["clearance_mm"] is None]
+    unexplained = [
+        one for one in judged if one["legal_alone"] and not one["legal"] and one["clearance_mm"] is None
+    ]
     listed = [one for one in judged if one["clearance_mm"] is not None or one in unexplained]
     written = document(
         {"clearance": {"neighbours": len(judged), "rows": listed}},
@@ -232,7 +232,7 @@ def clearance(
     return Report(
         "Clearance of actions",
         f"rule set: {rules}",
-        Headline("Collides", Tone.BAD, sentence) if allowed else Headline("Clear", Tone.GOOD, sentence),
+        Headline(*(("Collides", Tone.BAD) if allowed else ("Clear", Tone.GOOD)), sentence),
         [
             KeyFigure(f"{len(allowed):,}", "collisions allowed"),
             KeyFigure(f"{len(unexplained):,}", "forbidden out of reach"),
@@ -244,20 +244,6 @@ def clearance(
         document=written,
         exit_code=1 if allowed else 0,
     ).publish(out)
-
-
-def _judged(one: Neighbour, rules: Rules) -> dict[str, Any]:
-    """Return what the report says of a neighbour: how close it comes, and whether the rules allow the action."""
-    legal, alone = one.legal(rules)
-    return {
-        "situation": one.situation.id,
-        "occupant": one.occupant.name,
-        "at": one.at,
-        "clearance_mm": None if one.clearance is None else round(one.clearance.distance_m * 1e3, 2),
-        "closest": one.closest,
-        "legal": legal,
-        "legal_alone": alone,
-    }
 
 
 def _findings_table(title: str, found: Sequence[Mapping[str, Any]]) -> DataTable:
@@ -316,7 +302,7 @@ def conformance(
     return Report(
         "Conformance with CraftEnv",
         f"rule set: {rules}",
-        Headline("Differs", Tone.BAD, sentence) if mismatches else Headline("Agrees", Tone.GOOD, sentence),
+        Headline(*(("Differs", Tone.BAD) if mismatches else ("Agrees", Tone.GOOD)), sentence),
         sections=list(_compared(checker)),
         notes=[f"{n} {what}" for what, n in left_out.items() if n],
         document=written,
@@ -326,34 +312,26 @@ def conformance(
 
 def _compared(checker: Checker) -> Iterable[Section]:
     """Yield what was compared, and the first mismatches if there are any."""
-    from craftsim.discrete.drawing import LEGEND
+    from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.kinds import Action
 
     counts = (checker.actions, checker.applied, checker.action_mismatches)
-    by_action: list[tuple[str | int, ...]] = [
+    taken: list[tuple[str | int, ...]] = [
         (action.name, *(one[action.name] for one in counts)) for action in Action
     ]
-    by_check: list[tuple[str | int, ...]] = [
-        (what, n, checker.mismatches[what]) for what, n in checker.checks.items()
-    ]
+    checks = [(what, n, checker.mismatches[what]) for what, n in checker.checks.items()]
+    by_action = numbers("action", "taken", "legal", "mismatches")
     tables = [
-        DataTable(numbers(first, *heads), rows, title)
-        for title, first, heads, rows in (
-            ("By action", "action", ("taken", "legal", "mismatches"), [r for r in by_action if any(r[1:])]),
-            ("By check", "compared", ("checks", "mismatches"), by_check),
-        )
+        DataTable(by_action, [row for row in taken if any(row[1:])], "By action"),
+        DataTable(numbers("compared", "checks", "mismatches"), checks, "By check"),
     ]
     lead = "Recordings of CraftEnv, record by record."
     yield Section("compared", "What was compared", lead, tables, terminal=True)
     if checker.first:
-        drawn = [*(_drawn(*one) for one in checker.first), str(LEGEND)]
-        yield Section("first", "First mismatches", "", drawn, terminal=True)
-
-
-def _drawn(words: str, grids: tuple[Grid, ...]) -> str:
-    from craftsim.discrete.drawing import world_text
-
-    lines = [words]
-    for title, grid in zip(("before", "expected after", "got after"), grids, strict=False):
-        lines += [f"{title}:", world_text(grid).plain]
-    return "\n".join(lines)
+        drawn = []
+        for words, grids in checker.first:
+            lines = [words]
+            for title, grid in zip(("before", "expected after", "got after"), grids, strict=False):
+                lines += [f"{title}:", world_text(grid).plain]
+            drawn.append("\n".join(lines))
+        yield Section("first", "First mismatches", "", [*drawn, str(LEGEND)], terminal=True)

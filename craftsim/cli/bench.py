@@ -7,10 +7,9 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from importlib.metadata import requires
 from importlib.resources import files
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
 from cyclopts import Parameter
 
@@ -19,7 +18,7 @@ from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.options import OptionalDir, Seeded, Work, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend
-from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone
+from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, numbers
 from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import BATCH, BENCH_S
 from craftsim.storage.writing import write_whole
@@ -121,12 +120,10 @@ def bench(
     rows = []
     for task in TASKS:
         for name, n, helper, step in _cases(what, task, rules, worlds, seed):
-            rate = measure(step, n, seconds, task, helper)
-            rates[task][name] = rate
+            rates[task][name] = rate = measure(step, n, seconds, task, helper)
             rows.append((task, name, *cells(rate)))
-    names = ("steps/s", "CraftEnv", "times")
-    columns = (Column("task"), Column("case"), *(Column(name, "number") for name in names))
-    table = DataTable(columns, rows, f"Steps a CPU second, {what}")
+    heads = numbers("case", "steps/s", "CraftEnv", "times")
+    table = DataTable((Column("task"), *heads), rows, f"Steps a CPU second, {what}")
     config = {"what": what, "rules": rules, "worlds": worlds, "seconds": seconds, "depth": DEPTH}
     if out is not None:
         write_whole(output_directory(out) / f"{what}.md", f"{table.as_markdown()}\n")
@@ -175,23 +172,25 @@ def pick(rng: np.random.Generator, mask: NDArray[Any]) -> NDArray[np.int64]:
     return picked
 
 
+# Functions that take one step of masked random play, resets included.
+
+
 def _rule_step(episodes: Any, rng: np.random.Generator) -> Step:
-    helper = episodes.depth is not None
-    masks = [episodes.offered()]
+    masks = episodes.offered()
 
     def step() -> None:
-        done = episodes.step(pick(rng, masks[0])).done
+        nonlocal masks
+        done = episodes.step(pick(rng, masks)).done
         if done.any():
             episodes.reset(done.nonzero()[0])
-        masks[0] = episodes.offered()
-        if helper:
+        masks = episodes.offered()
+        if episodes.depth is not None:
             episodes.vectors()
 
     return step
 
 
 def _env_step(env: ParallelConstruction, seed: int) -> Step:
-    """Return a function that takes one step of masked random play, resets included."""
     import numpy as np
 
     rng = np.random.default_rng(seed)
@@ -209,7 +208,6 @@ def _env_step(env: ParallelConstruction, seed: int) -> Step:
 
 
 def _worlds_step(envs: Any, seed: int) -> Step:
-    """Return a function that takes one step of masked random play in all worlds of a vector environment."""
     import numpy as np
 
     rng = np.random.default_rng(seed)
@@ -239,18 +237,13 @@ if abs(data.qpos[2] - 0.1) > 0.001:
 """
 
 
-@dataclass(frozen=True)
-class Check:
-    """One thing that was tried."""
+class Check(NamedTuple):
+    """One thing that was tried: what it is for, whether it works, what was found or why not, the command that fixes it."""
 
     what: str
-    """What it is for."""
     works: bool
-    """Whether it does."""
     found: str
-    """What was found, or why it fails."""
     remedy: str = ""
-    """The command that fixes it."""
 
 
 @owning
@@ -268,11 +261,9 @@ def doctor(*, out: OptionalDir = None) -> int:
     from craftsim.reports.json_file import versions, write_report
     from craftsim.reports.terminal import Terminal, cell
 
-    physics, processors = _physics(), len(os.sched_getaffinity(0))
-    found = versions()
+    physics, processors, found = _physics(), len(os.sched_getaffinity(0)), versions()
     audited = _audited(found["mujoco"])
-    films = [_rendering(), _encoder()]
-    checks = [physics, *films]
+    checks = [physics, _rendering(), _encoder()]
     table = Table(title="craftsim doctor")
     for heading in ("", "what", "found"):
         table.add_column(heading, overflow="fold")
@@ -286,14 +277,17 @@ def doctor(*, out: OptionalDir = None) -> int:
         if check.remedy:
             print_safe(f"{check.what}: run this to fix it:\n    {check.remedy}")
     if out is not None:
-        figures = {"checks": checks, "processors": processors, "audited": audited}
+        figures = {
+            "checks": [check._asdict() for check in checks],
+            "processors": processors,
+            "audited": audited,
+        }
         print_safe(f"Report: {write_report(out, figures, command='doctor')}")
     if not physics.works:
         print_safe("Physics does not run.")
         return 2
-    print_safe(
-        "All well." if all(check.works for check in films) else "Physics runs; films cannot be made yet."
-    )
+    works = all(check.works for check in checks)
+    print_safe("All well." if works else "Physics runs; films cannot be made yet.")
     return 0
 
 
@@ -318,19 +312,16 @@ def _physics() -> Check:
 def _audited(installed: str) -> str:
     """Return how this release of MuJoCo did where the others were audited (scripts/engines.py)."""
     stored = json.loads(files("craftsim.data").joinpath("engines.json").read_text(encoding="utf-8"))
-    releases = [
-        name
+    found = {
+        name: one
         for name, one in stored["found"].items()
-        if name[0].isdigit() and "audit" in one and "tasks" in one
-    ]
-    if installed not in releases:
-        return f"{installed} was not audited; {', '.join(releases)} were (in a checkout: make engines ARGS={installed})"
-    one = stored["found"][installed]
-    bad, differing = (
-        one["audit"]["verdicts"]["unsound"],
-        sum(run["differing"] for run in one.get("against", {}).values()),
-    )
-    rows = bad + one["audit"]["verdicts"]["sound"]
+        if name[0].isdigit() and {"audit", "tasks"} <= {*one}
+    }
+    if installed not in found:
+        return f"{installed} was not audited; {', '.join(found)} were (in a checkout: make engines ARGS={installed})"
+    verdicts, against = found[installed]["audit"]["verdicts"], found[installed].get("against", {})
+    bad, differing = verdicts["unsound"], sum(run["differing"] for run in against.values())
+    rows = bad + verdicts["sound"]
     return f"{bad} of {rows} rows unsound with {installed}; {differing} verdicts unlike those of {stored['reference']}"
 
 

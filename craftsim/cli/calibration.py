@@ -25,8 +25,7 @@ _LENGTH: Final = 12
 _CARS: Final = 3
 _HEADINGS: Final = ((1, 0), (0, 1), (-1, 0), (0, -1))
 _TURNS: Final = 10
-_SHARE: Final = 0.25
-"""Time of the calibration over that of the work it stands beside."""
+_SHARE: Final = 0.25  # time of the calibration over that of the work it stands beside
 
 
 class _Vehicle:
@@ -60,7 +59,6 @@ class _Yard:
         return vehicle.loaded == (action % 2 == 0)
 
     def within_reach(self, vehicle: _Vehicle, depth: int) -> dict[tuple[int, int, int], int]:
-        """Return how many steps and turns lead to every place and heading, up to a depth."""
         found = {(*vehicle.place, vehicle.heading): 0}
         front = list(found)
         for steps in range(1, depth + 1):
@@ -79,7 +77,6 @@ class _Yard:
         return found
 
     def rows(self) -> NDArray[np.int64]:
-        """Return what each vehicle would observe, put together row by row."""
         observed = []
         for vehicle in self.vehicles:
             things = [np.array([*vehicle.place, vehicle.heading, vehicle.loaded])]
@@ -106,9 +103,6 @@ def cells(rate: Mapping[str, float]) -> tuple[str, ...]:
 
 def measure(step: Callable[[], None], n: int, seconds: float, task: str, helper: bool) -> dict[str, float]:
     """Return the rate of a function that takes ``n`` steps of a task, with or without the action helper.
-
-    It holds steps and units of the calibration in a CPU second; the steps that CraftEnv would take in one here and now,
-    estimated from the calibration; steps in the time of one unit; and how many times as many steps as CraftEnv.
 
     It is timed in CPU seconds, so that other processes count for neither side, and in turns with the calibration,
     because a processor's speed changes: by 1.8 times within a minute where REFERENCE_PER_UNIT was measured.

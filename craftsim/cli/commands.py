@@ -63,7 +63,7 @@ MODULES: Final = {
     "design": "show",
     "view": "render",
     "study": "train",
-    "serve": "robot",
+    "serve": "tune",
     "excite": "tune",
     "identify": "tune",
     "doctor": "bench",

@@ -62,9 +62,7 @@ def demo(
     setup = physics.setup()
     names = TASK_NAMES if task == "all" else (task,)
     buildings = [read_building(name, carried.plan_file, design.goal) for name in names]
-    filming = video and rendering_works()
-    films: dict[str, Path] = {}
-    done: list[Building] = []
+    filming, films, done = video and rendering_works(), dict[str, Path](), list[Building]()
     for building in buildings:
         with (
             nullcontext(set_up) if robot is None else robots_at(robot, timeout) as where,
@@ -77,22 +75,17 @@ def demo(
         if filming:
             from craftsim.rendering.render import render
 
-            path = out / f"{one.name}.mp4"
-            render(one.trajectory, path, progress=counting("frames", bool))
-            films[one.name] = path
+            films[one.name] = out / f"{one.name}.mp4"
+            render(one.trajectory, films[one.name], progress=counting("frames", bool))
         done.append(replace(one, trajectory=None, logs={}))
     config: dict[str, Any] = {"setup": setup, "order": carried.order, "rules": physics.rules}
     config |= {"robot": robot, "randomize": physics.randomize, "digests": setup.digests}
+    figures: dict[str, Any] = done[0].figures
     if task == "all":
-        figures: dict[str, Any] = {
-            "tasks": {one.name: one.figures for one in done},
-            "agree": sum(one.n_agree for one in done),
-            "total": sum(one.n_actions for one in done),
-            "good": sum(one.good for one in done),
-        }
         config["tasks"] = {one.name: one.files for one in done}
+        figures = {"tasks": {one.name: one.figures for one in done}, "good": sum(one.good for one in done)}
+        figures |= {"agree": sum(one.n_agree for one in done), "total": sum(one.n_actions for one in done)}
     else:
-        figures = done[0].figures
         config |= done[0].files
     wall = {"total_s": time.perf_counter() - started}
     written = document(figures, command="demo", seed=physics.seed, config=config, wall=wall)
@@ -100,8 +93,6 @@ def demo(
 
 
 def _telling(tell: Callable[[Any], None]) -> Callable[[Any], Callable[[Iterable[Any]], None]]:
-    """Return who looks on at a building, and tells of each attempt."""
-
     def tell_each(attempts: Iterable[Any]) -> None:
         for attempt in attempts:
             tell(attempt)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.checking.judge import Judge
 from craftsim.cli.progress import counting
@@ -22,8 +23,6 @@ from craftsim.workers.pool import Pool, answered
 if TYPE_CHECKING:
     from craftsim.discrete.files.design import Design
     from craftsim.discrete.schedule import Schedule
-
-Job = TypeVar("Job")
 
 FILMS: Final = "films"
 SIZE: Final = (640, 360)
@@ -49,19 +48,19 @@ def record_bundle(recorded: Recorded) -> tuple[Replay, Trajectory]:
 
     Raises InputError as :func:`craftsim.experiments.bundle.replay`.
     """
-    recorder = Recorder()
-    span_s = recorded.bundle.end_s - recorded.bundle.start_s
-    after_s = max(_AFTER * span_s, CLIP_S - span_s)
+    recorder, bundle = Recorder(), recorded.bundle
+    span_s = bundle.end_s - bundle.start_s
 
     @contextmanager
     def watch(judge: Judge) -> Iterator[None]:
         recorder.begin(judge)
         yield
+        after_s = max(_AFTER * span_s, CLIP_S - span_s)
         for _ in range(math.ceil(after_s / judge.physics.config.control_period_s)):
             judge.executor.advance()
 
     result = replay(recorded, watch)
-    return result, recorder.trajectory(recorded.bundle.key, recorded.bundle.recipe, result.attempts)
+    return result, recorder.trajectory(bundle.key, bundle.recipe, result.attempts)
 
 
 def film_bundle(recorded: Recorded, path: Path) -> Replay:
@@ -72,29 +71,54 @@ def film_bundle(recorded: Recorded, path: Path) -> Replay:
 
 
 def _film_failure(trajectory: Trajectory, path: Path) -> None:
-    """Film one failure: a close-up of the car that acts first."""
+    camera = f"follow:{trajectory.story.attempts[0].car}"
+    _film(trajectory, path, cameras=(camera,), length_s=CLIP_S, cards=False)
+
+
+def _film(trajectory: Trajectory, path: Path, **look: Any) -> None:
     from craftsim.rendering.film import FilmOptions
     from craftsim.rendering.render import render
 
-    camera = f"follow:{trajectory.story.attempts[0].car}"
-    render(trajectory, path, FilmOptions(SIZE, cameras=(camera,), length_s=CLIP_S, cards=False))
+    render(trajectory, path, FilmOptions(SIZE, **look))
 
 
 def record_failures(out: Path, records: Iterable[TrialRecord], workers: int = 1, films: bool = True) -> None:
     """Write missing trajectories of the bundles and, with ``films``, their films."""
-    folders = (out / record["bundle"] for record in records if record["bundle"])
-    last = FILM if films else TRAJECTORY
-    missing = [(folder, films) for folder in folders if not (folder / last).exists()]
-    _do_all("films" if films else "trajectories", _record_folder, missing, workers)
+    folders = [out / record["bundle"] for record in records if record["bundle"]]
+    missing = [folder for folder in folders if not (folder / (FILM if films else TRAJECTORY)).exists()]
+    _do_all("films" if films else "trajectories", partial(_record_folder, films), missing, workers)
+
+
+def _record_folder(filmed: bool, folder: Path) -> None:
+    _, trajectory = record_bundle(read_bundle(folder, of_own_run=True))
+    trajectory.write(folder / TRAJECTORY)
+    if filmed:
+        _film_failure(trajectory, folder / FILM)
 
 
 def film_runs(out: Path, workers: int = 1) -> None:
     """Film the recorded runs without a film."""
-    folder = directory_within(out, FILMS)
-    paths = [
-        (path, folder / f"{path.stem}.mp4") for path in sorted((out / TRAJECTORIES).glob(f"[!.]*{SUFFIX}"))
-    ]
-    _do_all("films", _film_trajectory, [pair for pair in paths if not pair[1].exists()], workers)
+    films = directory_within(out, FILMS)
+    paths = sorted((out / TRAJECTORIES).glob(f"[!.]*{SUFFIX}"))
+    missing = [path for path in paths if not (films / f"{path.stem}.mp4").exists()]
+    _do_all("films", partial(_film_run, films), missing, workers)
+
+
+def _film_run(films: Path, path: Path) -> None:
+    _film(Trajectory.read(path), films / f"{path.stem}.mp4")
+
+
+def _do_all(what: str, function: Callable[[Path], None], jobs: Sequence[Path], workers: int) -> None:
+    """Call a function for each job, in this process for one worker."""
+    several = workers > 1 and len(jobs) > 1
+    with counting(what, bool)(len(jobs)) as tell, Pool(workers) if several else nullcontext() as pool:
+        done = (
+            map(function, jobs)
+            if pool is None
+            else (answered(answer) for _, answer in pool.map_unordered(function, jobs))
+        )
+        for _ in done:
+            tell(True)
 
 
 def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Design | None = None) -> None:
@@ -111,32 +135,3 @@ def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Desi
         print_safe(
             f"film: {film_plan(path, schedule, Rules('physical'), name, wanted_of(design), progress=frames)}"
         )
-
-
-def _do_all(what: str, function: Callable[[Job], None], jobs: Sequence[Job], workers: int) -> None:
-    """Call a function for each job, in this process for one worker."""
-    several = workers > 1 and len(jobs) > 1
-    with counting(what, bool)(len(jobs)) as tell, Pool(workers) if several else nullcontext() as pool:
-        if pool is None:
-            for job in jobs:
-                function(job)
-                tell(True)
-            return
-        for _, answer in pool.map_unordered(function, jobs):
-            answered(answer)
-            tell(True)
-
-
-def _record_folder(job: tuple[Path, bool]) -> None:
-    folder, filmed = job
-    _, trajectory = record_bundle(read_bundle(folder, of_own_run=True))
-    trajectory.write(folder / TRAJECTORY)
-    if filmed:
-        _film_failure(trajectory, folder / FILM)
-
-
-def _film_trajectory(pair: tuple[Path, Path]) -> None:
-    from craftsim.rendering.film import FilmOptions
-    from craftsim.rendering.render import render
-
-    render(Trajectory.read(pair[0]), pair[1], FilmOptions(SIZE))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Final
 
 from craftsim.cli.text import print_error
@@ -63,24 +62,21 @@ SET: Final = (
 def current(words: list[str]) -> list[str]:
     """Return a command line with present names; print on standard error which were former ones."""
     name, given = words[0], words[1:]
-    if name == "robot" and not (given and given[0] in ("serve", "excite", "identify", "--help", "-h")):
-        command: tuple[str, ...] = ("robot", "serve")
-    else:
-        command = COMMANDS.get(name, (name,))
+    command = COMMANDS.get(name, (name,))
+    if name == "robot" and not {*given[:1]} & {"serve", "excite", "identify", "--help", "-h"}:
+        command = ("robot", "serve")
     if command != (name,):
         _tell(name, " ".join(command))
     options = OPTIONS[""] | OPTIONS.get(name, {})
     if name == "train" and given[:1] != ["study"]:
         options |= {f"--{option}": "--set" for option in SET}
-    flag = name in ("validate", "audit", "train")
-    positional, given = _renamed(given, options | ({"--record": "--record trajectory"} if flag else {}))
-    defaults = [
-        word
-        for option, value in DEFAULTS.get(name, {}).items()
-        if option not in given and not {"-h", "--help"} & {*given}
-        for word in (option, value)
-    ]
-    return [*command, *positional, *given, *defaults]
+    if name in ("validate", "audit", "train"):
+        options |= {"--record": "--record trajectory"}
+    positional, given = _renamed(given, options)
+    if not {"-h", "--help"} & {*given}:
+        for option, value in DEFAULTS.get(name, {}).items():
+            given += [] if option in given else [option, value]
+    return [*command, *positional, *given]
 
 
 def _tell(old: str, new: str) -> None:
@@ -89,16 +85,23 @@ def _tell(old: str, new: str) -> None:
 
 def _renamed(given: list[str], options: dict[str, str]) -> tuple[list[str], list[str]]:
     """Return the values of options that are arguments now, and the other words with present names."""
+    parts = [(NO_OPTION, list[str]())]
+    for word in given:
+        if word.startswith("--") and len(word) > 2:
+            parts.append((word, []))
+        else:
+            parts[-1][1].append(word)
     positional, others = list[str](), list[str]()
-    for option, values in _parts(given):
+    for option, values in parts:
         bare, equals, value = option.partition("=")
         off = bare.startswith("--no-")
         name = bare.removeprefix("--no-").removeprefix("--")
         new = options.get(bare, options.get(f"--{name}") if off else None)
+        kept = ([] if option == NO_OPTION else [option]) + values
         values = [value, *values] if equals else values
         valued = (name == "record" and (off or values)) or (bare in HIDDEN and equals)
         if new is None or valued or (bare == NO_OPTION and not values):
-            others += ([] if option == NO_OPTION else [option]) + (values[1:] if equals else values)
+            others += kept
             continue
         if bare != NO_OPTION:
             _tell(bare, new or "an argument")
@@ -107,21 +110,9 @@ def _renamed(given: list[str], options: dict[str, str]) -> tuple[list[str], list
         elif new == "--set":
             said = ",".join(values) or ("false" if off else "true")
             others += ["--set", f"{name.replace('-', '_')}={said}"]
-        elif new != DEFAULT:
+        elif new == DEFAULT:
+            others += values
+        else:
             off = off and bare not in options
             others += [*(new.replace("--", "--no-", 1) if off else new).split(), *values]
-        else:
-            others += values
     return positional, others
-
-
-def _parts(given: list[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield each option with its values, first :data:`NO_OPTION` with the words before all options."""
-    option, values = NO_OPTION, list[str]()
-    for word in given:
-        if word.startswith("--") and len(word) > 2:
-            yield option, values
-            option, values = word, []
-        else:
-            values.append(word)
-    yield option, values

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import shutil
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.options import range_of
@@ -14,33 +14,24 @@ if TYPE_CHECKING:
     from cyclopts import App
     from cyclopts.argument import Argument
 
-_INDENT: Final = 26
-"""Column of the explanations."""
-_ORDER: Final = ("Arguments", "Options", "Rollouts", "Physics", "Trials", "Results")
-"""The headings."""
+_INDENT: Final = 26  # column of the explanations
+_ORDER: Final = ("Arguments", "Options", "Rollouts", "Physics", "Trials", "Results")  # the headings
 REFERRED: Final = ("Rollouts", "Physics", "Trials")
 """Groups of options explained by the help of validate; other commands list them with their defaults."""
 
 
 def command_help(app: App, found: Iterable[Argument], words: Sequence[str], below: Mapping[str, str]) -> str:
-    """Return the help of a command.
-
-    Args:
-        app: the command's application.
-        found: its arguments.
-        words: its name, with that of a subcommand.
-        below: its subcommands, with one line each.
-    """
+    """Return the help of a command: of its application, its arguments, its name, and one line for each subcommand."""
     width = min(100, shutil.get_terminal_size().columns)
     function = app.default_command
     arguments = [one for one in found if one.show]
     usage = ["usage: craftsim", *words]
-    usage += [
-        f"[{_value(one)}]" if not one.required else _value(one) for one in arguments if _is_positional(one)
-    ]
+    usage += [_value(one) if one.required else f"[{_value(one)}]" for one in arguments if _is_positional(one)]
     usage.append("[OPTIONS]" if function is not None else "COMMAND")
-    lines = textwrap.wrap(" ".join(usage), width, subsequent_indent="    ", break_on_hyphens=False)
-    lines += _explanation(function, app, width)
+    lines = _wrapped(" ".join(usage), width, "", "    ")
+    text = (inspect.getdoc(function) if function is not None else app.help) or ""
+    for paragraph in text.partition("\nArgs:")[0].strip().split("\n\n"):
+        lines += ["", *_wrapped(paragraph, width)]
     if below:
         lines += ["", "Commands", *(f"  {name:<12}{text}" for name, text in below.items())]
     headings: dict[str, list[Argument]] = {}
@@ -50,26 +41,19 @@ def command_help(app: App, found: Iterable[Argument], words: Sequence[str], belo
         lines += ["", heading]
         if heading in REFERRED and words != ["validate"]:
             briefs = (f"{_names(one)[0]}{f' [{_default(one)}]' if _default(one) else ''}" for one in its)
-            listed = ", ".join(briefs)
-            text = f"{listed}: see 'craftsim validate --help'"
-            lines += textwrap.wrap(
-                text, width, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False
-            )
+            lines += _wrapped(f"{', '.join(briefs)}: see 'craftsim validate --help'", width, "  ", "  ")
             continue
         for one in its:
             lines += _option(one, width)
     return "\n".join(lines)
 
 
-def _explanation(function: Callable[..., Any] | None, app: App, width: int) -> Iterator[str]:
-    text = (inspect.getdoc(function) if function is not None else app.help) or ""
-    for paragraph in text.partition("\nArgs:")[0].strip().split("\n\n"):
-        yield ""
-        yield from textwrap.wrap(" ".join(paragraph.split()), width, break_on_hyphens=False)
+def _wrapped(text: str, width: int, first: str = "", others: str = "") -> list[str]:
+    text = " ".join(text.split())
+    return textwrap.wrap(text, width, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
 
 
 def _option(one: Argument, width: int) -> Iterator[str]:
-    """Yield the lines of an option: names, value and explanation."""
     name = (
         _value(one) if _is_positional(one) else " ".join(filter(None, [", ".join(_names(one)), _value(one)]))
     )
@@ -78,10 +62,7 @@ def _option(one: Argument, width: int) -> Iterator[str]:
     notes = [f"[{allowed}]"] if (allowed := range_of(one.parameter)) else []
     notes += [f"[default {default}]"] if default else []
     text = " ".join([f"{said[:1].lower()}{said[1:]}" if said[1:2].islower() else said, *notes])
-    indent = " " * _INDENT
-    explained = textwrap.wrap(
-        text, width, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False
-    )
+    explained = _wrapped(text, width, " " * _INDENT, " " * _INDENT)
     if len(name) + 4 > _INDENT:
         yield f"  {name}"
         yield from explained
@@ -102,7 +83,6 @@ def _names(one: Argument) -> list[str]:
 
 
 def _value(one: Argument) -> str:
-    """Return the placeholder of an option's value."""
     several = " ..." if "tuple" in str(one.hint) and "..." not in (one.parameter.metavar or "") else ""
     if one.parameter.metavar:
         return f"{one.parameter.metavar}{several}"

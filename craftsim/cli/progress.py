@@ -19,9 +19,7 @@ Progress = Callable[[int], AbstractContextManager[Callable[[Any], None]]]
 def counting(what: str, good: Callable[[Any], bool] = itemgetter("agrees")) -> Progress:
     """Return a progress display: a function from the number of items to a context that is called with each result.
 
-    Args:
-        what: name of the items.
-        good: whether a result counts as a success.
+    ``good`` says whether a result counts as a success.
     """
     return partial(_count, what, good)
 
@@ -59,36 +57,49 @@ def counting_kinds() -> Progress:
 
 @contextmanager
 def _count(what: str, good: Callable[[Any], bool], total: int) -> Iterator[Callable[[Any], None]]:
+    begun, done, failed = time.perf_counter(), 0, 0
+    with progress_of(what, total, LINE_EVERY_S) as tell:
+
+        def on_result(result: Any) -> None:
+            nonlocal done, failed
+            done, failed = done + 1, failed + (not good(result))
+            rate = done / (time.perf_counter() - begun)
+            how, left_s = f"{rate:.1f}/s, {failed} failed,", (total - done) / rate
+            tell(done, how, f"{done} of {total}, {failed} failed, about {left_s:.0f} s left")
+
+        yield on_result
+
+
+@contextmanager
+def progress_of(
+    what: str, total: int, every_s: float, done: int = 0
+) -> Iterator[Callable[[int, str, str], None]]:
+    """Show a bar for a total, of which some is done; without a terminal print a line from time to time.
+
+    Yields what is to be called with how much is done, words beside the bar, and those of a line.
+    """
     from rich.markup import escape
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from craftsim.reports.terminal import Terminal
 
-    console = Terminal()
-    bar = Progress(
+    console, what, said = Terminal(), escape(escape(what)), time.perf_counter()
+    texts = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]:.1f}/s, {task.fields[failed]} failed,"),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
+        TextColumn("{task.fields[how]}"),
     )
-    what = escape(escape(what))
-    begun = said = time.perf_counter()
-    done = failed = 0
-    with bar as progress:
-        task = progress.add_task(what, total=total, rate=0.0, failed=0)
+    with Progress(
+        *texts, TimeRemainingColumn(), console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task(what, total=total, completed=done, how="")
 
-        def on_result(result: Any) -> None:
-            nonlocal done, failed, said
-            done, failed, now = done + 1, failed + (not good(result)), time.perf_counter()
-            rate = done / (now - begun)
-            progress.update(task, advance=1, rate=rate, failed=failed)
-            if not console.is_terminal and now - said > LINE_EVERY_S:
-                said = now
-                left = (total - done) / rate
-                console.print(f"{what}: {done} of {total}, {failed} failed, about {left:.0f} s left")
+        def tell(done: int, how: str, line: str) -> None:
+            nonlocal said
+            bar.update(task, completed=done, how=how)
+            if not console.is_terminal and time.perf_counter() - said >= every_s:
+                said = time.perf_counter()
+                console.print(f"{what}: {line}", soft_wrap=True)
 
-        yield on_result
+        yield tell

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from craftsim.rendering.viewer.views import LiveView
     from craftsim.validation.building import Building
 
-    Runs = dict[str, Callable[[], Trajectory]]
-    from craftsim.options import Physics
-
 
 def render(
     what: Annotated[str, Parameter(metavar="RUN|FILE|TASK")],
@@ -76,9 +73,9 @@ def render(
         policy: policy to execute instead of a plan, as in 'craftsim validate'.
         workers: number of processes; the pictures do not depend on it.
     """
-    if out.suffix == "" and beside:
-        raise InputError("figures are of one run; give --out a film or a picture, or leave --beside out")
     if out.suffix == "":
+        if beside:
+            raise InputError("figures are of one run; give --out a film or a picture, or leave --beside out")
         return _draw_figures(Path(what), out)
     from craftsim.rendering.film import FilmOptions
     from craftsim.rendering.offscreen import choose_backend
@@ -88,8 +85,11 @@ def render(
 
     hidden = hide or ()
     captions = None if hide is None else "captions" not in hidden
+    width, sign, height = size.partition("x")
+    if not (sign and width.isdecimal() and height.isdecimal() and len(size) < 12):
+        raise InputError(f"--size is '{size}'; allowed: width and height in pixels, such as 1280x720")
     parts = ("ghost" not in hidden, captions, "cards" not in hidden)
-    look = FilmOptions(_pixels(size), fps, camera, layout, quality, speed, None, *parts)
+    look = FilmOptions((int(width), int(height)), fps, camera, layout, quality, speed, None, *parts)
     names = title or ((Path(what).stem, *(path.stem for path in beside)) if beside else ())
     if names and len(names) != 1 + len(beside):
         raise InputError(
@@ -98,23 +98,12 @@ def render(
     check_format(out, at)
     choose_backend()
     output_directory(out.parent)
-    shown = [
-        _find_trajectory(what, out, physics, carried, policy),
-        *map(_recorded, beside),
-    ]
+    shown = [_find_trajectory(what, out, physics, carried, policy), *map(_recorded, beside)]
     if names:
         shown = [trajectory.titled(name) for trajectory, name in zip(shown, names, strict=True)]
     for path in render_file(shown, out, look, workers=workers, at=at, progress=counting("frames", bool)):
         print_safe(f"Written: {path}")
     return 0
-
-
-def _pixels(text: str) -> tuple[int, int]:
-    """Return width and height from a text such as ``1280x720``; raise InputError for another one."""
-    width, sign, height = text.partition("x")
-    if not (sign and width.isdecimal() and height.isdecimal() and len(text) < 12):
-        raise InputError(f"--size is '{text}'; allowed: width and height in pixels, such as 1280x720")
-    return int(width), int(height)
 
 
 def _draw_figures(recorded: Path, out: Path) -> int:
@@ -150,15 +139,12 @@ def view(
         port: port; 0 takes a free one.
     """
     need_viser()
-    from craftsim.discrete.tasks import TASK_NAMES
-    from craftsim.rendering.trajectory import SUFFIX
     from craftsim.rendering.viewer.page import REAL_TIME
     from craftsim.rendering.viewer.views import LiveView, RecordedView
     from craftsim.validation.building import read_building
 
     path = Path(what)
-    recorded = what not in TASK_NAMES and (is_folder(path) or path.suffix == SUFFIX)
-    building = None if recorded else read_building(what)
+    building = None if _is_recorded(what) else read_building(what)
     runs = _runs(path) if building is None else {}
     with LiveView(host, port, REAL_TIME) as live:
         try:
@@ -175,79 +161,69 @@ def view(
             return 0
 
 
-def _runs(path: Path) -> Runs:
-    """Return the recorded runs in a file or a folder, by name."""
-    from craftsim.experiments.bundle import TEXT
-    from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
-
-    if is_file(path / TEXT):
-        return {path.name: partial(_recorded, path)}
-    return {name_of(file): partial(Trajectory.read, file) for file in trajectory_files(path)}
-
-
 def _carry_out(building: Building, live: LiveView) -> Trajectory:
-    """Carry out a plan while people look on, and return what happened."""
     from craftsim.checking.attempt import Attempt
     from craftsim.checking.episode import OnAttempts
     from craftsim.checking.judge import Judge
 
-    attempts, task = list[Attempt](), building.task
+    attempts = list[Attempt]()
 
     def watch(judge: Judge) -> OnAttempts:
-        live.follow(judge, building.name, task.goal_cells, lambda: attempts)
+        live.follow(judge, building.name, building.task.goal_cells, lambda: attempts)
         return attempts.extend
 
-    setup = Physics(randomize="none").setup()
-    done = building.run(setup, 0, "concurrent", watch)
+    done = building.run(Physics(randomize="none").setup(), 0, "concurrent", watch)
     assert done.trajectory is not None
     return done.trajectory
 
 
-_NAMED: Final = 12
-"""Trajectories of a folder that an error names."""
+def _is_recorded(what: str) -> bool:
+    from craftsim.discrete.tasks import TASK_NAMES
+    from craftsim.rendering.trajectory import SUFFIX
+
+    return what not in TASK_NAMES and (Path(what).suffix == SUFFIX or is_folder(Path(what)))
 
 
 def _find_trajectory(
-    what: str,
-    out: Path,
-    physics: Physics,
-    carried: CarriedPlan,
-    policy: str | None,
+    what: str, out: Path, physics: Physics, carried: CarriedPlan, policy: str | None
 ) -> Trajectory:
     """Return the trajectory that a word on the command line stands for.
 
     What is not recorded yet is run now, and written beside ``out``, under its name with the ending ``.npz``.
-
-    Raises InputError for a word that stands for none.
     """
-    from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.validation.validation import record_once
 
-    path = Path(what)
-    recorded = what not in TASK_NAMES and (path.suffix == SUFFIX or is_folder(path))
-    if recorded and (carried.plan or policy):
-        raise InputError(f"{what} is recorded already; leave --plan and --policy out")
-    if recorded:
-        return _recorded(path)
-    trajectory = record_once(
-        what, physics.setup(), physics.seed, plan=carried.plan_file, policy=policy, order=carried.order
-    )
+    if _is_recorded(what):
+        if carried.plan or policy:
+            raise InputError(f"{what} is recorded already; leave --plan and --policy out")
+        return _recorded(Path(what))
+    plan, setup = carried.plan_file, physics.setup()
+    trajectory = record_once(what, setup, physics.seed, plan=plan, policy=policy, order=carried.order)
     print_safe(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
     return trajectory
 
 
-def _recorded(path: Path) -> Trajectory:
-    """Return the trajectory in a file, or the one in a folder."""
+def _runs(path: Path) -> dict[str, Callable[[], Trajectory]]:
+    """Return the recorded runs in a file or a folder, by name."""
     from craftsim.cli.films import record_bundle
     from craftsim.experiments.bundle import TEXT, read_bundle
-    from craftsim.rendering.trajectory import Trajectory, trajectory_files
+    from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
 
     if is_file(path / TEXT):
-        return record_bundle(read_bundle(path))[1]
-    first, *others = trajectory_files(path)
-    if others:
-        named = ", ".join(map(str, (first, *others[: _NAMED - 1])))
-        more = f" and {len(others) + 1 - _NAMED} more" if len(others) >= _NAMED else ""
-        raise InputError(f"{path}: give one of its trajectories: {named}{more}")
-    return Trajectory.read(first)
+        return {path.name: lambda: record_bundle(read_bundle(path))[1]}
+    return {name_of(file): partial(Trajectory.read, file) for file in trajectory_files(path)}
+
+
+_NAMED: Final = 12  # trajectories of a folder that an error names
+
+
+def _recorded(path: Path) -> Trajectory:
+    from craftsim.rendering.trajectory import trajectory_files
+
+    runs = _runs(path)
+    if len(runs) > 1:
+        files = trajectory_files(path)
+        more = f" and {len(files) - _NAMED} more" if len(files) > _NAMED else ""
+        raise InputError(f"{path}: give one of its trajectories: {', '.join(map(str, files[:_NAMED]))}{more}")
+    return next(iter(runs.values()))()

@@ -51,25 +51,11 @@ def replay(
     from craftsim.cli.films import film_bundle, rendering_works
     from craftsim.experiments.bundle import read_bundle
     from craftsim.experiments.bundle import replay as run_again
-    from craftsim.reports.json_file import document
 
-    filming = video and rendering_works()
-    recorded = read_bundle(bundle)
+    filming, recorded = video and rendering_works(), read_bundle(bundle)
     film = out / f"{resolved(bundle).name}.mp4"
     result = film_bundle(recorded, film) if filming else run_again(recorded)
-    figures = {
-        "bundle": bundle.name,
-        "key": recorded.bundle.key,
-        "reproduced": result.reproduced,
-        "changed_versions": result.changed,
-        "differing": result.differing,
-        "position_m": result.position_m,
-        "angle_rad": result.angle_rad,
-        "attempts": result.attempts,
-    }
-    written = document(figures, command="replay")
-    files = {"Film": film} if filming else {}
-    return _report(recorded, result, written, files).publish(out)
+    return _report(recorded, result, bundle.name, {"Film": film} if filming else {}).publish(out)
 
 
 def _minimize(folder: Path, out: Path) -> int:
@@ -82,26 +68,23 @@ def _minimize(folder: Path, out: Path) -> int:
     bundle = read_bundle(folder).bundle
     with counting("trials", bool)(MOST_TRIALS) as on_trial:
         found = minimize_bundle(bundle, out, ".", on_trial)
-    written = document({"bundle": folder.name, "smallest": found}, command="replay", config={"shrink": True})
-    made = found.folder is not None
-    headline = (
-        Headline("Smallest world", Tone.GOOD, "It fails in a smaller world, too, or in no smaller one.")
-        if made
-        else Headline("Not made smaller", Tone.CAUTION, found.sentence)
-    )
+    headline = Headline("Not made smaller", Tone.CAUTION, found.sentence)
+    if made := found.folder is not None:
+        sentence = "It fails in a smaller world, too, or in no smaller one."
+        headline = Headline("Smallest world", Tone.GOOD, sentence)
+    figures = {"bundle": folder.name, "smallest": found}
     return Report(
         "Smallest world of a failure",
         bundle.key,
         headline,
         sections=smallest_section([found]),
-        document=written,
+        document=document(figures, command="replay", config={"shrink": True}),
         exit_code=0 if made else 1,
     ).publish(out)
 
 
-def _report(recorded: Recorded, result: Replay, written: dict[str, object], files: dict[str, Path]) -> Report:
-    """Return the report of a replay; ``written`` is what ``report.json`` holds."""
-    from craftsim.reports.json_file import versions
+def _report(recorded: Recorded, result: Replay, name: str, files: dict[str, Path]) -> Report:
+    from craftsim.reports.json_file import document, versions
     from craftsim.validation.sections import actions_table
 
     bundle = recorded.bundle
@@ -125,6 +108,8 @@ def _report(recorded: Recorded, result: Replay, written: dict[str, object], file
     blocks += [
         f"car {one.car} {one.action}: {one.result}. {one.reason}" for one in bundle.attempts if one.reason
     ]
+    figures = {"bundle": name, "key": bundle.key, "changed_versions": result.changed}
+    names = ("reproduced", "differing", "position_m", "angle_rad", "attempts")
     return Report(
         "Replay of a failure",
         bundle.key,
@@ -133,7 +118,7 @@ def _report(recorded: Recorded, result: Replay, written: dict[str, object], file
         [Section("actions", "Actions", "Of the last step of the bundle.", blocks, terminal=True)],
         notes,
         files,
-        written,
+        document(figures | {name: getattr(result, name) for name in names}, command="replay"),
         0 if result.reproduced else 1,
     )
 

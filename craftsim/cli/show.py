@@ -17,30 +17,17 @@ from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.options import RESULTS, Dir, File, GoalFile, OptionalDir, Seeded, Shown, number
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import (
-    BLOCKS,
-    CARS,
-    DESIGN_SIDE,
-    PHYSICS_CELLS,
-    PLAN_ROUNDS,
-    PLAN_TIME_S,
-    SHARE,
-)
+from craftsim.storage.limits import BLOCKS, CARS, DESIGN_SIDE, PHYSICS_CELLS, PLAN_ROUNDS, PLAN_TIME_S, SHARE
 
 if TYPE_CHECKING:
-    from mujoco import MjSpec
-
-    from craftsim.designs.starts import DesignStart
     from craftsim.discrete.files.design import Design
     from craftsim.discrete.files.plan import Plan
     from craftsim.discrete.grid import Grid
-    from craftsim.mjcf.parameters import Machines
     from craftsim.planning import Planned
 
 
 MACHINES: Final = ("smartcar", "block", "flag", "wall", "slope")
-_NAMED: Final = 12
-"""Forbidden actions that are named."""
+_NAMED: Final = 12  # forbidden actions that are named
 
 
 def show(
@@ -84,37 +71,29 @@ def show(
     from craftsim.discrete.files.design import read_design
     from craftsim.discrete.files.plan import read_plan
     from craftsim.discrete.files.shipped import shipped_blueprint
-    from craftsim.discrete.grid import Kind
     from craftsim.discrete.tasks import TASK_NAMES, VARIED_NAMES, as_task
     from craftsim.reports.terminal import Terminal
 
-    rng, goal = np.random.default_rng(chance.seed), design.goal
+    rng = np.random.default_rng(chance.seed)
     shipped, varied = name in TASK_NAMES, name.partition("@")[0] in VARIED_NAMES
     path = shipped_blueprint(name) if shipped else start
     task = as_task(name).for_episode(rng) if shipped or varied else None
     drawing = read_blueprint(path) if task is None else task.starts[0]
-    wanted = task.design if task is not None else None
-    if goal is not None:
-        wanted = read_design(goal)
+    wanted = read_design(design.goal) if design.goal else None if task is None else task.design
     if wanted is not None:
         wanted.check_fits(drawing.size)
     grid = drawing.grid(rng) if task is None else task.draw(rng)
     read = None if plan is None else read_plan(plan, grid.n_cars)
     Terminal(highlight=False).print(world_text(grid, drawing.goal))
     print_safe(LEGEND)
-    blocks, slopes = drawing.n_blocks, drawing.n_slopes
-    if varied:
-        blocks, slopes = (int((grid.kind == kind).sum()) for kind in (Kind.BLOCK, Kind.FSLOPE))
-    _say_size(drawing.size, {"cars": drawing.n_cars, "blocks": blocks, "slopes": slopes})
+    drawn = {"cars": drawing.n_cars, "blocks": drawing.n_blocks, "slopes": drawing.n_slopes}
+    _say_size(drawing.size, _counts(grid) if varied else drawn)
     for note in drawing.notes:
         print_safe(f"note: {note}")
     if out is not None:
-        from craftsim.rendering.grid_picture import wanted_of
-        from craftsim.rendering.plots.levels import draw_blueprint
         from craftsim.storage.folders import output_directory
 
-        file = output_directory(out) / f"{path.stem}.png"
-        print_safe(f"picture: {draw_blueprint(file, grid, path.stem, drawing.goal, wanted_of(wanted))}")
+        _draw(output_directory(out) / f"{path.stem}.png", grid, path.stem, drawing.goal, wanted)
     if export:
         from craftsim.models.composition import check_extent, world_spec
         from craftsim.models.config import SimulationConfig
@@ -122,6 +101,13 @@ def show(
         check_extent(grid)
         _export(lambda machines: world_spec(grid, SimulationConfig(), machines), export, drive)
     return 0 if read is None else _show_plan(read, grid, wanted, out)
+
+
+def _counts(grid: Grid) -> dict[str, int]:
+    from craftsim.discrete.kinds import Kind
+
+    kinds = {"blocks": Kind.BLOCK, "slopes": Kind.FSLOPE}
+    return {"cars": grid.n_cars} | {name: int((grid.kind == kind).sum()) for name, kind in kinds.items()}
 
 
 def _say_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
@@ -132,7 +118,14 @@ def _say_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
     print_safe(f"{length} x {width} cells, {count(height, 'level')}: {said}")
 
 
-def _export(spec_of: Callable[[Machines], MjSpec], files: Iterable[Path], drive: Drive) -> None:
+def _draw(file: Path, grid: Grid, title: str, goal: Any, design: Design | None) -> None:
+    from craftsim.rendering.grid_picture import wanted_of
+    from craftsim.rendering.plots.levels import draw_blueprint
+
+    print_safe(f"picture: {draw_blueprint(file, grid, title, goal, wanted_of(design))}")
+
+
+def _export(spec_of: Callable[[Any], Any], files: Iterable[Path], drive: Drive) -> None:
     """Write a machine or a world with a drive as MJCF or as URDF, which the names' endings say."""
     from craftsim.mjcf.parameters import NOMINAL
     from craftsim.models.exporting import LACKS, write_mjcf, write_urdf
@@ -147,7 +140,6 @@ def _export(spec_of: Callable[[Machines], MjSpec], files: Iterable[Path], drive:
 
 
 def _show_plan(plan: Plan, grid: Grid, design: Design | None, out: Path | None) -> int:
-    """Say how long a plan takes and what of it is forbidden, draw and film it; return the exit status."""
     from craftsim.discrete.rules import Rules
     from craftsim.discrete.schedule import make_schedule
 
@@ -207,34 +199,6 @@ def design(
     from craftsim.designs.drawn import random_start, random_structure
     from craftsim.designs.finding import RANDOM, find_design, listing
     from craftsim.designs.starts import make_start
-    from craftsim.errors import InputError
-
-    if names:
-        print_safe(listing())
-        return 0
-    seed = chance.seed
-    rng = np.random.default_rng(seed)
-    spare: dict[str, Any] = {"spare_blocks": spare_blocks, "spare_slopes": spare_slopes, "barrier": barrier}
-    drawn = what == (RANDOM,)
-    if drawn and (text or not size):
-        if size or area or text or spare_blocks or spare_slopes is not None or barrier:
-            raise InputError(f"{RANDOM} takes --size, or --difficulty, --cars, --seed and --out alone")
-        start: DesignStart = random_start(rng, difficulty, cars)
-    else:
-        if len(area) not in (0, 3):
-            raise InputError(
-                f"--area has {len(area)} numbers; allowed: three, length, width and height in cells"
-            )
-        extent = (area[0], area[1], area[2]) if area else None
-        n_cars = 2 if cars is None else cars
-        found = random_structure(size, rng) if drawn else find_design(what, size, text)
-        start = make_start(found, n_cars, rng, extent, **spare)
-    config = {"what": what, "size": size, "text": text, "difficulty": difficulty, "area": area, "cars": cars}
-    _write(start, out, seed, config | spare)
-    return 0
-
-
-def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) -> None:
     from craftsim.discrete.drawing import LEGEND, world_text
     from craftsim.discrete.files.blueprint import blueprint_text
     from craftsim.discrete.files.design import design_text
@@ -243,30 +207,41 @@ def _write(start: DesignStart, out: Path, seed: int, config: dict[str, object]) 
     from craftsim.reports.terminal import Terminal
     from craftsim.storage.writing import write_whole
 
-    grid, goal = start.grid, start.design
-    console = Terminal(highlight=False)
+    if names:
+        print_safe(listing())
+        return 0
+    rng, seed = np.random.default_rng(chance.seed), chance.seed
+    spare: dict[str, Any] = {"spare_blocks": spare_blocks, "spare_slopes": spare_slopes, "barrier": barrier}
+    drawn = what == (RANDOM,)
+    if drawn and (text or not size):
+        if size or area or text or spare_blocks or spare_slopes is not None or barrier:
+            raise InputError(f"{RANDOM} takes --size, or --difficulty, --cars, --seed and --out alone")
+        start = random_start(rng, difficulty, cars)
+    else:
+        if len(area) not in (0, 3):
+            raise InputError(
+                f"--area has {len(area)} numbers; allowed: three, length, width and height in cells"
+            )
+        extent = (area[0], area[1], area[2]) if area else None
+        found = random_structure(size, rng) if drawn else find_design(what, size, text)
+        start = make_start(found, 2 if cars is None else cars, rng, extent, **spare)
+    grid, goal, console = start.grid, start.design, Terminal(highlight=False)
     console.print(world_text(goal.finished(grid.size)), soft_wrap=True)
     console.print("start", style="bold")
     console.print(world_text(grid), soft_wrap=True)
     print_safe(LEGEND)
-    counts = {
-        "cars": grid.n_cars,
-        "blocks": int((grid.kind == Kind.BLOCK).sum()),
-        "slopes": int((grid.kind == Kind.FSLOPE).sum()),
-    }
+    counts = _counts(grid)
     _say_size(grid.size, counts)
-    for name, text in (("goal", design_text(goal)), ("start", blueprint_text(grid))):
-        print_safe(f"{name}: {write_whole(out / f'{name}.yaml', text)}")
+    print_safe(f"goal: {write_whole(out / 'goal.yaml', design_text(goal))}")
+    print_safe(f"start: {write_whole(out / 'start.yaml', blueprint_text(grid))}")
     if math.prod(grid.size) <= PHYSICS_CELLS:
-        from craftsim.rendering.grid_picture import wanted_of
-        from craftsim.rendering.plots.levels import draw_blueprint
-
-        print_safe(
-            f"picture: {draw_blueprint(out / 'design.png', grid, goal.path.stem, None, wanted_of(goal))}"
-        )
+        _draw(out / "design.png", grid, goal.path.stem, None, goal)
     targets = {kind.name.lower(): len(goal.of_kind(kind)) for kind in (Kind.BLOCK, Kind.BODY)}
     figures = {"size": grid.size, "design": targets, **counts}
-    print_safe(f"report: {write_report(out, figures, command='design', seed=seed, config=config)}")
+    config = {"what": what, "size": size, "text": text, "difficulty": difficulty, "area": area, "cars": cars}
+    written = write_report(out, figures, command="design", seed=seed, config=config | spare)
+    print_safe(f"report: {written}")
+    return 0
 
 
 _ENDING: Final = ".plan"
@@ -305,12 +280,9 @@ def plan(
     from craftsim.storage.folders import owned
     from craftsim.validation.validation import read_goal
 
-    seed = chance.seed
-    rng = np.random.default_rng(seed)
+    rng, seed = np.random.default_rng(chance.seed), chance.seed
     task = read_goal(start, design.goal).for_episode(rng)
-    grid = task.draw(rng)
-    begun = time.monotonic()
-    best = np.inf
+    grid, begun, best = task.draw(rng), time.monotonic(), np.inf
 
     def report(number: int, planned: Planned | None) -> None:
         nonlocal best
@@ -334,13 +306,8 @@ def plan(
             from craftsim.cli.films import draw_plan
 
             draw_plan(out, planned.schedule, task.name, video)
-            figures = {
-                "makespan_s": planned.makespan_s,
-                "work_s": planned.work_s,
-                "bound_s": planned.bound_s,
-                "actions": len(planned.schedule.steps),
-                "found_in_attempt": planned.rounds,
-            }
+            figures = {name: getattr(planned, name) for name in ("makespan_s", "work_s", "bound_s")}
+            figures |= {"actions": len(planned.schedule.steps), "found_in_attempt": planned.rounds}
             config = {"start": task.name, "objective": objective, "rounds": attempts, "rules": "physical"}
             wall = {"planning_s": time.monotonic() - begun}
             written = write_report(out, figures, command="plan", seed=seed, config=config, wall=wall)

@@ -30,16 +30,16 @@ def print_error(text: object) -> None:
 
 def replace_unencodable() -> None:
     """Let standard output and error replace characters that their encoding lacks."""
-    codecs.register_error(_ERRORS, _other_signs)
+
+    def other_signs(error: UnicodeError) -> tuple[str, int]:
+        if not isinstance(error, UnicodeEncodeError):
+            raise error
+        return "".join(_ASCII.get(sign, "?") for sign in error.object[error.start : error.end]), error.end
+
+    codecs.register_error(_ERRORS, other_signs)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=_ERRORS)
-
-
-def _other_signs(error: UnicodeError) -> tuple[str, int]:
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    return "".join(_ASCII.get(sign, "?") for sign in error.object[error.start : error.end]), error.end
 
 
 def output_closed() -> bool:
@@ -64,18 +64,12 @@ def warn_if_exposed(host: str, what: str) -> None:
         >>> warn_if_exposed("127.0.0.1", "drive these robots")
     """
     try:
-        places = {place[4][0] for place in socket.getaddrinfo(host, None)}
+        places = {str(place[4][0]).partition("%")[0] for place in socket.getaddrinfo(host, None)}
+        local = all(ipaddress.ip_address(place).is_loopback for place in places)
     except (OSError, ValueError):
-        places = {host}
-    if not all(map(_is_loopback, places)):
+        local = False
+    if not local:
         print_error(
             f"warning: from other machines, too, anybody who reaches {host} can {what}; there is no password. "
             "Without --host only this machine can, and others by ssh -L"
         )
-
-
-def _is_loopback(place: str | int) -> bool:
-    try:
-        return ipaddress.ip_address(str(place).partition("%")[0]).is_loopback
-    except ValueError:
-        return False

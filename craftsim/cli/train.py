@@ -14,19 +14,11 @@ from cyclopts import Parameter
 
 from craftsim.choices import AlgoName, Backend, PresetName
 from craftsim.cli.app import FOLDER
-from craftsim.cli.progress import counting, telling
+from craftsim.cli.progress import counting, progress_of, telling
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError, suggestion
 from craftsim.options import Dir, OptionalDir, Record, Seeded, Shown, Work, number
-from craftsim.reports.report import (
-    Drawing,
-    Headline,
-    KeyFigure,
-    Report,
-    Section,
-    Tone,
-    count,
-)
+from craftsim.reports.report import Drawing, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.folders import owned, owning
 from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS, WORKERS
 
@@ -35,7 +27,6 @@ if TYPE_CHECKING:
 
     from craftsim.discrete.tasks import Task
     from craftsim.training.config import Protocol, TrainConfig
-    from craftsim.training.curve import CurvePoint
     from craftsim.training.trainer import Trainer
 
 INTERRUPTED: Final = 130
@@ -155,10 +146,7 @@ def train(
 
 
 def _settings_of(words: Iterable[str]) -> dict[str, Any]:
-    """Return the values that words such as ``width=128`` set, by name; several are divided by commas.
-
-    Raises InputError for a word without "=", and for a name that is set twice.
-    """
+    """Return the values that words such as ``width=128`` set, by name; several are divided by commas."""
     from craftsim.storage.yaml import parse_document
 
     found = dict[str, Any]()
@@ -171,35 +159,29 @@ def _settings_of(words: Iterable[str]) -> dict[str, Any]:
 
 
 def _config(given: dict[str, Any], besides: dict[str, Any], run: Protocol, **flags: Any) -> TrainConfig:
-    """Return the configuration that flags and --set ask for; a preset settles the rest.
-
-    Raises InputError for a name that is no setting.
-    """
+    """Return the configuration that flags and --set ask for; a preset settles the rest."""
     from craftsim.training.config import TrainConfig
     from craftsim.training.settings import KINDS, read_settings
 
     if run.settings and ({"imitate", "pretrained"} & {*given} or "starts" in besides):
         raise InputError("a --preset learns from nothing; leave starts, imitate and pretrained out")
+    algo = flags["algo"]
     named = {field.name for field in fields(TrainConfig)} - {*flags, "n_cars", "n_blocks", "hyperparameters"}
-    own = {field.name for field in fields(KINDS[flags["algo"]])}
-    for name in given:
-        if name not in named | own:
-            known = sorted(named | own | {*_BESIDES})
-            raise InputError(
-                f"--set: no setting '{name}' of {flags['algo']}{suggestion(name, known)} "
-                f"(settings: {', '.join(known)})"
-            )
+    own = {field.name for field in fields(KINDS[algo])}
+    if strange := [name for name in given if name not in named | own]:
+        known = sorted(named | own | {*_BESIDES})
+        hint = suggestion(strange[0], known)
+        raise InputError(f"--set: no setting '{strange[0]}' of {algo}{hint} (settings: {', '.join(known)})")
     chosen = {name: value for name, value in given.items() if name in named}
     if chosen.get("recurrent") in ("true", "false"):
         chosen["recurrent"] = chosen["recurrent"] == "true"
     if "stages" in chosen:
         chosen["stages"] = tuple(str(chosen["stages"]).split(","))
-    hyperparameters = (
-        dict(read_settings(Path(str(besides["settings"])), flags["algo"])) if "settings" in besides else {}
-    )
-    hyperparameters |= {name: value for name, value in given.items() if name in own}
     settled = dict(run.settings)
-    hyperparameters = settled.pop("hyperparameters", {}) | hyperparameters
+    hyperparameters = dict(settled.pop("hyperparameters", {}))
+    if "settings" in besides:
+        hyperparameters |= read_settings(Path(str(besides["settings"])), algo)
+    hyperparameters |= {name: value for name, value in given.items() if name in own}
     chosen = {**settled, **chosen, "n_cars": besides.get("cars"), "n_blocks": besides.get("blocks")}
     try:
         return TrainConfig(**flags, **chosen, hyperparameters=hyperparameters)
@@ -235,41 +217,22 @@ def _trainer(
 
 def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: bool) -> None:
     """Train, show how it goes, and save after each evaluation."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    from craftsim.reports.terminal import Terminal
     from craftsim.training.curve import TensorboardLog
 
     log = TensorboardLog(folder, trainer.curve) if tensorboard else None
-    console = Terminal()
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[how]}"),
-        TimeElapsedColumn(),
-        TextColumn("at most"),
-        TimeRemainingColumn(),
-    )
-    what = f"{trainer.task.name}, {trainer.config.algo}"
-    begun = printed = time.perf_counter()
-    before, success, earned = trainer.steps, "-", "-"
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        row = bar.add_task(what, total=steps, completed=before, how="")
+    what, before, begun = f"{trainer.task.name}, {trainer.config.algo}", trainer.steps, time.perf_counter()
+    success, earned = "-", "-"
+    with progress_of(what, steps, LINE_EVERY_S, before) as tell:
         for evaluated in trainer.run(steps, until):
-            now = time.perf_counter()
-            rate = (trainer.steps - before) / (now - begun)
             if evaluated:
                 point = trainer.curve[-1]
                 success, earned = f"{point.success:.2f}", f"{point.mean_return:.2f}"
                 trainer.save(folder)
                 if log is not None:
                     log.write(point)
+            rate = (trainer.steps - before) / (time.perf_counter() - begun)
             how = f"success {success}, return {earned}, {rate:,.0f} steps/s"
-            bar.update(row, completed=trainer.steps, how=how)
-            if not console.is_terminal and now - printed >= LINE_EVERY_S:
-                printed = now
-                line = f"{what}: {trainer.steps:,} of at most {steps:,} steps, {how}"
-                console.print(line, soft_wrap=True)
+            tell(trainer.steps, how, f"{trainer.steps:,} of at most {steps:,} steps, {how}")
 
 
 def _evaluate(
@@ -277,6 +240,7 @@ def _evaluate(
 ) -> int:
     """Evaluate what was learned on fresh episodes, and report it."""
     from craftsim.reports.json_file import document
+    from craftsim.reports.plots import ACCENT, percent_ticks
     from craftsim.training.config import LEARNED
     from craftsim.training.curve import last_fifth, plot_curve
     from craftsim.training.trainer import training_versions
@@ -299,7 +263,16 @@ def _evaluate(
     )
     reached = played.success >= min(asked["until"], LEARNED)
     starts = f"{played.solved:,} of {count(played.starts, 'different start')} solved"
-    Report(
+
+    def draw(axes: Axes) -> None:
+        axes.plot([point.steps for point in curve], [point.success for point in curve], color=ACCENT, lw=1.8)
+        axes.set_ylim(-0.02, 1.04)
+        axes.yaxis.set_major_formatter(percent_ticks)
+        axes.set_xlabel("steps")
+
+    drawing = Drawing.of_axes(draw, 2.9, "Success of evaluations during training.", "learning curve")
+    lead = "Evaluations on fresh episodes; curve.csv holds all."
+    return Report(
         "Training",
         f"{what}, seed {config.seed}",
         Headline(*(("Learned", Tone.GOOD) if reached else ("Not learned", Tone.CAUTION)), sentence),
@@ -307,28 +280,10 @@ def _evaluate(
             KeyFigure(f"{played.success:.3f}", "success", starts),
             KeyFigure(f"{trainer.steps:,}", "steps", f"{trainer.wall_s:.0f} s"),
         ],
-        [_curve_section(curve)] if curve else [],
+        [Section("curve", "Learning curve", lead, [drawing])] if curve else [],
         files={"Policy": folder / "policy.safetensors"},
         document=document(figures, command="train", seed=config.seed, config=asked, wall=wall),
     ).publish(folder)
-    return 0
-
-
-def _curve_section(curve: Sequence[CurvePoint]) -> Section:
-    from craftsim.reports.plots import ACCENT, percent_ticks
-
-    steps, success = [point.steps for point in curve], [point.success for point in curve]
-
-    def draw(axes: Axes) -> None:
-        axes.plot(steps, success, color=ACCENT, lw=1.8)
-        axes.set_ylim(-0.02, 1.04)
-        axes.yaxis.set_major_formatter(percent_ticks)
-        axes.set_xlabel("steps")
-
-    drawing = Drawing.of_axes(draw, 2.9, "Success of evaluations during training.", "learning curve")
-    return Section(
-        "curve", "Learning curve", "Evaluations on fresh episodes; curve.csv holds all.", [drawing]
-    )
 
 
 @owning
@@ -366,11 +321,8 @@ def study(
     figures = figures_of(asked, records)
     write_markdown(out / "study.md", asked, figures)
     pictures = plot_results(out, asked, figures)
-    wall = {
-        "this_call_s": time.perf_counter() - begun,
-        "cpu_s": {record["key"]: record["extra"].get("cpu_s") for record in records},
-    }
-    config = {"study": asked, "what": what}
-    written = document(figures, command="study", seed=0, config=config, wall=wall)
+    cpu_s = {record["key"]: record["extra"].get("cpu_s") for record in records}
+    wall = {"this_call_s": time.perf_counter() - begun, "cpu_s": cpu_s}
+    written = document(figures, command="study", seed=0, config={"study": asked, "what": what}, wall=wall)
     reached = sum(record["agrees"] for record in records)
     return study_report(asked, reached, written, pictures).publish(out)

@@ -1,7 +1,11 @@
-"""Tune gains, and identify a car: ``craftsim tune``, ``robot excite`` and ``robot identify``."""
+"""Tune gains; serve simulated robots, excite and identify a car: ``craftsim tune`` and ``robot``."""
 
 from __future__ import annotations
 
+import contextlib
+import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,10 +14,22 @@ from cyclopts import Parameter
 from craftsim.choices import Drive
 from craftsim.cli.app import command_again
 from craftsim.cli.progress import counting, without_error
-from craftsim.cli.text import print_safe
+from craftsim.cli.text import print_error, print_safe, warn_if_exposed
+from craftsim.errors import InputError
 from craftsim.options import Dir, File, Physics, Work, number, own_defaults
+from craftsim.robots import LOOPBACK, PORT, need_network
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import EXCITE_M, EXCITE_S, LOGGED_CARS, TRIAL_COUNT
+from craftsim.storage.limits import (
+    DELAY_MS,
+    EXCITE_M,
+    EXCITE_S,
+    LOGGED_CARS,
+    PACE,
+    PATIENCE_S,
+    PORTS,
+    SHARE,
+    TRIAL_COUNT,
+)
 
 _Objective = Literal["time", "error", "margin", "energy", "force"]
 
@@ -53,20 +69,112 @@ def tune(
     from craftsim.tuning.tune import tune as run
     from craftsim.tuning.tune_report import tune_report, write_gains
 
-    goal = Goal.of(weights, objectives, choose)
+    goal, options = Goal.of(weights, objectives, choose), work.run(counting("evaluations", without_error))
     tuned = run(
-        subject,
-        physics.setup(),
-        out,
+        *(subject, physics.setup(), out),
         goal=goal,
         evaluations=evaluations,
         trials=trials,
         seed=physics.seed,
-        options=work.run(counting("evaluations", without_error)),
+        options=options,
     )
     command = command_again()
-    gains = write_gains(out, tuned, command)
-    return tune_report(tuned, gains, command, work.workers).publish(out)
+    return tune_report(tuned, write_gains(out, tuned, command), command, work.workers).publish(out)
+
+
+@owning
+def serve(
+    task: str = "simple_two_story",
+    *,
+    host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
+    port: Annotated[int, number(PORTS)] = PORT,
+    delay_ms: Annotated[float, number(DELAY_MS, "MS")] = 0.0,
+    jitter_ms: Annotated[float, number(DELAY_MS, "MS")] = 0.0,
+    loss: Annotated[float, number(SHARE)] = 0.0,
+    silent: Annotated[tuple[str, ...], Parameter(metavar="CAR:SECONDS")] = (),
+    pace: Annotated[float, number(PACE)] = 1.0,
+    lockstep: bool = False,
+    timeout: Annotated[float, number(PATIENCE_S, "SECONDS")] = 60.0,
+    once: bool = False,
+    physics: Physics = Physics(),  # noqa: B008
+    out: Dir = Path("out/robot"),
+) -> int:
+    """Simulate robots in the world of a task, and serve them on a network: 'craftsim demo --robot ADDRESS' drives them.
+
+    Prints the address, and serves them until Ctrl-C. Exit status: 0, or 2 for invalid input.
+
+    Args:
+        task: world of the robots: the name of a task, a start or task file, or 'module:factory'.
+        host: address to listen on; the default is reachable from this machine only. There is no password.
+        port: port; 0 takes a free one.
+        delay_ms: network delay of a message in each direction; drawn from the seed, as jitter and loss.
+        jitter_ms: half-width of the uniform distribution of the delay.
+        loss: share of lost messages.
+        silent: a car that stops and does not answer any more after so many seconds of its clock, such as 1:5; may be
+            repeated.
+        pace: seconds of the robots' time per second.
+        lockstep: stop the robots' time until each measurement has been answered, so that a seed gives the same run on
+            any machine.
+        timeout: time limit of an answer in lock-step, after which time goes on without it.
+        once: exit when the client disconnects.
+        out: folder for report.json.
+    """
+    need_network()
+    import numpy as np
+
+    from craftsim.checking.setup import Seed, set_up
+    from craftsim.discrete.tasks import as_task
+    from craftsim.reports.json_file import write_report
+    from craftsim.robots.link import world_digest
+    from craftsim.robots.server import Network, Server
+    from craftsim.robots.simulated import serve_simulated
+    from craftsim.robots.sockets import Host
+    from craftsim.skills.fleet import PhysicsFleet
+
+    network = Network(delay_ms / 1e3, jitter_ms / 1e3, loss, tuple(map(_silent, silent)))
+    setup = physics.setup()
+    found = as_task(task)
+    start, world_seed, *others = np.random.SeedSequence(physics.seed).spawn(4)
+    grid, rngs = found.draw(np.random.default_rng(start)), tuple(map(np.random.default_rng, others))
+    started = time.perf_counter()
+    with Host(host, port) as sockets:
+        world = set_up(grid, setup, Seed.of(world_seed), watch_contacts=False).executor.fleet
+        assert isinstance(world, PhysicsFleet)
+        service = serve_simulated(
+            world, world_digest(grid), sockets.send, network, rngs, lockstep, print_error
+        )
+        server = Server(service, sockets, pace, timeout)
+        print_safe(f"{len(service.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")
+        sys.stdout.flush()
+        warn_if_exposed(host, "drive these robots")
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(lambda: once and service.farewells > 0)
+        server.end()
+    figures: dict[str, Any] = {
+        "simulated_s": round(service.now_s, 6),
+        "commands_dropped": service.inbox.dropped,
+        "messages_malformed": service.malformed,
+        "stopped_at_s": service.stopped_at_s,
+    }
+    config: dict[str, Any] = {"setup": setup, "network": network, "pace": pace, "lockstep": lockstep}
+    config |= {"task": found.name, "digests": setup.digests}
+    wall = {"total_s": time.perf_counter() - started, "behind_s": server.behind_s}
+    report = write_report(out, figures, command="robot", seed=physics.seed, config=config, wall=wall)
+    print_safe(
+        f"{service.now_s:.1f} s of the robots' time, {server.behind_s:.2f} s behind the clock; for want of commands "
+        f"they stopped {service.inbox.stops} times.\nReport: {report}"
+    )
+    return 0
+
+
+def _silent(text: str) -> tuple[int, float]:
+    car, _, seconds = text.partition(":")
+    try:
+        return int(car), float(seconds)
+    except ValueError:
+        raise InputError(
+            f"--silent {text}: allowed: a car and seconds, such as 1:5 for car 1 after 5 s"
+        ) from None
 
 
 @owning
@@ -150,9 +258,6 @@ def identify(
         drive: drive of the simulated car; rollers take several times as long.
         out: folder for parameters.yaml (for --machines), noise.yaml (for --noise), report.json and figures.
     """
-    import time
-    from dataclasses import replace
-
     from craftsim.checking.setup import setup_of
     from craftsim.logs.files import read_log
     from craftsim.reports.json_file import document
@@ -172,21 +277,17 @@ def identify(
         found = fit(given, assumed, load, lambda number, total: status.update(f"fit {number} of {total}"))
     predictor = Predictor(given, assumed, load)
     figures = findings.figures_of(found, predictor, other)
-    left_out = findings.write_parameters(out / "parameters.yaml", found, assumed, log.name)
-    findings.write_noise(out / "noise.yaml", found, given, log.name)
-    figures["left_out"] = left_out
-    drawn = draw_prediction(out, found, other or predictor)
+    files = {"Parameters": out / "parameters.yaml", "Noise": out / "noise.yaml"}
+    figures["left_out"] = findings.write_parameters(files["Parameters"], found, assumed, log.name)
+    findings.write_noise(files["Noise"], found, given, log.name)
+    files["Figure"] = draw_prediction(out, found, other or predictor)[0]
     config: dict[str, Any] = {
         "log": log.name,
-        "held_out": None if held_out is None else held_out.name,
+        "held_out": held_out and held_out.name,
         "car": car,
+        "load": load,
     }
-    config |= {"load": load, "machines": assumed, "digests": {"machines": assumed.digest}}
+    config |= {"machines": assumed, "digests": {"machines": assumed.digest}}
     wall = {"total_s": time.perf_counter() - started}
-    files = {
-        "Parameters": out / "parameters.yaml",
-        "Noise": out / "noise.yaml",
-        "Figure": drawn[0],
-    }
     written = document(figures, command="identify", config=config, wall=wall)
     return identified_report(found, log.name, written, files).publish(out, console)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 import time
-from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -20,16 +19,8 @@ from craftsim.storage.folders import owning
 from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from craftsim.discrete.tasks import Task
-    from craftsim.envs.datasets import MakeAct
-    from craftsim.envs.parallel import ParallelConstruction
     from craftsim.training.config import Acting
-    from craftsim.training.policy import TrainedPolicy
     from craftsim.validation.choice import World
-
-_PLANNER: Final = "planner"
 
 
 @owning
@@ -82,7 +73,7 @@ def validate(
         world = _only(worlds, "--record minari")
         return _write_dataset(world, what, physics, campaign, backend, dataset, out)
     if backend == "grid":
-        return _play_policies(worlds, what, physics, campaign, area, acting, out)
+        return _evaluate_on_grid(worlds, what, physics, campaign, area, acting, out)
     from craftsim.cli.films import film_runs, record_failures, rendering_works
     from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.validation import validation
@@ -91,21 +82,21 @@ def validate(
     from craftsim.validation.report import validation_report
 
     several: tuple[World, ...] = worlds or TASK_NAMES
-    good: Callable[[Any], bool] = itemgetter("agrees")
+    progress = counting("runs")
     if what.plan == AUTO:
         several = (validation.read_goal(_only(worlds, "--plan auto"), design.goal),)
-        good = _built
-    for option, given in (("--goal", design.goal), ("--disturb", disturb)):
-        if given is not None and what.plan != AUTO:
-            raise InputError(f"{option} goes with --plan auto")
+        progress = counting("runs", lambda record: record["extra"].get("ended") == "built")
+    elif design.goal or disturb:
+        raise InputError(f"{'--goal' if design.goal else '--disturb'} goes with --plan auto")
     recording = record == "trajectory"
-    n_runs = campaign.trials * len(several) * max(1, len(what.policy))
-    RUNS.check("--trials times worlds and policies", n_runs)
+    RUNS.check(
+        "--trials times worlds and policies", campaign.trials * len(several) * max(1, len(what.policy))
+    )
     filming = video != "none" and rendering_works()
     result = validation.validate(
         *(several, what, physics, campaign),
         out=out,
-        progress=counting("runs", good),
+        progress=progress,
         minimize=counting_kinds() if minimize else None,
         replanning=Replanning(replans, attempts, disturb),
         record=recording or video == "all",
@@ -117,10 +108,6 @@ def validate(
     return validation_report(result, command_again()).publish(out)
 
 
-def _built(record: Any) -> bool:
-    return bool(record["extra"].get("ended") == "built")
-
-
 def _only(worlds: tuple[str, ...], option: str) -> str:
     if len(worlds) != 1:
         raise InputError(
@@ -129,7 +116,7 @@ def _only(worlds: tuple[str, ...], option: str) -> str:
     return worlds[0]
 
 
-def _play_policies(
+def _evaluate_on_grid(
     tasks: tuple[str, ...],
     what: Rollouts,
     physics: Physics,
@@ -144,12 +131,12 @@ def _play_policies(
     an interval. Tasks may start otherwise than those of training, but are of the same size, and have as many cars and
     things unless the network looks from a car.
     """
+    from craftsim.discrete.tasks import as_task, known_task
     from craftsim.reports.json_file import document
-    from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, count
+    from craftsim.reports.report import DataTable, Headline, Report, Section, Tone, count, numbers
     from craftsim.training.policy import need_torch
 
-    policies = [str(policy) for policy in what.policy]
-    cars, blocks = what.n_cars, what.n_blocks
+    policies, cars, blocks = [str(policy) for policy in what.policy], what.n_cars, what.n_blocks
     episodes, seed = campaign.trials, physics.seed
     if not policies or what.plan is not None or what.actions is not None:
         raise InputError(
@@ -163,29 +150,37 @@ def _play_policies(
     games = []
     for path in policies:
         policy = load_policy(path)
-        for asked in _tasks_of(path, policy, tasks, (cars, blocks, area or None)):
-            shape = policy.shape.of_task(asked)
+        own, extent = policy.config, area or None
+        found = [as_task(name, cars, blocks, extent) for name in tasks]
+        if not tasks:
+            try:
+                # The name in a policy's file may be from anybody: it is never code.
+                found = [known_task(own.task, cars or own.n_cars, blocks or own.n_blocks, extent)]
+            except InputError as error:
+                raise InputError(
+                    f"{path}: the task that it was trained on is not there: {error}; name one with --task"
+                ) from error
+        for task in found:
+            shape = policy.shape.of_task(task)
             if not policy.shape.fits(shape):
                 raise InputError(
-                    f"{path}: its network is for {policy.shape}, task '{asked.name}' is of {shape}; a network serves "
+                    f"{path}: its network is for {policy.shape}, task '{task.name}' is of {shape}; a network serves "
                     "areas of one size, and unless it is relative, one number of cars and things"
                 )
-            games.append((path, policy, asked))
-    rows: list[dict[str, Any]] = []
-    lines: list[tuple[str, ...]] = []
-    for path, policy, asked in games:
+            games.append((path, policy, task))
+    rows, lines = list[dict[str, Any]](), []
+    for path, policy, task in games:
         how = (policy.config.rules, policy.config.helper_depth, acting or policy.config.acting)
-        played = evaluate(policy.net, asked, episodes, seed, *how)
-        rows.append({"policy": path, "task": asked.name, "acting": how[-1], **played.as_figures()})
-        low, high = played.interval or (None, None)
-        interval = "one start" if low is None else f"{low:.3f}-{high:.3f}"
-        solved = f"{played.solved} of {played.starts}"
-        figures = (solved, interval, str(played.trajectories), f"{played.mean_ticks:.1f}")
-        lines.append((Path(path).name, asked.name, f"{played.success:.3f}", *figures))
+        played = evaluate(policy.net, task, episodes, seed, *how)
+        rows.append({"policy": path, "task": task.name, "acting": how[-1], **played.as_figures()})
+        interval = "one start" if played.interval is None else "{:.3f}-{:.3f}".format(*played.interval)
+        solved = f"{played.success:.3f}", f"{played.solved} of {played.starts}", interval
+        ticks = str(played.trajectories), f"{played.mean_ticks:.1f}"
+        lines.append((Path(path).name, task.name, *solved, *ticks))
     config = {"policies": policies, "task": list(tasks), "episodes": episodes}
     config |= {"cars": cars, "blocks": blocks, "area": list(area)}
-    numbers = ("success", "starts solved", "at 95 %", "ways", "ticks")
-    columns = (Column("policy"), Column("task"), *(Column(name, "number") for name in numbers))
+    heads = ("success", "starts solved", "at 95 %", "ways", "ticks")
+    columns = (*numbers("policy"), *numbers("task", *heads))
     table = DataTable(columns, lines, f"{episodes} episodes each; ways are different trajectories")
     lead = "What repeats itself counts once: only different starts have an interval."
     evaluated = (
@@ -198,29 +193,6 @@ def _play_policies(
         sections=[Section("evaluations", "Evaluations", lead, [table], terminal=True)],
         document=document({"evaluations": rows}, command="evaluate", seed=seed, config=config),
     ).publish(out)
-
-
-def _tasks_of(
-    path: str,
-    policy: TrainedPolicy,
-    tasks: tuple[str, ...],
-    given: tuple[int | None, int | None, tuple[int, ...] | None],
-) -> list[Task]:
-    """Return the tasks that are asked for with these numbers of cars and blocks and this area, or a policy's own.
-
-    Names on the command line may be of code. The name in a policy's file may be from anybody.
-    """
-    from craftsim.discrete.tasks import as_task, known_task
-
-    if tasks:
-        return [as_task(name, *given) for name in tasks]
-    (cars, blocks, area), own = given, policy.config
-    try:
-        return [known_task(own.task, n_cars=cars or own.n_cars, n_blocks=blocks or own.n_blocks, area=area)]
-    except InputError as error:
-        raise InputError(
-            f"{path}: the task that it was trained on is not there: {error}; name one with --task"
-        ) from error
 
 
 def _write_dataset(
@@ -236,24 +208,33 @@ def _write_dataset(
 
     Episode i has the seed i after the first, and is the same whatever else is exported. Physics is nominal.
     """
+    from craftsim.discrete.files.plan import read_plan
     from craftsim.discrete.tasks import as_task
     from craftsim.envs import parallel_env
-    from craftsim.envs.datasets import need_minari, write_dataset
+    from craftsim.envs.datasets import MakeAct, need_minari, write_dataset
+    from craftsim.envs.planner import PlannerPolicy, PlanPolicy
     from craftsim.experiments.intervals import Proportion
     from craftsim.reports.json_file import write_report
+    from craftsim.validation.policies import make_policy
 
     need_minari()
     if len(what.policy) > 1 or what.actions is not None:
         raise InputError("a dataset is of one --plan or one --policy")
-    plan = what.plan_file
-    policy = str(what.policy[0]) if what.policy else _PLANNER
-    episodes, seed, rules = campaign.trials, physics.seed, physics.rules
-    task = as_task(world)
+    plan, policy = what.plan_file, str(what.policy[0]) if what.policy else "planner"
+    episodes, seed, rules, task = campaign.trials, physics.seed, physics.rules, as_task(world)
     env = parallel_env(task, backend, rule_set=rules)
-    player = policy if plan is None else "plan"
     if plan is not None and what.policy:
         raise InputError("--plan and --policy both say what is played; give one of them")
-    make_act = _player(env, policy, plan)
+    make_act: MakeAct
+    if plan is not None:
+        read = read_plan(plan, env.core.n_cars)
+        make_act = lambda seed: PlanPolicy(env, read)  # noqa: E731
+    elif policy == "planner":
+        make_act = lambda seed: PlannerPolicy(env)  # noqa: E731
+    else:
+        make_act = lambda seed: make_policy(policy, seed, env.core.task)  # noqa: E731
+    make_act(0)  # refuses what is not for this task before anything is written
+    player = policy if plan is None else "plan"
     name = name or f"craftsim/{_word(task.name)}/{_word(Path(player).name)}-v0"
     begun = time.perf_counter()
     with counting("episodes", bool)(episodes) as tell:
@@ -266,27 +247,11 @@ def _write_dataset(
     wall = {"playing_s": time.perf_counter() - begun}
     report = write_report(written.path, figures, command="export", seed=seed, config=config, wall=wall)
     print_safe(
-        f"{name}: {written.episodes} episodes, {written.steps} steps, {written.successes} reach the goal."
+        f"{name}: {written.episodes} episodes, {written.steps} steps, {written.successes} reach the goal.\n"
+        f"Report: {report}\n"
+        f"To load it: MINARI_DATASETS_PATH={out.resolve()}, then minari.load_dataset('{name}')"
     )
-    print_safe(f"Report: {report}")
-    print_safe(f"To load it: MINARI_DATASETS_PATH={out.resolve()}, then minari.load_dataset('{name}')")
     return 0
-
-
-def _player(env: ParallelConstruction, policy: str, plan: Path | None) -> MakeAct:
-    """Return what makes the policy of each episode; raise InputError where there is none, or not for this task."""
-    from craftsim.discrete.files.plan import read_plan
-    from craftsim.envs.planner import PlannerPolicy, PlanPolicy
-    from craftsim.validation.policies import make_policy
-
-    if plan is not None:
-        read = read_plan(plan, env.core.n_cars)
-        return lambda seed: PlanPolicy(env, read)
-    if policy == _PLANNER:
-        PlannerPolicy(env)  # refuses a task without a goal before anything is written
-        return lambda seed: PlannerPolicy(env)
-    make_policy(policy, 0, env.core.task)  # refuses one of another task before anything is written
-    return lambda seed: make_policy(policy, seed, env.core.task)
 
 
 def _word(text: str) -> str:

@@ -6,8 +6,9 @@ A file is YAML, as in ``{lookat: [0.65, 0.65, 0.1], distance: 2.5, azimuth: 120,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -30,8 +31,7 @@ CAR_VIEWS: Final = ("follow", "closeup")
 _STRIP_SHARE: Final = 0.13
 _STRIP_CELLS: Final = 0.6
 """Of the strip with the coordinates around an area: its width over the area's longer side, and at most, in cells."""
-_ORBIT_S: Final = 60.0
-"""An orbit takes the whole trajectory, and no less than this."""
+_ORBIT_S: Final = 60.0  # an orbit takes the whole trajectory, and no less than this
 _Metres = Annotated[float, Range(-1000.0, 1000.0)]
 
 
@@ -169,8 +169,7 @@ def _orbit(trajectory: Trajectory, size: tuple[int, ...], aspect: float) -> View
 _HEADING_S: Final = 1.2
 """Standard deviation of the low-pass of a heading: a car turns by a right angle in less than a second, too fast for a
 camera."""
-_LOOKS: Final = 40
-"""Samples at which it is tried from where a car is seen."""
+_LOOKS: Final = 40  # samples at which it is tried from where a car is seen
 
 
 def _beside(trajectory: Trajectory, car: int, closeup: bool) -> View:
@@ -187,26 +186,24 @@ def _beside(trajectory: Trajectory, car: int, closeup: bool) -> View:
         sides = [(turn, elevation) for elevation in (-20.0, -35.0) for turn in (116.0, -116.0, 64.0, -64.0)]
     poses, times = trajectory.pose(f"car {car}"), trajectory.time
     period_s = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-    heading = _smooth(np.unwrap(_headings(poses[:, 3:])), _HEADING_S / period_s)
+    w, x, y, z = poses[:, 3:].T
+    headings = np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)
+    heading = _smooth(np.unwrap(headings), _HEADING_S / period_s)
     ahead = ahead_m * np.column_stack([np.cos(heading), np.sin(heading)])
     looked_at = _smooth(poses[:, :3], place_s / period_s)
     looked_at += np.column_stack([ahead, np.full(len(times), height_m)])
 
-    def from_side(side: tuple[float, float]) -> Callable[[float], Aim]:
-        turn, elevation = side
+    def aim(side: tuple[float, float], time_s: float) -> Aim:
+        lookat = np.array([np.interp(time_s, times, looked_at[:, axis]) for axis in range(3)])
+        azimuth = math.degrees(float(np.interp(time_s, times, heading))) + side[0]
+        return Aim(lookat, distance_m, azimuth, side[1], fovy_deg)
 
-        def aim(time_s: float) -> Aim:
-            lookat = np.array([np.interp(time_s, times, looked_at[:, axis]) for axis in range(3)])
-            azimuth = math.degrees(float(np.interp(time_s, times, heading))) + turn
-            return Aim(lookat, distance_m, azimuth, elevation, fovy_deg)
-
-        return aim
-
-    return View(fovy_deg, _least_hidden(trajectory, car, list(map(from_side, sides))), not closeup)
+    aims = [partial(aim, side) for side in sides]
+    return View(fovy_deg, _least_hidden(trajectory, car, aims), not closeup)
 
 
 def _least_hidden(
-    trajectory: Trajectory, car: int, aims: list[Callable[[float], Aim]]
+    trajectory: Trajectory, car: int, aims: Sequence[Callable[[float], Aim]]
 ) -> Callable[[float], Aim]:
     """Return the first of the aims from which nothing hides a car most often."""
     model, root = trajectory.model, trajectory.physics.cars[car].base.body
@@ -223,14 +220,7 @@ def _least_hidden(
 
 
 def _smooth(samples: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-    """Return samples (n, ...) without what is faster than a Gaussian of ``sigma`` samples, and without delay."""
     from scipy.ndimage import gaussian_filter1d  # a quarter of a second that only films take
 
     smooth: NDArray[np.float64] = gaussian_filter1d(samples, sigma, axis=0, mode="nearest")
     return smooth
-
-
-def _headings(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the headings (n,) in radians of the x axes of unit quaternions (n, 4), w first."""
-    w, x, y, z = quaternions.T
-    return np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z)

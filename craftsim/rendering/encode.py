@@ -41,10 +41,8 @@ _THREADS: Final = {"threads": "2"}
 """Encoders are deterministic at a given number of threads, so the number must not depend on the machine."""
 _ANIMATION_PIXELS: Final = 400_000_000
 """Of all frames of an animation together: they are all in memory at its end."""
-_GIF_FPS: Final = 50
-"""More than that is shown slowly: a frame of 10 ms is taken for a mistake."""
-_WAITING: Final = 16
-"""Frames that wait for the encoder at most."""
+_GIF_FPS: Final = 50  # more than that is shown slowly: a frame of 10 ms is taken for a mistake
+_WAITING: Final = 16  # frames that wait for the encoder at most
 
 
 def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None) -> None:
@@ -56,11 +54,11 @@ def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda
     if path.suffix in ANIMATIONS:
         _animate(path, fps, frames, tell)
         return
-    waiting: deque[Future[None]] = deque()
     with VideoWriter(path, fps) as writer, ThreadPoolExecutor(1, "encoder") as encoder:
+        waiting: deque[Future[None]] = deque()
         for frame in frames:
             waiting.append(encoder.submit(writer.write, frame))
-            while waiting and (waiting[0].done() or len(waiting) > _WAITING):
+            if len(waiting) > _WAITING:
                 waiting.popleft().result()
             tell(True)
         for written in waiting:
@@ -78,16 +76,15 @@ class VideoWriter:
     def __init__(self, path: Path, fps: int) -> None:
         """Prepare a film at ``path`` (its folder must exist) with ``fps`` frames a second."""
         self.path, self.fps, self.frames = path, fps, 0
-        self._file = ExitStack()
         self._container: Any = None
         self._stream: Any = None
 
     def __enter__(self) -> Self:
+        form, _, _, options = _ENCODERS[self.path.suffix]
         with ExitStack() as file:
             partial = file.enter_context(whole(self.path))
-            form, self._encoder, self._options, options = _ENCODERS[self.path.suffix]
-            self._container = av.open(str(partial), "w", format=form, options=options)
-            file.push(self._finish)
+            self._container = file.enter_context(av.open(str(partial), "w", format=form, options=options))
+            file.push(self._flush)
             self._file = file.pop_all()
         return self
 
@@ -107,10 +104,15 @@ class VideoWriter:
         if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
             raise ValueError(f"a frame is uint8 of shape (height, width, 3), not {frame.dtype} {frame.shape}")
         height, width = frame.shape[:2]
+        if height % 2 or width % 2:
+            raise ValueError(f"yuv420p needs even sizes, not {width} x {height}")
         if self._stream is None:
-            if height % 2 or width % 2:
-                raise ValueError(f"yuv420p needs even sizes, not {width} x {height}")
-            self._begin(width, height)
+            _, encoder, options, _ = _ENCODERS[self.path.suffix]
+            self._stream = self._container.add_stream(encoder, rate=self.fps, options=options | _THREADS)
+            self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
+            context = self._stream.codec_context
+            context.colorspace, context.color_range = Colorspace.SMPTE170M, ColorRange.MPEG
+            context.time_base = Fraction(1, self.fps)
         elif (height, width) != (self._stream.height, self._stream.width):
             raise ValueError(
                 f"this film is {self._stream.width} x {self._stream.height}, the frame {width} x {height}"
@@ -124,21 +126,11 @@ class VideoWriter:
             raise InputError(unwritten(self.path, error)) from error
         self.frames += 1
 
-    def _begin(self, width: int, height: int) -> None:
-        stream = self._container.add_stream(self._encoder, rate=self.fps, options=self._options | _THREADS)
-        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        stream.codec_context.colorspace = Colorspace.SMPTE170M
-        stream.codec_context.color_range = ColorRange.MPEG
-        stream.codec_context.time_base = Fraction(1, self.fps)
-        self._stream = stream
-
-    def _finish(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Close the file, complete where the block ended without an error."""
-        if kind is None and self._stream is not None:
+    def _flush(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            if self._stream is None:
+                raise ValueError("a film needs at least one frame")
             self._container.mux(self._stream.encode(None))
-        self._container.close()
-        if kind is None and self._stream is None:
-            raise ValueError("a film needs at least one frame")
 
 
 def check_animation(path: Path, n_frames: int, size: tuple[int, int], fps: int) -> None:
@@ -155,7 +147,6 @@ def check_animation(path: Path, n_frames: int, size: tuple[int, int], fps: int) 
 
 
 def _animate(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame) -> None:
-    """Write frames as an animated WebP or GIF, which runs for ever."""
     gif = path.suffix == ".gif"
     pictures = []
     for frame in frames:

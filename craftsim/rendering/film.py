@@ -7,7 +7,7 @@ alone, so that any process can make any of them.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import accumulate
@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Act
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -39,8 +38,7 @@ GRID: Final = "grid"
 TITLE_S: Final = 1.5
 END_S: Final = 2.5
 """How long the cards stay."""
-_BETWEEN: Final = 196
-"""Grey between trajectories that are side by side."""
+_BETWEEN: Final = 196  # grey between trajectories that are side by side
 LEAST_PIXELS: Final = 64
 """Of a side of a frame, and of a view."""
 IDLE: Final = 12.0
@@ -55,10 +53,8 @@ _DOCKING_S: Final = 0.6
 _FAILING: Final = 0.5
 """About the end of an action that did not do as predicted, for :data:`_FAILING_S`."""
 _FAILING_S: Final = 0.8
-_SMOOTH_S: Final = 0.8
-"""Simulated time over which a change of speed is spread."""
-_SMOOTH_SAMPLES: Final = 2000
-"""At most, of which a recording has 40 in that time."""
+_SMOOTH_S: Final = 0.8  # simulated time over which a change of speed is spread
+_SMOOTH_SAMPLES: Final = 2000  # at most, of which a recording has 40 in that time
 _Picture = Callable[[int, float], Frame]
 """Gives what a view shows at a sample and its time."""
 
@@ -103,15 +99,19 @@ class FilmOptions:
         return (round(self.fps * TITLE_S), round(self.fps * END_S)) if self.cards else (0, 0)
 
 
-def several(shown: Trajectory | Sequence[Trajectory]) -> tuple[Trajectory, ...]:
-    """Return what a film is of as trajectories that stand side by side; raise InputError for none."""
+Shown = Trajectory | Sequence[Trajectory]
+"""What a film is of: a trajectory, or several that stand side by side."""
+
+
+def several(shown: Shown) -> tuple[Trajectory, ...]:
+    """Return what a film is of; raise InputError for nothing."""
     trajectories = (shown,) if isinstance(shown, Trajectory) else tuple(shown)
     if not trajectories:
         raise InputError("no trajectory; give one or more")
     return trajectories
 
 
-def longest(shown: Trajectory | Sequence[Trajectory]) -> Trajectory:
+def longest(shown: Shown) -> Trajectory:
     """Return the trajectory that lasts longest, by whose time a film goes."""
     return max(several(shown), key=lambda trajectory: trajectory.duration_s)
 
@@ -119,54 +119,46 @@ def longest(shown: Trajectory | Sequence[Trajectory]) -> Trajectory:
 class Frames:
     """The frames of a film, by their number; to be closed at the end."""
 
-    def __init__(self, shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> None:
+    def __init__(self, shown: Shown, look: FilmOptions) -> None:
         """Prepare; raises InputError for a camera that there is not, and RenderingUnavailable where nothing renders."""
         self.look = look
         self.times, self._factors = pace_of(longest(shown), look)
         """Simulated time of each frame between the cards, (n,), in seconds."""
         trajectories, self._begins_s = several(shown), float(longest(shown).time[0])
         tiles = row_of(Tile(0, 0, *look.size), [1.0] * len(trajectories))
-        self._panes = [
-            _Pane(trajectory, tile, look) for trajectory, tile in zip(trajectories, tiles, strict=True)
-        ]
+        self._panes = [_Pane(*pane, look) for pane in zip(trajectories, tiles, strict=True)]
 
     def __len__(self) -> int:
         return len(self.times) + sum(self.look.n_cards)
 
     @staticmethod
-    def count(shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> int:
+    def count(shown: Shown, look: FilmOptions) -> int:
         """Return how many frames a film has, without preparing one."""
         return len(pace_of(longest(shown), look)[0]) + sum(look.n_cards)
 
     def __getitem__(self, number: int) -> Frame:
         """Return a frame, shape (height, width, 3), uint8, RGB."""
-        n_title, _ = self.look.n_cards
-        if n_title <= number < n_title + len(self.times):
-            number -= n_title
+        number -= self.look.n_cards[0]
+        if 0 <= number < len(self.times):
             return self.at(float(self.times[number]), float(self._factors[number]))
-        return self._title if number < n_title else self._end
+        return self._title if number < 0 else self._end
 
     @cached_property
     def _title(self) -> Frame:
-        return self._card(title_card)
+        return self._joined([title_card(pane.trajectory, pane.tile.size, pane.last) for pane in self._panes])
 
     @cached_property
     def _end(self) -> Frame:
-        return self._card(end_card)
-
-    def _card(self, draw: Callable[[Trajectory, tuple[int, int], Frame], Frame]) -> Frame:
-        return self._joined([draw(pane.trajectory, pane.tile.size, pane.last) for pane in self._panes])
+        return self._joined([end_card(pane.trajectory, pane.tile.size, pane.last) for pane in self._panes])
 
     def at(self, time_s: float, factor: float | None = None) -> Frame:
         """Return the picture of a moment, with its captions.
 
         Of several trajectories it is a moment of the longest; each is shown as long after its own start, or at its end.
         """
+        since_s = time_s - self._begins_s
         return self._joined(
-            [
-                pane.at(time_s + float(pane.trajectory.time[0]) - self._begins_s, factor)
-                for pane in self._panes
-            ]
+            [pane.at(since_s + float(pane.trajectory.time[0]), factor) for pane in self._panes]
         )
 
     def _joined(self, pictures: Sequence[Frame]) -> Frame:
@@ -174,13 +166,14 @@ class Frames:
             return pictures[0]
         frame: Frame = np.full((*self.look.size[::-1], 3), _BETWEEN, np.uint8)
         for pane, picture in zip(self._panes, pictures, strict=True):
-            frame[pane.tile.rows, pane.tile.columns] = picture
+            frame[pane.tile.place] = picture
         return frame
 
     def close(self) -> None:
         """Close the renderers."""
         for pane in self._panes:
-            pane.close()
+            for renderer in pane.renderers:
+                renderer.close()
 
 
 class _Pane:
@@ -202,8 +195,7 @@ class _Pane:
         # A copy takes a twentieth of the time.
         self._blank: Frame = np.full((tile.height, tile.width, 3), PAPER, np.uint8)
         self._stage = Stage(trajectory, look.quality)
-        self._data = mujoco.MjData(self._stage.model)
-        self._renderers: list[mujoco.Renderer] = []
+        self.renderers: list[mujoco.Renderer] = []
         self._views: list[tuple[Tile, _Picture]] = [
             (tile, _predicted(trajectory, tile.size) if camera == GRID else self._seen(camera, tile))
             for tile, camera in zip(tiles, look.cameras, strict=True)
@@ -216,21 +208,19 @@ class _Pane:
 
     def at(self, time_s: float, factor: float | None) -> Frame:
         frame, sample = self._blank.copy(), self.trajectory.at(time_s)
-        ends_s = float(self.trajectory.time[-1])
         for tile, picture in self._views:
-            frame[tile.rows, tile.columns] = picture(sample, min(time_s, ends_s))
+            frame[tile.place] = picture(sample, min(time_s, float(self.trajectory.time[-1])))
         if self._panel is not None:
             caption = caption_of(self.trajectory, time_s, factor)
             words = draw_panel(caption, self._panel.size, min(self.look.size))
-            frame[self._panel.rows, self._panel.columns] = words
+            frame[self._panel.place] = words
         return frame
 
     def _seen(self, camera: str, tile: Tile) -> _Picture:
-        """Return what a camera sees of the stage."""
-        stage, trajectory, data = self._stage, self.trajectory, self._data
+        stage, trajectory, data = self._stage, self.trajectory, mujoco.MjData(self._stage.model)
         view = make_view(camera, trajectory, tile.width / tile.height)
         renderer = make_renderer(stage.model, tile.size, stage.shadows)
-        self._renderers.append(renderer)
+        self.renderers.append(renderer)
 
         def draw(sample: int, time_s: float) -> Frame:
             show_at(stage.model, data, trajectory.qpos[sample], trajectory.time[sample])
@@ -243,14 +233,8 @@ class _Pane:
 
         return draw
 
-    def close(self) -> None:
-        """Close the renderers."""
-        for renderer in self._renderers:
-            renderer.close()
-
 
 def _aspect(trajectory: Trajectory, camera: str) -> float:
-    """Return width over height of what a view shows."""
     if camera != GRID:
         return aspect_of(camera, trajectory)
     _, grids = predicted_worlds(trajectory)
@@ -279,27 +263,25 @@ def predicted_worlds(trajectory: Trajectory) -> tuple[list[float], list[Grid]]:
     acts = [(act, step.intended_grid) for step in story.recipe.steps for act in step.acts]
     before = len(acts) - len(story.attempts)  # what was done before the recording
     ends = [begun] * before + [attempt.start_s + attempt.duration_s for attempt in story.attempts]
-    rules = Rules(story.recipe.setup.rules)
-    in_order = _worlds(story.recipe.grid, acts, rules)
+    rules, start = Rules(story.recipe.setup.rules), story.recipe.grid
+
+    def worlds(order: Iterable[int]) -> list[Grid]:
+        grids = [start]
+        for act, intended in (acts[i] for i in order):
+            grid, action = grids[-1], Action[act.action]
+            if intended is not None:
+                grid = intended
+            elif rules.legal(grid, act.car, action):
+                grid = rules.apply(grid, act.car, action)
+            grids.append(grid)
+        return grids
+
     by_end = sorted(range(len(acts)), key=ends.__getitem__)
-    as_they_end = _worlds(story.recipe.grid, [acts[i] for i in by_end], rules)
+    in_order, as_they_end = worlds(range(len(acts))), worlds(by_end)
     if as_they_end[-1].same_visible(in_order[-1]):
         return [begun, *(ends[i] for i in by_end)], as_they_end
     # Some of them depend on each other: then each waits for those that act before it.
     return [begun, *accumulate(ends, max)], in_order
-
-
-def _worlds(start: Grid, acts: Sequence[tuple[Act, Grid | None]], rules: Rules) -> list[Grid]:
-    """Return a start, and what follows from each action, or what it was intended to lead to."""
-    grids = [start]
-    for act, intended in acts:
-        grid, action = grids[-1], Action[act.action]
-        if intended is not None:
-            grid = intended
-        elif rules.legal(grid, act.car, action):
-            grid = rules.apply(grid, act.car, action)
-        grids.append(grid)
-    return grids
 
 
 def fitted(picture: Frame, size: tuple[int, int]) -> Frame:
@@ -352,7 +334,6 @@ def _adapted_pace(trajectory: Trajectory, fps: int) -> Pace:
 
 
 def _slow_down(speed: NDArray[np.float64], time: NDArray[np.float64], attempt: Attempt) -> None:
-    """Lower the speed (n,) at each sample's time (n,) to that of an action while it runs."""
     start, end = attempt.start_s, attempt.start_s + attempt.duration_s
     usual = SPEEDS.get(attempt.verb, _OTHERWISE)
     wanted = np.full(len(time), min(usual, _ON_A_SLOPE) if attempt.slope else usual)

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import chain
-from typing import Final
+from itertools import chain, product
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -39,12 +38,9 @@ CELL_PX: Final = 48
 MARGIN_PX: Final = 24
 """Around each level, for coordinates and titles."""
 _WHITE: Final[Rgb] = (1.0, 1.0, 1.0)
-_FRAME: Final = 0.44
-"""Half the side of the frame around a goal cell."""
-_DASHES: Final = 7
-"""Of a side of a frame, and the gaps between them."""
-_BITS: Final = 4
-"""Of a pixel's fraction, as OpenCV takes places."""
+_FRAME: Final = 0.44  # half the side of the frame around a goal cell
+_DASHES: Final = 7  # of a side of a frame, and the gaps between them
+_BITS: Final = 4  # of a pixel's fraction, as OpenCV takes places
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _ROUND: Final = np.array(
     [(math.cos(a), math.sin(a)) for a in np.linspace(0, 2 * math.pi, 24, endpoint=False)]
@@ -53,8 +49,7 @@ _NOSE: Final = np.array([(0.22, 0.13), (0.33, 0.0), (0.22, -0.13)])
 _CHEVRON: Final = np.array([(-0.16, 0.20), (0.04, 0.0), (-0.16, -0.20)])
 
 
-@dataclass(frozen=True, eq=False)
-class Outline:
+class Outline(NamedTuple):
     """A polygon, an open line where it is not filled, or a word that is centred at its only point."""
 
     points: Points
@@ -112,12 +107,9 @@ def car_shapes(
     ``shifts`` are how far cars on their way have come from their cells, along x and y.
     """
     for cell, cars in cars_by_cell(grid).items():
-        if cell[2] == z:
-            for car in cars:
-                shift = (shifts or {}).get(car, (0.0, 0.0))
-                yield from (
-                    replace(one, points=one.points + np.array(shift)) for one in _car(grid, car, cell)
-                )
+        for car in cars if cell[2] == z else ():
+            shift = np.array((shifts or {}).get(car, (0.0, 0.0)))
+            yield from (one._replace(points=one.points + shift) for one in _car(grid, car, cell))
 
 
 def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline]:
@@ -125,17 +117,15 @@ def _car(grid: Grid, car: int, cell: Cell) -> Iterator[Outline]:
     x, y, _ = cell
     load = Kind(row[CarField.LOAD])
     if load != Kind.AIR:
-        yield Outline(_closed(_square(cell, 0.38)), line=INK, width=0.13)
-        yield Outline(_closed(_square(cell, 0.38)), line=KIND_COLOURS[load], width=0.09)
+        for colour, width in ((INK, 0.13), (KIND_COLOURS[load], 0.09)):
+            yield Outline(_closed(_square(cell, 0.38)), line=colour, width=width)
         if load == Kind.FSLOPE:
-            yaw = yaw_angle(int(row[CarField.LOAD_YAW]))
             tip = np.array([(0.36, 0.1), (0.47, 0.0), (0.36, -0.1)])
-            yield Outline(_placed(tip, x, y, yaw), fill=INK)
+            yield Outline(_placed(tip, x, y, yaw_angle(int(row[CarField.LOAD_YAW]))), fill=INK)
     turn = yaw_angle(int(row[CarField.YAW]))
-    for along in (-0.2, 0.2):
-        for across in (-0.26, 0.26):
-            wheel = _box(along - 0.1, across - 0.06, along + 0.1, across + 0.06)
-            yield Outline(_placed(wheel, x, y, turn), fill=TYRE)
+    for along, across in product((-0.2, 0.2), (-0.26, 0.26)):
+        wheel = _box(along - 0.1, across - 0.06, along + 0.1, across + 0.06)
+        yield Outline(_placed(wheel, x, y, turn), fill=TYRE)
     body = _box(-0.33, -0.2, 0.33, 0.2)
     yield Outline(_placed(body, x, y, turn), fill=car_colour(car), line=INK, width=0.015)
     yield Outline(_placed(_NOSE, x, y, turn), fill=_WHITE)
@@ -165,36 +155,25 @@ def _thing(kind: Kind, yaw: int, cell: Cell) -> Iterator[Outline]:
             yield Outline(_placed(_CHEVRON, x, y, turn), line=_WHITE, width=0.07)
         case Kind.GEAR:
             yield Outline(_placed(0.13 * _ROUND - np.array([0.4, 0]), x, y, turn), fill=colour, line=INK)
-        case Kind.BODY:
-            yield Outline(_placed(_box(-0.45, -0.45, 0.5, 0.45), x, y, turn), fill=colour, line=INK)
-            yield from _treads(x, y, turn)
-        case Kind.FOOT:
-            yield Outline(_placed(_box(-0.5, -0.45, 0.45, 0.45), x, y, turn), fill=colour, line=INK)
-            yield from _treads(x, y, turn)
+        case Kind.BODY | Kind.FOOT:
+            low, high = (-0.45, 0.5) if kind == Kind.BODY else (-0.5, 0.45)
+            yield Outline(_placed(_box(low, -0.45, high, 0.45), x, y, turn), fill=colour, line=INK)
+            for along in (-0.14, 0.22):  # two signs that point downhill
+                yield Outline(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=_WHITE, width=0.07)
         case _ if kind in STANDING:
             yield Outline(_square(cell, 0.45), fill=colour, line=INK)
 
 
-def _treads(x: float, y: float, turn: float) -> Iterator[Outline]:
-    """Yield two signs that point downhill."""
-    for along in (-0.14, 0.22):
-        yield Outline(_placed(_CHEVRON + np.array([along, 0]), x, y, turn), line=_WHITE, width=0.07)
-
-
 def _wanted(one: Piece) -> Iterator[Outline]:
     x, y, _ = one.cell
-    for dash in _dashes(_square(one.cell, _FRAME)):
-        yield Outline(dash, line=GOAL, width=0.06)
+    corners = _square(one.cell, _FRAME)
+    for first, second in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        marks = np.linspace(first, second, _DASHES + 1)
+        for i in range(0, _DASHES, 2):
+            yield Outline(marks[i : i + 2], line=GOAL, width=0.06)
     if one.yaw >= 0:
         tip = np.array([(_FRAME - 0.14, 0.11), (_FRAME, 0.0), (_FRAME - 0.14, -0.11)])
         yield Outline(_placed(tip, x, y, yaw_angle(one.yaw)), fill=GOAL)
-
-
-def _dashes(corners: Points) -> Iterator[Points]:
-    """Yield pieces of a square's border, the same in each corner."""
-    for first, second in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        marks = np.linspace(first, second, _DASHES + 1)
-        yield from (marks[i : i + 2] for i in range(0, _DASHES, 2))
 
 
 def _box(left: float, low: float, right: float, high: float) -> Points:
@@ -207,12 +186,10 @@ def _square(cell: Cell, half: float) -> Points:
 
 
 def _closed(points: Points) -> Points:
-    """Return a polygon as a line that ends where it begins."""
     return np.concatenate([points, points[:1]])
 
 
 def _placed(points: Points, x: float, y: float, turn_rad: float = 0.0) -> Points:
-    """Return points turned around the origin, and moved there."""
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     return points @ np.array([(c, s), (-s, c)]) + (x, y)
 
@@ -226,16 +203,13 @@ def world_image(
 ) -> NDArray[np.uint8]:
     """Return a picture (height, width, 3), RGB, of levels side by side, the lowest at the left.
 
-    Args:
-        grid: the world.
-        goal: a cell to be framed.
-        levels: those to be shown. All that there are and the one on top of them unless given, so that all pictures of
-            a world have one size.
-        design: cells of a building, to be framed with dashes.
-        shifts: how far cars on their way have come from their cells, along x and y.
+    ``goal`` is framed, ``design`` with dashes, and ``shifts`` say how far cars on their way have come from their cells,
+    along x and y. All levels that there are and the one on top of them are shown, unless ``levels`` names them, so that
+    all pictures of a world have one size.
     """
     length, width, height = grid.size
     shown = range(1, height + 2) if levels is None else levels
+    half = CELL_PX // 2
     pitch = length * CELL_PX + MARGIN_PX
     image = np.full((width * CELL_PX + 2 * MARGIN_PX, len(shown) * pitch + MARGIN_PX, 3), 255, np.uint8)
     for column, z in enumerate(shown):
@@ -246,17 +220,15 @@ def world_image(
             _paint(part, one, width)
         _letter(part, MARGIN_PX + length * CELL_PX // 2, MARGIN_PX // 2, f"level {z}", 9, INK)
         for x in range(length):
-            at = MARGIN_PX + x * CELL_PX + CELL_PX // 2
+            at = MARGIN_PX + x * CELL_PX + half
             _letter(part, at, image.shape[0] - MARGIN_PX // 2, str(x), 8, INK)
         for y in range(width):
-            at = MARGIN_PX + (width - 1 - y) * CELL_PX + CELL_PX // 2
-            _letter(part, MARGIN_PX // 2, at, str(y), 8, INK)
+            _letter(part, MARGIN_PX // 2, MARGIN_PX + (width - 1 - y) * CELL_PX + half, str(y), 8, INK)
         tile[:] = part
     return image
 
 
 def _paint(image: NDArray[np.uint8], one: Outline, width: int) -> None:
-    """Draw a shape into the picture of a level that is ``width`` cells wide along y."""
     x, y = one.points.T
     pixels = MARGIN_PX + np.stack([x + 0.5, width - 0.5 - y], axis=1) * CELL_PX
     thick = max(1, round(one.width * CELL_PX))
@@ -274,7 +246,6 @@ def _paint(image: NDArray[np.uint8], one: Outline, width: int) -> None:
 
 
 def _letter(image: NDArray[np.uint8], x: int, y: int, text: str, height_px: int, colour: Rgb) -> None:
-    """Write a text, centred."""
     scale = cv2.getFontScaleFromHeight(_FONT, height_px)
     (wide, high), _ = cv2.getTextSize(text, _FONT, scale, 1)
     place = (x - wide // 2, y + high // 2)

@@ -112,10 +112,7 @@ class CameraImages:
     ) -> Images:
         """Return what the cameras see of a world, each array with a leading dimension of one entry a camera.
 
-        Args:
-            physics: the world.
-            qpos: (nq,) MuJoCo's positions of everything; those of the world unless given.
-            time_s: simulated time, which moves views.
+        ``qpos`` (nq,) are MuJoCo's positions of everything, those of the world unless given; ``time_s`` moves views.
         """
         if physics is not self._physics:
             self._begin(physics)
@@ -140,25 +137,21 @@ class CameraImages:
 
     def _begin(self, physics: PhysicsWorld) -> None:
         self._seen = SeenWorld(physics)
-        model = self._seen.model
-        drawn = None if self._renderer is None else self._renderer.model
+        model, drawn = self._seen.model, self._renderer and self._renderer.model
         if drawn is None or not all(
             np.array_equal(getattr(drawn, name), getattr(model, name)) for name in _DRAWN
         ):
             self.close()
-            self._renderer = make_renderer(self._plain(model), self.size)
+            # Without anti-aliasing, and with depths as in _image.
+            plain = copy.copy(model)
+            plain.vis.quality.offsamples = 0
+            plain.vis.global_.offwidth, plain.vis.global_.offheight = self.size
+            plain.stat.extent, plain.vis.map.znear, plain.vis.map.zfar = 1.0, _NEAR_M, FAR_M
+            self._renderer = make_renderer(plain, self.size)
         self._physics = physics
         names = MachineNames.of(model)
         label = [LABELS.index(name.split()[0]) for name in names.names]
         self._labels = np.column_stack([names.of_geom, np.array(label)[names.of_geom]]).astype(np.int16)
-
-    def _plain(self, model: mujoco.MjModel) -> mujoco.MjModel:
-        """Return a copy of a model without anti-aliasing, whose depths are those of :meth:`_image`."""
-        plain = copy.copy(model)
-        plain.vis.quality.offsamples = 0
-        plain.vis.global_.offwidth, plain.vis.global_.offheight = self.size
-        plain.stat.extent, plain.vis.map.znear, plain.vis.map.zfar = 1.0, _NEAR_M, FAR_M
-        return plain
 
     def _image(self, kind: str, shot: mujoco.MjvCamera, zoom: float, data: mujoco.MjData) -> NDArray[Any]:
         assert self._renderer is not None
@@ -175,16 +168,17 @@ class CameraImages:
             eye.frustum_near, eye.frustum_far = _NEAR_M, FAR_M
         if kind == "depth":
             renderer.enable_depth_rendering()
-            depth: NDArray[Any] = renderer.render()
-            renderer.disable_depth_rendering()
-            return np.clip(depth, 0.0, FAR_M, out=depth)
-        if kind == "segmentation":
+        elif kind == "segmentation":
             renderer.enable_segmentation_rendering()
-            geoms = renderer.render()[:, :, 0]
-            renderer.disable_segmentation_rendering()
+        taken: NDArray[Any] = renderer.render()
+        renderer.disable_depth_rendering()
+        renderer.disable_segmentation_rendering()
+        if kind == "depth":
+            return np.clip(taken, 0.0, FAR_M, out=taken)
+        if kind == "segmentation":
+            geoms = taken[:, :, 0]
             return np.where(geoms[:, :, None] < 0, np.int16(-1), self._labels[geoms])
-        picture: NDArray[Any] = renderer.render()
-        return picture
+        return taken
 
     def close(self) -> None:
         """Close the renderer."""
@@ -206,16 +200,13 @@ def check_images(size: object, kinds: Sequence[str]) -> None:
         raise InputError(
             f"an image's size is {size!r}; allowed: (width, height) in pixels, 1 and more, {IMAGE_PIXELS} at most"
         )
+    allowed = ", ".join(IMAGE_KINDS)
     if isinstance(kinds, str) or not kinds or len(set(kinds)) != len(kinds):
-        raise InputError(
-            f"the kinds of images are {kinds!r}; allowed: one or more of {', '.join(IMAGE_KINDS)}"
-        )
+        raise InputError(f"the kinds of images are {kinds!r}; allowed: one or more of {allowed}")
     for kind in kinds:
         if kind not in IMAGE_KINDS:
-            raise InputError(
-                f"unknown kind of image '{kind}'{suggestion(str(kind), IMAGE_KINDS)}; "
-                f"there are {', '.join(IMAGE_KINDS)}"
-            )
+            hint = suggestion(str(kind), IMAGE_KINDS)
+            raise InputError(f"unknown kind of image '{kind}'{hint}; there are {allowed}")
 
 
 def camera_number(model: mujoco.MjModel, camera: str) -> int:

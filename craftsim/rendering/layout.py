@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -26,18 +25,13 @@ _PANEL: Final = 0.23
 """Share of a wide frame's width for the captions; of a tall frame's height it is a little more."""
 _SHARES: Final = (0.5, 0.55, 0.6, 0.66, 0.72, 0.78)
 """Shares of a side that the large view may have beside smaller ones."""
-_LEAST_SHARE: Final = 0.25
-"""Of an equal part of a side, for a view that is narrow or flat."""
-_INSETS: Final = (0.34, 0.28, 0.22)
-"""Shares of the first view's sides that an inset may have."""
-_GAP: Final = 4
-"""Pixels between views."""
-_MOMENTS: Final = 24
-"""Of a trajectory, at which a camera that moves is looked through."""
+_LEAST_SHARE: Final = 0.25  # of an equal part of a side, for a view that is narrow or flat
+_INSETS: Final = (0.34, 0.28, 0.22)  # shares of the first view's sides that an inset may have
+_GAP: Final = 4  # pixels between views
+_MOMENTS: Final = 24  # of a trajectory, at which a camera that moves is looked through
 
 
-@dataclass(frozen=True)
-class Tile:
+class Tile(NamedTuple):
     """A rectangle of a frame, in pixels from its upper left corner."""
 
     left: int
@@ -51,14 +45,9 @@ class Tile:
         return self.width, self.height
 
     @property
-    def rows(self) -> slice:
-        """Of a frame."""
-        return slice(self.top, self.top + self.height)
-
-    @property
-    def columns(self) -> slice:
-        """Of a frame."""
-        return slice(self.left, self.left + self.width)
+    def place(self) -> tuple[slice, slice]:
+        """Its rows and columns of a frame."""
+        return slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
 
 
 def arrange(
@@ -90,7 +79,7 @@ def arrange(
     if layout == "inset" and n_views > 1:
         mask = np.zeros((height, width), bool) if covered is None else covered(area.size)
         for tiles in _corners(area, n_views - 1):
-            if not any(mask[tile.rows, tile.columns].any() for tile in tiles):
+            if not any(mask[tile.place].any() for tile in tiles):
                 return [area, *tiles], panel
     if layout != "side" and n_views > 1:
         candidates = list(_beside(area, aspects))
@@ -104,7 +93,6 @@ def arrange(
 
 
 def _filled(tiles: Sequence[Tile], aspects: Sequence[float]) -> float:
-    """Return the pixels of tiles that pictures of some aspects fill."""
     pairs = zip(tiles, aspects, strict=True)
     return sum(min(t.width, t.height * a) * min(t.height, t.width / a) for t, a in pairs)
 
@@ -124,7 +112,6 @@ def row_of(area: Tile, aspects: Sequence[float]) -> list[Tile]:
 
 
 def _beside(area: Tile, aspects: Sequence[float]) -> Iterator[list[Tile]]:
-    """Yield a large tile with small ones in a column at its right, or in a row below it."""
     n = len(aspects) - 1
     for share in _SHARES:
         first, rest = row_of(area, (share, 1 - share))
@@ -134,7 +121,6 @@ def _beside(area: Tile, aspects: Sequence[float]) -> Iterator[list[Tile]]:
 
 
 def _corners(area: Tile, n: int) -> Iterator[list[Tile]]:
-    """Yield n small tiles one above the other in each corner of an area, large ones first."""
     for share in _INSETS:
         width, height = round(share * area.width), round(share * area.height)
         for right, lower in ((True, False), (False, False), (True, True), (False, True)):
@@ -149,15 +135,8 @@ def _grid(area: Tile, n: int, columns: int) -> list[Tile]:
     rows = math.ceil(n / columns)
     width = (area.width - _GAP * (columns - 1)) // columns
     height = (area.height - _GAP * (rows - 1)) // rows
-    return [
-        Tile(
-            area.left + (i % columns) * (width + _GAP),
-            area.top + (i // columns) * (height + _GAP),
-            width,
-            height,
-        )
-        for i in range(n)
-    ]
+    corners = [((i % columns) * (width + _GAP), (i // columns) * (height + _GAP)) for i in range(n)]
+    return [Tile(area.left + x, area.top + y, width, height) for x, y in corners]
 
 
 def covered_by(trajectory: Trajectory, view: View, size: tuple[int, int]) -> Mask:

@@ -30,15 +30,11 @@ _GOOD: Final[Colour] = (34, 128, 74)
 _BAD: Final[Colour] = (192, 48, 40)
 _SHOWN_S: Final = 6.0
 """Simulated time for which a verdict on an action that went well stays; others stay until the car's next one."""
-_CARS: Final = 8
-"""Cars that a panel has room for."""
+_CARS: Final = 8  # cars that a panel has room for
 _CAR: Final = 3.9
-_NARROW: Final = 8
-"""Units that a car takes from top to bottom, and at least from left to right."""
-_TEXT: Final = 0.44
-"""Share of a card's width for its text; of a tall card's height."""
-_REASONS: Final = 3
-"""Disagreements that an end card lists."""
+_NARROW: Final = 8  # units that a car takes from top to bottom, and at least from left to right
+_TEXT: Final = 0.44  # share of a card's width for its text; of a tall card's height
+_REASONS: Final = 3  # disagreements that an end card lists
 
 
 class CarCaption(NamedTuple):
@@ -78,7 +74,6 @@ def caption_of(trajectory: Trajectory, time_s: float, factor: float | None) -> C
 
 
 def _car(car: int, begun: Sequence[Attempt], time_s: float) -> CarCaption:
-    """Return the caption of a car whose actions so far are ``begun``."""
     running = [a for a in begun if time_s < a.start_s + a.duration_s]
     action = ACTIONS[Action[running[-1].action]].words if running else "waits"
     ended = [a for a in begun if a.start_s + a.duration_s <= time_s]
@@ -225,13 +220,11 @@ def _card(
     return np.asarray(found)
 
 
-_SPACE: Final = re.compile(r"\s+(?!(?<=\d )(?:mm|m|ms|s|N|rad|mrad|%)(?!\w))")
-"""Where a line may end."""
+_SPACE: Final = re.compile(r"\s+(?!(?<=\d )(?:mm|m|ms|s|N|rad|mrad|%)(?!\w))")  # where a line may end
 
 
 @lru_cache(maxsize=32)
 def _font(size: int, weight: Literal["regular", "bold"] = "regular") -> ImageFont.FreeTypeFont:
-    """Return DejaVu Sans, which comes with Matplotlib, ``size`` pixels high."""
     import matplotlib  # here, since most of what imports this module draws no text
 
     name = "DejaVuSans-Bold.ttf" if weight == "bold" else "DejaVuSans.ttf"

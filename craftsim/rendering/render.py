@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Final
 
@@ -22,7 +23,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule
 from craftsim.errors import InputError
 from craftsim.rendering.encode import ANIMATIONS, FILMS, Frame, OnFrame, check_animation, encode
-from craftsim.rendering.film import FilmOptions, Frames, fitted, longest, several
+from craftsim.rendering.film import FilmOptions, Frames, Shown, fitted, longest, several
 from craftsim.rendering.grid_picture import levels_of, world_image
 from craftsim.rendering.layout import arrange
 from craftsim.rendering.overlay import PAPER, Caption, CarCaption, draw_panel, label
@@ -33,12 +34,10 @@ from craftsim.workers.pool import Pool, answered
 FORMATS: Final = (*FILMS, *ANIMATIONS, ".png")
 SHEET: Final = 12
 """Moments on a contact sheet."""
-_BATCH: Final = 8
-"""Frames that a process makes at once."""
+_BATCH: Final = 8  # frames that a process makes at once
 PLAN_SIZE: Final = (1280, 720)
 PLAN_FPS: Final = 20
-_PLAN_SPEED: Final = 4.0
-"""Seconds of the plan in a second of film, at least."""
+_PLAN_SPEED: Final = 4.0  # seconds of the plan in a second of film, at least
 LONGEST_S: Final = 60.0
 """Length of a plan's film at most: a long plan is shown faster."""
 END_S: Final = 1.5
@@ -54,7 +53,7 @@ def no_progress(total: int) -> AbstractContextManager[OnFrame]:
 
 
 def render(
-    shown: Trajectory | Sequence[Trajectory],
+    shown: Shown,
     path: str | Path,
     look: FilmOptions | None = None,
     *,
@@ -99,9 +98,7 @@ def check_format(path: Path, at: Sequence[float] = ()) -> None:
         raise InputError(f"{path}: moments are pictures; give a name that ends in .png, or leave them out")
 
 
-def render_frames(
-    shown: Trajectory | Sequence[Trajectory], look: FilmOptions, workers: int = 1
-) -> Iterator[Frame]:
+def render_frames(shown: Shown, look: FilmOptions, workers: int = 1) -> Iterator[Frame]:
     """Yield the frames of a film, the same for any number of workers."""
     if workers == 1:
         with closing(Frames(shown, look)) as frames:
@@ -110,8 +107,10 @@ def render_frames(
     n_frames = Frames.count(shown, look)
     batches = [range(first, min(first + _BATCH, n_frames)) for first in range(0, n_frames, _BATCH)]
     early: dict[range, list[Frame]] = {}
+    # Copies have no compiled model, which would be sent along.
+    copies = tuple(replace(trajectory) for trajectory in several(shown))
     with Pool(workers) as pool:
-        answers = pool.map_unordered(FrameMaker(shown, look), batches)
+        answers = pool.map_unordered(partial(_make_frames, copies, look), batches)
         for batch in batches:
             while batch not in early:
                 done, frames_of_it = next(answers)
@@ -119,25 +118,17 @@ def render_frames(
             yield from early.pop(batch)
 
 
-class FrameMaker:
-    """Makes frames of a film in a worker, by their numbers; the film is prepared there, once."""
-
-    def __init__(self, shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> None:
-        """Prepare nothing yet."""
-        # Copies have no compiled model, which would be sent along.
-        self._shown, self._look = [replace(trajectory) for trajectory in several(shown)], look
-        self._frames: Frames | None = None
-
-    def __call__(self, numbers: Iterable[int]) -> list[Frame]:
-        """Return the frames of these numbers."""
-        if self._frames is None:
-            self._frames = Frames(self._shown, self._look)
-        return [self._frames[number] for number in numbers]
+@lru_cache(1)
+def _prepared(shown: tuple[Trajectory, ...], look: FilmOptions) -> Frames:
+    return Frames(shown, look)
 
 
-def _stills(
-    shown: Trajectory | Sequence[Trajectory], path: Path, look: FilmOptions, at: Sequence[float]
-) -> list[Path]:
+def _make_frames(shown: tuple[Trajectory, ...], look: FilmOptions, numbers: range) -> list[Frame]:
+    """Make frames in a worker, which prepares the film once."""
+    return [_prepared(shown, look)[number] for number in numbers]
+
+
+def _stills(shown: Shown, path: Path, look: FilmOptions, at: Sequence[float]) -> list[Path]:
     first, last = longest(shown).time[[0, -1]].tolist()
     for moment in at:
         if not first <= moment <= last:
@@ -147,18 +138,14 @@ def _stills(
         return [_write_png(name, frames.at(moment)) for name, moment in zip(names, at, strict=True)]
 
 
-def _sheet(shown: Trajectory | Sequence[Trajectory], path: Path, look: FilmOptions) -> Path:
-    """Write moments of the film, at equal distances, as one picture of the look's size."""
-    with closing(Frames(shown, look)) as frames:
-        moments = np.linspace(0, len(frames.times) - 1, SHEET).round().astype(int)
-        times = frames.times[moments].tolist()
-        pictures = [frames.at(time_s) for time_s in times]
+def _sheet(shown: Shown, path: Path, look: FilmOptions) -> Path:
     columns = 3 if look.size[0] >= look.size[1] else 4
-    width, height = look.size[0] // columns, look.size[1] // columns
-    small = [
-        label(np.asarray(Image.fromarray(picture).resize((width, height))), f"{time_s:.1f} s")
-        for picture, time_s in zip(pictures, times, strict=True)
-    ]
+    size, small = (look.size[0] // columns, look.size[1] // columns), []
+    with closing(Frames(shown, look)) as frames:
+        for number in np.linspace(0, len(frames.times) - 1, SHEET).round().astype(int):
+            time_s = float(frames.times[number])
+            picture = Image.fromarray(frames.at(time_s)).resize(size)
+            small.append(label(np.asarray(picture), f"{time_s:.1f} s"))
     rows = [np.hstack(small[i : i + columns]) for i in range(0, SHEET, columns)]
     return _write_png(path, np.vstack(rows))
 
@@ -200,20 +187,13 @@ def plan_worlds(
 ) -> Iterator[tuple[Grid, dict[int, int]]]:
     """Yield for each moment the world as what has ended left it, and the running step of each car."""
     steps, times = schedule.steps, schedule.times()
-    starts, ends = (np.argsort(column, kind="stable").tolist() for column in times.T)
-    grid, begun, ended = steps[0].before if steps else schedule.final, 0, 0
-    running: dict[int, int] = {}
+    grids = [steps[0].before if steps else schedule.final]
+    # In the order of their ends, in which each comes after all that it waits for.
+    for step in (steps[index] for index in np.argsort(times[:, 1], kind="stable").tolist()):
+        grids.append(rules.tick(grids[-1], [(step.car, step.action)])[0])
     for moment in moments:
-        # In the order of their ends, in which each comes after all that it waits for.
-        while ended < len(ends) and times[ends[ended], 1] <= moment:
-            step = steps[ends[ended]]
-            grid, _ = rules.tick(grid, [(step.car, step.action)])
-            ended += 1
-        while begun < len(starts) and times[starts[begun], 0] <= moment:
-            running[steps[starts[begun]].car] = starts[begun]
-            begun += 1
-        running = {car: index for car, index in running.items() if times[index, 1] > moment}
-        yield grid, running.copy()
+        running = np.flatnonzero((times[:, 0] <= moment) & (moment < times[:, 1])).tolist()
+        yield grids[int((times[:, 1] <= moment).sum())], {steps[index].car: index for index in running}
 
 
 def plan_frames(
@@ -235,9 +215,9 @@ def plan_frames(
             doing[car] = ACTIONS[step.action].words
         picture = world_image(grid, levels=levels, design=design, shifts=shifts)
         frame = np.full((*PLAN_SIZE[::-1], 3), PAPER, np.uint8)
-        frame[tile.rows, tile.columns] = fitted(picture, tile.size)
+        frame[tile.place] = fitted(picture, tile.size)
         cars = tuple(CarCaption(car, doing.get(car, "waits")) for car in range(grid.n_cars))
         begun = int((times[:, 0] <= moment).sum())
         caption = Caption(title, begun, len(steps), cars, moment, speed)
-        frame[panel.rows, panel.columns] = draw_panel(caption, panel.size, PLAN_SIZE[1])
+        frame[panel.place] = draw_panel(caption, panel.size, PLAN_SIZE[1])
         yield frame

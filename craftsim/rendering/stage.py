@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import islice
 from typing import Final, Literal, NamedTuple
 
 import cv2
@@ -41,20 +42,16 @@ _TEXT_RGB: Final = (92, 98, 104)
 _PLATE_RGB: Final = (250, 250, 250)
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 _CELL_PIXELS: Final = 160
-_MOST_PIXELS: Final = 4096
-"""Of a side of a texture: what every OpenGL has."""
+_MOST_PIXELS: Final = 4096  # of a side of a texture: what every OpenGL has
 _UNLIT: Final = 1e-3
 """Share of its colour that the floor takes from the light: it glows with the rest, and its texture has the shadows."""
 _SHADOW_CELL_PIXELS: Final = 80
 _SHADE: Final = ((1.0, 0.02, 0.34), (0.0, 0.14, 0.22))
 """Of the shadows on the floor, that of the sun and that of the open sky: how far they fall to the side over how far
 things are up, in parts of the sun's slope; the width of their edges in cells; and how dark they are."""
-_AROUND_M: Final = 30.0
-"""How far the floor goes on around the area: further than any camera sees."""
-_PROUD_M: Final = 0.0005
-"""So high the area lies on the ground, so that the two do not flicker."""
-_PLATE_M: Final = 0.0004
-"""Half of the thickness of a car's number plates."""
+_AROUND_M: Final = 30.0  # how far the floor goes on around the area: further than any camera sees
+_PROUD_M: Final = 0.0005  # so high the area lies on the ground, so that the two do not flicker
+_PLATE_M: Final = 0.0004  # half of the thickness of a car's number plates
 _ONLY_SEEN: Final = {"contype": 0, "conaffinity": 0, "mass": 0.0, "group": 2}
 
 _MATERIALS: Final = {
@@ -86,8 +83,7 @@ _LOOKS: Final[dict[str, tuple[str, Rgb | None]]] = {
 }
 """Material and colour (r, g, b; None leaves that which it has) of the visual geoms whose names begin so."""
 _WALL_RGB: Final = (0.60, 0.60, 0.60)
-_SKY_RGB: Final = [0.97, 0.97, 0.97], [0.86, 0.86, 0.84]
-"""Overhead and at the horizon, where the floor ends."""
+_SKY_RGB: Final = [0.97, 0.97, 0.97], [0.86, 0.86, 0.84]  # overhead and at the horizon, where the floor ends
 _SUN: Final = np.array([-0.42, -0.38, 1.0])
 """Towards the light: from the left of the overview, so that shadows fall to the right and backwards."""
 _SHADOW_PIXELS: Final = 4096
@@ -96,15 +92,12 @@ _SHADOW_RADII: Final = 1.4
 too far out, which speckles faces with their own shadow towards the light, in the outer half of the map."""
 _SHADOW_SHIFT: Final = 0.35
 """By so many radii the maps are moved towards the light: nothing then stands in that half."""
-_FAR_RADII: Final = 40.0
-"""How far cameras and lights see."""
+_FAR_RADII: Final = 40.0  # how far cameras and lights see
 
 _GHOST_RGBA: Final = np.array([0.10, 0.62, 0.42, 0.16], np.float32)
-_NEAR_M: Final = 0.02
-"""What stands nearer than this to its place fills it."""
+_NEAR_M: Final = 0.02  # what stands nearer than this to its place fills it
 _NEAR_RAD: Final = 0.15
-_HINGE_RAD: Final = {"fslope": math.pi, "body": 0.0}
-"""Angle at which the hinge of a slope is wanted."""
+_HINGE_RAD: Final = {"fslope": math.pi, "body": 0.0}  # angle at which the hinge of a slope is wanted
 
 
 class Stage:
@@ -138,8 +131,6 @@ class Stage:
             _give_materials(spec)
         self.model: mujoco.MjModel = spec.compile()
         """Its ``qpos`` are those of the trajectory."""
-        if _columns(self.model) != _columns(trajectory.model):
-            raise RuntimeError("the stage has other joints than the physics")
         self._pieces = [piece for goal in story.design for piece in _pieces(self.model, machines, goal)]
         self._blocks = [block.qpos for block in physics.blocks]
         self._slopes = [(slope.base.qpos, slope.hinge.qpos) for slope in physics.slopes]
@@ -147,22 +138,16 @@ class Stage:
         self._shadow = _FloorShadow(self.model)
 
     def finish(self, scene: mujoco.MjvScene, qpos: Floats, ghost: bool = True) -> None:
-        """Complete a scene after ``update_scene``, which makes it anew.
+        """Complete a scene of a renderer after ``update_scene``, which makes it anew, with the positions (nq,) that it
+        shows.
 
-        Args:
-            scene: of the renderer.
-            qpos: (nq,) the positions that it shows.
-            ghost: whether to draw what the design wants and does not stand in its place.
+        ``ghost`` says whether to draw what the design wants and does not stand in its place.
         """
-        left = len(self._floors)
-        for number in range(scene.ngeom):
-            if left == 0:
-                break
-            geom = scene.geoms[number]
-            if geom.objtype == mujoco.mjtObj.mjOBJ_GEOM and geom.objid in self._floors:
-                # What decorates shows shadows and casts none: without it a floor is speckled with its own.
-                geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-                left -= 1
+        geoms = (scene.geoms[number] for number in range(scene.ngeom))
+        floors = (g for g in geoms if g.objtype == mujoco.mjtObj.mjOBJ_GEOM and g.objid in self._floors)
+        for geom in islice(floors, len(self._floors)):
+            # What decorates shows shadows and casts none: without it a floor is speckled with its own.
+            geom.category = mujoco.mjtCatBit.mjCAT_DECOR
         for piece in self._pieces if ghost else ():
             if scene.ngeom == scene.maxgeom or self._stands(piece, qpos):
                 continue
@@ -179,20 +164,12 @@ class Stage:
         upload_texture(renderer, self._shadow.texture)
 
     def _stands(self, piece: _Piece, qpos: Floats) -> bool:
-        if not piece.slope:
-            return any(math.dist(qpos[at : at + 3], piece.place) < _NEAR_M for at in self._blocks)
+        slopes = self._slopes if piece.slope else [(at, at) for at in self._blocks]
         return any(
             math.dist(qpos[at : at + 3], piece.place) < _NEAR_M
             and (piece.angle is None or abs(qpos[hinge] - piece.angle) < _NEAR_RAD)
-            for at, hinge in self._slopes
+            for at, hinge in slopes
         )
-
-
-def _columns(model: mujoco.MjModel) -> list[tuple[str, int, int]]:
-    """Return name, type and place in ``qpos`` of each joint."""
-    return [
-        (model.joint(j).name, int(model.jnt_type[j]), int(model.jnt_qposadr[j])) for j in range(model.njnt)
-    ]
 
 
 # The goal ghost: what a design still wants, drawn translucent where it is to stand.
@@ -201,18 +178,18 @@ _GHOST_MESHES: Final = ("block", "slope_base", "slope_flap")
 
 
 class _Piece(NamedTuple):
-    """A block, or the base or the flap of a slope, that the design wants."""
+    """A block, or the base or the flap of a slope, that the design wants.
+
+    ``place`` (3,) is that of the frame of the block or slope, ``angle`` that of a flap's hinge; ``pos`` (3,) and
+    ``mat`` (9,) say where and how turned the mesh is drawn. In metres.
+    """
 
     place: Floats
-    """(3,) metres: of the frame of the block or slope."""
     angle: float | None
-    """Of a flap's hinge."""
     slope: bool
     mesh: int
     pos: Floats
-    """(3,) metres: where the mesh is drawn."""
     mat: Floats
-    """(9,) how it is turned."""
 
 
 def _pieces(model: mujoco.MjModel, machines: Machines, goal: GoalCell) -> Iterator[_Piece]:
@@ -381,7 +358,6 @@ def _give_materials(spec: mujoco.MjSpec) -> None:
 
 
 def _look(name: str, group: int) -> tuple[str, Rgb | None]:
-    """Return material and colour of a geom; an empty name and None for one that keeps its own."""
     part, _, own = name.partition("/")
     look = next((look for start, look in _LOOKS.items() if own.startswith(start)), ("", None))
     if group != 2:
@@ -392,9 +368,7 @@ def _look(name: str, group: int) -> tuple[str, Rgb | None]:
 def dressed_rgb(name: str, group: int) -> Rgb | None:
     """Return the colour of a geom in ``paper`` quality where there are no materials; None for one that keeps its own.
 
-    Args:
-        name: of the geom in a world, such as ``car0/board_visual``.
-        group: of the geom; only what is there to be seen is dressed.
+    ``name`` is of a geom in a world, such as ``car0/board_visual``; only what is there to be seen is dressed.
     """
     material, rgb = _look(name, group)
     if rgb is None or material != _WOOD:
@@ -458,7 +432,6 @@ def number_plate(number: int, rgb: Rgb) -> Pixels:
 
 
 def _wood(rng: np.random.Generator) -> Pixels:
-    """Return a board's face with its grain along the picture's rows."""
     side = 512
     rows = np.arange(side)[:, None]
     bend = cv2.GaussianBlur(rng.normal(0, 1, (side, side)), (0, 0), 60) * 900
@@ -472,7 +445,6 @@ def _wood(rng: np.random.Generator) -> Pixels:
 def _write(
     picture: Pixels, text: str, centre: tuple[float, float], height: float, rgb: _Bytes, weight: float = 0.10
 ) -> None:
-    """Write a text of a height in pixels about a point (column, row)."""
     thickness = max(1, round(weight * height))
     scale = cv2.getFontScaleFromHeight(_FONT, max(4, round(height)), thickness)
     (width, tall), _ = cv2.getTextSize(text, _FONT, scale, thickness)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, Self, get_args
@@ -45,6 +46,7 @@ MOST_SAMPLES: Final = 180_000
 MOST_BYTES: Final = limits.TRAJECTORY.content_bytes // 2
 """Of all samples together, so that a reader takes them; what comes later is left out."""
 _TEXT: Final = "story"
+_ARRAYS: Final = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
 
 GoalKind = Literal["block", "fslope", "body", "foot"]
 _KIND_NAMES: Final[dict[Kind, GoalKind]] = {Kind[name.upper()]: name for name in get_args(GoalKind)}
@@ -120,24 +122,25 @@ class Trajectory:
 
         Raises InputError, naming the file, for one that is missing, damaged, too large or contradicts itself.
         """
-        arrays = read_arrays(Path(path), limits.TRAJECTORY)
+        arrays: dict[str, Any] = dict(read_arrays(Path(path), limits.TRAJECTORY))
         try:
-            return cls._of(arrays)
+            if sorted(arrays) != sorted([_TEXT, *_ARRAYS]):
+                held = ", ".join(sorted(arrays)[:12]) or "nothing"
+                raise InputError(f"not a trajectory: it holds {held}")
+            text = arrays.pop(_TEXT)
+            if text.dtype != np.uint8 or text.ndim != 1:
+                raise InputError(f"'{_TEXT}' is no text; allowed: the bytes of a JSON document")
+            data = text.tobytes()
+            # Before its keys are looked at: those of another version may differ. What else is wrong, the schema says.
+            with suppress(ValueError, AttributeError, RecursionError):
+                if (version := json.loads(data).get("schema_version")) != SCHEMA_VERSION:
+                    raise InputError(
+                        f"schema_version is {version}; this craftsim reads version {SCHEMA_VERSION}"
+                    )
+            trajectory = cls(from_json(TrajectoryMetadata, data, _TEXT), **arrays)
+            trajectory._check()
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-
-    @classmethod
-    def _of(cls, arrays: dict[str, Any]) -> Self:
-        names = [_TEXT, *(field.name for field in fields(cls) if field.name != "story")]
-        if sorted(arrays) != sorted(names):
-            raise InputError(f"not a trajectory: it holds {', '.join(sorted(arrays)[:12]) or 'nothing'}")
-        text = arrays.pop(_TEXT)
-        if text.dtype != np.uint8 or text.ndim != 1:
-            raise InputError(f"'{_TEXT}' is no text; allowed: the bytes of a JSON document")
-        data = text.tobytes()
-        _check_version(data)
-        trajectory = cls(from_json(TrajectoryMetadata, data, _TEXT), **arrays)
-        trajectory._check()
         return trajectory
 
     def write(self, path: str | Path) -> Path:
@@ -146,10 +149,8 @@ class Trajectory:
         Raises InputError where the disk does not take it.
         """
         arrays: Arrays = {_TEXT: np.frombuffer(to_json(self.story), np.uint8)}
-        for field in fields(self):
-            if field.name != "story":
-                # Column by column: what rests, and what moves a little, packs well.
-                arrays[field.name] = np.asfortranarray(getattr(self, field.name))
+        # Column by column: what rests, and what moves a little, packs well.
+        arrays |= {name: np.asfortranarray(getattr(self, name)) for name in _ARRAYS}
         archive = io.BytesIO()
         np.savez_compressed(archive, allow_pickle=False, **arrays)
         return write_whole(path, archive.getvalue())
@@ -208,16 +209,9 @@ class Trajectory:
     def _check(self) -> None:
         recipe, n = self.story.recipe, len(self.time) if self.time.ndim else 0
         grid = check_recipe(recipe)
-        n_cars, n_motors = grid.n_cars, len(self.story.motors)
-        shapes = {
-            "time": (n,),
-            "qpos": (n, *self.qpos.shape[1:2]),
-            "ctrl": (n, n_motors),
-            "force": (n, n_motors),
-            "measured": (n, n_cars, 3),
-            "path": (n, n_cars, 3),
-            "contact": (n,),
-        }
+        motors, poses = (n, len(self.story.motors)), (n, grid.n_cars, 3)
+        shapes = {"time": (n,), "qpos": (n, *self.qpos.shape[1:2]), "ctrl": motors, "force": motors}
+        shapes |= {"measured": poses, "path": poses, "contact": (n,)}
         for name, shape in shapes.items():
             array = getattr(self, name)
             kind = np.float64 if name in ("time", "qpos") else np.float32
@@ -237,8 +231,8 @@ class Trajectory:
         for x, y, z in (goal.cell for goal in self.story.design):
             if not (0 <= x < length and 0 <= y < width and 1 <= z <= height + 1):
                 raise InputError(f"story.design has the cell {(x, y, z)}, outside of the area")
-        if any(not 0 <= attempt.car < n_cars for attempt in self.story.attempts):
-            raise InputError(f"story.attempts names a car that there is not; the world has {n_cars}")
+        if any(not 0 <= attempt.car < grid.n_cars for attempt in self.story.attempts):
+            raise InputError(f"story.attempts names a car that there is not; the world has {grid.n_cars}")
 
 
 class Recorder:
@@ -270,29 +264,17 @@ class Recorder:
     def trajectory(
         self, title: str, recipe: Recipe, attempts: Iterable[Attempt], design: Design | None = None
     ) -> Trajectory:
-        """Return what was recorded so far.
-
-        Args:
-            title: what it is of.
-            recipe: what was done, from the world's start.
-            attempts: what was tried since the recording began.
-            design: the building that is to be put up.
+        """Return what was recorded so far: what it is of, what was done from the world's start, what was tried since
+        the recording began, and the building that is to be put up.
         """
         physics, n = self._judge.physics, len(self._samples)
         time, qpos, ctrl, force, read, path, contact = zip(*self._samples, strict=True)
         readings = np.frombuffer(b"".join(read), READING).reshape(n, -1)
         targets = () if design is None else design.targets
+        cells = tuple(GoalCell(_KIND_NAMES[one.kind], one.cell, one.yaw) for one in targets)
+        told = (title, versions(), recipe, tuple(attempts), poses_of(physics), motors_of(physics), cells)
         return Trajectory(
-            TrajectoryMetadata(
-                SCHEMA_VERSION,
-                title,
-                versions(),
-                recipe,
-                tuple(attempts),
-                poses_of(physics),
-                motors_of(physics),
-                tuple(GoalCell(_KIND_NAMES[one.kind], one.cell, one.yaw) for one in targets),
-            ),
+            TrajectoryMetadata(SCHEMA_VERSION, *told),
             np.array(time),
             np.array(qpos),
             np.array(ctrl),
@@ -324,16 +306,6 @@ def trajectory_files(run: Path) -> list[Path]:
     if not found:
         raise InputError(f"{run}: no trajectories in it; run it again with --record")
     return found
-
-
-def _check_version(data: bytes) -> None:
-    """Raise InputError for the text of another version, before its keys are looked at."""
-    try:
-        version = json.loads(data).get("schema_version")
-    except (ValueError, AttributeError, RecursionError):
-        return  # what is wrong is found by the schema
-    if version != SCHEMA_VERSION:
-        raise InputError(f"schema_version is {version}; this craftsim reads version {SCHEMA_VERSION}")
 
 
 def poses_of(physics: PhysicsWorld) -> dict[str, int]:

@@ -19,16 +19,16 @@ from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
 from craftsim.rendering.plots import figures, style
-from craftsim.rendering.plots.figures import SIGNS, plots_of, write_figures
-from craftsim.rendering.plots.gantt import VERB_COLOURS, draw_gantt
-from craftsim.rendering.plots.signals import (
+from craftsim.rendering.plots.figures import (
+    SIGNS,
     motor_forces,
     notes_of,
-    path_points,
     place_of,
-    thinned,
+    plots_of,
     tracking_error,
+    write_figures,
 )
+from craftsim.rendering.plots.gantt import VERB_COLOURS, draw_gantt
 from craftsim.rendering.trajectory import GoalCell, Trajectory, trajectory_files
 
 
@@ -42,17 +42,6 @@ def recorded() -> Trajectory:
     failed = replace(trajectory.story.attempts[0], result="unsafe", reason="it fell on <b>$x_1$</b>")
     design = (GoalCell("block", (3, 0, 1), -1),)
     return replace(trajectory, story=replace(trajectory.story, attempts=(failed,), design=design))
-
-
-def test_a_thinned_line_keeps_its_peaks_its_gaps_and_its_ends():
-    time, values = np.arange(10_000.0), np.zeros(10_000)
-    values[7123], values[2001], values[5000:5200] = 9.0, -9.0, np.nan
-    times, kept = thinned(time, values, 100)
-    assert len(kept) < 200
-    assert (np.nanmax(kept), np.nanmin(kept), np.isnan(kept).any()) == (9.0, -9.0, True)
-    assert (times[0], times[-1]) == (0, 9999)
-    assert thinned(time[:5], values[:5], 5)[1].base is values
-    assert path_points(np.ones((1000, 3))) == [0, 999], "a resting car needs two points of its path"
 
 
 def test_errors_are_along_and_across_the_car(recorded):
@@ -73,9 +62,6 @@ def test_signals_are_what_was_recorded(recorded):
     thrown = recorded.qpos.copy()
     thrown[-1, recorded.story.poses["car 0"] :][:3] = 1e12
     assert (place_of(replace(recorded, qpos=thrown), 0) <= (4, 2, 2)).all(), "drawn at the edge"
-
-
-def test_what_failed_is_named_with_its_number_time_and_reason(recorded):
     (note,) = notes_of(recorded)
     assert note.startswith("✗1 1.")
     assert "car 0 move right: unsafe. it fell on" in note
@@ -95,11 +81,7 @@ def test_there_is_no_figure_of_contacts_where_none_were_looked_at(recorded):
 
 def test_trajectories_of_a_run_have_names_and_an_audit_s_lie_in_its_bundles(tmp_path: Path):
     run, bundle = tmp_path / "run", tmp_path / "bundles" / "00000"
-    for path in (
-        run / "trajectories" / "move-1.npz",
-        run / "trajectories" / "move-0.npz",
-        bundle / "before.npz",
-    ):
+    for path in (*(run / "trajectories" / f"move-{n}.npz" for n in (1, 0)), bundle / "before.npz"):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
     (run / "trajectories" / ".partial-0-move-0.npz").touch()  # left by a kill

@@ -1,6 +1,5 @@
 """The stage has the positions of the physics and adds what is only to be seen; the grid seen from above."""
 
-import copy
 from dataclasses import replace
 
 import mujoco
@@ -9,12 +8,10 @@ import pytest
 from recorded import record
 
 from craftsim import Trajectory
-from craftsim.discrete.drawing import GOAL, KIND_COLOURS, car_colour
+from craftsim.discrete.drawing import KIND_COLOURS, car_colour
 from craftsim.discrete.grid import CarField, Grid, Kind, Piece
-from craftsim.mjcf.parameters import NOMINAL
-from craftsim.models.composition import machine_spec
 from craftsim.rendering.cameras import make_view
-from craftsim.rendering.grid_picture import CELL_PX, MARGIN_PX, level_shapes, levels_of, world_image
+from craftsim.rendering.grid_picture import CELL_PX, MARGIN_PX, levels_of, world_image
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import GoalCell, show_at
@@ -67,13 +64,6 @@ def test_a_stage_moves_as_the_physics_and_adds_nothing_that_touches(quality, sta
     touching = [[model.geom(g).name for g in pair] for pair in data.contact.geom]
     assert touching == [[physics.geom(g).name for g in pair] for pair in own.contact.geom]
     assert np.array_equal(model.body_mass, physics.body_mass)
-
-
-def test_a_world_is_not_changed_by_its_stage(standing):
-    before = copy.copy(standing.model)
-    Stage(standing, "paper")
-    for name in ("geom_rgba", "geom_group", "geom_matid", "light_pos", "site_rgba"):
-        assert np.array_equal(getattr(standing.model, name), getattr(before, name)), name
 
 
 def test_the_ghost_shows_what_the_design_still_wants(standing):
@@ -154,27 +144,3 @@ def test_levels_with_nothing_are_left_out():
     grid.kind[0, 0, 3] = Kind.BLOCK
     assert levels_of([grid], (0, 0, 2)) == (1, 2, 3)
     assert levels_of([grid], None, [Piece(Kind.BLOCK, (0, 0, 4), -1)]) == (1, 3, 4)
-
-
-def test_a_design_is_dashed_and_a_goal_is_not():
-    def framed(goal, design):
-        shapes = level_shapes(Grid.empty((2, 2, 2), n_cars=1), 1, goal, design)
-        lines = [one.points for one in shapes if one.line == GOAL]
-        return sum(np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for points in lines)
-
-    whole, dashed = framed((1, 1, 1), []), framed(None, [Piece(Kind.BODY, (1, 1, 1), 0)])
-    assert 0.3 * whole < dashed < 0.7 * whole
-    assert framed((1, 1, 2), [Piece(Kind.BODY, (1, 1, 2), 0)]) == 0
-
-
-def test_things_have_the_colours_that_films_show():
-    for part, geom, kind in [
-        ("wall", None, Kind.WALL),
-        ("block", None, Kind.BLOCK),
-        ("flag", "flag_visual", Kind.FLAG),
-        ("slope", None, Kind.BODY),
-        ("slope", "flap_visual", Kind.FOOT),
-        ("slope", "gear_left_visual", Kind.GEAR),
-    ]:
-        shown = [g.rgba[:3] for g in machine_spec(part, NOMINAL).geoms if geom is None or g.name == geom]
-        assert any(np.allclose(rgb, KIND_COLOURS[kind], atol=1e-4) for rgb in shown)

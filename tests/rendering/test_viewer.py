@@ -3,7 +3,6 @@
 import threading
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 
 import gymnasium
 import mujoco
@@ -15,7 +14,6 @@ from craftsim import Action, Executor, Grid, LiveView, PhysicsWorld, Trajectory,
 from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.errors import InputError
-from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import Recorder
 from craftsim.rendering.viewer.page import car_html, list_html
 from craftsim.rendering.viewer.scene import shapes_of
@@ -26,35 +24,27 @@ pytestmark = pytest.mark.skipif(not find_spec("viser"), reason="needs the extra 
 SAMPLED = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
 
 
-def test_playing_goes_on_at_its_speed_pauses_at_the_end_and_starts_over(run: Trajectory, opened: LiveView):
-    shown, (start_s, end_s) = RecordedView(opened.page, {"one": lambda: run}), run.time[[0, -1]]
-    opened.page.speed.value = "1/4 x"
-    shown.advance(1.0)
-    assert shown.time_s == start_s, "it begins paused"
-    shown.toggle()
-    shown.advance(2.0)
-    assert (shown.time_s, shown.playing) == (start_s + 0.5, True)
-    shown.advance(4 * run.duration_s)
-    assert (shown.time_s, shown.playing) == (end_s, False)
-    shown.toggle()
-    assert (shown.time_s, shown.playing) == (start_s, True), "it starts over"
-
-
-def test_steps_lead_from_action_to_action_and_pause(run: Trajectory, opened: LiveView):
+def test_playing_pauses_at_the_end_and_starts_over_and_steps_lead_from_action_to_action(
+    run: Trajectory, opened: LiveView
+):
     attempts = [replace(run.story.attempts[0], start_s=at_s) for at_s in (0.5, 1.0, 0.5, 99.0)]
     acted = replace(run, story=replace(run.story, attempts=tuple(attempts)))
     shown, (start_s, end_s) = RecordedView(opened.page, {"one": lambda: acted}), run.time[[0, -1]]
+    opened.page.speed.value = "1/4 x"
+    shown.advance(1.0)
+    assert shown.time_s == start_s, "it begins paused"
+    for wall_s, expected in ((2.0, (start_s + 0.5, True)), (4 * run.duration_s, (end_s, False))):
+        if not shown.playing:
+            shown.toggle()
+        shown.advance(wall_s)
+        assert (shown.time_s, shown.playing) == expected
     shown.toggle()
+    assert (shown.time_s, shown.playing) == (start_s, True), "it starts over"
     seen = []
-    for _ in range(4):
-        shown.step()
+    for move in (*[shown.step] * 4, lambda: shown.seek(1.2), *[shown.step_back] * 4):
+        move()
         seen.append(shown.time_s)
-    assert (seen, shown.playing) == ([0.5, 1.0, end_s, end_s], False)
-    shown.seek(1.2)
-    for _ in range(4):
-        shown.step_back()
-        seen.append(shown.time_s)
-    assert seen[4:] == [1.0, 0.5, start_s, start_s]
+    assert (seen, shown.playing) == ([0.5, 1.0, end_s, end_s, 1.2, 1.0, 0.5, start_s, start_s], False)
 
 
 def test_a_recorded_moment_has_the_action_the_poses_the_forces_and_the_verdict(run: Trajectory):
@@ -123,40 +113,20 @@ def test_the_meshes_are_where_mujoco_has_its_own(run: Trajectory):
         assert drawn.max(axis=0) == pytest.approx(whole.max(axis=0), abs=2e-3)
 
 
-def test_machines_have_the_colours_of_the_films(run: Trajectory):
-    stage = Stage(run, "paper").model
-    dressed = {stage.geom(g).name: stage.geom_rgba[g] for g in range(stage.ngeom) if stage.geom_matid[g] >= 0}
-    plain = [name for name in dressed if "_visual" in name or "hub" in name]
-    seen = {body: set() for body in range(run.model.nbody)}
-    for body, mesh in shapes_of(run.model).items():
-        seen[body] |= {tuple(colour) for colour in np.unique(mesh.visual.vertex_colors, axis=0)}
-    tried = 0
-    for name in plain:
-        geom = run.model.geom(name)
-        if stage.geom(name).rgba[:3].min() < 1.0:  # wood is white below its grain
-            assert tuple((255 * dressed[name]).astype(np.uint8)) in seen[int(geom.bodyid[0])]
-            tried += 1
-    assert tried >= 5
-
-
-def test_only_what_has_moved_is_sent(run: Trajectory, opened: LiveView):
-    RecordedView(opened.page, {"one": lambda: run})
-    scene = opened.page.scene
-    scene.show(run.qpos[0])
-    before = scene.sent
-    scene.show(run.qpos[0])
-    assert scene.sent == before
-    scene.show(run.qpos[-1])
-    assert 0 < scene.sent - before <= 2 * 6, "the car's parts; the block has stayed"
-
-
-def test_a_step_shows_where_the_next_action_begins(run: Trajectory, opened: LiveView):
-    shown = RecordedView(opened.page, {"one": lambda: run})
-    opened.page.ask(shown.step)
+def test_only_what_has_moved_is_sent_and_a_step_shows_where_the_next_action_begins(
+    run: Trajectory, opened: LiveView
+):
+    shown, page = RecordedView(opened.page, {"one": lambda: run}), opened.page
+    before = page.scene.sent
+    page.scene.show(run.qpos[0])
+    assert page.scene.sent == before
+    page.scene.show(run.qpos[-1])
+    assert 0 < page.scene.sent - before <= 2 * 6, "the car's parts; the block has stayed"
+    page.ask(shown.step)
     shown.advance(0.0)
     begin_s = run.story.attempts[1].start_s
-    assert opened.page.slider.value == pytest.approx(begin_s, abs=0.021)
-    car = next(n for n in opened.page.scene.nodes.values() if n.name.endswith("/smartcar"))
+    assert page.slider.value == pytest.approx(begin_s, abs=0.021)
+    car = next(n for n in page.scene.nodes.values() if n.name.endswith("/smartcar"))
     assert car.position == pytest.approx(run.pose("car 0")[run.at(begin_s), :3], abs=2e-5)
 
 
@@ -164,18 +134,14 @@ def test_another_run_can_be_chosen_whenever_it_was(run: Trajectory, opened: Live
     later = replace(run, time=run.time + 1000)
     moment = replace(later, **{name: getattr(later, name)[:1] for name in SAMPLED})
     runs = {"one": lambda: run, "later": lambda: later, "a moment": lambda: moment}
+    runs["gone"] = lambda: Trajectory.read("no.npz")
     shown = RecordedView(opened.page, runs)
     for name, chosen in (("later", later), ("a moment", moment), ("one", run)):
         shown.choose(name)
         assert shown.trajectory is chosen
         assert opened.page.slider.value == pytest.approx(chosen.time[0])
-
-
-def test_a_run_that_cannot_be_read_leaves_the_one_before(run: Trajectory, opened: LiveView, tmp_path: Path):
-    runs = {"one": lambda: run, "two": lambda: Trajectory.read(tmp_path / "no.npz")}
-    shown = RecordedView(opened.page, runs)
-    shown.choose("two")
-    assert shown.trajectory is run
+    shown.choose("gone")
+    assert shown.trajectory is run, "one that cannot be read leaves the one before"
 
 
 def test_looking_on_changes_nothing(opened: LiveView):
@@ -186,17 +152,6 @@ def test_looking_on_changes_nothing(opened: LiveView):
         ends.append(physics.data.qpos.copy())
     assert np.array_equal(*ends)
     assert opened.page.scene is not None
-
-
-def test_an_environment_shows_its_episodes_and_what_was_judged():
-    env = parallel_env("strip")
-    with view(env, port=0) as shown:
-        _, infos = env.reset(seed=0)
-        assert shown.page.scene is not None
-        env.step({agent: int(infos[agent]["action_mask"].argmax()) for agent in env.agents})
-        assert {attempt.car for attempt in shown.judged} == {0, 1}
-        env.reset(seed=1)
-        assert len(shown.judged) == 0
 
 
 def test_a_pause_holds_what_runs_until_somebody_lets_it_go_on(opened: LiveView):
@@ -211,7 +166,14 @@ def test_a_pause_holds_what_runs_until_somebody_lets_it_go_on(opened: LiveView):
     assert not thread.is_alive()
 
 
-def test_each_form_of_the_environment_can_be_viewed_in_physics():
+def test_each_form_of_the_environment_shows_its_episodes_and_what_was_judged():
+    env = parallel_env("strip")
+    with view(env, port=0) as shown:
+        _, infos = env.reset(seed=0)
+        env.step({agent: int(infos[agent]["action_mask"].argmax()) for agent in env.agents})
+        assert {attempt.car for attempt in shown.judged} == {0, 1}
+        env.reset(seed=1)
+        assert len(shown.judged) == 0
     for env in (craftsim.env("strip"), gymnasium.make("craftsim/Strip-v0", backend="physics")):
         with view(env, port=0) as shown:
             env.reset(seed=0)

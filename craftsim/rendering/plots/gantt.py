@@ -29,14 +29,11 @@ VERB_COLOURS: Final[dict[str, Rgb]] = {
     "stop": (0.93, 0.93, 0.92),
 }
 """By the row of an action in the table of durations."""
-_REGISTERED: Final[Rgb] = (0.80, 0.47, 0.65)
-"""Of actions that were registered, which have no such row."""
+_REGISTERED: Final[Rgb] = (0.80, 0.47, 0.65)  # of actions that were registered, which have no such row
 _HATCH: Final = "////"
 _ROW_IN: Final = 0.22
-_FRAME_IN: Final = 1.15
-"""For title, axis and legend."""
-_BAR: Final = 0.72
-"""Height of a bar, of that of its row."""
+_FRAME_IN: Final = 1.15  # for title, axis and legend
+_BAR: Final = 0.72  # height of a bar, of that of its row
 
 
 def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
@@ -59,7 +56,6 @@ def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
         figure.suptitle(line_of(f"{title}: {took}"), fontsize=9, weight="bold")
         axes = figure.add_subplot()
         verbs, loaded = _draw_bars(axes, schedule, times)
-        _draw_waits(axes, schedule, times)
         axes.set_yticks(range(n_cars), [f"car {car}" for car in range(n_cars)])
         axes.set_ylim(n_cars - 0.5, -0.5)
         axes.set_xlim(0, max(schedule.makespan(), 0.1))
@@ -75,30 +71,20 @@ def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
 
 
 def _draw_bars(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> tuple[set[str], bool]:
-    """Draw the actions; return which verbs there are, and whether any car is loaded."""
+    """Draw actions, and lines where a car waits before one; return the verbs, and whether any car is loaded."""
     bars: dict[tuple[int, str, bool], list[tuple[float, float]]] = defaultdict(list)
+    free, waits = dict[int, float](), []
     for step, (start, end) in zip(schedule.steps, times.tolist(), strict=True):
-        loaded = Kind.AIR not in (
-            step.before.cars[step.car, CarField.LOAD],
-            step.after.cars[step.car, CarField.LOAD],
-        )
-        spec = ACTIONS[step.action]
-        bars[step.car, spec.duration or spec.words, loaded].append((start, end - start))
+        car, spec = step.car, ACTIONS[step.action]
+        loads = (grid.cars[car, CarField.LOAD] for grid in (step.before, step.after))
+        bars[car, spec.duration or spec.words, Kind.AIR not in loads].append((start, end - start))
+        if start > free.get(car, 0.0):
+            waits.append((car, free.get(car, 0.0), start))
+        free[car] = end
     for (car, verb, loaded), spans in bars.items():
         look: dict[str, Any] = {"hatch": _HATCH, "edgecolor": "0.3"} if loaded else {"edgecolor": "1"}
         colour = VERB_COLOURS.get(verb, _REGISTERED)
         axes.broken_barh(spans, (car - _BAR / 2, _BAR), facecolor=colour, linewidth=0.4, **look)
-    return {verb for _, verb, _ in bars}, any(loaded for _, _, loaded in bars)
-
-
-def _draw_waits(axes: Axes, schedule: Schedule, times: NDArray[np.float64]) -> None:
-    """Draw a line where a car waits before an action."""
-    free: dict[int, float] = {}
-    waits = []
-    for step, (start, end) in zip(schedule.steps, times.tolist(), strict=True):
-        idle_from = free.get(step.car, 0.0)
-        if start > idle_from:
-            waits.append((step.car, idle_from, start))
-        free[step.car] = end
     if waits:
         axes.hlines(*zip(*waits, strict=True), color="0.45", lw=1.0, ls=(0, (1, 1)))
+    return {verb for _, verb, _ in bars}, any(loaded for _, _, loaded in bars)

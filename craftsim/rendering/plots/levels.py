@@ -20,14 +20,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
     from matplotlib.patches import Patch
 
-_CELL_IN: Final = (0.16, 0.5)
-"""The smallest and the largest side of a cell."""
-_MARGIN_IN: Final = 0.45
-"""Beside and below a level, for its coordinates and title."""
+_CELL_IN: Final = (0.16, 0.5)  # the smallest and the largest side of a cell
+_MARGIN_IN: Final = 0.45  # beside and below a level, for its coordinates and title
 CARS: Final = 4.0
 """Place of cars in the order of drawing (zorder); that of lines is 2."""
-_POINTS: Final = 72.0
-"""In an inch."""
+_POINTS: Final = 72.0  # in an inch
 _LEAST_WIDTH_IN: Final = 4.2
 _HEAD_IN: Final = 0.3
 _LEGEND_IN: Final = 0.4
@@ -72,18 +69,13 @@ def draw_levels(
 def _coordinates(axes: Axes, size: Cell) -> None:
     length, width, _ = size
     axes.set(xlim=(-0.55, length - 0.45), ylim=(-0.55, width - 0.45), aspect="equal")
-    axes.set_xticks(_ticks(length))
-    axes.set_yticks(_ticks(width))
+    every = {n: 1 if n <= 12 else 2 if n <= 24 else 5 for n in (length, width)}
+    axes.set(xticks=range(0, length, every[length]), yticks=range(0, width, every[width]))
     axes.set_xlabel("x", labelpad=0)
     axes.set_ylabel("y", labelpad=3, rotation=0, ha="right", va="center")
     axes.tick_params(length=0, pad=1)
     axes.grid(visible=False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-
-
-def _ticks(count: int) -> list[int]:
-    return list(range(0, count, 1 if count <= 12 else 2 if count <= 24 else 5))
+    axes.spines[:].set_visible(False)
 
 
 def _draw(axes: Axes, one: Outline, cell_in: float, order: float) -> None:
@@ -92,14 +84,9 @@ def _draw(axes: Axes, one: Outline, cell_in: float, order: float) -> None:
     width = one.width * cell_in * _POINTS
     if one.text:
         # A capital letter is 0.72 of a font's size.
-        look: dict[str, Any] = {
-            "fontsize": width / 0.72,
-            "color": one.line,
-            "weight": "bold",
-            "zorder": order,
-        }
+        look: dict[str, Any] = {"fontsize": width / 0.72, "color": one.line, "weight": "bold"}
         x, y = one.points[0]
-        axes.text(x, y, one.text, **look, ha="center", va="center_baseline")
+        axes.text(x, y, one.text, **look, ha="center", va="center_baseline", zorder=order)
     elif one.fill is None:
         ends: dict[str, Any] = {"solid_capstyle": "butt", "solid_joinstyle": "miter"}
         axes.plot(*one.points.T, color=one.line, lw=width, zorder=order, **ends)
@@ -109,7 +96,6 @@ def _draw(axes: Axes, one: Outline, cell_in: float, order: float) -> None:
 
 
 def _legend(grid: Grid, goal: Cell | None, design: Collection[Piece]) -> Iterator[Patch]:
-    """Yield what the signs mean that a world's picture has."""
     from matplotlib.patches import Patch
 
     kinds = {Kind(int(kind)) for kind in np.unique(grid.kind)}
@@ -141,14 +127,8 @@ def draw_blueprint(
 ) -> Path:
     """Draw a world into a PNG file, level by level, without empty levels.
 
-    Args:
-        path: of the file.
-        grid: the world.
-        title: what it is called.
-        goal: where a flag is to go.
-        design: cells of the building that is to be put up.
-
-    Returns the path; raises InputError where the disk does not take it.
+    ``goal`` is where a flag is to go, and ``design`` the building that is to be put up. Returns the path; raises
+    InputError where the disk does not take it.
     """
     from matplotlib.figure import Figure
 

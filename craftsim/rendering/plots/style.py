@@ -22,17 +22,12 @@ ROW_IN: Final = 1.15
 DASHES: Final = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (3, 1.2)))
 """One a line of a diagram; lines beyond the last start over."""
 
-DENSE: Final[dict[str, Any]] = {
+_PAPER: Final[dict[str, Any]] = {
     "font.size": 7.5,
     "axes.linewidth": 0.6,
     "axes.titlesize": 7.5,
     "grid.linewidth": 0.5,
     "legend.fontsize": 7,
-}
-"""Small letters and thin lines, for many diagrams in a figure."""
-
-_PAPER: Final[dict[str, Any]] = {
-    **DENSE,
     "font.family": "DejaVu Sans",
     "text.color": INK,
     "text.parse_math": False,

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 FRAMES_HZ: Final = 25.0
 """How often poses are sent at most."""
-_TEXT_S: Final = 0.15
-"""Real time between two updates of texts and the slider; eyes do not follow faster ones."""
+_TEXT_S: Final = 0.15  # real time between two updates of texts and the slider; eyes do not follow faster ones
 REAL_TIME: Final = "1 x"
 AS_IT_GOES: Final = "as it goes"
 SPEEDS: Final = {
@@ -41,8 +40,7 @@ SPEEDS: Final = {
 }
 """Simulated seconds in a second."""
 _SAME_S: Final = 1e-6
-_LISTED: Final = 9
-"""Actions in the list at one time."""
+_LISTED: Final = 9  # actions in the list at one time
 _GOOD, _BAD, _QUIET = "#2b8a3e", "#c92a2a", "#868e96"
 _ROWS: Final = "<table style='width:100%;font-size:0.8em;border-spacing:0 0.15em'>"
 
@@ -72,7 +70,8 @@ class ViewerPage:
         """Add the panel, with a speed of :data:`SPEEDS`; a scene comes with :meth:`show_world`."""
         from viser import Icon
 
-        self._server, self._icons = server, {True: Icon.PLAYER_PAUSE, False: Icon.PLAYER_PLAY}
+        self._server, self._n_cars, self._next_text_s = server, 0, 0.0
+        self._icons = {True: Icon.PLAYER_PAUSE, False: Icon.PLAYER_PLAY}
         self.controls: Mapping[str, Callable[..., None]] = {}
         """What buttons do: ``toggle``, ``step``, ``step_back``, ``seek`` (to a time), ``choose`` (a run); one that is
         missing does nothing."""
@@ -80,8 +79,6 @@ class ViewerPage:
         self.scene: BrowserScene | None = None
         self.car = 0
         """The one that is looked at."""
-        self._n_cars = 0
-        self._next_text_s = 0.0
         gui = server.gui
         server.scene.world_axes.visible = False
         gui.configure_theme(show_logo=False, show_share_button=False)
@@ -109,12 +106,8 @@ class ViewerPage:
     def _when(
         self, register: Callable[[Callable[[GuiEvent[Any]], None]], Any], do: Callable[[], None]
     ) -> None:
-        def note(event: GuiEvent[Any]) -> None:
-            # What this program sets has no client.
-            if event.client is not None:
-                self.ask(do)
-
-        register(note)
+        # What this program sets has no client.
+        register(lambda event: None if event.client is None else self.ask(do))
 
     def _control(self, name: str, *value: object) -> None:
         if name in self.controls:
@@ -169,11 +162,8 @@ class ViewerPage:
     ) -> None:
         """Show a moment: poses at once, words not more often than they can be read.
 
-        Args:
-            qpos: (nq,) MuJoCo's positions of everything.
-            time_s: simulated time.
-            attempts: those of the run, as far as they are known.
-            moment: returns what is known of a car, by its number.
+        ``qpos`` are MuJoCo's positions of everything (nq,), ``attempts`` those of the run as far as they are known, and
+        ``moment`` returns what is known of a car, by its number.
         """
         assert self.scene is not None, "show_world() comes first"
         self.scene.show(qpos)
@@ -210,26 +200,26 @@ def _put(handle: Any, name: str, value: object) -> None:
 def car_html(moment: Moment) -> str:
     """Return what is known of a car as HTML."""
     x, y, z = moment.pose
-    rows = [
-        ("time", f"{moment.time_s:.2f} s"),
-        ("action", escape(moment.action) or "waits"),
-        ("pose", f"{x:z.3f}, {y:z.3f}, {z:z.3f} m"),
-    ]
+    rows = {
+        "time": f"{moment.time_s:.2f} s",
+        "action": escape(moment.action) or "waits",
+        "pose": f"{x:z.3f}, {y:z.3f}, {z:z.3f} m",
+    }
     if moment.measured is not None:
         x, y, heading = moment.measured
-        rows.append(("measured", f"{x:z.3f}, {y:z.3f} m, {math.degrees(heading):z.1f}°"))
+        rows["measured"] = f"{x:z.3f}, {y:z.3f} m, {math.degrees(heading):z.1f}°"
     *wheels, (_, force, limit) = moment.motors
-    rows.append(("wheels (Nm)", "".join(_bar(name[-2:], *rest) for name, *rest in wheels)))
-    rows.append(("board (N)", _bar("", force, limit)))
+    rows["wheels (Nm)"] = "".join(_bar(name[-2:], *rest) for name, *rest in wheels)
+    rows["board (N)"] = _bar("", force, limit)
     if not math.isnan(moment.contact_n):
-        rows.append(("largest contact", f"{moment.contact_n:.0f} N, of all machines"))
-    cells = "".join(f"<tr><td style='color:{_QUIET}'>{name}</td><td>{text}</td></tr>" for name, text in rows)
+        rows["largest contact"] = f"{moment.contact_n:.0f} N, of all machines"
+    cells = (f"<tr><td style='color:{_QUIET}'>{name}</td><td>{text}</td></tr>" for name, text in rows.items())
     verdict, attempt = "", moment.attempt
     if attempt is not None:
         which = "" if attempt.action == moment.action else f"last: {escape(attempt.action)}, "
         reason = f"<br>{escape(attempt.reason)}" if attempt.reason else ""
         verdict = f"<div style='font-size:0.85em;margin-top:0.3em'>{which}{_verdict(attempt)}{reason}</div>"
-    return _framed(f"{_ROWS}{cells}</table>{verdict}")
+    return _framed(f"{_ROWS}{''.join(cells)}</table>{verdict}")
 
 
 def list_html(attempts: Iterable[Attempt], time_s: float) -> str:
@@ -253,7 +243,6 @@ def _verdict(attempt: Attempt) -> str:
 
 
 def _bar(name: str, force: float, limit: float) -> str:
-    """Return what a motor gives, over a bar that is full at its limit."""
     share = min(1.0, abs(force) / limit) if limit else 0.0
     bar = f"<span style='display:block;width:{100 * share:.0f}%;height:0.3em;background:#4dabf7'></span>"
     style = "display:inline-block;width:24%;margin-right:1%;font-size:0.9em"

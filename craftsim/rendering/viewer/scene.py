@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import mujoco
 import numpy as np
@@ -26,25 +26,20 @@ if TYPE_CHECKING:
     from viser import SceneNodeHandle, ViserServer
 
 _MOVED_M: Final = 1e-5
-_TURNED: Final = 1e-4
-"""Of a quaternion's part. What has moved less since it was last sent is not sent again."""
-_FURTHER: Final = 1.3
-"""How much further away than the camera: the panel takes a part of the window."""
+_TURNED: Final = 1e-4  # of a quaternion's part. What has moved less since it was last sent is not sent again
+_FURTHER: Final = 1.3  # how much further away than the camera: the panel takes a part of the window
 MARK: Final = 0.02
 """Height in levels of the mark of a cell whose content is not that of a whole cell."""
-_LABEL_M: Final = 0.16
-"""Height of a car's number above its centre."""
+_LABEL_M: Final = 0.16  # height of a car's number above its centre
 _FACE_UP_FORWARD: Final = (0.0, math.sqrt(0.5), -math.sqrt(0.5), 0.0)
 """The turn after which a picture lies flat with its top ahead along x: viser's own hang as a camera sees them, with y
 down."""
-_PLATE_SHARE: Final = 0.84
-"""Side of a car's number plate, of that of the boss it lies on."""
+_PLATE_SHARE: Final = 0.84  # side of a car's number plate, of that of the boss it lies on
 _PLATE_PROUD_M: Final = 0.0012
 _SHOWN_GROUPS: Final = 3
 """MuJoCo's viewer and renderer show the groups of geoms below this one; the others are there to collide."""
 _Geom = mujoco.mjtGeom
-_PROUD_M: Final = 0.001
-"""So high the floor lies on the bare ground, so that the two do not flicker."""
+_PROUD_M: Final = 0.001  # so high the floor lies on the bare ground, so that the two do not flicker
 
 
 class BrowserScene:
@@ -57,13 +52,10 @@ class BrowserScene:
         marks: Mapping[Cell, float],
         on_pick: Callable[[int], None],
     ) -> None:
-        """Send the meshes.
+        """Send the meshes of a world, which is looked at alone.
 
-        Args:
-            server: of the page.
-            physics: the world, which is looked at alone.
-            marks: cells to mark, such as those of a building that is to be put up, and how high in levels.
-            on_pick: called with the number of a car that is clicked.
+        ``marks`` are cells to mark, such as those of a building that is to be put up, with how high in levels;
+        ``on_pick`` is called with the number of a car that is clicked.
         """
         self._server, self._seen = server, SeenWorld(physics)
         self._model = self._seen.model
@@ -71,13 +63,10 @@ class BrowserScene:
         """What moves, by the number of its body."""
         self.sent = 0
         """Poses that were sent so far."""
-        scene = server.scene
         with server.atomic():
-            scene.reset()
-            self._light()
-            self._add_ground(physics.size)
+            server.scene.reset()
+            self._add_surroundings(physics.size, marks)
             self._add_machines(physics, on_pick)
-            self._add_marks(marks)
         self._look_from_overview()
 
     def show(self, qpos: NDArray[np.float64]) -> None:
@@ -93,7 +82,7 @@ class BrowserScene:
                     node.wxyz = quaternion
                     self.sent += 1
 
-    def _light(self) -> None:
+    def _add_surroundings(self, size: Cell, marks: Mapping[Cell, float]) -> None:
         scene = self._server.scene
         scene.set_up_direction("+z")
         # An environment map looks better, but browsers without a GPU take seconds for a frame with it.
@@ -101,57 +90,39 @@ class BrowserScene:
         scene.configure_default_lights(True, cast_shadow=True)
         for number, side in enumerate([(-2.0, -3.0, 1.5), (3.0, 1.0, 1.0), (-1.0, 3.0, 1.0)]):
             scene.add_light_directional(f"/light/{number}", intensity=1.1, position=side)
-
-    def _add_ground(self, size: Cell) -> None:
         position, half = ground_pose_and_size(size)
-        extent = 2 * np.array([half[0], half[1], 0.005])
-        below = position - np.array([0, 0, 0.006])
-        self._server.scene.add_box("/ground", FLOOR_RGB, extent, position=below, cast_shadow=False)
-        self._server.scene.add_mesh_trimesh("/floor", floor_mesh(size), cast_shadow=False)
-
-    def _add_machines(self, physics: PhysicsWorld, on_pick: Callable[[int], None]) -> None:
-        car_of = {
-            int(self._model.dof_bodyid[car.base.dof]): number for number, car in enumerate(physics.cars)
-        }
-        for body, mesh in shapes_of(self._model).items():
-            name = self._model.body(body).name
-            node = self._server.scene.add_mesh_trimesh(f"/machines/{name}", mesh, receive_shadow=False)
-            if body:
-                self.nodes[body] = node
-            root = int(self._model.body_rootid[body])
-            if root not in car_of:
-                continue
-            car = car_of[root]
-            if name.endswith("/board"):  # its number lies on it, as in films
-                parameters = physics.machines.car(car)
-                side = _PLATE_SHARE * parameters.boss_top_side_m
-                self._server.scene.add_image(
-                    f"/machines/{name}/plate",
-                    number_plate(car, car_colour(car)),
-                    side,
-                    side,
-                    format="png",
-                    cast_shadow=False,
-                    wxyz=_FACE_UP_FORWARD,
-                    position=(0, 0, parameters.boss_height_m + _PLATE_PROUD_M),
-                )
-            node.on_click(partial(lambda car, event: on_pick(car), car))
-            if body == root:
-                self._server.scene.add_label(
-                    f"/machines/{name}/number",
-                    f"car {car}",
-                    position=(0, 0, _LABEL_M),
-                    anchor="bottom-center",
-                )
-
-    def _add_marks(self, marks: Mapping[Cell, float]) -> None:
+        extent, below = 2 * np.array([half[0], half[1], 0.005]), position - np.array([0, 0, 0.006])
+        scene.add_box("/ground", FLOOR_RGB, extent, position=below, cast_shadow=False)
+        scene.add_mesh_trimesh("/floor", floor_mesh(size), cast_shadow=False)
+        look: dict[str, Any] = {"opacity": 0.16, "cast_shadow": False}
         for number, (cell, levels) in enumerate(marks.items()):
             height = levels * LEVEL_HEIGHT_M
             extent = np.array([0.98 * CELL_PITCH_M, 0.98 * CELL_PITCH_M, height])
-            position = cell_position(*cell) + np.array([0, 0, 0.002 + height / 2])
-            self._server.scene.add_box(
-                f"/marks/{number}", (64, 168, 96), extent, position=position, opacity=0.16, cast_shadow=False
-            )
+            place = cell_position(*cell) + np.array([0, 0, 0.002 + height / 2])
+            scene.add_box(f"/marks/{number}", (64, 168, 96), extent, position=place, **look)
+
+    def _add_machines(self, physics: PhysicsWorld, on_pick: Callable[[int], None]) -> None:
+        scene, model = self._server.scene, self._model
+        car_of = {int(model.dof_bodyid[car.base.dof]): number for number, car in enumerate(physics.cars)}
+        for body, mesh in shapes_of(model).items():
+            path = f"/machines/{model.body(body).name}"
+            node = scene.add_mesh_trimesh(path, mesh, receive_shadow=False)
+            if body:
+                self.nodes[body] = node
+            car = car_of.get(int(model.body_rootid[body]))
+            if car is None:
+                continue
+            if path.endswith("/board"):  # its number lies on it, as in films
+                parameters = physics.machines.car(car)
+                side = _PLATE_SHARE * parameters.boss_top_side_m
+                place = (0, 0, parameters.boss_height_m + _PLATE_PROUD_M)
+                plate: dict[str, Any] = {"format": "png", "cast_shadow": False, "wxyz": _FACE_UP_FORWARD}
+                picture = number_plate(car, car_colour(car))
+                scene.add_image(f"{path}/plate", picture, side, side, position=place, **plate)
+            node.on_click(partial(lambda car, event: on_pick(car), car))
+            if body in car_of:
+                above = (0, 0, _LABEL_M)
+                scene.add_label(f"{path}/number", f"car {car}", position=above, anchor="bottom-center")
 
     def _look_from_overview(self) -> None:
         """Let browsers look from where the world's camera of that name does, at the ground before it."""
@@ -231,7 +202,6 @@ def _is_roller(model: mujoco.MjModel, body: int) -> bool:
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
-    """Return a geom's mesh in its colour; None for a floor, which is drawn otherwise."""
     import trimesh
 
     size = model.geom_size[geom]
@@ -246,11 +216,9 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
             points = model.mesh_vert[model.mesh_vertadr[number] + faces]
             mesh = _faceted(points, model.mesh_normal[model.mesh_normaladr[number] + face_normals])
         case _Geom.mjGEOM_BOX | _Geom.mjGEOM_CYLINDER as kind:
-            solid = (
-                trimesh.creation.box(extents=2 * size)
-                if kind == _Geom.mjGEOM_BOX
-                else trimesh.creation.cylinder(size[0], 2 * size[1])
-            )
+            box = kind == _Geom.mjGEOM_BOX
+            make = trimesh.creation
+            solid = make.box(extents=2 * size) if box else make.cylinder(size[0], 2 * size[1])
             mesh = _faceted(solid.triangles.reshape(-1, 3), np.repeat(solid.face_normals, 3, axis=0))
         case _Geom.mjGEOM_ELLIPSOID:
             ball = trimesh.creation.icosphere(subdivisions=2)
@@ -268,7 +236,6 @@ def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
 
 
 def _faceted(points: NDArray[np.floating], normals: NDArray[np.floating]) -> trimesh.Trimesh:
-    """Return the triangles between each three points (3 n, 3)."""
     import trimesh
 
     faces = np.arange(len(points)).reshape(-1, 3)

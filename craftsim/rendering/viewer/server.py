@@ -18,7 +18,7 @@ import socket
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Final
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 import msgspec
 import viser
@@ -75,7 +75,6 @@ class LocalServer(ViserServer):
         return False
 
     def _offers(self, part: str, value: object) -> bool:
-        """Return whether a part of the panel can be set to a value."""
         # viser has no public way from the name that a page uses to the part.
         match self.gui._gui_input_handle_from_uuid.get(part):
             case GuiDropdownHandle() as choice:
@@ -125,9 +124,11 @@ def _in_use(host: str, port: int) -> str:
 def why_refused(host: str, headers: Headers) -> str:
     """Return why a request to a server that listens on an address is refused; empty where it is not."""
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-    if len(hosts) != 1 or not _is_ours(host, _name(hosts[0])):
+    if len(hosts) != 1 or not _is_ours(host, _parts(f"//{hosts[0]}").hostname or ""):
         return f"this is no name of the viewer; open it by the address of its machine, or with --host {host}"
-    if origins and (len(origins) > 1 or _place(origins[0]) != hosts[0].lower()):
+    origin = _parts(origins[0] if origins else "")
+    place = origin.netloc.lower() if origin.scheme in ("http", "https") else ""
+    if origins and (len(origins) > 1 or place != hosts[0].lower()):
         return "the viewer talks to no page but its own"
     return ""
 
@@ -142,30 +143,19 @@ def _is_ours(host: str, name: str) -> bool:
     return False
 
 
-def _name(place: str) -> str:
-    """Return the host of ``host:port``, in lower case; empty where there is none."""
+def _parts(url: str) -> SplitResult:
+    """Return the parts of an address; all are empty of one that is none."""
     with contextlib.suppress(ValueError):
-        return urlsplit(f"//{place}").hostname or ""
-    return ""
-
-
-def _place(origin: str) -> str:
-    """Return the ``host:port`` of an Origin; empty for one that has none, such as ``null``."""
-    with contextlib.suppress(ValueError):
-        parts = urlsplit(origin)
-        return parts.netloc.lower() if parts.scheme in ("http", "https") else ""
-    return ""
+        return urlsplit(url)
+    return urlsplit("")
 
 
 @contextmanager
 def guarded(host: str, allows: Callable[[dict[str, Any]], bool]) -> Iterator[None]:
-    """Let the server that viser starts within the block refuse other pages.
+    """Let the server that viser starts within the block, on the address ``host``, refuse other pages.
 
-    Args:
-        host: address on which it listens.
-        allows: says of a message of a page whether it is one that viser may see; all others are dropped.
-
-    Raises RuntimeError for a viser that starts none, or in another way.
+    ``allows`` says of a message of a page whether viser may see it; all others are dropped. Raises RuntimeError for a
+    viser that starts no server, or in another way.
     """
     started = []
 

@@ -23,8 +23,7 @@ from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
 from craftsim.rendering.viewer.page import AS_IT_GOES, FRAMES_HZ, SPEEDS, Moment, ViewerPage
 from craftsim.rendering.viewer.scene import MARK
 
-_WHOLE: Final = (Kind.BLOCK, Kind.FSLOPE)
-"""What of a building fills its cell."""
+_WHOLE: Final = (Kind.BLOCK, Kind.FSLOPE)  # what of a building fills its cell
 _SAME_S: Final = 1e-6
 
 
@@ -68,12 +67,14 @@ class LiveView:
         self.page = ViewerPage(server, speed)
         self.page.controls = {"toggle": self.toggle}
         self._physics: PhysicsWorld | None = None
+        self._forget()
+        self._playing, self._due_s = True, 0.0
+        self._pace(0.0)
+
+    def _forget(self) -> None:
         self._judge: Judge | None = None
         self._attempts: Callable[[], Sequence[Attempt]] = tuple
         self._running: dict[int, ScheduledAction] = {}
-        self._playing = True
-        self._due_s = 0.0
-        self._pace(0.0)
 
     @classmethod
     def anywhere(cls) -> Self:
@@ -91,13 +92,10 @@ class LiveView:
         goals: Sequence[Cell] = (),
         attempts: Callable[[], Sequence[Attempt]] = tuple,
     ) -> None:
-        """Show a judged PhysicsWorld from now on, with what its cars do.
+        """Show a judged PhysicsWorld from now on, with what its cars do: the judge calls this view.
 
-        Args:
-            judge: the judge on the PhysicsWorld; it calls this view from now on.
-            title: stands above the page.
-            goals: cells to mark.
-            attempts: returns those that were judged so far.
+        ``title`` stands above the page, ``goals`` are cells to mark, and ``attempts`` returns those that were judged so
+        far.
         """
         self._judge, self._attempts, self._running = judge, attempts, {}
         before = judge.on_change
@@ -114,7 +112,7 @@ class LiveView:
     def __call__(self, physics: PhysicsWorld) -> None:
         """Show a PhysicsWorld as it is now, if it is time; wait where people want it slower, or paused."""
         if physics is not self._physics:
-            self._judge, self._attempts, self._running = None, tuple, {}
+            self._forget()
             self._begin(physics, "", ())
         speed = SPEEDS[self.page.speed.value]
         if time.monotonic() >= self._due_s:
@@ -165,7 +163,6 @@ class LiveView:
         self.page.show_playing(self._playing)
 
     def _pace(self, time_s: float) -> None:
-        """Keep to the chosen speed from this moment on."""
         self._speed = SPEEDS[self.page.speed.value]
         self._then, self._from_s = time.monotonic(), time_s
 
@@ -177,14 +174,9 @@ def live(
     attempts: Sequence[Attempt],
     car: int,
 ) -> Moment:
-    """Return what is known of a car of a PhysicsWorld now.
+    """Return what is known of a car of a PhysicsWorld now, by its number.
 
-    Args:
-        physics: the world.
-        judge: the judge on it, where there is one.
-        running: names of the actions on their way, by car.
-        attempts: those that have been judged.
-        car: its number.
+    ``running`` are names of the actions on their way, by car, and ``attempts`` those that have been judged.
     """
     measured, contact_n = None, math.nan
     if judge is not None:
@@ -273,9 +265,8 @@ class RecordedView:
         story = trajectory.story
         self._start_s, self._end_s = trajectory.time[[0, -1]].tolist()
         marks = {piece.cell: 1.0 if piece.kind in _WHOLE else MARK for piece in trajectory.wanted}
-        self._page.show_world(
-            story.title, trajectory.physics, marks or dict.fromkeys(story.recipe.goals, MARK)
-        )
+        marks = marks or dict.fromkeys(story.recipe.goals, MARK)
+        self._page.show_world(story.title, trajectory.physics, marks)
         self._page.offer(tuple(self._runs), (self._start_s, self._end_s))
         self.trajectory, self.time_s, self.playing = trajectory, self._start_s, False
         begins = {attempt.start_s for attempt in story.attempts}
@@ -311,7 +302,6 @@ def recorded(trajectory: Trajectory, sample: int, car: int) -> Moment:
 def _motors(
     physics: PhysicsWorld, force: NDArray[np.floating], car: int
 ) -> tuple[tuple[str, float, float], ...]:
-    """Return the motors of a car as of :class:`Moment`, for the forces (nu,) of all motors."""
     machine, model = physics.cars[car], physics.model
     columns = [*machine.wheel_actuators.tolist(), machine.board.actuator]
     names = [model.actuator(column).name.split("/")[-1] for column in columns]
@@ -320,6 +310,5 @@ def _motors(
 
 
 def _last(attempts: Sequence[Attempt], car: int, time_s: float) -> Attempt | None:
-    """Return a car's last attempt that has begun."""
     own = (one for one in reversed(attempts) if one.car == car and one.start_s <= time_s + _SAME_S)
     return next(own, None)

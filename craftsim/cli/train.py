@@ -220,17 +220,18 @@ def _trainer(
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
-    progress = counting("plans", bool)
+    given: dict[str, Any] = {"task": task, "workers": workers, "stages": stages}
+    given["progress"] = counting("plans", bool)
     other = with_starts(task, starts, config.rules) if starts else None
     begun = (folder / RUN_FILE).exists()
     if begun and resume:
-        return Trainer.resume(folder, other, task, config, workers, progress, stages)
+        return Trainer.resume(folder, other, config, **given)
     if begun:
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
     if resume:
         # As with a campaign: what was cut off before anything was kept begins again.
         print_safe(f"Nothing is saved in {folder} yet: the run begins.")
-    return Trainer(config, other, task, workers, progress, stages)
+    return Trainer(config, other, **given)
 
 
 def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: bool) -> None:

@@ -11,10 +11,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
+from craftsim.training.features import Seen
 from craftsim.training.learner import Learner, drawn, of_actions
 from craftsim.training.networks import CarNet, OthersNet
 from craftsim.training.q_learning import follow
-from craftsim.training.rollouts import Rollout, Seen
+from craftsim.training.rollouts import Rollout
 from craftsim.training.settings import COMASettings
 from craftsim.training.shape import Shape
 

@@ -17,12 +17,13 @@ from torch.nn.functional import smooth_l1_loss
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.training.demonstrations import NOT_SHOWN, Demonstrations
+from craftsim.training.features import Seen, joined
 from craftsim.training.learner import Learner, drawn, of_actions
 from craftsim.training.networks import CarNet, Critic
-from craftsim.training.rollouts import Rollout, Seen, distinct, joined
+from craftsim.training.rollouts import Rollout, distinct
 from craftsim.training.settings import PPOSettings
 from craftsim.training.shape import Shape
+from craftsim.training.starts import NOT_SHOWN, Demonstrations
 
 MIN_ADVANTAGE_STD: Final = 0.1
 """Advantages with a smaller standard deviation are not normalised to 1, since they are noise of the critic."""
@@ -61,7 +62,7 @@ class PPOLearner(Learner):
         # Values now and after each tick; these differ at the end of an episode.
         once, inverse = distinct(joined([rollout.now.flat(), rollout.after.flat()]))
         with torch.no_grad():
-            encoded = self.net.encode(once)
+            encoded = self.net.encoder(once)
             now, after = self.critic(encoded)[inverse].view(2, *rollout.actions.shape)
             before = self.net.masked(encoded, once).log_softmax(-1)
             before = of_actions(before[inverse[:n]], actions)
@@ -74,7 +75,7 @@ class PPOLearner(Learner):
             for some in torch.randperm(n).chunk(settings.minibatches):
                 met, places = torch.unique(inverse[some], return_inverse=True)
                 seen = once[met]
-                encoded = self.net.encode(seen)
+                encoded = self.net.encoder(seen)
                 log_probs = self.net.masked(encoded, seen).log_softmax(-1)
                 ratio = (of_actions(log_probs.index_select(0, places), actions[some]) - before[some]).exp()
                 gain = ratio * advantage[some]
@@ -126,7 +127,7 @@ def imitate(
     actions = torch.from_numpy(shown.actions)
     returns = torch.from_numpy(shown.returns(learner.settings.gamma))
     # What a car does later in a tick may be legal only after what another did: such actions are not imitated.
-    taught = (actions != NOT_SHOWN) & seen.offers.gather(-1, actions.clamp(min=0)[..., None])[..., 0]
+    taught = (actions != NOT_SHOWN) & of_actions(seen.offers, actions.clamp(min=0))
     optimizer = torch.optim.Adam(learner.modules.parameters(), LEARNING_RATE, fused=True)
     batches = -(-len(actions) // BATCH)
     steps = max(LEAST, EPOCHS * batches)
@@ -135,7 +136,7 @@ def imitate(
         if step % batches == 0:
             order = torch.randperm(len(actions)).chunk(batches)
         some = order[step % batches]
-        encoded = learner.net.encode(seen[some])
+        encoded = learner.net.encoder(seen[some])
         logits = learner.net.masked(encoded, seen[some])
         values = learner.critic(encoded)
         doing = functional.cross_entropy(logits[taught[some]], actions[some][taught[some]])
@@ -149,10 +150,9 @@ def imitate(
 
 def _seen(learner: PPOLearner, shown: Demonstrations, episodes: Episodes) -> Seen:
     """Return what the cars saw, (N,)."""
-    places, masks = [], []
-    for rows in np.split(np.arange(len(shown.actions)), range(_LOOKED_AT, len(shown.actions), _LOOKED_AT)):
+    parts, n = [], len(shown.actions)
+    for rows in np.split(np.arange(n), range(_LOOKED_AT, n, _LOOKED_AT)):
         episodes.begin(np.arange(len(rows)), shown.worlds.take(rows))
-        vectors = torch.from_numpy(episodes.vectors()[: len(rows)])
-        places.append(learner.net.encoder.places(vectors).to(torch.int32))
-        masks.append(torch.from_numpy(episodes.offered()[: len(rows)]))
-    return Seen(torch.cat(places), torch.cat(masks))
+        vectors, offered = episodes.vectors()[: len(rows)], episodes.offered()[: len(rows)]
+        parts.append(learner.net.encoder.look(vectors, offered))
+    return joined(parts)

@@ -10,10 +10,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
+from craftsim.training.features import Seen, joined
 from craftsim.training.learner import Learner, of_actions
 from craftsim.training.networks import CarNet
 from craftsim.training.q_learning import epsilon_greedy
-from craftsim.training.rollouts import Rollout, Seen, distinct, joined, lambda_returns
+from craftsim.training.rollouts import Rollout, distinct, lambda_returns
 from craftsim.training.settings import PQNSettings
 from craftsim.training.shape import Shape
 

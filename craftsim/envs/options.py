@@ -16,7 +16,6 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import ActionForm, ChoiceForm, ObjectChoice
 from craftsim.envs.observations import Images, Observe
-from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Drive, Machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization
@@ -153,13 +152,6 @@ class Options:
         if self.execution == "synchronous":
             return None
         return Timing(self.wait_s, self.jitter, self.failures, self.durations == "equal")
-
-    def refuse(self, form: str, *names: str) -> None:
-        """Raise InputError where an option is given that a form of the environment has no place for."""
-        for name in names:
-            if getattr(self, name) is not None:
-                option = "execution" if name == "timing" else name
-                raise InputError(f"{form} knows no '{option}'; leave it out")
 
     def action_form(self, task: Task) -> ActionForm:
         """Return the action form of a task."""

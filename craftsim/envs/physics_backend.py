@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,80 +11,96 @@ from numpy.typing import NDArray
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, Step, begin
 from craftsim.checking.judge import Judge
-from craftsim.checking.setup import Seed, SetUp, Setup, compile_world, set_up
+from craftsim.checking.setup import Seed, Setup, compile_world, nominal_gains, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.core import Core, Ended, Tick
+from craftsim.envs.options import Options
 from craftsim.envs.recording import EpisodeRecords, Pictures, has_display
 from craftsim.errors import InputError
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.config import SimulationConfig
+from craftsim.models.randomization import NONE
+from craftsim.models.sensing import ASSUMED
 from craftsim.rendering.images import CameraImages
 from craftsim.rendering.viewer import LOOPBACK, PORT, has_viser
 from craftsim.rendering.viewer.page import AS_IT_GOES
 from craftsim.rendering.viewer.views import LiveView
-from craftsim.skills.executor import Observer
+from craftsim.skills.library import check_cars
+
+
+def setup_from(options: Options, n_cars: int) -> Setup:
+    """Return the configuration of the physics that options ask for. Raises InputError for skills of other cars."""
+    machines = options.machines or replace(NOMINAL, drive="reduced")
+    if options.drive is not None:
+        machines = replace(machines, drive=options.drive)
+    randomization = options.randomization or NONE
+    if options.noise is not None:
+        randomization = replace(randomization, sensors=options.noise)
+    skills = options.skills or ()
+    check_cars(skills, n_cars)
+    return Setup(
+        rules=options.rule_set,
+        randomization=randomization,
+        assumed=options.assumed or ASSUMED,
+        simulation=options.config or SimulationConfig(),
+        gains=options.gains or nominal_gains(),
+        machines=machines,
+        skills=skills,
+    )
 
 
 class PhysicsBackend:
     """A PhysicsWorld on which all cars' skills run to their end in every tick."""
 
-    def __init__(
-        self,
-        setup: Setup,
-        helper_depth: int | None = None,
-        goals: Sequence[Cell] = (),
-        observers: Sequence[Observer] = (),
-        watch_contacts: bool = False,
-        pictures: Pictures | None = None,
-        records: EpisodeRecords | None = None,
-        images: CameraImages | None = None,
-        robots: SetUp | None = None,
-    ) -> None:
+    judge: Judge
+    ticks: list[tuple[Attempt, ...]]
+    """The attempts of the episode's ticks in acting order, or of what ended at one time."""
+
+    def __init__(self, setup: Setup, options: Options | None = None, task: Task | None = None) -> None:
         """Prepare for episodes.
 
         Args:
             setup: configuration of the physics, the noise, the skills and the judge.
-            helper_depth: search depth of the action helper; None is without it.
-            goals: cells to mark.
-            observers: called with the PhysicsWorld after every control period.
-            watch_contacts: whether the judge logs contacts, 3 % of the time; unsafe actions then end at once.
-            pictures: shows the world to people.
-            records: writes down what moves in each episode.
-            images: takes what cars observe by cameras.
-            robots: sets up a world whose cars are robots elsewhere; their contacts are not watched.
+            options: what is watched, shown, imaged and recorded; the physics is that of the setup.
+            task: whose goal is marked, and of which trajectories and images are.
         """
-        self.setup, self.goals = setup, tuple(goals)
-        self.observers, self.watch_contacts = observers, watch_contacts
-        self._helper = None if helper_depth is None else Rules(setup.rules)
+        self.setup, self._options = setup, options or Options()
+        options = self._options
+        self.goals: tuple[Cell, ...] = () if task is None else tuple(task.goal_cells)
+        self._helper = None if options.helper_depth is None else Rules(setup.rules)
+        self._pictures = Pictures(options.render_camera, options.render_size, options.shows_motion)
+        self._records: EpisodeRecords | None = None
+        self._images: CameraImages | None = None
+        if task is not None and options.record is not None:
+            self._records = EpisodeRecords(options.record, task.name, task.design)
+        if task is not None and (images := options.images) is not None:
+            self._images = CameraImages(images.cameras(task.layout.n_cars), images.size, images.kinds)
         self._start: Grid | None = None
-        self._pictures, self._records, self._images = pictures or Pictures(), records, images
         self._view: LiveView | None = None
-        self._robots = robots
-        self.judge: Judge
         self._seed: Seed
-        self._joints: list[list[tuple[int, Action]]]
-        """What the cars have done in each tick of the episode, or begun at one time of it."""
-        self._starts_s: list[float]
-        """When these began, where actions begin one by one; empty otherwise."""
-        self.ticks: list[tuple[Attempt, ...]]
-        """The attempts of the episode's ticks in acting order, or of what ended at one time."""
+        self._joints: list[list[tuple[int, Action]]]  # what was done in each tick, or begun at one time
+        self._starts_s: list[float]  # when these began, where actions begin one by one; empty otherwise
 
     def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
         """Begin an episode; a world is compiled only when the start or what is marked differs from the last one's."""
         self._end_record()
         seed = Seed.drawn(rng)
         marked = self.goals if design is None else tuple(design.floor)
-        if self._robots is not None:
-            self.judge = self._robots(grid, self.setup, seed, marked)
+        options = self._options
+        if options.robots is not None:
+            self.judge = options.robots(grid, self.setup, seed, marked)
         else:
             if self._start is None or not self._start.same_visible(grid) or marked != self.goals:
                 self._world = compile_world(grid, self.setup, marked)
-            self.judge = set_up(grid, self.setup, seed, marked, self._world, self.watch_contacts)
+            self.judge = set_up(grid, self.setup, seed, marked, self._world, options.check_contacts)
         self._start, self.goals = grid.copy(), marked
-        self.judge.executor.observers += [self._pictures.watch, *self.observers]
+        self.judge.executor.observers += [self._pictures.watch, *options.observers]
         self._seed, self._joints, self._starts_s, self.ticks = seed, [], [], []
         self._pictures.begin(self.judge.physics)
         if self._records is not None:
@@ -175,8 +190,7 @@ class PhysicsBackend:
 
     def images(self) -> dict[str, NDArray[Any]]:
         """Return what the cameras see now, by kind, one entry a camera; empty without any."""
-        physics = self.judge.physics
-        return {} if self._images is None else self._images.take(physics)
+        return {} if self._images is None else self._images.take(self.judge.physics)
 
     def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
         """Return what the camera sees."""
@@ -203,7 +217,10 @@ class PhysicsBackend:
             self._show_in(view)
 
     def _show_in(self, view: LiveView) -> None:
-        view.follow(self.judge, "", self.goals, lambda: [attempt for tick in self.ticks for attempt in tick])
+        view.follow(self.judge, "", self.goals, self._attempts)
+
+    def _attempts(self) -> list[Attempt]:
+        return [attempt for tick in self.ticks for attempt in tick]
 
     def close(self) -> None:
         """Close viewers and renderers, and write what is recorded."""
@@ -219,7 +236,7 @@ class PhysicsBackend:
         if self._records is not None and self._start is not None:
             while self.judge.running:
                 self.advance()
-            self._records.end(self.recipe, [attempt for tick in self.ticks for attempt in tick])
+            self._records.end(self.recipe, self._attempts())
 
 
 def _strayed(attempt: Attempt) -> bool:

@@ -101,7 +101,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
         Raises InputError for seeds that are none, a start that does not fit the task, and while a world is acting.
         """
         self._require_rest("reset")
-        seen = self._ask_all("reset", [(one, options) for one in self._seeds(seed)])
+        seen = self._ask_all(_begin, [(one, options) for one in self._seeds(seed)])
         self._begun = True
         return self._keep(range(self.num_envs), seen), {}
 
@@ -142,15 +142,14 @@ class PhysicsVectorEnv(TaskVectorEnv):
         """
         worlds = np.arange(self.num_envs) if ids is None else np.asarray(ids)
         is_number = worlds.ndim == 1 and worlds.dtype.kind in "iu"
-        if not is_number or not set(worlds.tolist()) <= set(range(self.num_envs)) or _has_twice(worlds):
+        if not is_number or len({*worlds.tolist()} & {*range(self.num_envs)}) < len(worlds):
             raise InputError(
                 f"ids are {ids!r}; allowed: different whole numbers from 0 to {self.num_envs - 1}"
             )
         rows = self._checked(actions, len(worlds))
-        if self._acting[worlds].any():
-            acting = worlds[self._acting[worlds]].tolist()
+        if acting := worlds[self._acting[worlds]].tolist():
             raise InputError(f"worlds {acting} are acting; recv() what they come to first")
-        self._ask({int(world): ("act", (row,)) for world, row in zip(worlds, rows, strict=True)})
+        self._ask({int(world): (_act, (row,)) for world, row in zip(worlds, rows, strict=True)})
         self._acting[worlds] = True
 
     def recv(self, at_least: int = 1) -> Batch:
@@ -183,7 +182,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
     def render(self) -> tuple[Any, ...]:
         """Return what every world renders, see :class:`craftsim.envs.options.Options`."""
         self._require_rest("render")
-        return tuple(self._ask_all("render", [()] * self.num_envs))
+        return tuple(self._ask_all(CentralConstruction.render, [()] * self.num_envs))
 
     def close_extras(self, **_: Any) -> None:
         """Close all worlds and end all processes; one that is still busy is killed.
@@ -192,40 +191,45 @@ class PhysicsVectorEnv(TaskVectorEnv):
         """
         self._acting[:] = False
         idle = {number: actor for number, actor in enumerate(self._actors) if not actor.due}
-        self._ask({world: ("close", ()) for world in range(self.num_envs) if world % self.workers in idle})
+        self._ask(
+            {
+                world: (CentralConstruction.close, ())
+                for world in range(self.num_envs)
+                if world % self.workers in idle
+            }
+        )
         problems: list[CraftsimError] = []
-        end_s = time.monotonic() + _CLOSE_S
+        end_s, left = time.monotonic() + _CLOSE_S, list(idle.values())
         # Of a cluster that is gone, and of workers that have died, nothing is left to be closed.
         with suppress(InputError):
-            while due := [actor for actor in idle.values() if actor.due]:
-                ready = self._kind.wait(due, max(0.0, end_s - time.monotonic()))
+            while left := [actor for actor in left if actor.due]:
+                ready = self._kind.wait(left, max(0.0, end_s - time.monotonic()))
                 if not ready:
                     break
                 for actor in ready:
                     try:
                         answer = actor.recv()[1]
                     except WorkerDiedError:
-                        idle = {number: one for number, one in idle.items() if one is not actor}
-                        continue
-                    problems += [answer] if isinstance(answer, CraftsimError) else []
+                        left.remove(actor)
+                    else:
+                        problems += [answer] if isinstance(answer, CraftsimError) else []
         while self._actors:
             self._actors.pop().kill()
         for problem in problems:
             raise problem
 
     def _require_rest(self, what: str) -> None:
-        if self._acting.any():
-            acting = np.flatnonzero(self._acting).tolist()
+        if acting := np.flatnonzero(self._acting).tolist():
             raise InputError(f"worlds {acting} are acting; recv() what they come to before a {what}()")
 
     def _ask(self, calls: Mapping[int, _Call]) -> None:
         if self.closed:
             raise InputError("the environment is closed; make it anew")
-        for world, (method, arguments) in calls.items():
-            self._actors[world % self.workers].send((world, method, arguments))
+        for world, call in calls.items():
+            self._actors[world % self.workers].send((world, *call))
 
-    def _ask_all(self, method: str, arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
-        self._ask({world: (method, given) for world, given in enumerate(arguments)})
+    def _ask_all(self, call: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
+        self._ask({world: (call, given) for world, given in enumerate(arguments)})
         return list(self._gather(self.num_envs).values())
 
     def _gather(self, at_least: int) -> dict[int, Any]:
@@ -240,8 +244,10 @@ class PhysicsVectorEnv(TaskVectorEnv):
                 if not ready:
                     break
                 for actor in ready:
-                    world, answer = self._answer(actor)
-                    found[world] = answer
+                    try:
+                        world, found[world] = actor.recv()
+                    except WorkerDiedError as death:
+                        raise self._died(actor, death) from death
         except CraftsimError:
             self.close()
             raise
@@ -253,16 +259,10 @@ class PhysicsVectorEnv(TaskVectorEnv):
             raise error
         return answers
 
-    def _answer(self, actor: Any) -> tuple[int, Any]:
-        try:
-            answer: tuple[int, Any] = actor.recv()
-        except WorkerDiedError as error:
-            held = [str(world) for world in range(self._actors.index(actor), self.num_envs, self.workers)]
-            worlds = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "")
-            raise CraftsimError(
-                f"the process that holds the worlds {worlds} {error}; make the environment anew"
-            ) from error
-        return answer
+    def _died(self, actor: Any, error: WorkerDiedError) -> CraftsimError:
+        held = [str(world) for world in range(self._actors.index(actor), self.num_envs, self.workers)]
+        worlds = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "")
+        return CraftsimError(f"the process that holds the worlds {worlds} {error}; make the environment anew")
 
     def _batch(self, answers: Mapping[int, tuple[Any, ...]]) -> Batch:
         """Return the answers of :meth:`_Holder.act` as those of a batch."""
@@ -289,10 +289,6 @@ class PhysicsVectorEnv(TaskVectorEnv):
         return {key: np.stack([one[key] for one in seen]) for key in seen[0]}
 
 
-def _has_twice(numbers: NDArray[np.integer]) -> bool:
-    return len(set(numbers.tolist())) < len(numbers)
-
-
 def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
     """Return an info of some worlds as an array (k,), or (k, n) where it is the cars'; texts are objects in it."""
     by_car = key not in _OF_WORLD
@@ -305,8 +301,8 @@ def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
     return column
 
 
-_Call = tuple[str, tuple[Any, ...]]
-"""A method of :class:`_Holder`, and its arguments besides the world."""
+_Call = tuple[Callable[..., Any], tuple[Any, ...]]
+"""What is called with an environment in a worker, and further arguments."""
 
 
 class _Holder:
@@ -315,34 +311,28 @@ class _Holder:
     def __init__(self, make: Callable[[], CentralConstruction], worlds: Iterable[int]) -> None:
         self._envs = {world: make() for world in worlds}
 
-    def __call__(self, asked: tuple[int, str, tuple[Any, ...]]) -> tuple[int, Any]:
-        """Return the number of a world and the answer of a method; what that raises is its answer, too."""
-        world, method, arguments = asked
+    def __call__(self, asked: tuple[int, Callable[..., Any], tuple[Any, ...]]) -> tuple[int, Any]:
+        """Return the number of a world and what a call comes to; what that raises is its answer, too."""
+        world, call, arguments = asked
         try:
-            return world, getattr(self, method)(self._envs[world], *arguments)
+            return world, call(self._envs[world], *arguments)
         except CraftsimError as error:
             return world, error
         except Exception:
             return world, CraftsimError(f"a world in physics broke down:\n{traceback.format_exc()}")
 
-    def reset(
-        self, env: CentralConstruction, seed: int | None, options: dict[str, Any] | None
-    ) -> Observation:
-        return env.reset(seed=seed, options=options)[0]
 
-    def act(self, env: CentralConstruction, actions: NDArray[np.int64]) -> tuple[Any, ...]:
-        """Return what a step does, and the last observation of an episode that has ended; the next one then begins."""
-        observation, reward, terminated, truncated, info = env.step(actions)
-        del info["action_mask"]  # the observation has it
-        final = None
-        if terminated or truncated:
-            final, observation = observation, env.reset()[0]
-            if "decides" in info:
-                info["decides"] = (True,) * len(info["decides"])
-        return observation, reward, terminated, truncated, info, final
+def _act(env: CentralConstruction, actions: NDArray[np.int64]) -> tuple[Any, ...]:
+    """Return what a step does, and the last observation of an episode that has ended; the next one then begins."""
+    observation, reward, terminated, truncated, info = env.step(actions)
+    del info["action_mask"]  # the observation has it
+    final = None
+    if terminated or truncated:
+        final, observation = observation, env.reset()[0]
+        if "decides" in info:
+            info["decides"] = (True,) * len(info["decides"])
+    return observation, reward, terminated, truncated, info, final
 
-    def render(self, env: CentralConstruction) -> Any:
-        return env.render()
 
-    def close(self, env: CentralConstruction) -> None:
-        env.close()
+def _begin(env: CentralConstruction, seed: int | None, options: dict[str, Any] | None) -> Observation:
+    return env.reset(seed=seed, options=options)[0]

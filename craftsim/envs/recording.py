@@ -31,10 +31,6 @@ if TYPE_CHECKING:
 
 Picture = NDArray[np.uint8]
 """Shape (height, width, 3), red green blue."""
-
-CAMERA: Final = "overview"
-SIZE: Final = (640, 480)
-"""Width and height in pixels."""
 _DIGITS: Final = 8
 """Of the digest that tells a recorded episode from others."""
 
@@ -50,8 +46,8 @@ class Pictures:
     def __init__(
         self, camera: str | None = None, size: tuple[int, int] | None = None, motion: bool = False
     ) -> None:
-        """Prepare for a camera and size, the defaults unless given; ``motion`` keeps the pictures between ticks."""
-        self.camera, self.size, self.motion = camera or CAMERA, size or SIZE, motion
+        """Prepare for a camera and a size (width, height); ``motion`` keeps the pictures between ticks."""
+        self.camera, self.size, self.motion = camera or "overview", size or (640, 480), motion
         self._physics: PhysicsWorld | None = None
         self._kept: list[Picture] = []
         self._due_s = 0.0

@@ -122,7 +122,6 @@ class PhysicsWorlds:
 
     def __init__(self, task: Task, n: int, **options: Any) -> None:
         self.envs = PhysicsVectorEnv(task, n, **options)
-        self.close = self.envs.close
 
     def reset(self, seed: int) -> None:
         """Start all episodes anew."""
@@ -151,6 +150,10 @@ class PhysicsWorlds:
     def restart(self) -> None:
         """Go on with the episodes that have begun in the place of those that are over."""
         self._seen = self._next
+
+    def close(self) -> None:
+        """End the processes."""
+        self.envs.close()
 
 
 class Novelty:

@@ -216,7 +216,6 @@ def test_what_is_handed_out_may_be_changed_without_any_consequence(form):
 def test_names_of_0_2_go_on_working_and_say_where_they_are_now():
     for old, name, now in [
         ("answers", "answer_text", "text"),
-        ("collecting", "reached_worlds", "datasets"),
         ("conversation", "converse", "text"),
         ("entity_sets", "observe_entities", "observations"),
         ("images", "Images", "observations"),

@@ -43,13 +43,13 @@ def test_a_batch_of_worlds_varies_and_goes_on_with_other_starts():
 def test_an_episode_shows_its_own_design_and_a_given_start_needs_one():
     made = parallel_env("designs", "grid")
     made.reset(seed=0)
-    first, played = made.core.designs, made.core.played
+    first, played = made.core.episodes.designs.copy(), made.core.played
     assert first.shape == (1, 8, 5)
     grid, design = made.core.grid, played.design
     made.reset(seed=1)
-    assert not np.array_equal(first, made.core.designs)
+    assert not np.array_equal(first, made.core.episodes.designs)
     made.reset(options={"grid": grid, "design": design})
-    assert np.array_equal(first, made.core.designs)
+    assert np.array_equal(first, made.core.episodes.designs)
     with pytest.raises(InputError, match="give the option 'design'"):
         made.reset(options={"grid": grid})
     with pytest.raises(InputError, match="has its own goal"):

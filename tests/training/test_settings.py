@@ -69,9 +69,9 @@ def test_the_command_takes_a_file_and_a_policy_s_settings_are_checked(tmp_path, 
         "--out",
         str(tmp_path / "run"),
     ]
-    assert main([*words, f"settings={_file(tmp_path, 'epochs: 0')}"]) == 2
+    assert main([*words, "--settings", str(_file(tmp_path, "epochs: 0"))]) == 2
     assert "key 'epochs': 0 is out of range, allowed: 1 to 100" in capsys.readouterr().err
-    assert main([*words, f"settings={_file(tmp_path, 'epochs: 1')}"]) == 0
+    assert main([*words, "--settings", str(_file(tmp_path, "epochs: 1"))]) == 0
     path = tmp_path / "run" / POLICY_FILE
     assert read_policy(path)[0].config.hyperparameters == {"epochs": 1}
     content = read_content(path)

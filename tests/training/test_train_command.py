@@ -20,7 +20,8 @@ from craftsim.training.trainer import Trainer
 
 def _train(out, *words):
     task = [] if "--task" in words else ["strip"]
-    return main(["train", *task, "--episodes", "20", "--set", "worlds=10", "--out", str(out), *words])
+    episodes = [] if "--episodes" in words else ["--episodes", "20"]
+    return main(["train", *task, *episodes, "--set", "worlds=10", "--out", str(out), *words])
 
 
 def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):

@@ -2,9 +2,7 @@
 
 import json
 import threading
-from pathlib import Path
 
-import forked
 import numpy as np
 import pytest
 
@@ -58,15 +56,6 @@ def test_the_environment_that_a_dataset_names_plays_its_episodes_again(folder, b
                 assert told == (reward, ended, cut)
         assert ended or cut
     env.close()
-
-
-def test_an_episode_is_the_same_whatever_else_is_written(folder):
-    env = parallel_env("strip", "grid")
-    write_dataset(env, _random, folder, "all-v0", 3, seed=4)
-    write_dataset(env, _random, folder, "last-v0", 1, seed=6)
-    third, alone = minari.load_dataset("all-v0")[2], minari.load_dataset("last-v0")[0]
-    np.testing.assert_array_equal(third.actions, alone.actions)
-    np.testing.assert_array_equal(third.observations["observation"], alone.observations["observation"])
 
 
 @pytest.mark.parametrize("task", TASK_NAMES)
@@ -142,19 +131,6 @@ def test_a_second_export_of_a_name_is_refused_and_the_first_loses_nothing(folder
     assert "is in use: another craftsim writes into it" in capsys.readouterr().err
     assert minari.load_dataset(NAME).total_episodes == 3
     assert [path.name for path in (folder / NAME).iterdir()] == ["data"]
-
-
-def test_two_processes_that_export_one_name_leave_one_whole_dataset(folder, tmp_path_factory):
-    words = ["export", "strip", "--name", NAME, "--policy", "random", "--episodes", "20", "--out", folder]
-    errors = [tmp_path_factory.mktemp("said") / name for name in ("one", "two")]
-    for path in errors:
-        path.touch()
-    processes = [forked.start("craftsim", *words, err=str(path)) for path in errors]
-    for process in processes:
-        process.join()
-    assert sorted(process.exitcode for process in processes) == [0, 2]
-    assert any("is in use" in text or "exists already" in text for text in map(Path.read_text, errors))
-    assert minari.load_dataset(NAME).total_episodes == 20
 
 
 def test_what_a_kill_leaves_of_a_dataset_is_gone_with_the_next_and_no_link_there_is_followed(folder):

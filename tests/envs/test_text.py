@@ -23,11 +23,6 @@ def test_an_action_that_is_written_is_read_again():
         assert read_answer(f"1: {action.name}", 2) == [Action.STOP, action]
 
 
-def test_what_stands_before_the_mark_is_not_read():
-    answer = "car_0: drop? No: car 1 is below. ANSWER: no. ANSWER:\n`car 1: Move  Left`.\n"
-    assert read_answer(answer, 2) == [Action.STOP, Action.MOVE_LEFT]
-
-
 def test_an_answer_that_cannot_be_read_is_refused_and_nothing_happens():
     for answer, words in [
         ("", "names no action"),
@@ -109,7 +104,7 @@ def test_who_acts_second_is_refused_for_what_the_first_one_did():
     }
 
 
-def test_the_refusal_is_in_the_same_words_in_physics_and_on_the_grid():
+def test_in_physics_the_refusal_is_in_the_same_words_and_a_skill_that_fails_says_what_happened():
     said = []
     for backend in ("grid", "physics"):
         env = TextConstruction("strip", backend=backend)
@@ -117,21 +112,20 @@ def test_the_refusal_is_in_the_same_words_in_physics_and_on_the_grid():
         said.append([str(one) for one in env.step("car_0: lift; car_1: unfold")[4]["feedback"]])
     assert said[0] == said[1]
     assert all(": forbidden: there is no" in line for line in said[0])
-
-
-def test_a_skill_that_fails_says_what_happened():
-    env = TextConstruction("strip", backend="physics")
-    env.reset(seed=0)
     physics = env.core.backend.judge.physics
     weak = physics.baseline.copy()
     weak.actuator_forcerange[physics.cars[0].wheel_actuators] = 0.0
     physics.set_baseline(weak)
     text, *_, info = env.step("car_0: move left; car_1: stop")
     first, second = info["feedback"]
-    assert (first.result, second.result) == ("failed", "as predicted")
-    assert (first.done, second.done) == (False, True)
+    assert [(one.result, one.done) for one in (first, second)] == [("failed", False), ("as predicted", True)]
     assert f"  car_0: move left: failed: {first.why}\n  car_1: stop: done\n" in text
     assert first.why.startswith(("blocked", "slipped"))
+    physics.data.qpos[physics.blocks[0].qpos] += 0.06  # what no skill would do
+    text, reward, terminated, truncated, info = env.step("car_0: move left")
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert f"The world cannot be read any more: {'; '.join(info['problems'])}." in text
+    assert "The episode is over; the goal is not reached." in text
 
 
 @pytest.mark.parametrize("task", ["strip", "simple_two_story", "breaking_barrier"])
@@ -174,21 +168,12 @@ def test_the_instructions_name_every_cell_of_the_design():
     assert "one platform" in TextConstruction("free_building", backend="grid").instructions
 
 
-@pytest.mark.parametrize("option", [{"images": Images()}, {"helper_depth": 8}], ids=str)
+@pytest.mark.parametrize(
+    "option", [{"images": Images()}, {"helper_depth": 8}, {"execution": "asynchronous"}], ids=str
+)
 def test_an_option_that_texts_have_no_place_for_is_refused(option):
     with pytest.raises(InputError, match=f"the text form knows no '{next(iter(option))}'; leave it out"):
         TextConstruction("strip", **option)
-
-
-def test_a_world_that_cannot_be_read_any_more_is_told_as_such():
-    env = TextConstruction("strip", backend="physics")
-    env.reset(seed=0)
-    physics = env.core.backend.judge.physics
-    physics.data.qpos[physics.blocks[0].qpos] += 0.06  # what no skill would do
-    text, reward, terminated, truncated, info = env.step("car_0: move left")
-    assert (reward, terminated, truncated) == (0.0, False, True)
-    assert f"The world cannot be read any more: {'; '.join(info['problems'])}." in text
-    assert "The episode is over; the goal is not reached." in text
 
 
 def test_the_examples_in_docstrings_hold():

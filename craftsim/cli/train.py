@@ -356,10 +356,8 @@ def study(
 
     need_torch()
     from craftsim.reports.json_file import document
-    from craftsim.studies.report import study_report, write_markdown
-    from craftsim.studies.results import figures_of, plot_results
-    from craftsim.studies.runs import run_study, under_way
-    from craftsim.studies.study import read_study
+    from craftsim.studies.results import figures_of, plot_results, study_report, write_markdown
+    from craftsim.studies.study import read_study, run_study, under_way
 
     asked, begun, since_s = read_study(what), time.perf_counter(), time.time()
     with telling(lambda: under_way(asked, out, since_s), STUDY_EVERY_S):

@@ -136,12 +136,9 @@ def illegal(
 class ObjectChoice:
     """How many objects a car may choose from, and how far away they may be. Raises InputError for a bad value."""
 
-    blocks: _Count | None = None
-    """As many as the task has unless given."""
-    slopes: _Count | None = None
-    """Folded or unfolded; as many as the task has unless given."""
-    free: _Count = 20
-    """Cells without an object."""
+    blocks: _Count | None = None  # as many as the task has unless given
+    slopes: _Count | None = None  # folded or unfolded; as many as the task has unless given
+    free: _Count = 20  # cells without an object
     radius: Annotated[int, Range(1, 256)] = 3
     """Cells along x and y; CraftEnv's view of 7 x 7 cells unless given."""
     floor: bool = False

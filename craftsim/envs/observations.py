@@ -119,8 +119,7 @@ def joint_action_space(task: Task, n_actions: int = N_ACTIONS) -> spaces.MultiDi
 class Observe:
     """What each car observes: the ``observation`` of the PettingZoo forms; the action mask stays beside it."""
 
-    space: spaces.Space[Any]
-    """Of one car's observation."""
+    space: spaces.Space[Any]  # of one car's observation
     of: Callable[[Grid, int], Any]
     """Returns the observation of a car, given by number, in the world as it is seen."""
 
@@ -134,8 +133,7 @@ class Images:
 
     camera: ImageCamera = "front"
     """``front``, each car's own in its nose, or one of the world's, of which all cars get the same images."""
-    size: tuple[int, int] = (64, 48)
-    """Width and height in pixels."""
+    size: tuple[int, int] = (64, 48)  # width and height in pixels
     kinds: tuple[ImageKind, ...] = ("rgb",)
     """Some of rgb, depth and segmentation, as :func:`craftsim.take_images` takes them."""
 

@@ -15,7 +15,20 @@ from numpy.typing import NDArray
 from scipy.stats import trim_mean
 
 from craftsim.experiments.experiment import TrialRecord
-from craftsim.storage.writing import whole
+from craftsim.experiments.intervals import least_detectable
+from craftsim.reports.report import (
+    Column,
+    DataTable,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    Value,
+    count,
+    numbers,
+)
+from craftsim.storage.writing import whole, write_whole
 from craftsim.studies.study import Study, StudyRun
 from craftsim.training.curve import last_fifth
 
@@ -44,35 +57,34 @@ MEASURES: Final[Mapping[str, Callable[[Runs], NDArray[np.float64]]]] = {
 """By name: what is said of all runs of an algorithm; the median is that of the tasks' means."""
 
 
+def _bounded(measure: Callable[..., Any], *runs: Runs) -> NDArray[np.float64]:
+    """Return (3, ...): a measure of runs, its low and its high at 95 %; those of each task are drawn by themselves."""
+    drawn = []
+    for seed, some in enumerate(runs):
+        rows = np.random.default_rng(seed).integers(len(some), size=(REPETITIONS, *some.shape))
+        drawn.append(np.take_along_axis(np.broadcast_to(some, rows.shape), rows, axis=1))
+    return np.stack([measure(*runs), *np.quantile(measure(*drawn), (0.025, 0.975), axis=0)])
+
+
 def measures(runs: Runs) -> dict[str, list[float]]:
     """Return every measure of an algorithm's runs (seeds, tasks), each as estimate, low and high at 95 %."""
-    drawn = _drawn(runs)
-    return {
-        name: [float(measure(runs)), *np.quantile(measure(drawn), (0.025, 0.975)).tolist()]
-        for name, measure in MEASURES.items()
-    }
+    return {name: _bounded(measure, runs).tolist() for name, measure in MEASURES.items()}
 
 
 def profile(runs: Runs) -> NDArray[np.float64]:
     """Return (3, len(TAUS)): the share of runs above each success rate, its low and its high at 95 %."""
-
-    def above(some: Runs) -> NDArray[np.float64]:
-        shares: NDArray[np.float64] = (some[..., None] > TAUS).mean((-3, -2))
-        return shares
-
-    return np.stack([above(runs), *np.quantile(above(_drawn(runs)), (0.025, 0.975), axis=0)])
+    return _bounded(lambda some: (some[..., None] > TAUS).mean((-3, -2)), runs)
 
 
 def improvement(ours: Runs, theirs: Runs) -> list[float]:
     """Return how likely a run of ours is better than one of theirs on a task, ties by half, its low and its high."""
 
-    def better(a: Runs, b: Runs) -> NDArray[np.float64]:
+    def better(a: Runs, b: Runs) -> Any:
         gap = a[..., :, None, :] - b[..., None, :, :]
-        likely: NDArray[np.float64] = ((gap > 0) + 0.5 * (gap == 0)).mean((-3, -2, -1))
-        return likely
+        return ((gap > 0) + 0.5 * (gap == 0)).mean((-3, -2, -1))
 
-    bounds = np.quantile(better(_drawn(ours), _drawn(theirs, 1)), (0.025, 0.975))
-    return [float(better(ours, theirs)), *bounds.tolist()]
+    found: list[float] = _bounded(better, ours, theirs).tolist()
+    return found
 
 
 def iqm_curve(runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -81,21 +93,12 @@ def iqm_curve(runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]
     A run, a list of (steps, success), has the success of its last evaluation until then, and 0 before its first one.
     """
     held = np.array([[_held(run, int(step)) for step in at] for run in runs])
-    columns = np.moveaxis(_drawn(held), -1, 0)[..., None]
-    bounds = np.quantile(iqm(columns), (0.025, 0.975), axis=-1)
-    return np.stack([iqm(held.T[..., None]), *bounds])
+    return _bounded(lambda some: iqm(np.moveaxis(some, -1, 0)[..., None]).T, held)
 
 
 def _held(run: Sequence[tuple[int, float]], step: int) -> float:
     before = [success for at, success in run if at <= step]
     return before[-1] if before else 0.0
-
-
-def _drawn(runs: Runs, seed: int = 0) -> Runs:
-    """Return (REPETITIONS, seeds, tasks): runs drawn with replacement, those of each task by themselves."""
-    rng = np.random.default_rng(seed)
-    rows = rng.integers(len(runs), size=(REPETITIONS, *runs.shape))
-    return np.take_along_axis(np.broadcast_to(runs, rows.shape), rows, axis=1)
 
 
 def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
@@ -232,3 +235,93 @@ def _saved(figure: Any, path: Path) -> Path:
     with whole(path) as partial:
         figure.savefig(partial, dpi=110)
     return path
+
+
+def study_report(study: Study, reached: int, document: Mapping[str, Any], pictures: Sequence[Path]) -> Report:
+    """Return the report of a study.
+
+    Args:
+        study: what ran.
+        reached: how many of its runs reached its success rate.
+        document: what ``report.json`` holds.
+        pictures: that were drawn of it.
+    """
+    figures, n = document["figures"], len(study.runs)
+    sentence = f"{reached} of {count(n, 'run')} reached a success of {study.goal:g} or more."
+    badge, tone = ("All reached", Tone.GOOD) if reached == n else ("Not all reached", Tone.CAUTION)
+    overall = {algo: found["iqm"] for algo, found in figures["overall"].items()}
+    return Report(
+        "Study of training",
+        study.title,
+        Headline(badge, tone, sentence),
+        [
+            KeyFigure(
+                f"{iqm:.3f}", f"IQM of {algo}", f"{low:.3f} to {high:.3f}" if study.seeds > 1 else "one seed"
+            )
+            for algo, (iqm, low, high) in overall.items()
+        ],
+        [
+            Section(
+                "runs",
+                "Runs",
+                "Interquartile means over training runs of different seeds, with stratified bootstrap intervals.",
+                [runs_table(study, figures)],
+                terminal=True,
+            )
+        ],
+        conclusions(figures),
+        {"Plots": ", ".join(map(str, pictures))},
+        document,
+        0 if reached == n else 1,
+    )
+
+
+def runs_table(study: Study, figures: dict[str, Any]) -> DataTable:
+    """Return the table by task, what was played and algorithm; starts are the different ones of an evaluation.
+
+    Its last column, what others have published, is there if the study knows of any.
+    """
+    published = ["published"] if study.reference else []
+    columns = (Column("task"), *numbers("algo", "IQM", "95 %", "starts", "steps", *published))
+    rows = []
+    for row in figures["rows"]:
+        estimate, low, high = row["success"]["iqm"]
+        # A split of the task that it was trained on says so by its name.
+        own = row["played"].partition("@")[0] == row["task"]
+        task = row["played"] if own else f"{row['played']} by {row['task']}"
+        steps = f"{row['median_steps'] / 1000:,.0f} k"
+        success = f"{estimate:.3f}", "one run" if study.seeds == 1 else f"{low:.3f}-{high:.3f}"
+        cells: list[Value] = [task, row["algo"], *success, str(row["distinct_starts"]), steps]
+        best = row["published"]
+        rows.append([*cells, *("" if best is None else f"{best:.2f}" for _ in published)])
+    seeds = f"{study.seeds} seed{'s' if study.seeds > 1 else ''}"
+    return DataTable(columns, rows, f"{study.title}: success over {seeds} of training")
+
+
+def conclusions(figures: dict[str, Any]) -> list[str]:
+    """Return a line an algorithm on all its runs, one a pair of algorithms, and one on each run without a result."""
+    lines = []
+    for algo, found in figures["overall"].items():
+        (estimate, low, high), (gap, *_) = found["iqm"], found["optimality_gap"]
+        several = len({run["seed"] for run in figures["runs"]}) > 1
+        interval = f" ({low:.3f} to {high:.3f})" if several else ""
+        lines.append(f"{algo}, all tasks: IQM {estimate:.3f}{interval}, optimality gap {gap:.3f}.")
+    for pair, (likely, low, high) in figures["improvement"].items():
+        a, b = pair.split(" over ")
+        line = f"A run of {a} beats one of {b} with probability {likely:.2f} ({low:.2f} to {high:.2f})"
+        if low == high:
+            line += ": the interval has no width, which says nothing of how sure that is"
+        elif low <= 0.5 <= high:
+            least = least_detectable(low, high)
+            line += f": no difference shows; the least detectable one is {least:.2f} from 0.5"
+        lines.append(f"{line}.")
+    lines += [f"{run['key']}: {run['error']}" for run in figures["runs"] if run["error"]]
+    return lines
+
+
+def write_markdown(path: Path, study: Study, figures: dict[str, Any]) -> None:
+    """Write the table and the conclusions of a study as Markdown. Raises InputError where the disk does not take it."""
+    lines = "\n".join(f"- {line}" for line in conclusions(figures))
+    write_whole(
+        path, "\n\n".join([runs_table(study, figures).as_markdown(), *([lines] if lines else [])]) + "\n"
+    )

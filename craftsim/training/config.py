@@ -62,10 +62,8 @@ class TrainConfig:
     trainer needs the task itself, since a configuration may come from a file."""
     algo: AlgoName = "ippo"
     seed: Annotated[int, SEED] = 0
-    worlds: Annotated[int, BATCH] | None = None
-    """Number of parallel worlds; default by algorithm and backend."""
-    width: Annotated[int, NETWORK_WIDTH] = 128
-    """Width of the hidden layers."""
+    worlds: Annotated[int, BATCH] | None = None  # number of parallel worlds; default by algorithm and backend
+    width: Annotated[int, NETWORK_WIDTH] = 128  # width of the hidden layers
     network: NetworkName = "map"
     """Encoder: by cell of the map, or relative to each car, for any number of cars."""
     recurrent: bool = False
@@ -74,16 +72,11 @@ class TrainConfig:
     """Exploration bonus for a new building; divided by sqrt(k) for one seen k times."""
     n_cars: Annotated[int, CARS] | None = None
     """Number of cars; those not listed in the task's start are placed at random."""
-    n_blocks: Annotated[int, BLOCKS] | None = None
-    """Number of blocks."""
-    backend: TrainBackend = "grid"
-    """Training and evaluation on the grid, or in contact physics."""
-    drive: Drive = "reduced"
-    """Drive of the cars in physics."""
-    randomize: str = "none"
-    """Preset of the randomization in physics."""
-    rules: RuleSet = "physical"
-    """Rule set on the grid."""
+    n_blocks: Annotated[int, BLOCKS] | None = None  # number of blocks
+    backend: TrainBackend = "grid"  # training and evaluation on the grid, or in contact physics
+    drive: Drive = "reduced"  # drive of the cars in physics
+    randomize: str = "none"  # preset of the randomization in physics
+    rules: RuleSet = "physical"  # rule set on the grid
     helper_depth: Annotated[int, HELPER_DEPTH] | None = None
     """Search depth of the action helper on the grid; None: no helper."""
     execution: Execution = "synchronous"
@@ -100,8 +93,7 @@ class TrainConfig:
     """Initial policy, by name, file or folder; with the same width and kind of network, possibly another area."""
     stages: Annotated[tuple[str, ...], Strict(False), Field(max_length=STAGES)] = ()
     """Curriculum: easier tasks of the same shape to learn on first."""
-    stage_steps: Annotated[int, Range(0, TRAIN_STEPS.high)] = 0
-    """Ticks on each of them, over all worlds."""
+    stage_steps: Annotated[int, Range(0, TRAIN_STEPS.high)] = 0  # ticks on each of them, over all worlds
     evaluate_every: Annotated[int, TRAIN_STEPS] | None = None
     """Ticks between evaluations, over all worlds; default: ten rollouts."""
     evaluation_episodes: Annotated[int, TRAIN_EPISODES] | None = None

@@ -17,16 +17,12 @@ from craftsim.training.settings import Settings
 class Learner(ABC):
     """An algorithm with its networks and optimiser."""
 
-    net: CarNet
-    """The policy: from a car's observation to one number per action, higher is better."""
-    modules: nn.Module
-    """All modules with weights, including target networks."""
+    net: CarNet  # the policy: from a car's observation to one number per action, higher is better
+    modules: nn.Module  # all modules with weights, including target networks
     optimizer: torch.optim.Optimizer
     settings: Settings
-    ticks: int
-    """Length of a rollout: ticks of each world between updates."""
-    learnt: int = 0
-    """Ticks so far over all worlds, counted by the trainer."""
+    ticks: int  # length of a rollout: ticks of each world between updates
+    learnt: int = 0  # ticks so far over all worlds, counted by the trainer
 
     def begin(self, worlds: Tensor) -> None:  # noqa: B027
         """Take note of the worlds (B,) in which an episode begins, as a mask."""

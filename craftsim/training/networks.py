@@ -203,6 +203,12 @@ def head(width: int, n_out: int, layer_norm: bool = False) -> nn.Module:
     return nn.Sequential(nn.ReLU(), nn.Sequential(first, nn.ReLU(), last))
 
 
+@torch.no_grad()
+def follow(target: nn.Module, online: nn.Module, rate: float) -> None:
+    """Let the weights of a target network follow those of another by this part of their difference."""
+    torch._foreach_lerp_([*target.parameters()], [*online.parameters()], rate)
+
+
 def numbers(
     saved: Any, name: str, like: Tensor, low: float = -LARGEST_WEIGHT, high: float = LARGEST_WEIGHT
 ) -> Tensor:

@@ -22,9 +22,9 @@ from craftsim.discrete.kernel.tasks import ROW
 from craftsim.errors import InputError
 from craftsim.training.features import Seen, joined
 from craftsim.training.learner import Learner, drawn_offers, of_actions
-from craftsim.training.networks import CarNet, JointNet, QMixer, RecurrentState, numbers
-from craftsim.training.rollouts import Rollout, lambda_returns
-from craftsim.training.settings import QSettings
+from craftsim.training.networks import CarNet, JointNet, QMixer, RecurrentState, follow, numbers
+from craftsim.training.rollouts import Rollout, distinct, lambda_returns
+from craftsim.training.settings import PQNSettings, QSettings
 from craftsim.training.shape import Shape
 
 
@@ -180,6 +180,40 @@ class QLearner(Learner):
             kept.copy_(numbers(memory[name], name, kept, *self.replay.bounds.get(name, (-1e9, 1e9))))
 
 
+class PQNLearner(Learner):
+    """PQN-VDN: the sum of the cars' values is the team's, learnt on many worlds side by side, without replay.
+
+    After Gallici et al., "Simplifying deep temporal difference learning", ICLR 2025: lambda returns of fresh rollouts,
+    and layer normalisation, take the place of replay and target networks.
+    """
+
+    def __init__(self, shape: Shape, ticks: int, settings: PQNSettings) -> None:
+        self.settings: PQNSettings = settings
+        self.ticks = ticks
+        self.net = CarNet(shape)
+        self.modules: nn.Module = self.net
+        self.optimizer = torch.optim.RAdam(self.net.parameters(), settings.learning_rate)
+
+    def act(self, seen: Seen) -> Tensor:
+        """Choose each car's best action, and now and then any."""
+        return epsilon_greedy(self.net(seen), seen, self.settings.epsilon(self.learnt))
+
+    def update(self, rollout: Rollout) -> None:
+        """Learn from each tick as many times as there are epochs."""
+        settings = self.settings
+        n, actions = len(rollout), rollout.actions.flatten(0, 1)
+        once, inverse = distinct(joined([rollout.now.flat(), rollout.after.flat()]))
+        with torch.no_grad():
+            best = self.net(once).amax(-1).sum(-1)
+        after = best[inverse[n:]].view_as(rollout.rewards)
+        target = lambda_returns(rollout, after, settings.gamma, settings.td_lambda).flatten()
+        for _ in range(settings.epochs):
+            for some in torch.randperm(n).chunk(settings.minibatches):
+                met, places = torch.unique(inverse[some], return_inverse=True)
+                values = self.net(once[met]).index_select(0, places)
+                self.minimize(mse_loss(of_actions(values, actions[some]).sum(-1), target[some]))
+
+
 class RewardScale(nn.Module):
     """The standard deviation of all rewards so far."""
 
@@ -204,9 +238,3 @@ def epsilon_greedy(values: Tensor, seen: Seen, epsilon: float) -> Tensor:
     """Return actions (B, n): with this probability one drawn from those that are offered, or the best one."""
     best, any_offered = values.argmax(-1), drawn_offers(seen.offers)
     return torch.where(torch.rand(best.shape) < epsilon, any_offered, best)
-
-
-@torch.no_grad()
-def follow(target: nn.Module, online: nn.Module, rate: float) -> None:
-    """Let the weights of a target network follow those of another by this part of their difference."""
-    torch._foreach_lerp_([*target.parameters()], [*online.parameters()], rate)

@@ -30,7 +30,6 @@ from craftsim.training.checkpoint import (
     save_policy,
     save_run,
 )
-from craftsim.training.coma import COMALearner
 from craftsim.training.config import WITH_PROBABILITIES, TrainConfig
 from craftsim.training.curve import CURVE_FILE, CurvePoint, EvaluationResult, write_curve
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
@@ -38,9 +37,8 @@ from craftsim.training.features import RelativeEncoder
 from craftsim.training.learner import Learner
 from craftsim.training.networks import CarNet, first_net, numbers
 from craftsim.training.policy import PACKAGES, POLICY_FILE, policy_file
-from craftsim.training.ppo import PPOLearner, imitate
-from craftsim.training.pqn import PQNLearner
-from craftsim.training.q_learning import QLearner
+from craftsim.training.policy_gradient import COMALearner, PPOLearner, imitate
+from craftsim.training.q_learning import PQNLearner, QLearner
 from craftsim.training.rollouts import (
     BUCKETS,
     GridWorlds,

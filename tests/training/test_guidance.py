@@ -18,7 +18,7 @@ from craftsim.errors import InputError
 from craftsim.training.config import ALGO_NAMES, WITH_PROBABILITIES, TrainConfig
 from craftsim.training.evaluation import choose_actions
 from craftsim.training.exploration import explore
-from craftsim.training.ppo import imitate
+from craftsim.training.policy_gradient import imitate
 from craftsim.training.starts import NOT_SHOWN, planned_demonstrations
 from craftsim.training.trainer import Trainer
 

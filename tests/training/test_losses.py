@@ -7,11 +7,10 @@ import pytest
 import torch
 from torch import nn
 
-from craftsim.training.coma import counterfactual
 from craftsim.training.config import TrainConfig
 from craftsim.training.features import Seen
 from craftsim.training.networks import JointNet, OthersNet, QMixer
-from craftsim.training.ppo import advantages
+from craftsim.training.policy_gradient import advantages, counterfactual
 from craftsim.training.q_learning import QLearner
 from craftsim.training.rollouts import Rollout, lambda_returns
 from craftsim.training.settings import QSettings

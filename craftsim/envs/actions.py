@@ -117,11 +117,8 @@ def illegal(
 ) -> NDArray[np.bool_]:
     """Return (B, n): which cars had a forbidden action chosen, and therefore did nothing.
 
-    Args:
-        chosen: (B, n) the actions, as columns of the masks.
-        applied: (B, n) whether the rules allowed each when the car's turn came.
-        offered: the masks before the tick.
-        queued: (B, n) which cars went on with the queue of the action helper; None without it.
+    ``chosen`` (B, n) are columns of the masks ``offered`` before the tick, ``applied`` says whether the rules allowed
+    each when its turn came, and ``queued`` which cars went on with the queue of the helper, None without it.
     """
     forbidden = ~applied
     if queued is not None:

@@ -124,11 +124,9 @@ class AsynchronousCore(Core):
         self._look()
         self._stale = False
         self._show()
-        success, over = bool(steps.success[0]), bool(steps.done[0])
-        terminated = success and self.task.ends_on_success
-        deadlock = None if terminated or over or problems else episodes.deadlock(0)
-        truncated = not terminated and (over or bool(problems) or deadlock is not None)
-        self._runs = not (terminated or truncated)
+        success, over = bool(steps.success[0]), bool(steps.done[0]) or bool(problems)
+        deadlock = None if over or (success and self.task.ends_on_success) else episodes.deadlock(0)
+        terminated, truncated = self._ends(success, over or deadlock is not None)
         self.turns = []
         if self._runs:
             self._take_turns()

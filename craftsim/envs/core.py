@@ -183,7 +183,7 @@ class Core:
         """The task of the running episode: the task, or where each has a design of its own, the one with that."""
         self._episodes: Episodes | None = None
         self._runs = False
-        self._pictures: list[NDArray[np.uint8]] = []
+        self.pictures: list[NDArray[np.uint8]] = []
         self._seed(None)
 
     def _seed(self, seed: int | None) -> None:
@@ -230,7 +230,7 @@ class Core:
             self._episodes.begin(_ONE, start)
         self._runs = True
         self._look()
-        self._pictures.clear()
+        self.pictures.clear()
         self._show()
         return [{"action_mask": mask} for mask in self.masks.copy()]
 
@@ -310,38 +310,22 @@ class Core:
             {"action_mask": mask, "illegal": bool(wrong[car]), **shared, **extras[car]}
             for car, mask in enumerate(self.masks.copy())
         ]
-        terminated = success and self.task.ends_on_success
-        truncated = not terminated and (over or bool(tick.problems))
-        self._runs = not (terminated or truncated)
+        terminated, truncated = self._ends(success, over or bool(tick.problems))
         reward = float(steps.reward[0]) - self.options.time_weight * tick.duration_s
         return CoreStep(reward, terminated, truncated, infos, order)
 
-    def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | str | None:
-        """Return what ``render_mode`` says; see :meth:`SingleWorld.render`."""
-        mode, goal = self.options.render_mode, self.task.layout.goal
-        if mode == "rgb_array":
-            return self.backend.picture(self.grid, goal)
-        if mode == "rgb_array_list":
-            taken, self._pictures = self._pictures, []
-            return taken
-        return self._text() if mode == "ansi" else None
-
-    def _text(self) -> str:
-        from rich.console import Console
-
-        from craftsim.discrete.drawing import world_text
-
-        text = StringIO()
-        console = Console(file=text, force_terminal=True, color_system="standard", highlight=False, width=200)
-        console.print(world_text(self.grid, self.task.layout.goal), end="")
-        return text.getvalue()
+    def _ends(self, success: bool, over: bool) -> tuple[bool, bool]:
+        """Return whether an episode is terminated, and whether it is truncated."""
+        terminated = success and self.task.ends_on_success
+        self._runs = not (terminated or over)
+        return terminated, over and not terminated
 
     def _show(self) -> None:
         mode, goal = self.options.render_mode, self.task.layout.goal
         if mode == "human":
             self.backend.show(self.grid, goal)
         elif mode == "rgb_array_list":
-            self._pictures += self.backend.pictures(self.grid, goal)
+            self.pictures += self.backend.pictures(self.grid, goal)
 
 
 class SingleWorld:
@@ -374,7 +358,22 @@ class SingleWorld:
         ``rgb_array_list`` returns the pictures since the last call, or since the reset if that was later; ``human``
         shows every tick by itself.
         """
-        return self.core.render()
+        core, goal = self.core, self.core.task.layout.goal
+        if self.render_mode == "rgb_array":
+            return core.backend.picture(core.grid, goal)
+        if self.render_mode == "rgb_array_list":
+            taken, core.pictures = core.pictures, []
+            return taken
+        if self.render_mode != "ansi":
+            return None
+        from rich.console import Console
+
+        from craftsim.discrete.drawing import world_text
+
+        text = StringIO()
+        console = Console(file=text, force_terminal=True, color_system="standard", highlight=False, width=200)
+        console.print(world_text(core.grid, goal), end="")
+        return text.getvalue()
 
     def close(self) -> None:
         """Release what rendering holds, and write what is recorded."""

@@ -319,15 +319,15 @@ class PhysicsBackend:
         """Return what the cameras see now, by kind, one entry a camera; empty without any."""
         return {} if self._images is None else self._images.take(self.judge.physics)
 
-    def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
+    def picture(self, *_: Any) -> Picture:
         """Return what the camera sees."""
         return self._pictures.picture()
 
-    def pictures(self, grid: Grid, goal: Cell | None) -> list[NDArray[np.uint8]]:
+    def pictures(self, *_: Any) -> list[Picture]:
         """Return the pictures of the motion since the last call."""
         return self._pictures.taken()
 
-    def show(self, grid: Grid, goal: Cell | None) -> None:
+    def show(self, *_: Any) -> None:
         """Show the world to people, who follow the simulation from now on: in MuJoCo's viewer, or without a display in
         the browser. Raises InputError where neither works."""
         if has_display() or not has_viser():

@@ -36,12 +36,9 @@ _CLOSE_S: Final = 10.0
 class PhysicsVectorEnv(TaskVectorEnv):
     """B worlds of one task in contact physics, spread over worker processes.
 
-    Spaces, rewards, ends and resets are those of a batch of grid worlds, so that a learner takes either. World i of a
-    batch that was reset with seed s is, bit for bit, the environment :class:`CentralConstruction` that was reset with
-    s + i, whatever the number of workers.
-
-    Joint steps take their time: with :meth:`step` all worlds wait for the slowest worker, with :meth:`send` and
-    :meth:`recv` none waits for another.
+    Spaces, rewards, ends and resets are those of a batch of grid worlds. World i of a batch that was reset with seed s
+    is, bit for bit, the environment :class:`CentralConstruction` that was reset with s + i, whatever the number of
+    workers. With :meth:`step` all worlds wait for the slowest one, with :meth:`send` and :meth:`recv` none for another.
 
     Make it where ``__name__ == "__main__"``, and close it.
     """
@@ -55,17 +52,9 @@ class PhysicsVectorEnv(TaskVectorEnv):
         engine: Engine = "local",
         **options: Any,
     ) -> None:
-        """Prepare ``num_envs`` worlds; the processes go on starting while this returns.
+        """Prepare worlds, arguments as of :func:`craftsim.envs.vector_env`; the processes go on starting meanwhile.
 
-        Args:
-            task: as in :func:`craftsim.envs.parallel_env`.
-            num_envs: how many worlds, 1 or more.
-            workers: how many processes share them, at most one per world; one for each processor unless given.
-            engine: processes of this machine, or actors of an existing Ray cluster, of which each takes a processor.
-            options: the fields of :class:`craftsim.envs.options.Options`, ``backend`` and ``observe`` aside.
-
-        Raises:
-            InputError: there is no such task, option or option value, or no Ray cluster.
+        Raises InputError where there is no such task, option or option value, or no Ray cluster.
         """
         batch = BatchOptions(num_envs, workers, engine)
         one = CentralConstruction(task, **options)  # so that what is wrong is said here, and not in a process
@@ -92,12 +81,9 @@ class PhysicsVectorEnv(TaskVectorEnv):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin all episodes anew.
+        """Begin all episodes anew; ``options`` as of :meth:`craftsim.envs.core.Core.reset`.
 
-        Args:
-            seed: of world 0, and those that follow it of the others, or one seed per world; without, generators go on.
-            options: of every world's reset, see :meth:`craftsim.envs.core.Core.reset`.
-
+        ``seed`` is of world 0, and those that follow it of the others, or one per world; without, generators go on.
         Raises InputError for seeds that are none, a start that does not fit the task, and while a world is acting.
         """
         self._require_rest("reset")
@@ -119,11 +105,9 @@ class PhysicsVectorEnv(TaskVectorEnv):
     def step(self, actions: NDArray[np.integer]) -> Batch:
         """Let all cars of all worlds act once; ``actions`` (B, n).
 
-        Infos, each an array with a leading dimension B: ``success``, ``duration_s``, ``illegal`` (B, n), ``problems``;
-        the other infos of the cars (docs/reference/environments.md), each (B, n); and where
-        ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset.
-        Raises InputError before the first reset, for actions of another
-        shape or that are no numbers from 0 to 14, and while a world is acting; CraftsimError when a process has died.
+        Infos (docs/reference/environments.md) are arrays, (B,) or (B, n) by car; ``final_obs`` as on the grid.
+        Raises InputError before the first reset, for actions that are none, and while a world is acting; CraftsimError
+        when a process has died.
         """
         self._require_rest("step")
         self.send(actions)
@@ -134,11 +118,8 @@ class PhysicsVectorEnv(TaskVectorEnv):
     ) -> None:
         """Let all cars of some worlds, or of all, act once, and do not wait for it.
 
-        Args:
-            actions: (k, n), one row per world.
-            ids: (k,) numbers of the worlds; none twice, and none that is acting.
-
-        Raises InputError as :meth:`step` does, and for numbers that are none; CraftsimError when a process has died.
+        ``actions`` (k, n) has one row for each of the numbers ``ids`` (k,), none twice, and none that is acting. Raises
+        InputError as :meth:`step` does, and for numbers that are none.
         """
         worlds = np.arange(self.num_envs) if ids is None else np.asarray(ids)
         is_number = worlds.ndim == 1 and worlds.dtype.kind in "iu"
@@ -153,12 +134,10 @@ class PhysicsVectorEnv(TaskVectorEnv):
         self._acting[worlds] = True
 
     def recv(self, at_least: int = 1) -> Batch:
-        """Wait until so many of the acting worlds have finished their step, or all; return those that have.
+        """Wait until so many of the acting worlds have finished their step, or all; return what :meth:`step` does.
 
-        Returns what :meth:`step` does, of k worlds, and their numbers in rising order as ``infos["env_id"]``. Which of
-        them are the first depends on the machine; the results do not.
-
-        Raises InputError where no world is acting, CraftsimError when a process has died.
+        The numbers of these worlds are in rising order in ``infos["env_id"]``. Which are the first depends on the
+        machine; the results do not. Raises InputError where no world is acting, CraftsimError when a process has died.
         """
         acting = int(self._acting.sum())
         if not acting:

@@ -65,15 +65,7 @@ class GridVectorEnv(TaskVectorEnv):
     """B grid worlds of one task; :meth:`car_vectors` is what the single cars observe."""
 
     def __init__(self, task: Task | str, num_envs: int = 1, **options: Any) -> None:
-        """Prepare ``num_envs`` worlds.
-
-        Args:
-            task: as in :func:`craftsim.envs.parallel_env`.
-            num_envs: how many worlds, 1 or more.
-            options: those of :class:`craftsim.envs.options.Options` that are named in ``BATCH_OPTIONS``.
-
-        Raises InputError for a task, an option or an option value that there is not.
-        """
+        """Prepare worlds, arguments as of :func:`craftsim.envs.vector_env`. Raises InputError for what there is not."""
         chosen = Options(**({"backend": "grid"} | options))
         for name in options:
             if name not in (*BATCH_OPTIONS, "backend"):

@@ -21,6 +21,7 @@ from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.config import Acting
 from craftsim.training.curve import EvaluationResult
+from craftsim.training.exploration import hashes
 from craftsim.training.networks import CarNet, RecurrentState
 from craftsim.training.rollouts import make_episodes
 
@@ -127,7 +128,7 @@ class Tally:
     def __init__(self, designs: NDArray[np.integer]) -> None:
         """Begin; ``designs`` (n, T, 5) is what is to be built in each."""
         n = len(designs)
-        self.starts = _digests(designs.reshape(n, -1))
+        self.starts = hashes(designs)
         self.trajectories = self.starts.copy()
         self.won, self.total, self.ticks = (np.zeros(n) for _ in range(3))
 
@@ -136,7 +137,7 @@ class Tally:
     ) -> None:
         """Add a tick of some episodes: what was seen, (k, ...), and then done, (k, n)."""
         with np.errstate(over="ignore"):
-            world, done = (_digests(part.reshape(len(which), -1)) for part in (seen, actions))
+            world, done = hashes(seen), hashes(actions)
             new = self.ticks[which] == 0
             self.starts[which[new]] = self.starts[which[new]] * _FACTOR + world[new]
             self.trajectories[which] = (self.trajectories[which] * _FACTOR + world) * _FACTOR + done
@@ -158,10 +159,3 @@ class Tally:
         return EvaluationResult(
             len(self.won), int(self.won.sum()), *means, len(failures), solved, trajectories
         )
-
-
-def _digests(rows: NDArray[np.integer]) -> NDArray[np.int64]:
-    factors = np.random.default_rng(1).integers(-(2**62), 2**62, rows.shape[1])
-    with np.errstate(over="ignore"):
-        sums: NDArray[np.int64] = (rows.astype(np.int64) * factors).sum(axis=1)
-    return sums

@@ -30,7 +30,15 @@ EPISODES: Final = 2
 """Lengths of an episode after which a world is not gone on from; more than one, for learning shortens a way."""
 STARTS: Final = 1000
 """How many worlds are returned: half of them lie on the way to the best one, the others anywhere."""
-_HASH_SEED: Final = 1
+
+
+def hashes(rows: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Return (k,): numbers of 64 bits that tell rows (k, ...) apart."""
+    flat = rows.reshape(len(rows), -1).astype(np.int64)
+    factors = np.random.default_rng(1).integers(-(2**62), 2**62, flat.shape[1])
+    with np.errstate(over="ignore"):
+        sums: NDArray[np.int64] = (flat * factors).sum(axis=1)
+    return sums
 
 
 def explore(
@@ -85,8 +93,6 @@ class _Reached:
     def __init__(self, episodes: Episodes) -> None:
         n = len(episodes)
         self._limit = EPISODES * (episodes.task.max_steps + 2)
-        length = episodes.grids.cells[0].size + episodes.grids.cars[0].size
-        self._factors = np.random.default_rng(_HASH_SEED).integers(-(2**62), 2**62, length)
         self.worlds: list[_World] = []
         self._numbers: dict[int, int] = {}  # by hash
         self._open: dict[float, dict[int, list[int]]] = {}  # by potential and ticks: where one may go on
@@ -130,9 +136,8 @@ class _Reached:
 
         Returns which worlds they are, ``before`` where an episode runs no more.
         """
-        live = episodes.grids.cells, episodes.grids.cars
-        flat = [array.reshape(len(running), -1).astype(np.int64) for array in live]
-        keys = (np.concatenate(flat, axis=1) * self._factors).sum(axis=1).tolist()
+        live = (array.reshape(len(running), -1) for array in (episodes.grids.cells, episodes.grids.cars))
+        keys = hashes(np.concatenate([*live], axis=1)).tolist()
         ticks, potential = episodes.t.tolist(), episodes.potential.tolist()
         at = before.copy()
         for i in np.flatnonzero(running).tolist():

@@ -19,11 +19,11 @@ from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.physics_vector import PhysicsVectorEnv
+from craftsim.training.exploration import hashes
 from craftsim.training.features import Encoder, Seen, joined
 from craftsim.training.shape import Shape
 
 _HASH_SEED: Final = 2
-_NOVELTY_SEED: Final = 1
 BUCKETS: Final = 1 << 20
 """Counts of :class:`Novelty`."""
 TRAINED_JITTER: Final = 0.1
@@ -165,14 +165,10 @@ class Novelty:
 
     def __init__(self, weight: float, shape: Shape, counts: NDArray[np.int32]) -> None:
         self.weight, self.counts, self._skip = weight, counts, ROW * (1 + shape.n_cars)
-        n = shape.vector_length - self._skip
-        self._factors = np.random.default_rng(_NOVELTY_SEED).integers(-(2**62), 2**62, n)
 
     def __call__(self, vectors: NDArray[np.integer]) -> NDArray[np.float64]:
         """Count what is observed, (B, n, vector_length), and return (B,)."""
-        things = vectors[:, 0, self._skip :].astype(np.int64)
-        with np.errstate(over="ignore"):
-            buckets = ((things * self._factors).sum(-1) >> 20) % BUCKETS
+        buckets = (hashes(vectors[:, 0, self._skip :]) >> 20) % BUCKETS
         np.add.at(self.counts, buckets, 1)
         bonus: NDArray[np.float64] = self.weight / np.sqrt(self.counts[buckets])
         return bonus

@@ -69,24 +69,13 @@ def test_environments_have_the_reduced_drive_and_validation_has_rollers_unless_t
         replace(NOMINAL, drive="roller")
 
 
-@pytest.mark.parametrize("form", ["parallel", "turns", "central"])
-def test_observers_see_the_world_after_every_control_period_and_gains_make_cars_slow(form):
+def test_observers_see_the_world_after_every_control_period_and_gains_make_cars_slow():
     times: list[float] = []
-    options = {"gains": SLOW, "observers": [lambda physics: times.append(physics.time_s)]}
-    if form == "central":
-        world = _central(backend="physics", **options)
-        world.reset(seed=0)
-        duration_s = world.step(BOTH)[4]["duration_s"]
-    elif form == "parallel":
-        world = parallel_env("strip", "physics", **options)
-        world.reset(seed=0)
-        duration_s = world.step(MOVE)[4]["car_0"]["duration_s"]
-    else:
-        world = env("strip", "physics", **options)
-        world.reset(seed=0)
-        for action in BOTH:
-            world.step(int(action))
-        duration_s = world.infos["car_0"]["duration_s"]
+    world = env("strip", "physics", gains=SLOW, observers=[lambda physics: times.append(physics.time_s)])
+    world.reset(seed=0)
+    for action in BOTH:
+        world.step(int(action))
+    duration_s = world.infos["car_0"]["duration_s"]
     assert duration_s > 1.3, "the shipped gains take less than a second"
     assert np.ptp(times) == pytest.approx(duration_s, abs=0.1)
     assert np.diff(times) == pytest.approx(0.02)
@@ -141,6 +130,9 @@ def test_wrong_options_are_refused_in_both_forms():
         ({"backend": "physics", "observers": 3}, "observers: must be"),
         ({"backend": "physics", "images": "front"}, "instance of Images"),
         ({"observe": print}, "instance of Observe"),
+        ({"backend": "physics", "record": 3}, r"Options.record: must be an instance of Path, not '3'"),
+        ({"backend": "physics", "record": "/dev/null"}, "cannot make the output directory"),
+        ({"record": "folder"}, "knows no 'record'"),
         ({"object_choice": ObjectChoice()}, "needs the action helper; give helper_depth"),
         ({"object_choice": 3, "helper_depth": 20}, "must be an instance of ObjectChoice"),
         ({"local_view": -1}, r"local_view: -1 is out of range, allowed: 0 to 64"),
@@ -175,6 +167,9 @@ def test_a_batch_of_grid_worlds_has_fewer_options():
         ({"observe": OWN}, "knows no 'observe'"),
         ({"workers": 2}, "knows no 'workers'"),
         ({"engine": "ray"}, "knows no 'engine'"),
+        ({"backend": "physics", "engine": "rye"}, r"did you mean 'ray'.*allowed: local, ray"),
+        ({"backend": "physics", "workers": 0}, "workers: 0 is out of range, allowed: 1 to 256"),
+        ({"backend": "physics", "workers": "two"}, "workers: must be an integer from 1 to 256, not 'two'"),
         ({"num_envs": 0}, "num_envs: 0 is out of range"),
         ({"backend": "physics", "num_envs": 0}, "num_envs: 0 is out of range"),
     ):

@@ -178,16 +178,6 @@ def test_a_world_that_cannot_be_read_or_breaks_down_truncates_the_episode_and_sa
     assert env.step({"car_0": STOP, "car_1": STOP})[4]["car_0"]["problems"] == ()
 
 
-def test_a_start_that_was_given_is_built_and_the_next_episode_starts_as_ever(env):
-    grid = make_task("strip").draw(np.random.default_rng(0))
-    grid.cars[0, 0] = 3
-    grid.derive_marks()
-    env.reset(seed=0, options={"grid": grid})
-    assert env.grid.same_visible(grid)
-    env.reset()
-    assert env.grid.same_visible(make_task("strip").draw(np.random.default_rng(0)))
-
-
 def test_gymnasium_accepts_the_central_form():
     env = gymnasium.make(GYMNASIUM_IDS["strip"], backend="physics")
     check_env(env.unwrapped, skip_render_check=True)
@@ -238,16 +228,6 @@ def test_recorded_episodes_are_those_that_were_played(tmp_path):
     with closing(parallel_env(_level("strip"), "physics", record=tmp_path / "new")) as env:
         _episode(env, 5, 4, policy_seed=1)
     assert len(list((tmp_path / "new").iterdir())) == 3, "what was done otherwise replaces nothing"
-
-
-def test_a_folder_that_is_none_is_refused(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="cannot make the output directory"):
-        parallel_env("strip", "physics", record=tmp_path / "file")
-    with pytest.raises(InputError, match=r"Options.record: must be an instance of Path, not '3'"):
-        parallel_env("strip", "physics", record=3)
-    with pytest.raises(InputError, match="knows no 'record'"):
-        parallel_env("strip", "grid", record=tmp_path)
 
 
 def test_without_a_display_human_is_the_viewer_in_the_browser(no_display, capsys):

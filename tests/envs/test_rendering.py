@@ -78,13 +78,18 @@ def test_a_list_of_pictures_shows_the_motion_since_the_last_render():
     env.close()
 
 
-def test_on_the_grid_the_list_has_one_picture_a_tick():
+def test_on_the_grid_the_list_has_one_picture_a_tick_and_text_shows_the_levels(capsys):
     env = parallel_env("strip", "grid", render_mode="rgb_array_list")
     assert env.metadata["render_fps"] == 2
     env.reset(seed=0)
     env.step(MOVE)
     env.step(MOVE)
     assert len(env.render()) == 3
+    for mode in ("ansi", "human"):
+        env = parallel_env("strip", "grid", render_mode=mode)
+        env.reset(seed=0)
+        said = (env.render() or "") + capsys.readouterr().out
+        assert said.count("level 1") == 1
 
 
 def test_the_camera_and_the_size_are_chosen_and_an_unknown_camera_is_refused_with_those_there_are():

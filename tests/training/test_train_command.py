@@ -5,7 +5,6 @@ import importlib.util
 import json
 import subprocess
 import sys
-import threading
 
 import pytest
 
@@ -15,7 +14,6 @@ from craftsim.errors import InputError
 from craftsim.training.config import NEVER, protocol
 from craftsim.training.curve import TENSORBOARD, CurvePoint, TensorboardLog, last_fifth
 from craftsim.training.policy import load_policy
-from craftsim.training.trainer import Trainer
 
 
 def _train(out, *words):
@@ -153,27 +151,6 @@ def test_a_run_is_neither_overwritten_nor_mixed_with_another(tmp_path, capsys):
     assert "--resume goes on with it" in capsys.readouterr().err
     assert _train(tmp_path, "--steps", "1", "--seed", "1", "--resume") == 2
     assert "begun with" in capsys.readouterr().err
-
-
-def test_a_second_run_in_a_folder_is_refused_and_the_first_loses_nothing(tmp_path, capsys, monkeypatch):
-    statuses, run = [], Trainer.run
-
-    def meanwhile(self, steps, until):
-        monkeypatch.setattr(Trainer, "run", run)
-        for words in ([], ["--resume"]):
-            # As another process would: who owns a folder in this thread may own it again.
-            second = threading.Thread(
-                target=lambda more: statuses.append(_train(tmp_path, *more)), args=[words]
-            )
-            second.start()
-            second.join()
-        yield from run(self, steps, until)
-
-    monkeypatch.setattr(Trainer, "run", meanwhile)
-    assert _train(tmp_path, "--steps", "1") == 0
-    assert statuses == [2, 2]
-    assert capsys.readouterr().err.count("is in use: another craftsim writes into it") == 2
-    assert _train(tmp_path, "--steps", "1", "--resume") == 0
 
 
 def test_a_run_goes_on_from_the_starts_of_then_only(tmp_path, capsys):

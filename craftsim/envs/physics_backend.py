@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -129,38 +127,6 @@ class Pictures:
         self._viewer = self._renderer = None
 
 
-class EpisodeRecords:
-    """Writes a trajectory of each episode into a folder."""
-
-    def __init__(self, folder: Path, task: str, design: Design | None) -> None:
-        """Prepare for a task; raises InputError for a folder that cannot be written to."""
-        self._folder, self._task, self._design = output_directory(folder), task, design
-        self._recorder = Recorder()
-        self._number, self._running = 0, False
-
-    def begin(self, judge: Judge, design: Design | None = None) -> None:
-        """Begin an episode, which may have a design of its own."""
-        self._design = design or self._design
-        self._recorder.begin(judge)
-        self._running = True
-
-    def end(self, recipe: Recipe, attempts: Sequence[Attempt]) -> None:
-        """Write what was recorded of an episode, unless nothing was done in it or it is written.
-
-        Its name tells it from others in the folder: by what was drawn for it and what was done in it.
-        """
-        if not self._running or not attempts:
-            return
-        self._running = False
-        drawn = hashlib.sha256(repr(recipe).encode()).hexdigest()
-        name = f"episode-{self._number:04d}-{drawn[:_DIGITS]}"
-        ordered = in_order(recipe.steps, attempts)
-        self._recorder.trajectory(f"{self._task}, {name}", recipe, ordered, self._design).write(
-            self._folder / f"{name}{SUFFIX}"
-        )
-        self._number += 1
-
-
 def setup_from(options: Options, n_cars: int) -> Setup:
     """Return the configuration of the physics that options ask for. Raises InputError for skills of other cars."""
     machines = options.machines or replace(NOMINAL, drive="reduced")
@@ -202,10 +168,11 @@ class PhysicsBackend:
         self.goals: tuple[Cell, ...] = () if task is None else tuple(task.goal_cells)
         self._helper = None if options.helper_depth is None else Rules(setup.rules)
         self._pictures = Pictures(options.render_camera, options.render_size, options.shows_motion)
-        self._records: EpisodeRecords | None = None
+        self._recorded = 0  # episodes
+        self._folder = None if options.record is None else output_directory(options.record)
+        self._task, self._design = ("", None) if task is None else (task.name, task.design)
+        self._recorder: Recorder | None = None  # of an episode that is to be written
         self._images: CameraImages | None = None
-        if task is not None and options.record is not None:
-            self._records = EpisodeRecords(options.record, task.name, task.design)
         if task is not None and (images := options.images) is not None:
             self._images = CameraImages(images.cameras(task.layout.n_cars), images.size, images.kinds)
         self._start: Grid | None = None
@@ -230,8 +197,10 @@ class PhysicsBackend:
         self.judge.executor.observers += [self._pictures.watch, *options.observers]
         self._seed, self._joints, self._starts_s, self.ticks = seed, [], [], []
         self._pictures.begin(self.judge.physics)
-        if self._records is not None:
-            self._records.begin(self.judge, design)
+        if self._folder is not None:
+            self._design = design or self._design
+            self._recorder = Recorder()
+            self._recorder.begin(self.judge)
         if self._view is not None:
             self._show_in(self._view)
         return self.judge.grid
@@ -360,10 +329,23 @@ class PhysicsBackend:
             self._view = None
 
     def _end_record(self) -> None:
-        if self._records is not None and self._start is not None:
-            while self.judge.running:
-                self.advance()
-            self._records.end(self.recipe, self._attempts())
+        """Write what was recorded of an episode, unless nothing was done in it or it is written.
+
+        Its name tells it from others in the folder: by what was drawn for it and what was done in it.
+        """
+        if self._folder is None or self._recorder is None:
+            return
+        while self.judge.running:
+            self.advance()
+        recorder, self._recorder = self._recorder, None
+        if attempts := self._attempts():
+            recipe = self.recipe
+            drawn = hashlib.sha256(repr(recipe).encode()).hexdigest()
+            name = f"episode-{self._recorded:04d}-{drawn[:_DIGITS]}"
+            ordered = in_order(recipe.steps, attempts)
+            written = recorder.trajectory(f"{self._task}, {name}", recipe, ordered, self._design)
+            written.write(self._folder / f"{name}{SUFFIX}")
+            self._recorded += 1
 
 
 def _strayed(attempt: Attempt) -> bool:

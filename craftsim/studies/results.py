@@ -6,7 +6,8 @@ precipice", NeurIPS 2021). Their library rliable does not import beside pandas 3
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -106,27 +107,26 @@ def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
 
     A run without a result counts as success 0.
     """
-    found = dict(zip([asked.key for asked in study.runs], records, strict=True))
-    runs = [_run(asked, found[asked.key]) for asked in study.runs]
+    runs = [_run(asked, record) for asked, record in zip(study.runs, records, strict=True)]
     rows = []
     for task in study.tasks:
-        for name in study.tests.get(task, (task,)):
-            for algo in study.algos:
-                mine = [run for run in runs if (run["task"], run["algo"]) == (task, algo)]
-                rates = np.array([_rate(study, run, name) for run in mine])
-                rows.append(
-                    {
-                        "task": task,
-                        "played": name,
-                        "algo": algo,
-                        "seeds": len(mine),
-                        "success": measures(rates[:, None]),
-                        "by_seed": rates.tolist(),
-                        "distinct_starts": _distinct(mine, name),
-                        "median_steps": float(np.median([run["steps"] for run in mine])),
-                        "published": study.reference.get(task),
-                    }
-                )
+        for name, algo in product(study.tests.get(task, (task,)), study.algos):
+            mine = _of(runs, algo, task)
+            rates = np.array([_rate(study, run, name) for run in mine])
+            starts = [run["evaluations"][name]["starts"]["distinct"] for run in mine if run["evaluations"]]
+            rows.append(
+                {
+                    "task": task,
+                    "played": name,
+                    "algo": algo,
+                    "seeds": len(mine),
+                    "success": measures(rates[:, None]),
+                    "by_seed": rates.tolist(),
+                    "distinct_starts": max(starts, default=0),
+                    "median_steps": float(np.median([run["steps"] for run in mine])),
+                    "published": study.reference.get(task),
+                }
+            )
     scores = {algo: _scores(study, runs, algo) for algo in study.algos}
     return {
         "rows": rows,
@@ -136,6 +136,10 @@ def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
         },
         "runs": runs,
     }
+
+
+def _of(runs: Iterable[dict[str, Any]], algo: str, task: str) -> list[dict[str, Any]]:
+    return [run for run in runs if (run["task"], run["algo"]) == (task, algo)]
 
 
 def _run(asked: StudyRun, record: TrialRecord) -> dict[str, Any]:
@@ -159,65 +163,40 @@ def _rate(study: Study, run: dict[str, Any], played: str) -> float:
     return 0.0 if evaluation is None else float(evaluation["success"]["rate"])
 
 
-def _distinct(runs: Sequence[dict[str, Any]], played: str) -> int:
-    return max(
-        (run["evaluations"][played]["starts"]["distinct"] for run in runs if run["evaluations"]), default=0
-    )
-
-
 def _scores(study: Study, runs: Sequence[dict[str, Any]], algo: str) -> Runs:
     """Return (seeds, tasks): success on the first of what each task is tested on."""
-    columns = [
-        [
-            _rate(study, run, study.tests.get(task, (task,))[0])
-            for run in runs
-            if (run["task"], run["algo"]) == (task, algo)
-        ]
-        for task in study.tasks
-    ]
-    return np.array(columns).T
+    first = {task: study.tests.get(task, (task,))[0] for task in study.tasks}
+    columns = ([_rate(study, run, first[task]) for run in _of(runs, algo, task)] for task in study.tasks)
+    return np.array([*columns]).T
 
 
 def plot_results(folder: Path, study: Study, figures: dict[str, Any]) -> list[Path]:
-    """Draw learning curves by task and, of more than one task, performance profiles; return the files."""
-    return [
-        _plot_curves(folder / "curves.png", study, figures),
-        _plot_profiles(folder / "profiles.png", study, figures),
-    ]
-
-
-def _plot_curves(path: Path, study: Study, figures: dict[str, Any]) -> Path:
+    """Draw learning curves by task and performance profiles; return the files."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import EngFormatter
 
-    columns = min(3, len(study.tasks))
+    runs, columns = figures["runs"], min(3, len(study.tasks))
     rows = -(-len(study.tasks) // columns)
     figure = Figure(figsize=(4.2 * columns, 3.2 * rows), layout="constrained")
     for number, task in enumerate(study.tasks):
         axes = figure.add_subplot(rows, columns, number + 1)
-        last = max((run["steps"] for run in figures["runs"] if run["task"] == task), default=0)
+        last = max((run["steps"] for run in runs if run["task"] == task), default=0)
         at = np.linspace(0, max(last, 1), _POINTS).astype(np.int64)
         for algo in study.algos:
-            curves = [run["curve"] for run in figures["runs"] if (run["task"], run["algo"]) == (task, algo)]
-            _band(axes, at, iqm_curve(curves, at), study, algo)
+            _band(axes, at, iqm_curve([run["curve"] for run in _of(runs, algo, task)], at), study, algo)
         if task in study.reference:
             axes.axhline(study.reference[task], color="gray", linestyle=":", label="published")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         axes.set(ylim=(-0.03, 1.03), xlabel="steps", ylabel="success, IQM over seeds")
         axes.set_title(task, parse_math=False)  # the study's words may have a $ in them
-    return _saved(figure, path)
-
-
-def _plot_profiles(path: Path, study: Study, figures: dict[str, Any]) -> Path:
-    from matplotlib.figure import Figure
-
+    curves = _saved(figure, folder / "curves.png")
     figure = Figure(figsize=(5.5, 3.8), layout="constrained")
     axes = figure.add_subplot()
     for algo in study.algos:
-        _band(axes, TAUS, profile(_scores(study, figures["runs"], algo)), study, algo)
+        _band(axes, TAUS, profile(_scores(study, runs, algo)), study, algo)
     axes.set(xlabel="success rate", ylabel="share of runs above it", ylim=(-0.03, 1.03))
     axes.set_title(study.title, parse_math=False)
-    return _saved(figure, path)
+    return [curves, _saved(figure, folder / "profiles.png")]
 
 
 def _band(axes: Any, x: NDArray[Any], band: NDArray[np.float64], study: Study, algo: str) -> None:
@@ -249,26 +228,18 @@ def study_report(study: Study, reached: int, document: Mapping[str, Any], pictur
     figures, n = document["figures"], len(study.runs)
     sentence = f"{reached} of {count(n, 'run')} reached a success of {study.goal:g} or more."
     badge, tone = ("All reached", Tone.GOOD) if reached == n else ("Not all reached", Tone.CAUTION)
-    overall = {algo: found["iqm"] for algo, found in figures["overall"].items()}
+    overall = []
+    for algo, found in figures["overall"].items():
+        estimate, low, high = found["iqm"]
+        interval = f"{low:.3f} to {high:.3f}" if study.seeds > 1 else "one seed"
+        overall.append(KeyFigure(f"{estimate:.3f}", f"IQM of {algo}", interval))
+    lead = "Interquartile means over training runs of different seeds, with stratified bootstrap intervals."
     return Report(
         "Study of training",
         study.title,
         Headline(badge, tone, sentence),
-        [
-            KeyFigure(
-                f"{iqm:.3f}", f"IQM of {algo}", f"{low:.3f} to {high:.3f}" if study.seeds > 1 else "one seed"
-            )
-            for algo, (iqm, low, high) in overall.items()
-        ],
-        [
-            Section(
-                "runs",
-                "Runs",
-                "Interquartile means over training runs of different seeds, with stratified bootstrap intervals.",
-                [runs_table(study, figures)],
-                terminal=True,
-            )
-        ],
+        overall,
+        [Section("runs", "Runs", lead, [runs_table(study, figures)], terminal=True)],
         conclusions(figures),
         {"Plots": ", ".join(map(str, pictures))},
         document,
@@ -322,6 +293,5 @@ def conclusions(figures: dict[str, Any]) -> list[str]:
 def write_markdown(path: Path, study: Study, figures: dict[str, Any]) -> None:
     """Write the table and the conclusions of a study as Markdown. Raises InputError where the disk does not take it."""
     lines = "\n".join(f"- {line}" for line in conclusions(figures))
-    write_whole(
-        path, "\n\n".join([runs_table(study, figures).as_markdown(), *([lines] if lines else [])]) + "\n"
-    )
+    parts = [runs_table(study, figures).as_markdown(), *([lines] if lines else [])]
+    write_whole(path, "\n\n".join(parts) + "\n")

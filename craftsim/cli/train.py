@@ -202,17 +202,18 @@ def _trainer(
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
-    progress = counting("plans", bool)
+    given: dict[str, Any] = {"task": task, "workers": workers, "stages": stages}
+    given["progress"] = counting("plans", bool)
     other = with_starts(task, starts, config.rules) if starts else None
     begun = (folder / RUN_FILE).exists()
     if begun and resume:
-        return Trainer.resume(folder, other, task, config, workers, progress, stages)
+        return Trainer.resume(folder, other, config, **given)
     if begun:
         raise InputError(f"{folder} holds a run already; --resume goes on with it, or choose another --out")
     if resume:
         # As with a campaign: what was cut off before anything was kept begins again.
         print_safe(f"Nothing is saved in {folder} yet: the run begins.")
-    return Trainer(config, other, task, workers, progress, stages)
+    return Trainer(config, other, **given)
 
 
 def _run(trainer: Trainer, steps: int, until: float, folder: Path, tensorboard: bool) -> None:
@@ -310,10 +311,8 @@ def study(
 
     need_torch()
     from craftsim.reports.json_file import document
-    from craftsim.studies.report import study_report, write_markdown
-    from craftsim.studies.results import figures_of, plot_results
-    from craftsim.studies.runs import run_study, under_way
-    from craftsim.studies.study import read_study
+    from craftsim.studies.results import figures_of, plot_results, study_report, write_markdown
+    from craftsim.studies.study import read_study, run_study, under_way
 
     asked, begun, since_s = read_study(what), time.perf_counter(), time.time()
     with telling(lambda: under_way(asked, out, since_s), STUDY_EVERY_S):

@@ -172,7 +172,6 @@ class _Moved(ModuleType):
 
 _NOW_IN: Final = {
     "answers": "text",
-    "collecting": "datasets",
     "conversation": "text",
     "entity_sets": "observations",
     "images": "observations",

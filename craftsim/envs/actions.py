@@ -116,11 +116,8 @@ def illegal(
 ) -> NDArray[np.bool_]:
     """Return (B, n): which cars had a forbidden action chosen, and therefore did nothing.
 
-    Args:
-        chosen: (B, n) the actions, as columns of the masks.
-        applied: (B, n) whether the rules allowed each when the car's turn came.
-        offered: the masks before the tick.
-        queued: (B, n) which cars went on with the queue of the action helper; None without it.
+    ``chosen`` (B, n) are columns of the masks ``offered`` before the tick, ``applied`` says whether the rules allowed
+    each when its turn came, and ``queued`` which cars went on with the queue of the helper, None without it.
     """
     forbidden = ~applied
     if queued is not None:
@@ -135,12 +132,9 @@ def illegal(
 class ObjectChoice:
     """How many objects a car may choose from, and how far away they may be. Raises InputError for a bad value."""
 
-    blocks: _Count | None = None
-    """As many as the task has unless given."""
-    slopes: _Count | None = None
-    """Folded or unfolded; as many as the task has unless given."""
-    free: _Count = 20
-    """Cells without an object."""
+    blocks: _Count | None = None  # as many as the task has unless given
+    slopes: _Count | None = None  # folded or unfolded; as many as the task has unless given
+    free: _Count = 20  # cells without an object
     radius: Annotated[int, Range(1, 256)] = 3
     """Cells along x and y; CraftEnv's view of 7 x 7 cells unless given."""
     floor: bool = False

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
-from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, Deadlock
+from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes
 from craftsim.discrete.kernel.events import Ends
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import Task
@@ -18,7 +17,7 @@ from craftsim.envs.actions import checked
 from craftsim.envs.core import Core, CoreStep
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import Options
-from craftsim.envs.parallel import ParallelConstruction
+from craftsim.envs.parallel import CarWorld, ParallelConstruction
 from craftsim.errors import InputError
 
 _STOP = int(Action.STOP)
@@ -125,11 +124,9 @@ class AsynchronousCore(Core):
         self._look()
         self._stale = False
         self._show()
-        success, over = bool(steps.success[0]), bool(steps.done[0])
-        terminated = success and self.task.ends_on_success
-        deadlock = None if terminated or over or problems else episodes.deadlock(0)
-        truncated = not terminated and (over or bool(problems) or deadlock is not None)
-        self._runs = not (terminated or truncated)
+        success, over = bool(steps.success[0]), bool(steps.done[0]) or bool(problems)
+        deadlock = None if over or (success and self.task.ends_on_success) else episodes.deadlock(0)
+        terminated, truncated = self._ends(success, over or deadlock is not None)
         self.turns = []
         if self._runs:
             self._take_turns()
@@ -145,21 +142,18 @@ class AsynchronousCore(Core):
         decides, outcome = episodes.decides[0], episodes.decisions.outcome[0]
         elapsed_s = np.where(ended, episodes.time_s[0] - episodes.running.began_s[0], 0.0)
         earned = np.where(ended, episodes.decisions.earned[0], 0.0)
-        columns = (self._wrong, outcome == BLOCKED, decides, elapsed_s, earned, failed)
-        rows = zip(self._found, self.masks.copy(), *(column.tolist() for column in columns), strict=True)
+        columns = {
+            "action_mask": list(self.masks.copy()),
+            "illegal": self._wrong.tolist(),
+            "blocked": (outcome == BLOCKED).tolist(),
+            "decides": decides.tolist(),
+            "elapsed_s": [round(seconds, 6) for seconds in elapsed_s.tolist()],
+            "earned": earned.tolist(),
+            "failed": failed.tolist(),
+        }
         return [
-            {
-                **found,
-                "action_mask": mask,
-                "illegal": wrong,
-                "blocked": blocked,
-                "decides": turn,
-                "elapsed_s": round(seconds, 6),
-                "earned": reward,
-                "failed": went_wrong,
-                **shared,
-            }
-            for found, mask, wrong, blocked, turn, seconds, reward, went_wrong in rows
+            {**found, **{key: column[car] for key, column in columns.items()}, **shared}
+            for car, found in enumerate(self._found)
         ]
 
 
@@ -202,59 +196,34 @@ class AsynchronousParallel(ParallelConstruction):
         return observations, rewards, terminated, truncated, infos
 
 
-class AsynchronousConstruction(AECEnv[str, Observation, int]):
+class AsynchronousConstruction(CarWorld, AECEnv[str, Observation, int]):
     """The AEC form: ``agent_selection`` is the car that decides next, with masks and observations of that moment.
 
     When all that decide have, time passes to the next event. Rewards are shared; those that an agent has accumulated
     when it is its turn again are those of its action.
     """
 
+    core: AsynchronousCore
+
     def __init__(self, task: Task | str, options: Options) -> None:
         """Prepare a task; the first episode begins with :meth:`reset`."""
-        super().__init__()
-        self._world = AsynchronousParallel(task, options)
-        self.metadata = self._world.metadata | {"is_parallelizable": False}
-        self.render_mode = self._world.render_mode
-        self.possible_agents = self._world.possible_agents
-        self.agents: list[str] = []
-
-    @property
-    def core(self) -> AsynchronousCore:
-        """The world and its episode."""
-        return self._world.core
-
-    def observation_space(self, agent: str) -> spaces.Dict:
-        """Return an agent's observation space."""
-        return self._world.observation_space(agent)
-
-    def action_space(self, agent: str) -> spaces.Discrete:
-        """Return an agent's action space."""
-        return self._world.action_space(agent)
-
-    @property
-    def state_space(self) -> spaces.Box:
-        """The space of the global state."""
-        return self._world.state_space
+        super().__init__(task, options)
+        self.metadata["is_parallelizable"] = False
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
-        _, infos = self._world.reset(seed, options)
+        infos = self.core.reset(seed, options)
         self.agents = self.possible_agents[:]
-        self.rewards = dict.fromkeys(self.agents, 0.0)
-        self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
-        self.terminations = dict.fromkeys(self.agents, False)
-        self.truncations = dict.fromkeys(self.agents, False)
-        self.infos = self._only(infos)
+        self.infos = dict(zip(self.agents, infos, strict=True))
+        self.rewards, self._cumulative_rewards = (dict.fromkeys(self.agents, 0.0) for _ in range(2))
+        self.terminations, self.truncations = (dict.fromkeys(self.agents, False) for _ in range(2))
         self._skip_agent_selection = None
-        self.agent_selection = self._world.agents_to_act[0]
-
-    def _only(self, infos: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-        return {agent: {k: v for k, v in info.items() if k != "ignored"} for agent, info in infos.items()}
+        self.agent_selection = self.agents[self.core.turns[0]]
 
     def observe(self, agent: str) -> Observation:
         """Return what an agent observes now, what has begun already included."""
         self.core.refresh()
-        return self._world.observe_all()[agent]
+        return self.observe_all()[agent]
 
     def step(self, action: int | None) -> None:
         """Let the selected agent begin an action; if it is the last to decide, time passes to the next event.
@@ -281,20 +250,9 @@ class AsynchronousConstruction(AECEnv[str, Observation, int]):
             for car, mask in enumerate(self.core.masks.copy()):
                 self.infos[self.possible_agents[car]]["action_mask"] = mask
         self._accumulate_rewards()
-        self.agent_selection = self._world.agents_to_act[0] if self.core.turns else self.agents[0]
+        self.agent_selection = self.possible_agents[self.core.turns[0]] if self.core.turns else self.agents[0]
 
     def state(self) -> NDArray[np.int32]:
         """Return the global state: the rows of all entities, flattened."""
         self.core.refresh()
-        return self.core.state()
-
-    def render(self) -> Any:
-        """Return what ``render_mode`` says."""
-        return self._world.render()
-
-    def close(self) -> None:
-        """Release what rendering holds, and write what is recorded."""
-        self._world.close()
-
-
-__all__ = ["AsynchronousConstruction", "AsynchronousCore", "AsynchronousParallel", "Deadlock"]
+        return super().state()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.tasks import Task
 from craftsim.envs.core import SingleWorld
-from craftsim.envs.observations import Observation, central_space, extra_spaces, joint_action_space
+from craftsim.envs.observations import Observation, central_space, joint_action_space
 from craftsim.envs.options import Options
 from craftsim.errors import InputError
 
@@ -29,12 +29,9 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
                 "'observe' is what single cars observe, in the PettingZoo forms; "
                 "here wrap the environment in gymnasium.wrappers.TransformObservation"
             )
-        self._prepare(task, chosen)
-        self.render_mode = chosen.render_mode
-        played, form = self.core.task, self.core.form
-        beside = extra_spaces(played, form, chosen.local_view, chosen.timing is not None)
-        self.observation_space = central_space(played, chosen.images, form.n_actions, beside)
-        self.action_space = joint_action_space(played, form.n_actions)
+        super().__init__(task, chosen)
+        self.observation_space = central_space(self.core.task, chosen, self.core.form)
+        self.action_space = joint_action_space(self.core.task, self.core.form.n_actions)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

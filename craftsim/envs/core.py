@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -23,7 +23,7 @@ from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.discrete.tasks.rewards import Reward
-from craftsim.discrete.tasks.starts import Starts, Targets
+from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.observations import Observation, extras
 from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
@@ -47,38 +47,25 @@ _RESET_FIRST: Final = "call reset() before anything else"
 class Tick:
     """The result of a tick."""
 
-    applied: NDArray[np.bool_]
-    """(n,): by car, whether the rules allowed its action when its turn came."""
-    duration_s: float
-    """Simulated time."""
-    durations_s: tuple[float, ...]
-    """By car: how long its action took."""
-    problems: tuple[str, ...] = ()
-    """Why the world cannot be read as a grid any more, in words; empty when it can."""
-    of_car: tuple[dict[str, Any], ...] = ()
-    """By car: further entries of its info; empty when there are none."""
-    attempts: tuple[Attempt | None, ...] = ()
-    """By car: the judge's finding; empty on the grid."""
-    contacts: tuple[Any, ...] | None = None
-    """What touched what; None where that is not logged."""
+    applied: NDArray[np.bool_]  # (n,): by car, whether the rules allowed its action when its turn came
+    duration_s: float  # simulated time
+    durations_s: tuple[float, ...]  # by car: how long its action took
+    problems: tuple[str, ...] = ()  # why the world cannot be read as a grid any more; empty when it can
+    of_car: tuple[dict[str, Any], ...] = ()  # by car: further entries of its info; empty when there are none
+    attempts: tuple[Attempt | None, ...] = ()  # by car: the judge's finding; empty on the grid
+    contacts: tuple[Any, ...] | None = None  # what touched what; None where that is not logged
 
 
 @dataclass(frozen=True)
 class Ended:
     """The actions that end next in an asynchronous world."""
 
-    time_s: float
-    """Simulated time since the world was set up."""
-    cars: tuple[int, ...]
-    """Whose actions have ended; none where the time that was given came first."""
-    confirmed: Grid
-    """What is so: without what actions have changed that still run."""
-    infos: dict[int, dict[str, Any]] = field(default_factory=dict)
-    """By car that has ended: further entries of its info."""
-    problems: tuple[str, ...] = ()
-    """Why the world cannot be read as a grid any more, in words; empty when it can."""
-    lost: Mapping[int, str] = field(default_factory=dict)
-    """Why cars cannot be driven any more, by car; their actions have ended."""
+    time_s: float  # simulated time since the world was set up
+    cars: tuple[int, ...]  # whose actions have ended; none where the time that was given came first
+    confirmed: Grid  # what is so: without what actions have changed that still run
+    infos: dict[int, dict[str, Any]] = field(default_factory=dict)  # by car that has ended: of its info
+    problems: tuple[str, ...] = ()  # as of a tick
+    lost: Mapping[int, str] = field(default_factory=dict)  # by car: why it cannot be driven any more
 
 
 class GridBackend:
@@ -166,60 +153,20 @@ def make_backend(task: Task, options: Options) -> Backend:
         from craftsim.rendering.offscreen import choose_backend
 
         choose_backend()
-    from craftsim.checking.setup import Setup, nominal_gains
-    from craftsim.envs.physics_backend import PhysicsBackend
-    from craftsim.envs.recording import EpisodeRecords, Pictures
-    from craftsim.mjcf.parameters import NOMINAL
-    from craftsim.models.config import SimulationConfig
-    from craftsim.models.randomization import NONE
-    from craftsim.models.sensing import ASSUMED
-    from craftsim.rendering.images import CameraImages
-    from craftsim.skills.library import check_cars
+    from craftsim.envs.physics_backend import PhysicsBackend, setup_from
 
-    machines = options.machines or replace(NOMINAL, drive="reduced")
-    if options.drive is not None:
-        machines = replace(machines, drive=options.drive)
-    randomization = options.randomization or NONE
-    setup = Setup(
-        rules=options.rule_set,
-        randomization=randomization
-        if options.noise is None
-        else replace(randomization, sensors=options.noise),
-        assumed=options.assumed or ASSUMED,
-        simulation=options.config or SimulationConfig(),
-        gains=options.gains or nominal_gains(),
-        machines=machines,
-        skills=options.skills or (),
-    )
-    n_cars, images = task.layout.n_cars, options.images
-    check_cars(setup.skills, n_cars)
-    return PhysicsBackend(
-        setup,
-        options.helper_depth,
-        task.goal_cells,
-        options.observers,
-        options.check_contacts,
-        Pictures(options.render_camera, options.render_size, options.shows_motion),
-        None if options.record is None else EpisodeRecords(options.record, task.name, task.design),
-        None if images is None else CameraImages(images.cameras(n_cars), images.size, images.kinds),
-        options.robots,
-    )
+    return PhysicsBackend(setup_from(options, task.layout.n_cars), options, task)
 
 
 @dataclass(frozen=True)
 class CoreStep:
     """The result of a tick."""
 
-    reward: float
-    """Shared by all cars."""
-    terminated: bool
-    """The work is done, and the task ends with that."""
-    truncated: bool
-    """The time is up, or the world cannot be read as a grid any more."""
-    infos: list[dict[str, Any]]
-    """By car."""
-    order: NDArray[np.int64]
-    """(n,): the cars in the order in which they acted."""
+    reward: float  # shared by all cars
+    terminated: bool  # the work is done, and the task ends with that
+    truncated: bool  # the time is up, or the world cannot be read as a grid any more
+    infos: list[dict[str, Any]]  # by car
+    order: NDArray[np.int64]  # (n,): the cars in the order in which they acted
 
 
 class Core:
@@ -227,10 +174,8 @@ class Core:
 
     def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
         """Prepare; the first episode begins with :meth:`reset`. ``backend`` replaces the one of the options."""
-        self.task = as_task(task)
-        self.options = options
-        self.layout = self.task.layout
-        self.n_cars = self.layout.n_cars
+        self.task, self.options = as_task(task), options
+        self.n_cars = self.task.layout.n_cars
         self.backend = backend or make_backend(self.task, options)
         self.rules = Rules(options.rule_set, actions=options.actions)
         self.form = options.action_form(self.task)
@@ -238,7 +183,7 @@ class Core:
         """The task of the running episode: the task, or where each has a design of its own, the one with that."""
         self._episodes: Episodes | None = None
         self._runs = False
-        self._pictures: list[NDArray[np.uint8]] = []
+        self.pictures: list[NDArray[np.uint8]] = []
         self._seed(None)
 
     def _seed(self, seed: int | None) -> None:
@@ -285,7 +230,7 @@ class Core:
             self._episodes.begin(_ONE, start)
         self._runs = True
         self._look()
-        self._pictures.clear()
+        self.pictures.clear()
         self._show()
         return [{"action_mask": mask} for mask in self.masks.copy()]
 
@@ -324,11 +269,6 @@ class Core:
         """Return (n, length): each car's observation, its own row first."""
         return car_vectors(self.rows, self.n_cars)
 
-    @property
-    def designs(self) -> Targets:
-        """(1, T, 5): what is to be built in this episode, as in ``Episodes.designs``."""
-        return self.episodes.designs.copy()
-
     def state(self) -> NDArray[np.int32]:
         """Return the global state: all rows, flattened, shape (13 * n_observed,). Raises InputError before a reset."""
         if self._episodes is None:
@@ -354,7 +294,11 @@ class Core:
         order = self._rng.permutation(self.n_cars)
         before = None if isinstance(self.task.reward, Reward) else self.grid
         tick = self.backend.tick(episodes, acting[0], order)
-        seen = [] if before is None else [self._transition(before, acting[0], tick)]
+        seen = []
+        if before is not None:
+            judged: Any = {"attempts": tick.attempts, "contacts": tick.contacts, "problems": tick.problems}
+            times = np.array(tick.durations_s), tick.duration_s
+            seen.append(episodes.transition(0, before, acting[0], tick.applied, *times, **judged))
         steps = episodes.score(tick.applied[None], order[None], not tick.problems, seen)
         success, over = bool(steps.success[0]), bool(steps.done[0])
         self._look()
@@ -366,43 +310,22 @@ class Core:
             {"action_mask": mask, "illegal": bool(wrong[car]), **shared, **extras[car]}
             for car, mask in enumerate(self.masks.copy())
         ]
-        terminated = success and self.task.ends_on_success
-        truncated = not terminated and (over or bool(tick.problems))
-        self._runs = not (terminated or truncated)
+        terminated, truncated = self._ends(success, over or bool(tick.problems))
         reward = float(steps.reward[0]) - self.options.time_weight * tick.duration_s
         return CoreStep(reward, terminated, truncated, infos, order)
 
-    def _transition(self, before: Grid, acting: NDArray[np.int64], tick: Tick) -> Any:
-        judged = {"attempts": tick.attempts, "contacts": tick.contacts, "problems": tick.problems}
-        seconds = np.array(tick.durations_s)
-        return self.episodes.transition(0, before, acting, tick.applied, seconds, tick.duration_s, **judged)
-
-    def render(self) -> NDArray[np.uint8] | list[NDArray[np.uint8]] | str | None:
-        """Return what ``render_mode`` says; see :meth:`SingleWorld.render`."""
-        mode, goal = self.options.render_mode, self.layout.goal
-        if mode == "rgb_array":
-            return self.backend.picture(self.grid, goal)
-        if mode == "rgb_array_list":
-            taken, self._pictures = self._pictures, []
-            return taken
-        return self._text() if mode == "ansi" else None
-
-    def _text(self) -> str:
-        from rich.console import Console
-
-        from craftsim.discrete.drawing import world_text
-
-        text = StringIO()
-        console = Console(file=text, force_terminal=True, color_system="standard", highlight=False, width=200)
-        console.print(world_text(self.grid, self.layout.goal), end="")
-        return text.getvalue()
+    def _ends(self, success: bool, over: bool) -> tuple[bool, bool]:
+        """Return whether an episode is terminated, and whether it is truncated."""
+        terminated = success and self.task.ends_on_success
+        self._runs = not (terminated or over)
+        return terminated, over and not terminated
 
     def _show(self) -> None:
-        mode, goal = self.options.render_mode, self.layout.goal
+        mode, goal = self.options.render_mode, self.task.layout.goal
         if mode == "human":
             self.backend.show(self.grid, goal)
         elif mode == "rgb_array_list":
-            self._pictures += self.backend.pictures(self.grid, goal)
+            self.pictures += self.backend.pictures(self.grid, goal)
 
 
 class SingleWorld:
@@ -413,7 +336,8 @@ class SingleWorld:
         "render_fps": RENDER_FPS,
     }
 
-    def _prepare(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
+    def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
+        """Prepare a task; the first episode begins with ``reset()``. ``backend`` replaces the one of the options."""
         kind = Core
         if options.execution == "asynchronous":
             from craftsim.envs.asynchronous import AsynchronousCore
@@ -421,6 +345,7 @@ class SingleWorld:
             kind = AsynchronousCore
         self.core = kind(task, options, backend)
         self.metadata = type(self).metadata | {"render_fps": options.render_fps}
+        self.render_mode: str | None = options.render_mode
 
     @property
     def grid(self) -> Grid:
@@ -433,7 +358,22 @@ class SingleWorld:
         ``rgb_array_list`` returns the pictures since the last call, or since the reset if that was later; ``human``
         shows every tick by itself.
         """
-        return self.core.render()
+        core, goal = self.core, self.core.task.layout.goal
+        if self.render_mode == "rgb_array":
+            return core.backend.picture(core.grid, goal)
+        if self.render_mode == "rgb_array_list":
+            taken, core.pictures = core.pictures, []
+            return taken
+        if self.render_mode != "ansi":
+            return None
+        from rich.console import Console
+
+        from craftsim.discrete.drawing import world_text
+
+        text = StringIO()
+        console = Console(file=text, force_terminal=True, color_system="standard", highlight=False, width=200)
+        console.print(world_text(core.grid, goal), end="")
+        return text.getvalue()
 
     def close(self) -> None:
         """Release what rendering holds, and write what is recorded."""

@@ -1,4 +1,4 @@
-"""What play leaves for learning: episodes as a Minari dataset, and the worlds that were reached, as starts."""
+"""Episodes as a Minari dataset for offline learning."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
 
-from craftsim.discrete.grid import Grid
-from craftsim.discrete.tasks import TASK_NAMES, Task, make_task
-from craftsim.envs.observations import Observation, central_space, joint_action_space
+from craftsim.discrete.tasks import TASK_NAMES, make_task
+from craftsim.envs.observations import Observation, joint_action_space, state_space
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.errors import InputError
@@ -35,38 +34,14 @@ MakeAct = Callable[[int], Act]
 
 DATASET_NAME: Final = re.compile(r"(?:[-\w]+/)*[-\w]+-v[0-9]+")
 """How Minari names a dataset: folders, a name and a version."""
+_SETTLED: Final = ("max_steps", "ends_on_success", "reward")
+"""What a name of a task says, beside its digest."""
 
 
-def reached_worlds(env: ParallelConstruction, act: Act, ticks: int, seed: int | None = None) -> list[Grid]:
-    """Return the distinct worlds that an environment comes by, in the order in which it first does.
-
-    Ends of episodes and worlds that cannot be read as a grid are left out.
-    :func:`craftsim.discrete.tasks.starts.save_starts` keeps the worlds in a file.
-
-    Args:
-        env: in physics, with noise and a randomization, it reaches the worlds that real skills lead to.
-        act: the policy.
-        ticks: how many ticks to play, over as many episodes as that takes.
-        seed: seed of the environment.
-    """
-    found: dict[bytes, Grid] = {}
-    observations, _ = env.reset(seed=seed)
-    for _ in range(ticks):
-        observations = env.step(act(observations))[0]
-        if env.agents:
-            grid = env.grid
-            found.setdefault(grid.kind.tobytes() + grid.yaw.tobytes() + grid.cars.tobytes(), grid)
-        else:
-            observations, _ = env.reset()
-    return list(found.values())
-
-
-@dataclass(frozen=True)
-class Exported:
+class Exported(NamedTuple):
     """A dataset that was written."""
 
-    path: Path
-    """Its folder."""
+    path: Path  # its folder
     episodes: int
     steps: int
     successes: int
@@ -118,10 +93,11 @@ def write_dataset(
     target, task = Path(folder).absolute() / name, env.core.task
     described = f"{task.name} on {env.core.options.backend}, played by {algorithm or 'a policy'}"
     steps, successes, n_actions = 0, 0, env.core.form.n_actions
+    mask_space = spaces.Box(0, 1, (env.core.n_cars, n_actions), np.int8)
     with owned(target), _whole_folder(target, "data") as partial:
         storage = MinariStorage.new(
             partial,
-            observation_space=central_space(task, n_actions=n_actions),
+            observation_space=spaces.Dict({"observation": state_space(task), "action_mask": mask_space}),
             action_space=joint_action_space(task, n_actions),
             env_spec=_env_spec(env),
         )
@@ -176,23 +152,23 @@ def _episode(env: ParallelConstruction, act: Act, seed: int) -> EpisodeBuffer:
     # Minari's own DataCollector would need JAX.
     from minari.data_collector import EpisodeBuffer
 
+    def look(infos: dict[str, dict[str, Any]]) -> tuple[NDArray[Any], NDArray[Any], dict[str, Any]]:
+        return env.state(), env.core.masks.copy(), _told(list(infos.values()))
+
     observations, infos = env.reset(seed=seed)
-    states, masks, told = [env.state()], [env.core.masks.copy()], [_told(infos)]
-    actions: list[NDArray[np.int64]] = []
-    outcomes: list[tuple[float, bool, bool]] = []
+    looks, done = [look(infos)], list[tuple[Any, ...]]()
     while env.agents:
         agents, chosen = env.agents, act(observations)
         observations, earned, ended, cut, infos = env.step(chosen)
-        actions.append(np.array([chosen[agent] for agent in agents], np.int64))
-        states.append(env.state())
-        masks.append(env.core.masks.copy())
-        outcomes.append((earned[agents[0]], ended[agents[0]], cut[agents[0]]))
-        told.append(_told(infos))
-    rewards, ends, cuts = (list(column) for column in zip(*outcomes, strict=True))
+        looks.append(look(infos))
+        first = agents[0]
+        done.append(([chosen[agent] for agent in agents], earned[first], ended[first], cut[first]))
+    states, masks, told = zip(*looks, strict=True)
+    actions, rewards, ends, cuts = (list(column) for column in zip(*done, strict=True))
     return EpisodeBuffer(
         seed=seed,
         observations={"observation": np.array(states), "action_mask": np.array(masks)},
-        actions=np.array(actions),
+        actions=np.array(actions, np.int64),
         rewards=rewards,
         terminations=ends,
         truncations=cuts,
@@ -200,18 +176,15 @@ def _episode(env: ParallelConstruction, act: Act, seed: int) -> EpisodeBuffer:
     )
 
 
-def _told(infos: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def _told(by_car: list[dict[str, Any]]) -> dict[str, Any]:
     """Return what a dataset keeps of the infos of the cars; those of a reset lack most."""
-    by_car = list(infos.values())
     wrong = [info.get("illegal", False) for info in by_car]
-    results = [info.get("result", "as predicted") for info in by_car]
+    went_well = [info.get("result", "as predicted") == "as predicted" for info in by_car]
     return {
         "success": by_car[0].get("success", False),
         "duration_s": by_car[0].get("duration_s", 0.0),
         "illegal": wrong,
-        "as_predicted": [
-            not one and result == "as predicted" for one, result in zip(wrong, results, strict=True)
-        ],
+        "as_predicted": [good and not bad for good, bad in zip(went_well, wrong, strict=True)],
     }
 
 
@@ -227,12 +200,9 @@ def _env_spec(env: ParallelConstruction) -> EnvSpec | None:
     }
     if task.name not in TASK_NAMES or Options(**plain) != options:
         return None
-    if _made_of(task) != _made_of(make_task(task.name)):
+    made = make_task(task.name)
+    if any(getattr(task, name) != getattr(made, name) for name in ("digest", *_SETTLED)):
         return None
     spec = deepcopy(gymnasium.spec(GYMNASIUM_IDS[task.name]))
     spec.kwargs |= plain
     return spec
-
-
-def _made_of(task: Task) -> tuple[object, ...]:
-    return task.digest, task.max_steps, task.ends_on_success, task.reward

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
 from gymnasium import spaces
@@ -24,8 +24,10 @@ from craftsim.envs.actions import ActionForm
 from craftsim.errors import InputError, suggestion
 from craftsim.rendering.images import PIXELS, ImageKind, check_images
 
+if TYPE_CHECKING:
+    from craftsim.envs.options import Options
+
 Observation = dict[str, NDArray[Any]]
-Spaces = dict[str, spaces.Space[Any]]
 
 ImageCamera = Literal["front", "overview", "top"]
 IMAGE_CAMERAS: Final[tuple[str, ...]] = get_args(ImageCamera)
@@ -54,59 +56,52 @@ def _entity_space(task: Task, n_rows: int) -> spaces.Box:
     return spaces.Box(-2, max(task.starts[0].size), (ROW * n_rows,), np.int32)
 
 
-def car_space(
-    task: Task,
-    own: spaces.Space[Any] | None = None,
-    images: Images | None = None,
-    n_actions: int = N_ACTIONS,
-    extras: Spaces | None = None,
-) -> spaces.Dict:
+def car_space(task: Task, options: Options, form: ActionForm) -> spaces.Dict:
     """Return one car's observation space, and the actions that it is offered.
 
-    It observes its own row, then all rows, or an observation of one's ``own``; images; and ``extras``.
+    It observes its own row, then all rows, or an observation of one's own; images; and what options add.
     """
+    own = None if options.observe is None else options.observe.space
     return spaces.Dict(
         {
             "observation": own or _entity_space(task, 1 + task.layout.n_observed),
-            "action_mask": spaces.Box(0, 1, (n_actions,), np.int8),
-            **({} if images is None else images.spaces()),
-            **(extras or {}),
+            "action_mask": spaces.Box(0, 1, (form.n_actions,), np.int8),
+            **({} if options.images is None else options.images.spaces()),
+            **_extra_spaces(task, options, form),
         }
     )
 
 
-def central_space(
-    task: Task, images: Images | None = None, n_actions: int = N_ACTIONS, extras: Spaces | None = None
-) -> spaces.Dict:
+def central_space(task: Task, options: Options, form: ActionForm) -> spaces.Dict:
     """Return the observation space of an agent that acts for all cars: the global state, and all that each observes."""
     n_cars = task.layout.n_cars
     return spaces.Dict(
         {
             "observation": state_space(task),
-            "action_mask": spaces.Box(0, 1, (n_cars, n_actions), np.int8),
-            **({} if images is None else images.spaces(n_cars)),
-            **{key: batch_space(space, n_cars) for key, space in (extras or {}).items()},
+            "action_mask": spaces.Box(0, 1, (n_cars, form.n_actions), np.int8),
+            **({} if options.images is None else options.images.spaces(n_cars)),
+            **{key: batch_space(space, n_cars) for key, space in _extra_spaces(task, options, form).items()},
         }
     )
 
 
-def extra_spaces(task: Task, form: ActionForm, radius: int | None, asynchronous: bool = False) -> Spaces:
+def _extra_spaces(task: Task, options: Options, form: ActionForm) -> dict[str, spaces.Space[Any]]:
     """Return the spaces of what a car observes for its action form, of its local view if it has a radius, and of what
     all cars are doing where they do not act together."""
     found, size = dict(form.spaces()), task.starts[0].size
     cells = (*size[:2], size[2] + 1)
-    if radius is not None:
-        width = 2 * radius + 1
+    if options.local_view is not None:
+        width = 2 * options.local_view + 1
         shape = (width, width, cells[2], CHANNELS)
         found["local_view"] = spaces.Box(0, max(max(Kind), 3), shape, np.int8)
-    if asynchronous:
+    if options.timing is not None:
         found["doing"] = spaces.Box(-1, np.inf, (task.layout.n_cars, 2), np.float32)
         found["claimed"] = spaces.Box(0, 1, cells, np.int8)
     return found
 
 
 def extras(episodes: Episodes, form: ActionForm, radius: int | None) -> Observation:
-    """Return what :func:`extra_spaces` are the spaces of, each (B, n, ...), after the masks."""
+    """Return what :func:`_extra_spaces` are the spaces of, each (B, n, ...), after the masks."""
     found = dict(form.observed(episodes))
     if radius is not None:
         found["local_view"] = local_views(episodes.grids, episodes.designs, radius)
@@ -124,8 +119,7 @@ def joint_action_space(task: Task, n_actions: int = N_ACTIONS) -> spaces.MultiDi
 class Observe:
     """What each car observes: the ``observation`` of the PettingZoo forms; the action mask stays beside it."""
 
-    space: spaces.Space[Any]
-    """Of one car's observation."""
+    space: spaces.Space[Any]  # of one car's observation
     of: Callable[[Grid, int], Any]
     """Returns the observation of a car, given by number, in the world as it is seen."""
 
@@ -139,8 +133,7 @@ class Images:
 
     camera: ImageCamera = "front"
     """``front``, each car's own in its nose, or one of the world's, of which all cars get the same images."""
-    size: tuple[int, int] = (64, 48)
-    """Width and height in pixels."""
+    size: tuple[int, int] = (64, 48)  # width and height in pixels
     kinds: tuple[ImageKind, ...] = ("rgb",)
     """Some of rgb, depth and segmentation, as :func:`craftsim.take_images` takes them."""
 
@@ -230,7 +223,12 @@ def entity_sets(
     turned = flags[..., : IS_FOOT + 1 - IS_CAR].any(-1)  # blocks and flags have no yaw
     things[..., YAW] = np.where(turned, 2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW], ANY_YAW)
     things[..., LOADED] = rows[..., IS_LOADED]
-    both = np.concatenate([things, _target_rows(grids, designs)], axis=1)
+    kind, x, y, z, yaw = np.moveaxis(designs, -1, 0)
+    cells = np.arange(len(designs))[:, None], x, y, z
+    filled = (grids.kind[cells] == kind) & ((yaw < 0) | (grids.yaw[cells] == yaw))
+    zero = np.zeros_like(kind)
+    columns = np.where(kind == 0, 0, TARGET + kind), x, y, z, yaw, zero, zero, filled
+    both = np.concatenate([things, np.stack(columns, axis=-1).astype(np.int16)], axis=1)
     cars = grids.cars
     out = np.repeat(both[:, None], grids.n_cars, axis=1)
     each = np.arange(grids.n_cars)
@@ -248,15 +246,6 @@ def entity_sets(
         hidden |= np.abs(apart[..., :2]).max(-1) > radius
     out[hidden] = 0
     return out
-
-
-def _target_rows(grids: Grid, designs: Targets) -> NDArray[np.int16]:
-    kind, x, y, z, yaw = np.moveaxis(designs, -1, 0)
-    each = np.arange(len(designs))[:, None]
-    filled = (grids.kind[each, x, y, z] == kind) & ((yaw < 0) | (grids.yaw[each, x, y, z] == yaw))
-    zero = np.zeros_like(kind)
-    what = np.where(kind == 0, 0, TARGET + kind)
-    return np.stack([what, x, y, z, yaw, zero, zero, filled], axis=-1).astype(np.int16)
 
 
 def observe_entities(task: Task, frame: Frame = "car", radius: int | None = None) -> Observe:

@@ -16,7 +16,6 @@ from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import ActionForm, ChoiceForm, ObjectChoice
 from craftsim.envs.observations import Images, Observe
-from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Drive, Machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization
@@ -62,66 +61,41 @@ class Options:
 
     backend: BackendName = "physics"
     rule_set: RuleSet = "physical"
-    helper_depth: Annotated[int, HELPER_DEPTH] | None = None
-    """Search depth of the action helper; None is without it."""
-    time_weight: Annotated[float, Range(0)] = 0.0
-    """Cost of a simulated second."""
+    helper_depth: Annotated[int, HELPER_DEPTH] | None = (
+        None  # search depth; None is without the action helper
+    )
+    time_weight: Annotated[float, Range(0)] = 0.0  # cost of a simulated second
+    actions: Annotated[tuple[Action, ...], BeforeValidator(as_own)] = ()  # registered ones, after the 15
+    object_choice: InstanceOf[ObjectChoice] | None = None  # offered after all other actions; needs the helper
+    local_view: Annotated[int, Range(0, 64)] | None = None  # radius of the window that each car observes
+    observe: InstanceOf[Observe] | None = None  # in place of the rows of all entities; PettingZoo forms only
     render_mode: RenderMode | None = None
-    render_camera: str | None = None
-    """``overview`` unless given, ``top``, or ``front:CAR``, that of a car; physics only."""
-    render_size: tuple[_Pixels, _Pixels] | None = None
-    """Width and height of a picture in pixels, 640 x 480 unless given; physics only."""
-    noise: InstanceOf[SensorNoise] | None = None
-    """Noise of the cars' sensors and motors; physics only."""
-    assumed: InstanceOf[SensorNoise] | None = None
-    """The noise that the cars' pose estimate assumes before it finds out, whatever it is; physics only."""
-    randomization: InstanceOf[DomainRandomization] | None = None
-    """How far the physics of each episode is drawn from the nominal one; physics only."""
-    config: InstanceOf[SimulationConfig] | None = None
-    """How the physics is computed; physics only."""
-    gains: InstanceOf[Gains] | None = None
-    """Of the controllers, the shipped ones unless given; physics only."""
-    machines: InstanceOf[Machines] | None = None
-    """The parameters of cars, blocks and slopes, the nominal ones unless given; physics only."""
-    drive: Drive | None = None
-    """How cars touch the ground, ``rollers`` or ``reduced``; that of ``machines`` if they are given, and else
-    ``reduced``, which is several times as fast (docs/explanation/drives.md says how far it can be trusted).
-    Physics only."""
-    skills: Annotated[Any, AfterValidator(own_skills)] = None
-    """Skills of one's own in place of built-in ones, ``{Action.LIFT: MyLift}`` or ``{0: {Action.LIFT: MyLift}}``;
-    physics only."""
-    robots: Callable[..., Any] | None = None
-    """Sets up a world whose cars are robots elsewhere, such as :func:`craftsim.robots.robots_at`; physics
-    only."""
-    check_contacts: bool = False
-    """Whether the judge logs contacts, 3 % of the time; what is unsafe then ends at once. Physics only."""
-    observers: Sequence[Callable[[PhysicsWorld], None]] = ()
-    """Called with the PhysicsWorld after every control period; they may look, but not change it. Physics only."""
-    record: Annotated[Path | None, BeforeValidator(_path)] = None
-    """Folder that takes a trajectory of each episode, as :class:`craftsim.Trajectory` reads it; physics only."""
-    observe: InstanceOf[Observe] | None = None
-    """What cars observe instead of the rows of all entities; PettingZoo forms only."""
-    images: InstanceOf[Images] | None = None
-    """Camera images beside that; physics only."""
-    actions: Annotated[tuple[Action, ...], BeforeValidator(as_own)] = ()
-    """Registered actions (:func:`craftsim.register_action`), or their names, that are offered after the 15, in this
-    order: the action space has so many more."""
-    object_choice: InstanceOf[ObjectChoice] | None = None
-    """Blocks, slopes and free cells that cars may choose to drive to, offered after all other actions; it needs the
-    action helper."""
-    local_view: Annotated[int, Range(0, 64)] | None = None
-    """Radius of the window around each car that is observed as ``local_view``, in cells along x and y."""
 
     execution: Execution = "synchronous"
-    """Whether all cars act in ticks, or ``asynchronous``: each decides when its own action has ended."""
-    wait_s: Annotated[float, Range(0, above=True)] = 1.0
-    """Asynchronous: STOP waits for the next event, so many seconds at most."""
-    jitter: Annotated[float, Range(0, 10)] = 0.0
-    """Asynchronous, grid: standard deviation of the logarithm of an action's duration."""
-    failures: Annotated[float, Range(0, 1)] = 0.0
-    """Asynchronous, grid: probability that an action ends without effect."""
-    durations: Durations = "nominal"
-    """Asynchronous, grid: those of a table, or ``equal``, 1 s for every action."""
+    wait_s: Annotated[float, Range(0, above=True)] = 1.0  # STOP waits for the next event, so long at most
+    # Of asynchronous execution on the grid:
+    jitter: Annotated[float, Range(0, 10)] = 0.0  # standard deviation of the logarithm of durations
+    failures: Annotated[float, Range(0, 1)] = 0.0  # probability that an action ends without effect
+    durations: Durations = "nominal"  # those of a table, or 1 s for every action
+
+    # Physics only:
+    noise: InstanceOf[SensorNoise] | None = None  # of the cars' sensors and motors
+    assumed: InstanceOf[SensorNoise] | None = None  # by the pose estimate, before it finds out
+    randomization: InstanceOf[DomainRandomization] | None = None  # drawn for each episode
+    config: InstanceOf[SimulationConfig] | None = None
+    gains: InstanceOf[Gains] | None = None  # the shipped ones unless given
+    machines: InstanceOf[Machines] | None = None  # the nominal ones unless given
+    drive: Drive | None = None  # that of given machines, and else ``reduced``, see docs/explanation/drives.md
+    skills: Annotated[Any, AfterValidator(own_skills)] = None  # {Action.LIFT: MyLift}, or by car
+    robots: Callable[..., Any] | None = None  # sets up a world of robots, as craftsim.robots.robots_at does
+    check_contacts: bool = False  # the judge logs contacts, 3 % of the time; what is unsafe ends at once
+    observers: Sequence[
+        Callable[[PhysicsWorld], None]
+    ] = ()  # called after every control period; may only look
+    images: InstanceOf[Images] | None = None
+    render_camera: str | None = None  # ``overview`` unless given, ``top``, or ``front:CAR``
+    render_size: tuple[_Pixels, _Pixels] | None = None  # width and height in pixels, 640 x 480 unless given
+    record: Annotated[Path | None, BeforeValidator(_path)] = None  # folder for a trajectory of each episode
 
     def __post_init__(self) -> None:
         if self.execution == "synchronous":
@@ -153,13 +127,6 @@ class Options:
         if self.execution == "synchronous":
             return None
         return Timing(self.wait_s, self.jitter, self.failures, self.durations == "equal")
-
-    def refuse(self, form: str, *names: str) -> None:
-        """Raise InputError where an option is given that a form of the environment has no place for."""
-        for name in names:
-            if getattr(self, name) is not None:
-                option = "execution" if name == "timing" else name
-                raise InputError(f"{form} knows no '{option}'; leave it out")
 
     def action_form(self, task: Task) -> ActionForm:
         """Return the action form of a task."""

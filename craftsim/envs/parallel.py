@@ -12,7 +12,7 @@ from pettingzoo import ParallelEnv
 from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import by_agent
 from craftsim.envs.core import Backend, SingleWorld
-from craftsim.envs.observations import Observation, car_space, extra_spaces, state_space
+from craftsim.envs.observations import Observation, car_space, state_space
 from craftsim.envs.options import Options
 
 
@@ -24,29 +24,22 @@ class Observations(dict[str, Observation]):
         self.task, self.begins = task, begins
 
 
-class ParallelConstruction(SingleWorld, ParallelEnv[str, Observation, int]):
-    """A task for cars that share one reward; ``car_0``, ``car_1``, ... are the agents.
+class CarWorld(SingleWorld):
+    """What the PettingZoo forms share: ``car_0``, ``car_1``, ... are the agents.
 
     An agent observes ``{"observation", "action_mask"}``, and images if asked to; docs/reference/environments.md
-    describes them, and the
-    infos.
+    describes them, and the infos.
     """
 
     def __init__(self, task: Task | str, options: Options, backend: Backend | None = None) -> None:
-        """Prepare a task; the first episode begins with :meth:`reset`. ``backend`` replaces the one of the options."""
-        self._prepare(task, options, backend)
-        self.render_mode = options.render_mode
-        self.metadata |= {"name": f"craftsim_{self.core.task.name}_v0", "is_parallelizable": True}
+        super().__init__(task, options, backend)
+        task, form = self.core.task, self.core.form
+        self.metadata |= {"name": f"craftsim_{task.name}_v0", "is_parallelizable": True}
         self.possible_agents = [f"car_{car}" for car in range(self.core.n_cars)]
         self.agents: list[str] = []
-        self.state_space = state_space(self.core.task)
-        task, form = self.core.task, self.core.form
-        n, own = form.n_actions, None if options.observe is None else options.observe.space
-        beside = extra_spaces(task, form, options.local_view, options.timing is not None)
-        self._observation_spaces = {
-            agent: car_space(task, own, options.images, n, beside) for agent in self.possible_agents
-        }
-        self._action_spaces = {agent: spaces.Discrete(n) for agent in self.possible_agents}
+        self.state_space = state_space(task)
+        self._observation_spaces = {agent: car_space(task, options, form) for agent in self.possible_agents}
+        self._action_spaces = {agent: spaces.Discrete(form.n_actions) for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> spaces.Dict:
         """Return an agent's observation space: what it observes, and its action mask."""
@@ -55,6 +48,31 @@ class ParallelConstruction(SingleWorld, ParallelEnv[str, Observation, int]):
     def action_space(self, agent: str) -> spaces.Discrete:
         """Return an agent's action space: the 15 primitive actions, and registered ones."""
         return self._action_spaces[agent]
+
+    def observe_all(self) -> dict[str, Observation]:
+        """Return the observations of all agents."""
+        core, options = self.core, self.core.options
+        seen: Any = core.vectors()
+        if options.observe is not None:
+            grid = core.grid
+            seen = [options.observe.of(grid, car) for car in range(core.n_cars)]
+        of_cars = {
+            agent: {"observation": seen[car], "action_mask": mask}
+            | {key: array[car].copy() for key, array in core.extras.items()}
+            for car, (agent, mask) in enumerate(zip(self.possible_agents, core.masks.copy(), strict=True))
+        }
+        if options.images is not None:
+            for car, observation in enumerate(of_cars.values()):
+                observation |= options.images.of_car(core.images, car)
+        return Observations(of_cars, core.task, bool(core.episodes.t[0] == 0))
+
+    def state(self) -> NDArray[np.int32]:
+        """Return the global state: the rows of all entities, flattened, as ``state_space`` says."""
+        return self.core.state()
+
+
+class ParallelConstruction(CarWorld, ParallelEnv[str, Observation, int]):
+    """A task for cars that share one reward."""
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -89,24 +107,3 @@ class ParallelConstruction(SingleWorld, ParallelEnv[str, Observation, int]):
             dict.fromkeys(agents, result.truncated),
             dict(zip(agents, result.infos, strict=True)),
         )
-
-    def observe_all(self) -> dict[str, Observation]:
-        """Return the observations of all agents."""
-        core, options = self.core, self.core.options
-        seen: Any = core.vectors()
-        if options.observe is not None:
-            grid = core.grid
-            seen = [options.observe.of(grid, car) for car in range(core.n_cars)]
-        of_cars = {
-            agent: {"observation": seen[car], "action_mask": mask}
-            | {key: array[car].copy() for key, array in core.extras.items()}
-            for car, (agent, mask) in enumerate(zip(self.possible_agents, core.masks.copy(), strict=True))
-        }
-        if options.images is not None:
-            for car, observation in enumerate(of_cars.values()):
-                observation |= options.images.of_car(core.images, car)
-        return Observations(of_cars, core.task, bool(core.episodes.t[0] == 0))
-
-    def state(self) -> NDArray[np.int32]:
-        """Return the global state: the rows of all entities, flattened, as ``state_space`` says."""
-        return self.core.state()

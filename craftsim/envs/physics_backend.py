@@ -2,94 +2,205 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+import os
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.episode import Recipe, Step, begin
+from craftsim.checking.episode import Recipe, Step, begin, in_order
 from craftsim.checking.judge import Judge
-from craftsim.checking.setup import Seed, SetUp, Setup, compile_world, set_up
+from craftsim.checking.setup import Seed, Setup, compile_world, nominal_gains, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.core import Core, Ended, Tick
-from craftsim.envs.recording import EpisodeRecords, Pictures, has_display
+from craftsim.envs.options import MOTION_FPS, Options
 from craftsim.errors import InputError
-from craftsim.rendering.images import CameraImages
+from craftsim.extras import install
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.config import SimulationConfig
+from craftsim.models.randomization import NONE
+from craftsim.models.sensing import ASSUMED
+from craftsim.rendering.images import CameraImages, camera_number
+from craftsim.rendering.offscreen import make_renderer
+from craftsim.rendering.trajectory import SUFFIX, Recorder, SeenWorld
 from craftsim.rendering.viewer import LOOPBACK, PORT, has_viser
 from craftsim.rendering.viewer.page import AS_IT_GOES
 from craftsim.rendering.viewer.views import LiveView
-from craftsim.skills.executor import Observer
+from craftsim.skills.library import check_cars
+from craftsim.storage.folders import output_directory
+
+if TYPE_CHECKING:
+    import mujoco
+    from mujoco.viewer import Handle
+
+    from craftsim.models.world import PhysicsWorld
+
+
+Picture = NDArray[np.uint8]
+"""Shape (height, width, 3), red green blue."""
+_DIGITS: Final = 8
+"""Of the digest that tells a recorded episode from others."""
+
+
+def has_display() -> bool:
+    """Return whether windows can be opened here."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+class Pictures:
+    """Looks at one PhysicsWorld after the other; call :meth:`watch` after every control period."""
+
+    def __init__(
+        self, camera: str | None = None, size: tuple[int, int] | None = None, motion: bool = False
+    ) -> None:
+        """Prepare for a camera and a size (width, height); ``motion`` keeps the pictures between ticks."""
+        self.camera, self.size, self.motion = camera or "overview", size or (640, 480), motion
+        self._physics: PhysicsWorld | None = None
+        self._kept: list[Picture] = []
+        self._due_s = 0.0
+        self._renderer: mujoco.Renderer | None = None
+        self._viewer: Handle | None = None
+
+    def begin(self, physics: PhysicsWorld) -> None:
+        """Look at a world from now on, at the start of an episode; raises InputError for a camera that it lacks."""
+        if physics is not self._physics:
+            self.close()
+            seen = SeenWorld(physics)
+            self._number = camera_number(seen.model, self.camera)
+            self._physics, self._seen = physics, seen
+        self._kept.clear()
+        self._due_s = physics.time_s
+
+    def watch(self, physics: PhysicsWorld) -> None:
+        """Keep the viewer up to date, and a picture where its moment has come."""
+        if self._viewer is not None:
+            self._seen.now()
+            self._viewer.sync()
+        # The allowance is for sums of time steps that end a rounding error before a picture's moment.
+        if self.motion and physics.time_s >= self._due_s - 1e-6:
+            self._kept.append(self.picture())
+            self._due_s += 1 / MOTION_FPS
+
+    def picture(self) -> Picture:
+        """Return what the camera sees now."""
+        assert self._physics is not None, "begin() comes first"
+        if self._renderer is None:
+            self._renderer = make_renderer(self._seen.model, self.size)
+        self._renderer.update_scene(self._seen.now(), self._number)
+        taken: Picture = self._renderer.render()
+        return taken
+
+    def taken(self) -> list[Picture]:
+        """Return the pictures of the motion since the last call, or one of now where nothing has moved since."""
+        kept, self._kept = self._kept or [self.picture()], []
+        return kept
+
+    def show(self) -> None:
+        """Open MuJoCo's viewer; it follows the simulation from now on. Raises InputError without a display."""
+        assert self._physics is not None, "begin() comes first"
+        if self._viewer is None:
+            if not has_display():
+                raise InputError(
+                    "render_mode 'human' needs a display, or the viewer in the browser, and there is neither here; try "
+                    f"'rgb_array' or 'ansi', or {install('view')}"
+                )
+            import mujoco.viewer
+
+            self._viewer = mujoco.viewer.launch_passive(self._seen.model, self._seen.now())
+        self._viewer.sync()
+
+    def close(self) -> None:
+        """Close the viewer and the renderer."""
+        if self._viewer is not None:
+            self._viewer.close()
+        if self._renderer is not None:
+            self._renderer.close()
+        self._viewer = self._renderer = None
+
+
+def setup_from(options: Options, n_cars: int) -> Setup:
+    """Return the configuration of the physics that options ask for. Raises InputError for skills of other cars."""
+    machines = options.machines or replace(NOMINAL, drive="reduced")
+    if options.drive is not None:
+        machines = replace(machines, drive=options.drive)
+    randomization = options.randomization or NONE
+    if options.noise is not None:
+        randomization = replace(randomization, sensors=options.noise)
+    skills = options.skills or ()
+    check_cars(skills, n_cars)
+    return Setup(
+        rules=options.rule_set,
+        randomization=randomization,
+        assumed=options.assumed or ASSUMED,
+        simulation=options.config or SimulationConfig(),
+        gains=options.gains or nominal_gains(),
+        machines=machines,
+        skills=skills,
+    )
 
 
 class PhysicsBackend:
     """A PhysicsWorld on which all cars' skills run to their end in every tick."""
 
-    def __init__(
-        self,
-        setup: Setup,
-        helper_depth: int | None = None,
-        goals: Sequence[Cell] = (),
-        observers: Sequence[Observer] = (),
-        watch_contacts: bool = False,
-        pictures: Pictures | None = None,
-        records: EpisodeRecords | None = None,
-        images: CameraImages | None = None,
-        robots: SetUp | None = None,
-    ) -> None:
+    judge: Judge
+    ticks: list[tuple[Attempt, ...]]
+    """The attempts of the episode's ticks in acting order, or of what ended at one time."""
+
+    def __init__(self, setup: Setup, options: Options | None = None, task: Task | None = None) -> None:
         """Prepare for episodes.
 
         Args:
             setup: configuration of the physics, the noise, the skills and the judge.
-            helper_depth: search depth of the action helper; None is without it.
-            goals: cells to mark.
-            observers: called with the PhysicsWorld after every control period.
-            watch_contacts: whether the judge logs contacts, 3 % of the time; unsafe actions then end at once.
-            pictures: shows the world to people.
-            records: writes down what moves in each episode.
-            images: takes what cars observe by cameras.
-            robots: sets up a world whose cars are robots elsewhere; their contacts are not watched.
+            options: what is watched, shown, imaged and recorded; the physics is that of the setup.
+            task: whose goal is marked, and of which trajectories and images are.
         """
-        self.setup, self.goals = setup, tuple(goals)
-        self.observers, self.watch_contacts = observers, watch_contacts
-        self._helper = None if helper_depth is None else Rules(setup.rules)
+        self.setup, self._options = setup, options or Options()
+        options = self._options
+        self.goals: tuple[Cell, ...] = () if task is None else tuple(task.goal_cells)
+        self._helper = None if options.helper_depth is None else Rules(setup.rules)
+        self._pictures = Pictures(options.render_camera, options.render_size, options.shows_motion)
+        self._recorded = 0  # episodes
+        self._folder = None if options.record is None else output_directory(options.record)
+        self._task, self._design = ("", None) if task is None else (task.name, task.design)
+        self._recorder: Recorder | None = None  # of an episode that is to be written
+        self._images: CameraImages | None = None
+        if task is not None and (images := options.images) is not None:
+            self._images = CameraImages(images.cameras(task.layout.n_cars), images.size, images.kinds)
         self._start: Grid | None = None
-        self._pictures, self._records, self._images = pictures or Pictures(), records, images
         self._view: LiveView | None = None
-        self._robots = robots
-        self.judge: Judge
         self._seed: Seed
-        self._joints: list[list[tuple[int, Action]]]
-        """What the cars have done in each tick of the episode, or begun at one time of it."""
-        self._starts_s: list[float]
-        """When these began, where actions begin one by one; empty otherwise."""
-        self.ticks: list[tuple[Attempt, ...]]
-        """The attempts of the episode's ticks in acting order, or of what ended at one time."""
+        self._joints: list[list[tuple[int, Action]]]  # what was done in each tick, or begun at one time
+        self._starts_s: list[float]  # when these began, where actions begin one by one; empty otherwise
 
     def start(self, grid: Grid, rng: np.random.Generator, design: Design | None = None) -> Grid:
         """Begin an episode; a world is compiled only when the start or what is marked differs from the last one's."""
         self._end_record()
         seed = Seed.drawn(rng)
         marked = self.goals if design is None else tuple(design.floor)
-        if self._robots is not None:
-            self.judge = self._robots(grid, self.setup, seed, marked)
+        options = self._options
+        if options.robots is not None:
+            self.judge = options.robots(grid, self.setup, seed, marked)
         else:
             if self._start is None or not self._start.same_visible(grid) or marked != self.goals:
                 self._world = compile_world(grid, self.setup, marked)
-            self.judge = set_up(grid, self.setup, seed, marked, self._world, self.watch_contacts)
+            self.judge = set_up(grid, self.setup, seed, marked, self._world, options.check_contacts)
         self._start, self.goals = grid.copy(), marked
-        self.judge.executor.observers += [self._pictures.watch, *self.observers]
+        self.judge.executor.observers += [self._pictures.watch, *options.observers]
         self._seed, self._joints, self._starts_s, self.ticks = seed, [], [], []
         self._pictures.begin(self.judge.physics)
-        if self._records is not None:
-            self._records.begin(self.judge, design)
+        if self._folder is not None:
+            self._design = design or self._design
+            self._recorder = Recorder()
+            self._recorder.begin(self.judge)
         if self._view is not None:
             self._show_in(self._view)
         return self.judge.grid
@@ -175,18 +286,17 @@ class PhysicsBackend:
 
     def images(self) -> dict[str, NDArray[Any]]:
         """Return what the cameras see now, by kind, one entry a camera; empty without any."""
-        physics = self.judge.physics
-        return {} if self._images is None else self._images.take(physics)
+        return {} if self._images is None else self._images.take(self.judge.physics)
 
-    def picture(self, grid: Grid, goal: Cell | None) -> NDArray[np.uint8]:
+    def picture(self, *_: Any) -> Picture:
         """Return what the camera sees."""
         return self._pictures.picture()
 
-    def pictures(self, grid: Grid, goal: Cell | None) -> list[NDArray[np.uint8]]:
+    def pictures(self, *_: Any) -> list[Picture]:
         """Return the pictures of the motion since the last call."""
         return self._pictures.taken()
 
-    def show(self, grid: Grid, goal: Cell | None) -> None:
+    def show(self, *_: Any) -> None:
         """Show the world to people, who follow the simulation from now on: in MuJoCo's viewer, or without a display in
         the browser. Raises InputError where neither works."""
         if has_display() or not has_viser():
@@ -203,7 +313,10 @@ class PhysicsBackend:
             self._show_in(view)
 
     def _show_in(self, view: LiveView) -> None:
-        view.follow(self.judge, "", self.goals, lambda: [attempt for tick in self.ticks for attempt in tick])
+        view.follow(self.judge, "", self.goals, self._attempts)
+
+    def _attempts(self) -> list[Attempt]:
+        return [attempt for tick in self.ticks for attempt in tick]
 
     def close(self) -> None:
         """Close viewers and renderers, and write what is recorded."""
@@ -216,10 +329,23 @@ class PhysicsBackend:
             self._view = None
 
     def _end_record(self) -> None:
-        if self._records is not None and self._start is not None:
-            while self.judge.running:
-                self.advance()
-            self._records.end(self.recipe, [attempt for tick in self.ticks for attempt in tick])
+        """Write what was recorded of an episode, unless nothing was done in it or it is written.
+
+        Its name tells it from others in the folder: by what was drawn for it and what was done in it.
+        """
+        if self._folder is None or self._recorder is None:
+            return
+        while self.judge.running:
+            self.advance()
+        recorder, self._recorder = self._recorder, None
+        if attempts := self._attempts():
+            recipe = self.recipe
+            drawn = hashlib.sha256(repr(recipe).encode()).hexdigest()
+            name = f"episode-{self._recorded:04d}-{drawn[:_DIGITS]}"
+            ordered = in_order(recipe.steps, attempts)
+            written = recorder.trajectory(f"{self._task}, {name}", recipe, ordered, self._design)
+            written.write(self._folder / f"{name}{SUFFIX}")
+            self._recorded += 1
 
 
 def _strayed(attempt: Attempt) -> bool:

@@ -36,12 +36,9 @@ _CLOSE_S: Final = 10.0
 class PhysicsVectorEnv(TaskVectorEnv):
     """B worlds of one task in contact physics, spread over worker processes.
 
-    Spaces, rewards, ends and resets are those of a batch of grid worlds, so that a learner takes either. World i of a
-    batch that was reset with seed s is, bit for bit, the environment :class:`CentralConstruction` that was reset with
-    s + i, whatever the number of workers.
-
-    Joint steps take their time: with :meth:`step` all worlds wait for the slowest worker, with :meth:`send` and
-    :meth:`recv` none waits for another.
+    Spaces, rewards, ends and resets are those of a batch of grid worlds. World i of a batch that was reset with seed s
+    is, bit for bit, the environment :class:`CentralConstruction` that was reset with s + i, whatever the number of
+    workers. With :meth:`step` all worlds wait for the slowest one, with :meth:`send` and :meth:`recv` none for another.
 
     Make it where ``__name__ == "__main__"``, and close it.
     """
@@ -55,17 +52,9 @@ class PhysicsVectorEnv(TaskVectorEnv):
         engine: Engine = "local",
         **options: Any,
     ) -> None:
-        """Prepare ``num_envs`` worlds; the processes go on starting while this returns.
+        """Prepare worlds, arguments as of :func:`craftsim.envs.vector_env`; the processes go on starting meanwhile.
 
-        Args:
-            task: as in :func:`craftsim.envs.parallel_env`.
-            num_envs: how many worlds, 1 or more.
-            workers: how many processes share them, at most one per world; one for each processor unless given.
-            engine: processes of this machine, or actors of an existing Ray cluster, of which each takes a processor.
-            options: the fields of :class:`craftsim.envs.options.Options`, ``backend`` and ``observe`` aside.
-
-        Raises:
-            InputError: there is no such task, option or option value, or no Ray cluster.
+        Raises InputError where there is no such task, option or option value, or no Ray cluster.
         """
         batch = BatchOptions(num_envs, workers, engine)
         one = CentralConstruction(task, **options)  # so that what is wrong is said here, and not in a process
@@ -92,16 +81,13 @@ class PhysicsVectorEnv(TaskVectorEnv):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin all episodes anew.
+        """Begin all episodes anew; ``options`` as of :meth:`craftsim.envs.core.Core.reset`.
 
-        Args:
-            seed: of world 0, and those that follow it of the others, or one seed per world; without, generators go on.
-            options: of every world's reset, see :meth:`craftsim.envs.core.Core.reset`.
-
+        ``seed`` is of world 0, and those that follow it of the others, or one per world; without, generators go on.
         Raises InputError for seeds that are none, a start that does not fit the task, and while a world is acting.
         """
         self._require_rest("reset")
-        seen = self._ask_all("reset", [(one, options) for one in self._seeds(seed)])
+        seen = self._ask_all(_begin, [(one, options) for one in self._seeds(seed)])
         self._begun = True
         return self._keep(range(self.num_envs), seen), {}
 
@@ -119,11 +105,9 @@ class PhysicsVectorEnv(TaskVectorEnv):
     def step(self, actions: NDArray[np.integer]) -> Batch:
         """Let all cars of all worlds act once; ``actions`` (B, n).
 
-        Infos, each an array with a leading dimension B: ``success``, ``duration_s``, ``illegal`` (B, n), ``problems``;
-        the other infos of the cars (docs/reference/environments.md), each (B, n); and where
-        ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset.
-        Raises InputError before the first reset, for actions of another
-        shape or that are no numbers from 0 to 14, and while a world is acting; CraftsimError when a process has died.
+        Infos (docs/reference/environments.md) are arrays, (B,) or (B, n) by car; ``final_obs`` as on the grid.
+        Raises InputError before the first reset, for actions that are none, and while a world is acting; CraftsimError
+        when a process has died.
         """
         self._require_rest("step")
         self.send(actions)
@@ -134,32 +118,26 @@ class PhysicsVectorEnv(TaskVectorEnv):
     ) -> None:
         """Let all cars of some worlds, or of all, act once, and do not wait for it.
 
-        Args:
-            actions: (k, n), one row per world.
-            ids: (k,) numbers of the worlds; none twice, and none that is acting.
-
-        Raises InputError as :meth:`step` does, and for numbers that are none; CraftsimError when a process has died.
+        ``actions`` (k, n) has one row for each of the numbers ``ids`` (k,), none twice, and none that is acting. Raises
+        InputError as :meth:`step` does, and for numbers that are none.
         """
         worlds = np.arange(self.num_envs) if ids is None else np.asarray(ids)
         is_number = worlds.ndim == 1 and worlds.dtype.kind in "iu"
-        if not is_number or not set(worlds.tolist()) <= set(range(self.num_envs)) or _has_twice(worlds):
+        if not is_number or len({*worlds.tolist()} & {*range(self.num_envs)}) < len(worlds):
             raise InputError(
                 f"ids are {ids!r}; allowed: different whole numbers from 0 to {self.num_envs - 1}"
             )
         rows = self._checked(actions, len(worlds))
-        if self._acting[worlds].any():
-            acting = worlds[self._acting[worlds]].tolist()
+        if acting := worlds[self._acting[worlds]].tolist():
             raise InputError(f"worlds {acting} are acting; recv() what they come to first")
-        self._ask({int(world): ("act", (row,)) for world, row in zip(worlds, rows, strict=True)})
+        self._ask({int(world): (_act, (row,)) for world, row in zip(worlds, rows, strict=True)})
         self._acting[worlds] = True
 
     def recv(self, at_least: int = 1) -> Batch:
-        """Wait until so many of the acting worlds have finished their step, or all; return those that have.
+        """Wait until so many of the acting worlds have finished their step, or all; return what :meth:`step` does.
 
-        Returns what :meth:`step` does, of k worlds, and their numbers in rising order as ``infos["env_id"]``. Which of
-        them are the first depends on the machine; the results do not.
-
-        Raises InputError where no world is acting, CraftsimError when a process has died.
+        The numbers of these worlds are in rising order in ``infos["env_id"]``. Which are the first depends on the
+        machine; the results do not. Raises InputError where no world is acting, CraftsimError when a process has died.
         """
         acting = int(self._acting.sum())
         if not acting:
@@ -183,7 +161,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
     def render(self) -> tuple[Any, ...]:
         """Return what every world renders, see :class:`craftsim.envs.options.Options`."""
         self._require_rest("render")
-        return tuple(self._ask_all("render", [()] * self.num_envs))
+        return tuple(self._ask_all(CentralConstruction.render, [()] * self.num_envs))
 
     def close_extras(self, **_: Any) -> None:
         """Close all worlds and end all processes; one that is still busy is killed.
@@ -192,40 +170,45 @@ class PhysicsVectorEnv(TaskVectorEnv):
         """
         self._acting[:] = False
         idle = {number: actor for number, actor in enumerate(self._actors) if not actor.due}
-        self._ask({world: ("close", ()) for world in range(self.num_envs) if world % self.workers in idle})
+        self._ask(
+            {
+                world: (CentralConstruction.close, ())
+                for world in range(self.num_envs)
+                if world % self.workers in idle
+            }
+        )
         problems: list[CraftsimError] = []
-        end_s = time.monotonic() + _CLOSE_S
+        end_s, left = time.monotonic() + _CLOSE_S, list(idle.values())
         # Of a cluster that is gone, and of workers that have died, nothing is left to be closed.
         with suppress(InputError):
-            while due := [actor for actor in idle.values() if actor.due]:
-                ready = self._kind.wait(due, max(0.0, end_s - time.monotonic()))
+            while left := [actor for actor in left if actor.due]:
+                ready = self._kind.wait(left, max(0.0, end_s - time.monotonic()))
                 if not ready:
                     break
                 for actor in ready:
                     try:
                         answer = actor.recv()[1]
                     except WorkerDiedError:
-                        idle = {number: one for number, one in idle.items() if one is not actor}
-                        continue
-                    problems += [answer] if isinstance(answer, CraftsimError) else []
+                        left.remove(actor)
+                    else:
+                        problems += [answer] if isinstance(answer, CraftsimError) else []
         while self._actors:
             self._actors.pop().kill()
         for problem in problems:
             raise problem
 
     def _require_rest(self, what: str) -> None:
-        if self._acting.any():
-            acting = np.flatnonzero(self._acting).tolist()
+        if acting := np.flatnonzero(self._acting).tolist():
             raise InputError(f"worlds {acting} are acting; recv() what they come to before a {what}()")
 
     def _ask(self, calls: Mapping[int, _Call]) -> None:
         if self.closed:
             raise InputError("the environment is closed; make it anew")
-        for world, (method, arguments) in calls.items():
-            self._actors[world % self.workers].send((world, method, arguments))
+        for world, call in calls.items():
+            self._actors[world % self.workers].send((world, *call))
 
-    def _ask_all(self, method: str, arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
-        self._ask({world: (method, given) for world, given in enumerate(arguments)})
+    def _ask_all(self, call: Callable[..., Any], arguments: Iterable[tuple[Any, ...]]) -> list[Any]:
+        self._ask({world: (call, given) for world, given in enumerate(arguments)})
         return list(self._gather(self.num_envs).values())
 
     def _gather(self, at_least: int) -> dict[int, Any]:
@@ -240,8 +223,10 @@ class PhysicsVectorEnv(TaskVectorEnv):
                 if not ready:
                     break
                 for actor in ready:
-                    world, answer = self._answer(actor)
-                    found[world] = answer
+                    try:
+                        world, found[world] = actor.recv()
+                    except WorkerDiedError as death:
+                        raise self._died(actor, death) from death
         except CraftsimError:
             self.close()
             raise
@@ -253,16 +238,10 @@ class PhysicsVectorEnv(TaskVectorEnv):
             raise error
         return answers
 
-    def _answer(self, actor: Any) -> tuple[int, Any]:
-        try:
-            answer: tuple[int, Any] = actor.recv()
-        except WorkerDiedError as error:
-            held = [str(world) for world in range(self._actors.index(actor), self.num_envs, self.workers)]
-            worlds = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "")
-            raise CraftsimError(
-                f"the process that holds the worlds {worlds} {error}; make the environment anew"
-            ) from error
-        return answer
+    def _died(self, actor: Any, error: WorkerDiedError) -> CraftsimError:
+        held = [str(world) for world in range(self._actors.index(actor), self.num_envs, self.workers)]
+        worlds = ", ".join(held[:8]) + (", ..." if len(held) > 8 else "")
+        return CraftsimError(f"the process that holds the worlds {worlds} {error}; make the environment anew")
 
     def _batch(self, answers: Mapping[int, tuple[Any, ...]]) -> Batch:
         """Return the answers of :meth:`_Holder.act` as those of a batch."""
@@ -289,10 +268,6 @@ class PhysicsVectorEnv(TaskVectorEnv):
         return {key: np.stack([one[key] for one in seen]) for key in seen[0]}
 
 
-def _has_twice(numbers: NDArray[np.integer]) -> bool:
-    return len(set(numbers.tolist())) < len(numbers)
-
-
 def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
     """Return an info of some worlds as an array (k,), or (k, n) where it is the cars'; texts are objects in it."""
     by_car = key not in _OF_WORLD
@@ -305,8 +280,8 @@ def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
     return column
 
 
-_Call = tuple[str, tuple[Any, ...]]
-"""A method of :class:`_Holder`, and its arguments besides the world."""
+_Call = tuple[Callable[..., Any], tuple[Any, ...]]
+"""What is called with an environment in a worker, and further arguments."""
 
 
 class _Holder:
@@ -315,34 +290,28 @@ class _Holder:
     def __init__(self, make: Callable[[], CentralConstruction], worlds: Iterable[int]) -> None:
         self._envs = {world: make() for world in worlds}
 
-    def __call__(self, asked: tuple[int, str, tuple[Any, ...]]) -> tuple[int, Any]:
-        """Return the number of a world and the answer of a method; what that raises is its answer, too."""
-        world, method, arguments = asked
+    def __call__(self, asked: tuple[int, Callable[..., Any], tuple[Any, ...]]) -> tuple[int, Any]:
+        """Return the number of a world and what a call comes to; what that raises is its answer, too."""
+        world, call, arguments = asked
         try:
-            return world, getattr(self, method)(self._envs[world], *arguments)
+            return world, call(self._envs[world], *arguments)
         except CraftsimError as error:
             return world, error
         except Exception:
             return world, CraftsimError(f"a world in physics broke down:\n{traceback.format_exc()}")
 
-    def reset(
-        self, env: CentralConstruction, seed: int | None, options: dict[str, Any] | None
-    ) -> Observation:
-        return env.reset(seed=seed, options=options)[0]
 
-    def act(self, env: CentralConstruction, actions: NDArray[np.int64]) -> tuple[Any, ...]:
-        """Return what a step does, and the last observation of an episode that has ended; the next one then begins."""
-        observation, reward, terminated, truncated, info = env.step(actions)
-        del info["action_mask"]  # the observation has it
-        final = None
-        if terminated or truncated:
-            final, observation = observation, env.reset()[0]
-            if "decides" in info:
-                info["decides"] = (True,) * len(info["decides"])
-        return observation, reward, terminated, truncated, info, final
+def _act(env: CentralConstruction, actions: NDArray[np.int64]) -> tuple[Any, ...]:
+    """Return what a step does, and the last observation of an episode that has ended; the next one then begins."""
+    observation, reward, terminated, truncated, info = env.step(actions)
+    del info["action_mask"]  # the observation has it
+    final = None
+    if terminated or truncated:
+        final, observation = observation, env.reset()[0]
+        if "decides" in info:
+            info["decides"] = (True,) * len(info["decides"])
+    return observation, reward, terminated, truncated, info, final
 
-    def render(self, env: CentralConstruction) -> Any:
-        return env.render()
 
-    def close(self, env: CentralConstruction) -> None:
-        env.close()
+def _begin(env: CentralConstruction, seed: int | None, options: dict[str, Any] | None) -> Observation:
+    return env.reset(seed=seed, options=options)[0]

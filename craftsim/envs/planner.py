@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Final, Protocol
 
 from craftsim.discrete.files.plan import Plan
@@ -28,17 +29,15 @@ class _Carried:
     """A schedule that is being carried out: each car acts as soon as the actions that its own depends on are done."""
 
     def __init__(self, steps: Sequence[ScheduledAction] = ()) -> None:
-        self._steps = steps
-        self._done: set[int] = set()
+        self._left = dict(enumerate(steps))
 
     def due(self) -> dict[int, Action]:
         """Return what cars are to do now, by car, and count it as done; any acting order of it will do."""
         ready: dict[int, int] = {}
-        for index, step in enumerate(self._steps):
-            if index not in self._done and step.waits_for <= self._done and step.car not in ready:
-                ready[step.car] = index
-        self._done.update(ready.values())
-        return {car: self._steps[index].action for car, index in ready.items()}
+        for index, step in self._left.items():
+            if self._left.keys().isdisjoint(step.waits_for):
+                ready.setdefault(step.car, index)
+        return {car: self._left.pop(index).action for car, index in ready.items()}
 
 
 def _answer(chosen: Mapping[int, Action], agents: Iterable[str]) -> dict[str, int]:
@@ -46,14 +45,13 @@ def _answer(chosen: Mapping[int, Action], agents: Iterable[str]) -> dict[str, in
 
 
 class PlanPolicy:
-    """Plays one episode by a plan, whatever comes of it.
+    """Plays one episode by a plan, whatever comes of it, from the world in which the first call finds it.
 
     Each car acts as soon as the actions that its own depends on have been tried, so that the order in which the cars of
     a tick act plays no part; the plan may take other numbers of ticks. What the rules forbid is left out.
     """
 
     def __init__(self, env: Playable, plan: Plan) -> None:
-        """Play in an environment, from the world in which the first call finds it."""
         self._env, self._plan = env, plan
         self._carried: _Carried | None = None
 
@@ -97,30 +95,19 @@ class PlannerPolicy:
                 f"task '{env.core.task.name}' has no goal to plan for; give it a design, or choose another policy"
             )
         self._env, self._rounds, self._seed = env, rounds, seed
-        self._rules = env.core.rules
         self._predicted: Grid | None = None
         self._carried = _Carried()
 
     def __call__(self, observations: Mapping[str, Any]) -> dict[str, int]:
         """Return one action for each agent."""
-        grid = self._env.core.grid
+        core, grid = self._env.core, self._env.core.grid
         if self._predicted is None or not self._predicted.same_visible(grid):
-            self._plan(grid)
+            how: Any = {"rounds": self._rounds, "time_s": math.inf, "seed": self._seed}
+            self._carried = _Carried()
+            with suppress(NoPlanError):
+                self._carried = _Carried(plan_building(grid, core.played, core.rules, **how).schedule.steps)
         chosen = self._carried.due()
         for car, action in chosen.items():
-            grid = self._rules.apply(grid, car, action)
+            grid = core.rules.apply(grid, car, action)
         self._predicted = grid
         return _answer(chosen, observations)
-
-    def _plan(self, grid: Grid) -> None:
-        self._carried = _Carried()
-        try:
-            planned = plan_building(
-                *(grid, self._env.core.played, self._rules),
-                rounds=self._rounds,
-                time_s=math.inf,
-                seed=self._seed,
-            )
-        except NoPlanError:
-            return
-        self._carried = _Carried(planned.schedule.steps)

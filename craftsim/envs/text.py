@@ -7,7 +7,7 @@ import string
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import compress
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -108,7 +108,8 @@ def read_answer(text: str, n_cars: int) -> list[Action]:
             raise InputError(f"'{part[:_SHOWN]}' is no 'car: action'; an answer is such as '{FORM}'")
         car = int(match[1])
         if car >= n_cars:
-            raise InputError(f"there is no car_{car}; the cars are {_cars(n_cars)}")
+            cars = ", ".join(f"car_{one}" for one in range(n_cars))
+            raise InputError(f"there is no car_{car}; the cars are {cars}")
         if car in found:
             raise InputError(f"car_{car} is named twice; in a tick each car does one action")
         found[car] = _action(match[2])
@@ -123,28 +124,6 @@ def _action(words: str) -> Action:
         hint = suggestion(words[:_SHOWN].lower(), offered())
         raise InputError(f"unknown action '{words[:_SHOWN]}'{hint}; there are {', '.join(offered())}")
     return Action[name]
-
-
-def _cars(n_cars: int) -> str:
-    return ", ".join(f"car_{car}" for car in range(n_cars))
-
-
-def instructions(task: Task) -> str:
-    """Return what an agent must know to steer the cars, the goal included."""
-    length, width, height = task.starts[0].size
-    return INSTRUCTIONS.format(
-        n_cars=task.layout.n_cars,
-        length=length,
-        width=width,
-        height=height,
-        goal=goal_text(task),
-        ticks=_ticks_of(task),
-    )
-
-
-def _ticks_of(task: Task) -> int:
-    """Return how many ticks an episode has at most (docs/rules.md#episode-length)."""
-    return task.max_steps + 2
 
 
 def goal_text(task: Task) -> str:
@@ -198,11 +177,10 @@ def _things(grid: Grid) -> Iterator[str]:
 
 def _car(grid: Grid, car: int) -> str:
     row = grid.cars[car].tolist()
-    words = f"at {_cell(grid, car)}, facing {HEADINGS[row[CarField.YAW]]}"
-    load = Kind(row[CarField.LOAD])
+    words, load = f"at {_cell(grid, car)}, facing {HEADINGS[row[CarField.YAW]]}", Kind(row[CarField.LOAD])
     if load != Kind.AIR:
-        words += f", with {NAMES[load]}"
-        words += f" (gear {HEADINGS[row[CarField.LOAD_YAW]]})" if load == Kind.FSLOPE else ""
+        gear = f" (gear {HEADINGS[row[CarField.LOAD_YAW]]})" if load == Kind.FSLOPE else ""
+        words += f", with {NAMES[load]}{gear}"
     return words + (", on a ramp" if row[CarField.SLOPE] else "")
 
 
@@ -242,13 +220,9 @@ class Feedback:
     """What became of the action of one car; ``str()`` gives it in one line."""
 
     car: int
-    action: Action
-    """What was asked for."""
-    result: str
-    """``forbidden``, or what the judge says of it: ``as predicted``, ``failed``, ``side effect``, ``unsafe`` or
-    ``numerics``, of which the grid knows the first only."""
-    why: str = ""
-    """Why it did not go as predicted: the rule that forbids it, or what happened physically."""
+    action: Action  # what was asked for
+    result: str  # ``forbidden``, or what the judge says of it, of which the grid knows ``as predicted`` only
+    why: str = ""  # why it did not go as predicted: the rule that forbids it, or what happened physically
 
     @property
     def done(self) -> bool:
@@ -282,12 +256,23 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         now. Raises InputError for a task, an option or an option value that there is not.
         """
         chosen = Options(render_mode=render_mode, **options)
-        chosen.refuse("the text form", "observe", "images", "helper_depth", "local_view", "timing")
-        self._prepare(task, chosen)
-        self.render_mode = chosen.render_mode
+        for name in ("observe", "images", "helper_depth", "local_view", "execution"):
+            if getattr(chosen, name) not in (None, "synchronous"):
+                raise InputError(f"the text form knows no '{name}'; leave it out")
+        super().__init__(task, chosen)
         self.observation_space = spaces.Text(_MAX_TEXT, charset=_CHARACTERS)
         self.action_space = spaces.Text(MAX_ANSWER, charset=_CHARACTERS)
-        self.instructions = instructions(self.core.task)
+        played = self.core.task
+        length, width, height = played.starts[0].size
+        self._ticks = played.max_steps + 2  # docs/rules.md#episode-length
+        self.instructions = INSTRUCTIONS.format(
+            n_cars=self.core.n_cars,
+            length=length,
+            width=width,
+            height=height,
+            goal=goal_text(played),
+            ticks=self._ticks,
+        )
         """What one who steers the cars must know: the area, the goal, the actions, and how to answer."""
 
     def reset(
@@ -331,7 +316,7 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
 
     def _seen(self, may_act: bool = True) -> str:
         task, grid = self.core.task, self.core.grid
-        lines = [f"After tick {self._tick} of {_ticks_of(task)}", world_words(grid, task)]
+        lines = [f"After tick {self._tick} of {self._ticks}", world_words(grid, task)]
         if may_act:
             lines += ["Legal actions:", legal_words(grid, self.core.masks, self.core.rules)]
         return "\n".join(lines)
@@ -341,14 +326,13 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         told: dict[int, Feedback] = {}
         for car in result.order.tolist():
             action, info = chosen[car], result.infos[car]
-            why = info.get("reason", "").removeprefix("the rules forbid it: ")
-            if not info["illegal"]:
-                told[car] = Feedback(car, action, info.get("result", _DONE), why)
+            why, said = info.get("reason", "").removeprefix("the rules forbid it: "), FORBIDDEN
+            if info["illegal"]:
+                why = why if "reason" in info else self.core.rules.explain(grid, car, action).why
+            else:
+                said = info.get("result", _DONE)
                 grid = self.core.rules.apply(grid, car, action)
-                continue
-            if "reason" not in info:
-                why = self.core.rules.explain(grid, car, action).why
-            told[car] = Feedback(car, action, FORBIDDEN, why)
+            told[car] = Feedback(car, action, said, why)
         return tuple(told[car] for car in range(len(chosen)))
 
 
@@ -356,14 +340,12 @@ Answer = Callable[[str, str], str]
 """From the instructions and the last text to an answer."""
 
 
-@dataclass(frozen=True)
-class Exchange:
+class Exchange(NamedTuple):
     """A text, what was answered, and what became of it."""
 
     text: str
     answer: str
-    unreadable: str
-    """Why the answer could not be read, so that all cars stopped; empty where it could."""
+    unreadable: str  # why the answer could not be read, so that all cars stopped; empty where it could
     feedback: tuple[Feedback, ...]
 
 
@@ -371,12 +353,10 @@ class Exchange:
 class Conversation:
     """An episode in words."""
 
-    turns: tuple[Exchange, ...]
-    """One a tick."""
+    turns: tuple[Exchange, ...]  # one a tick
     success: bool
     total_reward: float
-    duration_s: float
-    """Simulated time."""
+    duration_s: float  # simulated time
 
     @property
     def unreadable(self) -> int:

@@ -16,7 +16,7 @@ from craftsim.discrete.schedule import car_durations
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.envs.actions import checked, illegal
-from craftsim.envs.observations import Observation, central_space, extra_spaces, extras, joint_action_space
+from craftsim.envs.observations import Observation, central_space, extras, joint_action_space
 from craftsim.envs.options import BATCH_OPTIONS, BatchOptions, Options
 from craftsim.errors import InputError
 
@@ -44,8 +44,7 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         self.form = options.action_form(self.task)
         self._radius = options.local_view
         layout, n_actions = self.task.layout, self.form.n_actions
-        beside = extra_spaces(self.task, self.form, options.local_view, options.timing is not None)
-        self.single_observation_space = central_space(self.task, options.images, n_actions, beside)
+        self.single_observation_space = central_space(self.task, options, self.form)
         self.single_action_space = joint_action_space(self.task, n_actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -66,15 +65,7 @@ class GridVectorEnv(TaskVectorEnv):
     """B grid worlds of one task; :meth:`car_vectors` is what the single cars observe."""
 
     def __init__(self, task: Task | str, num_envs: int = 1, **options: Any) -> None:
-        """Prepare ``num_envs`` worlds.
-
-        Args:
-            task: as in :func:`craftsim.envs.parallel_env`.
-            num_envs: how many worlds, 1 or more.
-            options: those of :class:`craftsim.envs.options.Options` that are named in ``BATCH_OPTIONS``.
-
-        Raises InputError for a task, an option or an option value that there is not.
-        """
+        """Prepare worlds, arguments as of :func:`craftsim.envs.vector_env`. Raises InputError for what there is not."""
         chosen = Options(**({"backend": "grid"} | options))
         for name in options:
             if name not in (*BATCH_OPTIONS, "backend"):

@@ -6,7 +6,8 @@ precipice", NeurIPS 2021). Their library rliable does not import beside pandas 3
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +16,20 @@ from numpy.typing import NDArray
 from scipy.stats import trim_mean
 
 from craftsim.experiments.experiment import TrialRecord
-from craftsim.storage.writing import whole
+from craftsim.experiments.intervals import least_detectable
+from craftsim.reports.report import (
+    Column,
+    DataTable,
+    Headline,
+    KeyFigure,
+    Report,
+    Section,
+    Tone,
+    Value,
+    count,
+    numbers,
+)
+from craftsim.storage.writing import whole, write_whole
 from craftsim.studies.study import Study, StudyRun
 from craftsim.training.curve import last_fifth
 
@@ -44,35 +58,34 @@ MEASURES: Final[Mapping[str, Callable[[Runs], NDArray[np.float64]]]] = {
 """By name: what is said of all runs of an algorithm; the median is that of the tasks' means."""
 
 
+def _bounded(measure: Callable[..., Any], *runs: Runs) -> NDArray[np.float64]:
+    """Return (3, ...): a measure of runs, its low and its high at 95 %; those of each task are drawn by themselves."""
+    drawn = []
+    for seed, some in enumerate(runs):
+        rows = np.random.default_rng(seed).integers(len(some), size=(REPETITIONS, *some.shape))
+        drawn.append(np.take_along_axis(np.broadcast_to(some, rows.shape), rows, axis=1))
+    return np.stack([measure(*runs), *np.quantile(measure(*drawn), (0.025, 0.975), axis=0)])
+
+
 def measures(runs: Runs) -> dict[str, list[float]]:
     """Return every measure of an algorithm's runs (seeds, tasks), each as estimate, low and high at 95 %."""
-    drawn = _drawn(runs)
-    return {
-        name: [float(measure(runs)), *np.quantile(measure(drawn), (0.025, 0.975)).tolist()]
-        for name, measure in MEASURES.items()
-    }
+    return {name: _bounded(measure, runs).tolist() for name, measure in MEASURES.items()}
 
 
 def profile(runs: Runs) -> NDArray[np.float64]:
     """Return (3, len(TAUS)): the share of runs above each success rate, its low and its high at 95 %."""
-
-    def above(some: Runs) -> NDArray[np.float64]:
-        shares: NDArray[np.float64] = (some[..., None] > TAUS).mean((-3, -2))
-        return shares
-
-    return np.stack([above(runs), *np.quantile(above(_drawn(runs)), (0.025, 0.975), axis=0)])
+    return _bounded(lambda some: (some[..., None] > TAUS).mean((-3, -2)), runs)
 
 
 def improvement(ours: Runs, theirs: Runs) -> list[float]:
     """Return how likely a run of ours is better than one of theirs on a task, ties by half, its low and its high."""
 
-    def better(a: Runs, b: Runs) -> NDArray[np.float64]:
+    def better(a: Runs, b: Runs) -> Any:
         gap = a[..., :, None, :] - b[..., None, :, :]
-        likely: NDArray[np.float64] = ((gap > 0) + 0.5 * (gap == 0)).mean((-3, -2, -1))
-        return likely
+        return ((gap > 0) + 0.5 * (gap == 0)).mean((-3, -2, -1))
 
-    bounds = np.quantile(better(_drawn(ours), _drawn(theirs, 1)), (0.025, 0.975))
-    return [float(better(ours, theirs)), *bounds.tolist()]
+    found: list[float] = _bounded(better, ours, theirs).tolist()
+    return found
 
 
 def iqm_curve(runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -81,9 +94,7 @@ def iqm_curve(runs: Sequence[Sequence[tuple[int, float]]], at: NDArray[np.int64]
     A run, a list of (steps, success), has the success of its last evaluation until then, and 0 before its first one.
     """
     held = np.array([[_held(run, int(step)) for step in at] for run in runs])
-    columns = np.moveaxis(_drawn(held), -1, 0)[..., None]
-    bounds = np.quantile(iqm(columns), (0.025, 0.975), axis=-1)
-    return np.stack([iqm(held.T[..., None]), *bounds])
+    return _bounded(lambda some: iqm(np.moveaxis(some, -1, 0)[..., None]).T, held)
 
 
 def _held(run: Sequence[tuple[int, float]], step: int) -> float:
@@ -91,39 +102,31 @@ def _held(run: Sequence[tuple[int, float]], step: int) -> float:
     return before[-1] if before else 0.0
 
 
-def _drawn(runs: Runs, seed: int = 0) -> Runs:
-    """Return (REPETITIONS, seeds, tasks): runs drawn with replacement, those of each task by themselves."""
-    rng = np.random.default_rng(seed)
-    rows = rng.integers(len(runs), size=(REPETITIONS, *runs.shape))
-    return np.take_along_axis(np.broadcast_to(runs, rows.shape), rows, axis=1)
-
-
 def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
     """Return the figures of a report: runs, by task, algorithm and what was played, and statistics of all of them.
 
     A run without a result counts as success 0.
     """
-    found = dict(zip([asked.key for asked in study.runs], records, strict=True))
-    runs = [_run(asked, found[asked.key]) for asked in study.runs]
+    runs = [_run(asked, record) for asked, record in zip(study.runs, records, strict=True)]
     rows = []
     for task in study.tasks:
-        for name in study.tests.get(task, (task,)):
-            for algo in study.algos:
-                mine = [run for run in runs if (run["task"], run["algo"]) == (task, algo)]
-                rates = np.array([_rate(study, run, name) for run in mine])
-                rows.append(
-                    {
-                        "task": task,
-                        "played": name,
-                        "algo": algo,
-                        "seeds": len(mine),
-                        "success": measures(rates[:, None]),
-                        "by_seed": rates.tolist(),
-                        "distinct_starts": _distinct(mine, name),
-                        "median_steps": float(np.median([run["steps"] for run in mine])),
-                        "published": study.reference.get(task),
-                    }
-                )
+        for name, algo in product(study.tests.get(task, (task,)), study.algos):
+            mine = _of(runs, algo, task)
+            rates = np.array([_rate(study, run, name) for run in mine])
+            starts = [run["evaluations"][name]["starts"]["distinct"] for run in mine if run["evaluations"]]
+            rows.append(
+                {
+                    "task": task,
+                    "played": name,
+                    "algo": algo,
+                    "seeds": len(mine),
+                    "success": measures(rates[:, None]),
+                    "by_seed": rates.tolist(),
+                    "distinct_starts": max(starts, default=0),
+                    "median_steps": float(np.median([run["steps"] for run in mine])),
+                    "published": study.reference.get(task),
+                }
+            )
     scores = {algo: _scores(study, runs, algo) for algo in study.algos}
     return {
         "rows": rows,
@@ -133,6 +136,10 @@ def figures_of(study: Study, records: Sequence[TrialRecord]) -> dict[str, Any]:
         },
         "runs": runs,
     }
+
+
+def _of(runs: Iterable[dict[str, Any]], algo: str, task: str) -> list[dict[str, Any]]:
+    return [run for run in runs if (run["task"], run["algo"]) == (task, algo)]
 
 
 def _run(asked: StudyRun, record: TrialRecord) -> dict[str, Any]:
@@ -156,65 +163,40 @@ def _rate(study: Study, run: dict[str, Any], played: str) -> float:
     return 0.0 if evaluation is None else float(evaluation["success"]["rate"])
 
 
-def _distinct(runs: Sequence[dict[str, Any]], played: str) -> int:
-    return max(
-        (run["evaluations"][played]["starts"]["distinct"] for run in runs if run["evaluations"]), default=0
-    )
-
-
 def _scores(study: Study, runs: Sequence[dict[str, Any]], algo: str) -> Runs:
     """Return (seeds, tasks): success on the first of what each task is tested on."""
-    columns = [
-        [
-            _rate(study, run, study.tests.get(task, (task,))[0])
-            for run in runs
-            if (run["task"], run["algo"]) == (task, algo)
-        ]
-        for task in study.tasks
-    ]
-    return np.array(columns).T
+    first = {task: study.tests.get(task, (task,))[0] for task in study.tasks}
+    columns = ([_rate(study, run, first[task]) for run in _of(runs, algo, task)] for task in study.tasks)
+    return np.array([*columns]).T
 
 
 def plot_results(folder: Path, study: Study, figures: dict[str, Any]) -> list[Path]:
-    """Draw learning curves by task and, of more than one task, performance profiles; return the files."""
-    return [
-        _plot_curves(folder / "curves.png", study, figures),
-        _plot_profiles(folder / "profiles.png", study, figures),
-    ]
-
-
-def _plot_curves(path: Path, study: Study, figures: dict[str, Any]) -> Path:
+    """Draw learning curves by task and performance profiles; return the files."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import EngFormatter
 
-    columns = min(3, len(study.tasks))
+    runs, columns = figures["runs"], min(3, len(study.tasks))
     rows = -(-len(study.tasks) // columns)
     figure = Figure(figsize=(4.2 * columns, 3.2 * rows), layout="constrained")
     for number, task in enumerate(study.tasks):
         axes = figure.add_subplot(rows, columns, number + 1)
-        last = max((run["steps"] for run in figures["runs"] if run["task"] == task), default=0)
+        last = max((run["steps"] for run in runs if run["task"] == task), default=0)
         at = np.linspace(0, max(last, 1), _POINTS).astype(np.int64)
         for algo in study.algos:
-            curves = [run["curve"] for run in figures["runs"] if (run["task"], run["algo"]) == (task, algo)]
-            _band(axes, at, iqm_curve(curves, at), study, algo)
+            _band(axes, at, iqm_curve([run["curve"] for run in _of(runs, algo, task)], at), study, algo)
         if task in study.reference:
             axes.axhline(study.reference[task], color="gray", linestyle=":", label="published")
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
         axes.set(ylim=(-0.03, 1.03), xlabel="steps", ylabel="success, IQM over seeds")
         axes.set_title(task, parse_math=False)  # the study's words may have a $ in them
-    return _saved(figure, path)
-
-
-def _plot_profiles(path: Path, study: Study, figures: dict[str, Any]) -> Path:
-    from matplotlib.figure import Figure
-
+    curves = _saved(figure, folder / "curves.png")
     figure = Figure(figsize=(5.5, 3.8), layout="constrained")
     axes = figure.add_subplot()
     for algo in study.algos:
-        _band(axes, TAUS, profile(_scores(study, figures["runs"], algo)), study, algo)
+        _band(axes, TAUS, profile(_scores(study, runs, algo)), study, algo)
     axes.set(xlabel="success rate", ylabel="share of runs above it", ylim=(-0.03, 1.03))
     axes.set_title(study.title, parse_math=False)
-    return _saved(figure, path)
+    return [curves, _saved(figure, folder / "profiles.png")]
 
 
 def _band(axes: Any, x: NDArray[Any], band: NDArray[np.float64], study: Study, algo: str) -> None:
@@ -232,3 +214,84 @@ def _saved(figure: Any, path: Path) -> Path:
     with whole(path) as partial:
         figure.savefig(partial, dpi=110)
     return path
+
+
+def study_report(study: Study, reached: int, document: Mapping[str, Any], pictures: Sequence[Path]) -> Report:
+    """Return the report of a study.
+
+    Args:
+        study: what ran.
+        reached: how many of its runs reached its success rate.
+        document: what ``report.json`` holds.
+        pictures: that were drawn of it.
+    """
+    figures, n = document["figures"], len(study.runs)
+    sentence = f"{reached} of {count(n, 'run')} reached a success of {study.goal:g} or more."
+    badge, tone = ("All reached", Tone.GOOD) if reached == n else ("Not all reached", Tone.CAUTION)
+    overall = []
+    for algo, found in figures["overall"].items():
+        estimate, low, high = found["iqm"]
+        interval = f"{low:.3f} to {high:.3f}" if study.seeds > 1 else "one seed"
+        overall.append(KeyFigure(f"{estimate:.3f}", f"IQM of {algo}", interval))
+    lead = "Interquartile means over training runs of different seeds, with stratified bootstrap intervals."
+    return Report(
+        "Study of training",
+        study.title,
+        Headline(badge, tone, sentence),
+        overall,
+        [Section("runs", "Runs", lead, [runs_table(study, figures)], terminal=True)],
+        conclusions(figures),
+        {"Plots": ", ".join(map(str, pictures))},
+        document,
+        0 if reached == n else 1,
+    )
+
+
+def runs_table(study: Study, figures: dict[str, Any]) -> DataTable:
+    """Return the table by task, what was played and algorithm; starts are the different ones of an evaluation.
+
+    Its last column, what others have published, is there if the study knows of any.
+    """
+    published = ["published"] if study.reference else []
+    columns = (Column("task"), *numbers("algo", "IQM", "95 %", "starts", "steps", *published))
+    rows = []
+    for row in figures["rows"]:
+        estimate, low, high = row["success"]["iqm"]
+        # A split of the task that it was trained on says so by its name.
+        own = row["played"].partition("@")[0] == row["task"]
+        task = row["played"] if own else f"{row['played']} by {row['task']}"
+        steps = f"{row['median_steps'] / 1000:,.0f} k"
+        success = f"{estimate:.3f}", "one run" if study.seeds == 1 else f"{low:.3f}-{high:.3f}"
+        cells: list[Value] = [task, row["algo"], *success, str(row["distinct_starts"]), steps]
+        best = row["published"]
+        rows.append([*cells, *("" if best is None else f"{best:.2f}" for _ in published)])
+    seeds = f"{study.seeds} seed{'s' if study.seeds > 1 else ''}"
+    return DataTable(columns, rows, f"{study.title}: success over {seeds} of training")
+
+
+def conclusions(figures: dict[str, Any]) -> list[str]:
+    """Return a line an algorithm on all its runs, one a pair of algorithms, and one on each run without a result."""
+    lines = []
+    for algo, found in figures["overall"].items():
+        (estimate, low, high), (gap, *_) = found["iqm"], found["optimality_gap"]
+        several = len({run["seed"] for run in figures["runs"]}) > 1
+        interval = f" ({low:.3f} to {high:.3f})" if several else ""
+        lines.append(f"{algo}, all tasks: IQM {estimate:.3f}{interval}, optimality gap {gap:.3f}.")
+    for pair, (likely, low, high) in figures["improvement"].items():
+        a, b = pair.split(" over ")
+        line = f"A run of {a} beats one of {b} with probability {likely:.2f} ({low:.2f} to {high:.2f})"
+        if low == high:
+            line += ": the interval has no width, which says nothing of how sure that is"
+        elif low <= 0.5 <= high:
+            least = least_detectable(low, high)
+            line += f": no difference shows; the least detectable one is {least:.2f} from 0.5"
+        lines.append(f"{line}.")
+    lines += [f"{run['key']}: {run['error']}" for run in figures["runs"] if run["error"]]
+    return lines
+
+
+def write_markdown(path: Path, study: Study, figures: dict[str, Any]) -> None:
+    """Write the table and the conclusions of a study as Markdown. Raises InputError where the disk does not take it."""
+    lines = "\n".join(f"- {line}" for line in conclusions(figures))
+    parts = [runs_table(study, figures).as_markdown(), *([lines] if lines else [])]
+    write_whole(path, "\n\n".join(parts) + "\n")

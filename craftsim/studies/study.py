@@ -1,12 +1,17 @@
-"""What a study is: tasks, algorithms, seeds of training, and how each run is evaluated. Read from a YAML file."""
+"""A study: training runs of tasks, algorithms and seeds, and how each is evaluated. Read from a YAML file.
+
+Each run has a folder of its own, and goes on where it was cut off.
+"""
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -16,6 +21,9 @@ from pydantic import Field
 from craftsim.choices import PresetName
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.errors import InputError, suggestion
+from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial, TrialRecord
+from craftsim.experiments.session import ALONE, run_experiment
+from craftsim.storage.folders import directory_within, owned
 from craftsim.storage.limits import (
     SHARE,
     STUDY_RUNS,
@@ -29,10 +37,13 @@ from craftsim.storage.paths import exists
 from craftsim.storage.records import from_json, record
 from craftsim.storage.yaml import read_document
 from craftsim.training.config import LEARNED, AlgoName, Protocol, TrainConfig, protocol
+from craftsim.training.curve import CURVE_FILE
 from craftsim.training.policy import policy_file
 from craftsim.training.shape import Shape, check_stage
 from craftsim.training.starts import check_guidance
 
+RUNS: Final = "runs"
+"""Folder of the runs in that of a study."""
 SHIPPED: Final = Path(__file__).parents[1] / "data" / "studies"
 _SETTLED: Final = ("task", "algo", "seed")
 """Fields of a training configuration that a study does not set."""
@@ -49,8 +60,7 @@ class StudyRun:
     stages: tuple[Task, ...]
     steps: int
     until: float
-    tests: Mapping[str, Task]
-    """By what the study calls them."""
+    tests: Mapping[str, Task]  # by what the study calls them
     episodes: int
 
     @property
@@ -74,19 +84,16 @@ class Study:
     title: Annotated[str, Field(max_length=TITLE_CHARACTERS)]
     tasks: _AtLeastOne
     algos: Annotated[tuple[AlgoName, ...], Field(min_length=1)] = ("ippo",)
-    seeds: Annotated[int, STUDY_SEEDS] = 5
-    """How many; training takes those from 0 on."""
+    seeds: Annotated[int, STUDY_SEEDS] = 5  # how many; training takes those from 0 on
     steps: Annotated[int, TRAIN_STEPS] | None = None
     """At most, of each run, exploration aside; 1,000,000 unless given, or what the preset says."""
     until: Annotated[float, SHARE] | None = None
     """A run ends when this share of the episodes of an evaluation succeeds; 0.99 unless given, never with a preset."""
     score: Score = "final"
     """What a run is judged by: its evaluation after training, or the mean over the last fifth of its curve."""
-    episodes: Annotated[int, TRAIN_EPISODES] = 1000
-    """Of each evaluation after training."""
+    episodes: Annotated[int, TRAIN_EPISODES] = 1000  # of each evaluation after training
     preset: PresetName | None = None
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Of all runs, as in a training configuration."""
+    settings: Mapping[str, Any] = field(default_factory=dict)  # of all runs, as in a training configuration
     of_tasks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Of the runs of a task, on top; ``steps`` too."""
     tests: Mapping[str, _AtLeastOne] = field(default_factory=dict)
@@ -227,3 +234,88 @@ def read_study(text: str) -> Study:
         text = str(SHIPPED / f"{text}.yaml")
     path = Path(text)
     return read_document(path).to(Study)
+
+
+def run_study(
+    study: Study, out: Path, options: RunOptions = ALONE, timeout_s: float = 7200.0
+) -> list[TrialRecord]:
+    """Do all runs of a study and return a record of each, in the order of its runs.
+
+    A record's ``extra`` holds steps, CPU seconds of training in all calls that it took, the learning curve and, by
+    task, what evaluations came to. A run that fails is a record with an error. Of a cut-off study what is finished is
+    kept, and a run that was under way goes on from its last evaluation.
+
+    Args:
+        study: what to do.
+        out: folder for the session and a folder of each run; a Ray cluster shares it.
+        options: how.
+        timeout_s: after which a run counts as hanging.
+
+    Raises InputError where the folder holds another study.
+    """
+    asked = study.runs
+    folder = out.resolve()
+    items = [
+        Trial(run.key, f"{run.config.task}, {run.config.algo}", run.config.seed, (run, folder))
+        for run in asked
+    ]
+    digests = {
+        name: task.digest for run in asked for name, task in {run.config.task: run.task, **run.tests}.items()
+    }
+    config = {"study": asdict(study), "digests": digests}
+    experiment = Experiment("study", 0, config, items, train_and_evaluate, timeout_s=timeout_s)
+    return list(run_experiment(experiment, out, options))
+
+
+def under_way(study: Study, out: Path, since_s: float) -> list[str]:
+    """Return how far each unfinished training run is that was evaluated after a time of the clock, a line each."""
+    lines = []
+    for run in study.runs:
+        path = out / RUNS / run.key / CURVE_FILE
+        if not path.is_file() or path.stat().st_mtime < since_s:
+            continue
+        *_, last = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
+        steps, successes, episodes = (int(last[name]) for name in ("steps", "successes", "episodes"))
+        if steps < run.steps and successes < run.until * episodes:
+            so_far = f"{steps:,} of at most {run.steps:,} steps"
+            lines.append(f"{run.key}: {so_far}, {successes} of {episodes} episodes succeed")
+    return lines
+
+
+def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
+    """Train, or go on training, and evaluate; what a worker does of a study."""
+    run, out = asked
+    # Its own too: somebody may go on with this run alone.
+    with owned(directory_within(out, RUNS, run.key)) as place:
+        return _train_and_evaluate(run, place)
+
+
+def _train_and_evaluate(run: StudyRun, place: Path) -> Result:
+    import torch
+
+    from craftsim.training.checkpoint import RUN_FILE
+    from craftsim.training.evaluation import evaluate
+    from craftsim.training.trainer import Trainer
+
+    config, how = run.config, (run.config.rules, run.config.helper_depth, run.config.acting)
+    torch.set_num_threads(1)
+    resumed = (place / RUN_FILE).exists()
+    tasks: dict[str, Any] = {"task": run.task, "stages": run.stages}
+    trainer = Trainer.resume(place, config=config, **tasks) if resumed else Trainer(config, **tasks)
+    with closing(trainer):
+        for evaluated in trainer.run(run.steps, run.until):
+            if evaluated:
+                trainer.save(place)
+        trainer.save(place)
+        extra: dict[str, Any] = {
+            "steps": trainer.steps,
+            "cpu_s": round(trainer.cpu_s, 1),
+            "resumed": resumed,
+            "curve": [asdict(point) for point in trainer.curve],
+            "evaluations": {
+                name: evaluate(trainer.learner.net, task, run.episodes, 1, *how).as_figures()
+                for name, task in run.tests.items()
+            },
+        }
+    own = extra["evaluations"][next(iter(run.tests))]["success"]["rate"]
+    return Result(agrees=own >= min(run.until, LEARNED), extra=extra)

@@ -6,11 +6,11 @@ in either can run when it is read.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import pickletools
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, TypeVar
 
@@ -47,7 +47,7 @@ _NAMED: Final = {
 T = TypeVar("T")
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class PolicyHead:
     """All of a policy file but the weights."""
 
@@ -57,19 +57,17 @@ class PolicyHead:
     versions: dict[str, str]
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class RunHead:
     """All of a run file but tensors."""
 
     config: TrainConfig
     task: TaskIdentity
-    starts: str
-    """Digest of the other starts; empty without."""
+    starts: str  # digest of the other starts; empty without
     versions: dict[str, str]
     iteration: int
     wall_s: float
-    cpu_s: float
-    """Of training, in all calls that the run took; processes that hold worlds in physics aside."""
+    cpu_s: float  # of training, in all calls that the run took; processes that hold worlds in physics aside
     curve: Annotated[list[CurvePoint], Field(max_length=CURVE_POINTS), FailFast()]
 
     def __post_init__(self) -> None:
@@ -92,7 +90,7 @@ def save_policy(path: Path, head: PolicyHead, net: CarNet) -> None:
     table, first = weights[TABLE], first_net(head.shape, head.config.seed).encoder.table.weight
     rows = (table != first).any(-1).nonzero()[:, 0]
     weights |= {ROWS: rows, TABLE: table[rows]}
-    metadata = {"format": str(FORMAT), "craftsim": json.dumps(dataclasses.asdict(head))}
+    metadata = {"format": str(FORMAT), "craftsim": json.dumps(asdict(head))}
     write_whole(path, save(weights, metadata))
 
 
@@ -110,21 +108,18 @@ def read_policy(path: Path) -> tuple[PolicyHead, CarNet]:
 
     try:
         with safe_open(path, "numpy") as content:
-            head = _policy_head(content.metadata() or {})
+            metadata = content.metadata() or {}
+            if "craftsim" not in metadata:
+                raise InputError(_OTHER["policy"])
+            if (found := metadata.get("format")) != str(FORMAT):
+                raise InputError(f"written in format {str(found)[:40]}, this version reads {FORMAT}")
+            head = _head(_POLICY_HEAD, metadata["craftsim"])
             # Only after the file is known to be one of ours: torch takes a second and 200 MB.
             return head, _net(head, {name: content.get_tensor(name) for name in content.keys()})  # noqa: SIM118
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except (SafetensorError, TypeError, ValueError, OSError):
         raise _refused(path, "policy") from None
-
-
-def _policy_head(metadata: dict[str, str]) -> PolicyHead:
-    if "craftsim" not in metadata:
-        raise InputError(_OTHER["policy"])
-    if metadata.get("format") != str(FORMAT):
-        raise InputError(f"written in format {str(metadata.get('format'))[:40]}, this version reads {FORMAT}")
-    return _head(_POLICY_HEAD, metadata["craftsim"])
 
 
 def _net(head: PolicyHead, arrays: dict[str, Any]) -> CarNet:
@@ -154,7 +149,7 @@ def save_run(path: Path, head: RunHead, learner: dict[str, Any], novelty: Any) -
     """Write the state of a training run."""
     import torch
 
-    content = {"craftsim": RUN_FORMAT, "head": json.dumps(dataclasses.asdict(head))}
+    content = {"craftsim": RUN_FORMAT, "head": json.dumps(asdict(head))}
     with whole(path) as partial, partial.open("wb") as file:
         try:
             torch.save(content | {"learner": learner, "novelty": novelty}, file)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any, Final, Literal, get_args
 
@@ -62,10 +62,8 @@ class TrainConfig:
     trainer needs the task itself, since a configuration may come from a file."""
     algo: AlgoName = "ippo"
     seed: Annotated[int, SEED] = 0
-    worlds: Annotated[int, BATCH] | None = None
-    """Number of parallel worlds; default by algorithm and backend."""
-    width: Annotated[int, NETWORK_WIDTH] = 128
-    """Width of the hidden layers."""
+    worlds: Annotated[int, BATCH] | None = None  # number of parallel worlds; default by algorithm and backend
+    width: Annotated[int, NETWORK_WIDTH] = 128  # width of the hidden layers
     network: NetworkName = "map"
     """Encoder: by cell of the map, or relative to each car, for any number of cars."""
     recurrent: bool = False
@@ -74,16 +72,11 @@ class TrainConfig:
     """Exploration bonus for a new building; divided by sqrt(k) for one seen k times."""
     n_cars: Annotated[int, CARS] | None = None
     """Number of cars; those not listed in the task's start are placed at random."""
-    n_blocks: Annotated[int, BLOCKS] | None = None
-    """Number of blocks."""
-    backend: TrainBackend = "grid"
-    """Training and evaluation on the grid, or in contact physics."""
-    drive: Drive = "reduced"
-    """Drive of the cars in physics."""
-    randomize: str = "none"
-    """Preset of the randomization in physics."""
-    rules: RuleSet = "physical"
-    """Rule set on the grid."""
+    n_blocks: Annotated[int, BLOCKS] | None = None  # number of blocks
+    backend: TrainBackend = "grid"  # training and evaluation on the grid, or in contact physics
+    drive: Drive = "reduced"  # drive of the cars in physics
+    randomize: str = "none"  # preset of the randomization in physics
+    rules: RuleSet = "physical"  # rule set on the grid
     helper_depth: Annotated[int, HELPER_DEPTH] | None = None
     """Search depth of the action helper on the grid; None: no helper."""
     execution: Execution = "synchronous"
@@ -100,8 +93,7 @@ class TrainConfig:
     """Initial policy, by name, file or folder; with the same width and kind of network, possibly another area."""
     stages: Annotated[tuple[str, ...], Strict(False), Field(max_length=STAGES)] = ()
     """Curriculum: easier tasks of the same shape to learn on first."""
-    stage_steps: Annotated[int, Range(0, TRAIN_STEPS.high)] = 0
-    """Ticks on each of them, over all worlds."""
+    stage_steps: Annotated[int, Range(0, TRAIN_STEPS.high)] = 0  # ticks on each of them, over all worlds
     evaluate_every: Annotated[int, TRAIN_STEPS] | None = None
     """Ticks between evaluations, over all worlds; default: ten rollouts."""
     evaluation_episodes: Annotated[int, TRAIN_EPISODES] | None = None
@@ -111,50 +103,59 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         settings_of(self.algo, self.hyperparameters)
-        _check_drawn(self.randomize, self.backend)
-        if self.backend == "physics" and (self.rules, self.helper_depth, self.explore) != (
-            "physical",
-            None,
-            0,
-        ):
-            raise ValueError(
-                "in physics cars are trained under the physical rule set, without action helper and exploration; leave "
-                "rules, helper_depth and explore out, or train on the grid"
-            )
-        if self.execution == "asynchronous" and (
-            self.algo not in ("ippo", "mappo") or self.backend != "grid" or self.imitate
-        ):
-            raise ValueError(
-                "cars are trained asynchronously by ippo and mappo, on the grid, without imitation; leave execution "
-                "out, or change algo, backend or imitate"
-            )
-        if self.recurrent and KINDS[self.algo] is not QSettings:
-            raise ValueError(
-                f"{self.algo} has no recurrent policy; leave recurrent out, or take one of iql, vdn, qmix, qtran"
-            )
-        if self.acting == "sampled" and self.algo not in WITH_PROBABILITIES:
-            raise ValueError(
-                f"{self.algo} rates actions by value, there is nothing to sample; acting must be greedy"
-            )
-        if self.pretrained and self.algo not in WITH_PROBABILITIES:
-            raise ValueError(
-                f"{self.algo} learns values, and cannot begin with a policy; leave pretrained out, or take one of "
-                f"{', '.join(WITH_PROBABILITIES)}"
-            )
-        if self.imitate and (self.algo not in ("ippo", "mappo") or self.rules != "physical" or self.explore):
-            raise ValueError(
-                "plans are imitated by ippo and mappo, under the physical rule set, without exploration; leave imitate "
-                "out, or change algo, rules or explore"
-            )
-        if self.shown_share != HALF and not self.imitate:
-            raise ValueError(
-                f"shown_share is {self.shown_share}, but nothing is imitated; leave it out, or imitate plans"
-            )
-        if bool(self.stages) != bool(self.stage_steps) or (self.stages and (self.explore or self.imitate)):
-            raise ValueError(
-                f"stages {', '.join(self.stages) or 'none'} of {self.stage_steps} steps: name tasks and give each at "
-                "least one step, without exploration and imitation, or leave both out"
-            )
+        for is_wrong, message in self._conflicts():
+            if is_wrong:
+                raise ValueError(message)
+
+    def _conflicts(self) -> Iterator[tuple[bool, str]]:
+        """Yield what does not go together: whether it is so here, and in words."""
+        algo, learns_values = self.algo, self.algo not in WITH_PROBABILITIES
+        on_grid, is_ppo = self.backend == "grid", self.algo in ("ippo", "mappo")
+        if self.randomize != "none":
+            # MuJoCo comes with it, which the grid has no use for.
+            from craftsim.checking.setup import RANDOMIZE
+
+            said = f"randomize is {self.randomize!r}"
+            yield self.randomize not in RANDOMIZE, f"{said}; allowed: {', '.join(RANDOMIZE)}"
+            yield on_grid, f"{said}, but on the grid nothing is drawn of physics: leave it out"
+        yield (
+            not on_grid and (self.rules, self.helper_depth, self.explore) != ("physical", None, 0),
+            "in physics cars are trained under the physical rule set, without action helper and exploration; leave "
+            "rules, helper_depth and explore out, or train on the grid",
+        )
+        yield (
+            self.execution == "asynchronous" and bool(not is_ppo or not on_grid or self.imitate),
+            "cars are trained asynchronously by ippo and mappo, on the grid, without imitation; leave execution out, "
+            "or change algo, backend or imitate",
+        )
+        yield (
+            self.recurrent and KINDS[algo] is not QSettings,
+            f"{algo} has no recurrent policy; leave recurrent out, or take one of iql, vdn, qmix, qtran",
+        )
+        yield (
+            self.acting == "sampled" and learns_values,
+            f"{algo} rates actions by value, there is nothing to sample; acting must be greedy",
+        )
+        yield (
+            bool(self.pretrained) and learns_values,
+            f"{algo} learns values, and cannot begin with a policy; leave pretrained out, or take one of "
+            f"{', '.join(WITH_PROBABILITIES)}",
+        )
+        yield (
+            bool(self.imitate) and bool(not is_ppo or self.rules != "physical" or self.explore),
+            "plans are imitated by ippo and mappo, under the physical rule set, without exploration; leave imitate "
+            "out, or change algo, rules or explore",
+        )
+        yield (
+            self.shown_share != HALF and not self.imitate,
+            f"shown_share is {self.shown_share}, but nothing is imitated; leave it out, or imitate plans",
+        )
+        yield (
+            bool(self.stages) != bool(self.stage_steps)
+            or bool(self.stages and (self.explore or self.imitate)),
+            f"stages {', '.join(self.stages) or 'none'} of {self.stage_steps} steps: name tasks and give each at least "
+            "one step, without exploration and imitation, or leave both out",
+        )
 
     @property
     def n_worlds(self) -> int:
@@ -218,17 +219,3 @@ def protocol(preset: PresetName, task: str, algo: AlgoName, steps: int | None = 
 
 NEVER: Final = 2.0
 """A success rate above 1, for runs without early stop."""
-
-
-def _check_drawn(randomize: str, backend: TrainBackend) -> None:
-    if randomize == "none":
-        return
-    # MuJoCo comes with it, which the grid has no use for.
-    from craftsim.checking.setup import RANDOMIZE
-
-    if randomize not in RANDOMIZE:
-        raise ValueError(f"randomize is {randomize!r}; allowed: {', '.join(RANDOMIZE)}")
-    if backend == "grid":
-        raise ValueError(
-            f"randomize is {randomize!r}, but on the grid nothing is drawn of physics: leave it out"
-        )

@@ -26,14 +26,10 @@ class EvaluationResult:
     episodes: int
     successes: int
     mean_return: float
-    mean_ticks: float
-    """Of all episodes, those that ran out of time included."""
-    starts: int
-    """Different worlds, with what is to be built in them, that episodes began with."""
-    solved: int
-    """Of these, those from which every episode succeeded."""
-    trajectories: int
-    """Different episodes: in what the cars saw or did."""
+    mean_ticks: float  # of all episodes, those that ran out of time included
+    starts: int  # different worlds, with what is to be built in them, that episodes began with
+    solved: int  # of these, those from which every episode succeeded
+    trajectories: int  # different episodes: in what the cars saw or did
 
     @property
     def success(self) -> float:
@@ -84,8 +80,7 @@ class EvaluationResult:
 class CurvePoint(EvaluationResult):
     """A point of the learning curve: how well a policy did on fresh episodes after so much training."""
 
-    steps: int
-    """Ticks played, all worlds together."""
+    steps: int  # ticks played, all worlds together
 
     def __post_init__(self) -> None:
         counts = self.episodes >= 1 and 0 <= self.successes <= self.episodes and 0 <= self.steps < 2**60
@@ -123,9 +118,8 @@ def plot_curve(path: Path, title: str, curve: Sequence[CurvePoint]) -> Path:
     right = left.twinx()
     steps = [point.steps for point in curve]
     left.plot(steps, [point.success for point in curve], color="tab:blue", label="success")
-    if intervals := [point.interval for point in curve if point.interval is not None]:
-        at = [point.steps for point in curve if point.interval is not None]
-        lows, highs = zip(*intervals, strict=True)
+    if bands := [(point.steps, *point.interval) for point in curve if point.interval is not None]:
+        at, lows, highs = zip(*bands, strict=True)
         left.fill_between(at, lows, highs, color="tab:blue", alpha=0.2)
     right.plot(steps, [point.mean_return for point in curve], color="tab:orange", label="return")
     left.set(xlabel="steps of all worlds together", ylabel="success", ylim=(-0.02, 1.02))

@@ -13,16 +13,17 @@ import torch
 from numpy.typing import NDArray
 
 from craftsim.choices import Execution
-from craftsim.discrete.asynchronous import AsynchronousEpisodes, Timing
+from craftsim.discrete.asynchronous import AsynchronousEpisodes
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.discrete.tasks.episodes import Steps
 from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.config import Acting
 from craftsim.training.curve import EvaluationResult
+from craftsim.training.exploration import hashes
 from craftsim.training.networks import CarNet, RecurrentState
-from craftsim.training.rollouts import TRAINED_JITTER, Seen
+from craftsim.training.rollouts import make_episodes
 
 _FACTOR: Final = np.int64(6364136223846793005)
 """Of Knuth's linear congruential generator; numbers are taken modulo 2**64."""
@@ -43,36 +44,28 @@ def evaluate(
     Where a task has a list of held-out starts, episodes take one after the other. In asynchronous execution a tick is
     an event, and a deadlock ends an episode.
     """
-    rng = np.random.default_rng(seed)
-    worlds = (
-        Episodes(task, rng, episodes, rules, helper_depth)
-        if execution == "synchronous"
-        else AsynchronousEpisodes(
-            task, rng, episodes, rules, helper_depth, timing=Timing(jitter=TRAINED_JITTER)
-        )
-    )
+    worlds = make_episodes(task, np.random.default_rng(seed), episodes, rules, helper_depth, execution)
     if task.split == "test" and isinstance(listed := task.sampler, Starts):
         rows = np.arange(episodes)
         worlds.begin(rows, listed.take(rows % len(listed)))
-    running = np.ones(episodes, np.bool_)
-    won, total, ticks = (np.zeros(episodes) for _ in range(3))
-    repetitions = Repetitions(worlds.designs)
+    running, tally = np.arange(episodes), Tally(worlds.designs)
     draws = np.random.default_rng([seed, 1])
     memory = net.memory(episodes, worlds.n_cars)
-    while running.any():
+    steps: Steps
+    while len(running):
         seen, offered = worlds.vectors(), worlds.offered()
         noise = draws.gumbel(size=offered.shape) if acting == "sampled" else None
         chosen = choose_actions(net, seen, offered, noise, memory)
-        repetitions.add(np.flatnonzero(running), seen[running], chosen[running])
-        event = worlds.step(chosen, offered=offered) if isinstance(worlds, AsynchronousEpisodes) else None
-        steps = event or worlds.step(chosen)
-        won[running & steps.success] = 1
-        total += steps.reward * running
-        ticks += running
-        running &= ~steps.done
-        if event is not None:
-            running &= ~event.deadlock
-    return _played(won, total, ticks, repetitions)
+        tally.add(running, seen[running], chosen[running])
+        if isinstance(worlds, AsynchronousEpisodes):
+            event = worlds.step(chosen, offered=offered)
+            steps, over = event, event.done | event.deadlock
+        else:
+            steps = worlds.step(chosen)
+            over = steps.done
+        tally.count(running, steps.reward[running], steps.success[running])
+        running = running[~over[running]]
+    return tally.result()
 
 
 def evaluate_in_physics(
@@ -82,8 +75,7 @@ def evaluate_in_physics(
 
     Episode i is seeded with ``seed + i``; how many worlds there are decides nothing.
     """
-    won, total, ticks = (np.zeros(episodes) for _ in range(3))
-    repetitions = Repetitions(np.zeros((episodes, 0, 5), np.int64))
+    tally = Tally(np.zeros((episodes, 0, 5), np.int64))
     for first in range(0, episodes, worlds.num_envs):
         masks = worlds.reset(seed=seed + first)[0]["action_mask"]
         ids = np.arange(min(worlds.num_envs, episodes - first))
@@ -95,27 +87,16 @@ def evaluate_in_physics(
             if acting == "sampled":
                 noise = np.stack([draws[i].gumbel(size=masks[i].shape) for i in ids])
             chosen = choose_actions(net, seen, masks[ids], noise, memory)
-            repetitions.add(first + ids, seen, chosen)
+            tally.add(first + ids, seen, chosen)
             worlds.send(chosen, ids)
             observation, reward, terminated, truncated, infos = worlds.recv(len(ids))
             masks[ids] = observation["action_mask"]
-            won[first + ids] += infos["success"] & (terminated | truncated)
-            total[first + ids] += reward
-            ticks[first + ids] += 1
             goes_on = ~(terminated | truncated)
+            tally.count(first + ids, reward, infos["success"] & ~goes_on)
             ids = ids[goes_on]
             if memory is not None:
                 memory = RecurrentState(*(part[torch.from_numpy(goes_on)] for part in memory))
-    return _played(won, total, ticks, repetitions)
-
-
-def _played(
-    won: NDArray[np.float64], total: NDArray[np.float64], ticks: NDArray[np.float64], repetitions: Repetitions
-) -> EvaluationResult:
-    solved, starts = repetitions.solved(won)
-    trajectories = len(np.unique(repetitions.trajectories))
-    means = float(total.mean()), float(ticks.mean())
-    return EvaluationResult(len(won), int(won.sum()), *means, starts, solved, trajectories)
+    return tally.result()
 
 
 @torch.no_grad()
@@ -131,8 +112,7 @@ def choose_actions(
     With Gumbel noise (..., n, 15) on top that is one drawn as often as the policy gives it probability.
     ``observations`` are (..., n, vector_length) and ``masks`` (..., n, 15); ``memory`` is that of a recurrent policy.
     """
-    places = net.encoder.places(torch.from_numpy(observations.astype(np.int64)))
-    values = net(Seen(places, torch.from_numpy(masks.astype(np.bool_))), memory)
+    values = net(net.encoder.look(observations, masks), memory)
     if noise is not None:
         values = values + torch.from_numpy(noise)
     actions = values.argmax(-1)
@@ -142,37 +122,40 @@ def choose_actions(
     return chosen
 
 
-class Repetitions:
-    """Digests of n episodes: of how each began, and of all that its cars saw and did."""
+class Tally:
+    """What n episodes came to, and digests of how each began, and of all that its cars saw and did."""
 
     def __init__(self, designs: NDArray[np.integer]) -> None:
         """Begin; ``designs`` (n, T, 5) is what is to be built in each."""
-        self._designs = _digests(designs.reshape(len(designs), -1))
-        self.starts = self._designs.copy()
-        self.trajectories = self._designs.copy()
-        self._begun = np.zeros(len(designs), np.bool_)
+        n = len(designs)
+        self.starts = hashes(designs)
+        self.trajectories = self.starts.copy()
+        self.won, self.total, self.ticks = (np.zeros(n) for _ in range(3))
 
     def add(
         self, which: NDArray[np.integer], seen: NDArray[np.integer], actions: NDArray[np.integer]
     ) -> None:
         """Add a tick of some episodes: what was seen, (k, ...), and then done, (k, n)."""
         with np.errstate(over="ignore"):
-            world = _digests(seen.reshape(len(which), -1))
-            new = which[~self._begun[which]]
-            self.starts[new] = self.starts[new] * _FACTOR + world[~self._begun[which]]
-            self._begun[new] = True
-            done = _digests(actions.reshape(len(which), -1))
+            world, done = hashes(seen), hashes(actions)
+            new = self.ticks[which] == 0
+            self.starts[which[new]] = self.starts[which[new]] * _FACTOR + world[new]
             self.trajectories[which] = (self.trajectories[which] * _FACTOR + world) * _FACTOR + done
+        self.ticks[which] += 1
 
-    def solved(self, won: NDArray[np.generic]) -> tuple[int, int]:
-        """Return of how many starts each episode succeeded, and how many starts there are."""
+    def count(
+        self, which: NDArray[np.integer], reward: NDArray[np.floating], success: NDArray[np.bool_]
+    ) -> None:
+        """Count what that tick brought, (k,)."""
+        self.total[which] += reward
+        self.won[which] = np.maximum(self.won[which], success)
+
+    def result(self) -> EvaluationResult:
+        """Return it: a start is solved if all of its episodes succeeded."""
         _, start = np.unique(self.starts, return_inverse=True)
-        failures = np.bincount(start, weights=won == 0)
-        return int((failures == 0).sum()), len(failures)
-
-
-def _digests(rows: NDArray[np.integer]) -> NDArray[np.int64]:
-    factors = np.random.default_rng(1).integers(-(2**62), 2**62, rows.shape[1])
-    with np.errstate(over="ignore"):
-        sums: NDArray[np.int64] = (rows.astype(np.int64) * factors).sum(axis=1)
-    return sums
+        failures = np.bincount(start, weights=self.won == 0)
+        means = float(self.total.mean()), float(self.ticks.mean())
+        solved, trajectories = int((failures == 0).sum()), len(np.unique(self.trajectories))
+        return EvaluationResult(
+            len(self.won), int(self.won.sum()), *means, len(failures), solved, trajectories
+        )

@@ -1,14 +1,12 @@
 """Exploration before learning: return to a world that was reached, go on from there at random, remember what is new.
 
-After Ecoffet et al., "First return, then explore", Nature 590, 2021. Training then has starts among the worlds that
-were reached: on the way to the best of them, and of every potential; what was done on that way is imitated first. No
-plan and no other knowledge of the task goes in but its reward's potential.
+After Ecoffet et al., "First return, then explore", Nature 590, 2021. Training then starts in worlds that were reached,
+and what led to the best of them is imitated first. The only knowledge of the task that goes in is its potential.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.planning.joint_plan import Ticks
@@ -29,22 +27,28 @@ SEGMENT: Final = 10
 EARLY: Final = 2.0
 """Of the worlds of one potential those are returned to that took so many ticks more than the earliest, on average."""
 EPISODES: Final = 2
-"""Lengths of an episode, after which a world is not gone on from: a way may be longer than one, for learning shortens
-it."""
+"""Lengths of an episode after which a world is not gone on from; more than one, for learning shortens a way."""
 STARTS: Final = 1000
 """How many worlds are returned: half of them lie on the way to the best one, the others anywhere."""
-_ARRAYS: Final = ("cells", "cars")
-_HASH_SEED: Final = 1
+
+
+def hashes(rows: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Return (k,): numbers of 64 bits that tell rows (k, ...) apart."""
+    flat = rows.reshape(len(rows), -1).astype(np.int64)
+    factors = np.random.default_rng(1).integers(-(2**62), 2**62, flat.shape[1])
+    with np.errstate(over="ignore"):
+        sums: NDArray[np.int64] = (flat * factors).sum(axis=1)
+    return sums
 
 
 def explore(
     task: Task, rules: RuleSet, ticks: int, rng: np.random.Generator
-) -> tuple[list[Grid], list[Grid]]:
+) -> tuple[list[Grid], list[Grid], Ticks]:
     """Explore for so many ticks, without an action helper, each of whose primitives is an action, too.
 
     Where there are no slopes no car turns, for it would make no difference. Returns STARTS of the worlds that were
-    reached, one maybe more than once; and those from the start to the one of the highest potential, of these the one
-    that was reached the earliest.
+    reached, one maybe more than once; those from the start to the one of the highest potential, of these the one that
+    was reached the earliest; and what the cars did between these, in the order in which they acted.
     """
     episodes = Episodes(task, rng, WORLDS, rules)
     reached = _Reached(episodes)
@@ -57,78 +61,43 @@ def explore(
         running = np.ones(WORLDS, np.bool_)
         for _ in range(SEGMENT):
             offered = episodes.offered() & plays
-            steps = episodes.step((rng.random(offered.shape) * offered).argmax(-1))
+            actions = (rng.random(offered.shape) * offered).argmax(-1)
+            steps = episodes.step(actions)
             played += int(running.sum())
             # What one car kept another from would not happen again where they act in another order.
             running &= steps.applied.all(-1)
-            at = reached.add(episodes, at, running, steps.success)
+            did = np.stack([steps.order, np.take_along_axis(actions, steps.order, -1)], -1)
+            at = reached.add(episodes, at, running, did, steps.success)
             running &= ~steps.success
     way = reached.way_to_best()
     starts = [*rng.choice(way[:-1] or way, STARTS // 2), *reached.draw(rng, STARTS // 2)]
-    return reached.grids(starts), reached.grids(way)
+    reached_grids, way_grids = ([reached.worlds[i].grid.copy() for i in some] for some in (starts, way))
+    done = (reached.worlds[i].did.tolist() for i in way[1:])
+    done_ticks = tuple(tuple((car, Action(action)) for car, action in tick) for tick in done)
+    return reached_grids, way_grids, done_ticks
 
 
-def done_on(way: Sequence[Grid], rules: Rules) -> Ticks:
-    """Return what cars did in each tick from one world to the next, in the order in which they acted.
-
-    All that they did was offered to them when the tick began. Raises ValueError where nothing leads from one to the
-    next.
-    """
-    done = []
-    for before, after in pairwise(way):
-        offered = {car: np.flatnonzero(row).tolist() for car, row in enumerate(rules.mask(before))}
-        found = _done_between(before, after, offered, rules)
-        if found is None:
-            raise ValueError("no actions lead from one world to the next")
-        done.append(found)
-    return tuple(done)
-
-
-def _done_between(
-    before: Grid, after: Grid, offered: Mapping[int, Sequence[int]], rules: Rules
-) -> tuple[tuple[int, Action], ...] | None:
-    """Return what each car may have done of what it was offered, STOP where nothing; None where it cannot have been."""
-    if before.same_visible(after) and before.same_marks(after):
-        return tuple((car, Action.STOP) for car in offered)
-    for car, actions in offered.items():
-        others = {other: theirs for other, theirs in offered.items() if other != car}
-        for action in actions:
-            if not rules.legal(before, car, action):
-                continue
-            then = rules.apply(before, car, action)
-            # No car moves another.
-            if np.array_equal(then.cars[car], after.cars[car]):
-                rest = _done_between(then, after, others, rules)
-                if rest is not None:
-                    return ((car, Action(action)), *rest)
-    return None
+@dataclass(slots=True)
+class _World:
+    grid: Grid
+    potential: float
+    ticks: int  # the fewest that it took to come here
+    before: int  # number of the world from which one came so soon
+    did: NDArray[np.int64]  # (n, 2): what led here from there, car and action in acting order
+    returns: int = 0
 
 
 class _Reached:
-    """Every world that was reached, with the fewest ticks that it took, and from where."""
+    """Every world that was reached, the start first."""
 
     def __init__(self, episodes: Episodes) -> None:
+        n = len(episodes)
         self._limit = EPISODES * (episodes.task.max_steps + 2)
-        live = self._live(episodes)
-        self._arrays = {
-            name: np.empty((1 << 12, *array.shape[1:]), array.dtype) for name, array in live.items()
-        }
-        length = sum(array[0].size for array in live.values())
-        self._factors = np.random.default_rng(_HASH_SEED).integers(-(2**62), 2**62, length)
-        self._index: dict[int, int] = {}
-        self._ticks: list[int] = []
-        self._potential: list[float] = []
-        self._before: list[int] = []
-        self._returns: list[int] = []
-        self._open: dict[float, dict[int, list[int]]] = {}
-        """By potential and ticks: where one may go on."""
-        first = np.zeros(len(episodes), np.bool_)
-        first[0] = True
-        self.add(episodes, np.zeros(len(first), np.int64), first, np.zeros_like(first))
-
-    @staticmethod
-    def _live(episodes: Episodes) -> dict[str, NDArray[np.generic]]:
-        return {name: getattr(episodes.grids, name) for name in _ARRAYS}
+        self.worlds: list[_World] = []
+        self._numbers: dict[int, int] = {}  # by hash
+        self._open: dict[float, dict[int, list[int]]] = {}  # by potential and ticks: where one may go on
+        nothing, none = np.zeros((n, 0, 2), np.int64), np.zeros(n, np.bool_)
+        self.add(episodes, np.zeros(n, np.int64), np.arange(n) == 0, nothing, none)
 
     def draw(self, rng: np.random.Generator, n: int) -> NDArray[np.int64]:
         """Return n worlds to go on from: those of higher potentials more often, of these rather the earliest.
@@ -141,17 +110,17 @@ class _Reached:
         for i, level in enumerate(rng.choice(len(levels), n, p=weights / weights.sum())):
             by_tick = self._open[levels[level]]
             ticks = sorted(by_tick)
-            cells = by_tick[ticks[min(int(rng.exponential(EARLY)), len(ticks) - 1)]]
-            first, second = (cells[int(k)] for k in rng.integers(len(cells), size=2))
-            chosen[i] = first if self._returns[first] <= self._returns[second] else second
-            self._returns[chosen[i]] += 1
+            some = by_tick[ticks[min(int(rng.exponential(EARLY)), len(ticks) - 1)]]
+            pair = (some[int(k)] for k in rng.integers(len(some), size=2))
+            chosen[i] = min(pair, key=lambda number: self.worlds[number].returns)
+            self.worlds[chosen[i]].returns += 1
         return chosen
 
     def put(self, episodes: Episodes, which: NDArray[np.int64]) -> None:
         """Return to worlds, one an episode."""
-        for name, array in self._live(episodes).items():
-            array[:] = self._arrays[name][which]
-        episodes.t[:] = [self._ticks[i] for i in which]
+        worlds = [self.worlds[i] for i in which]
+        episodes.put(slice(None), Grid.stack([world.grid for world in worlds]))
+        episodes.t[:] = [world.ticks for world in worlds]
         episodes.bonus_given[:] = False
         episodes.potential = episodes.task.potential(episodes.grids, episodes.designs)
 
@@ -160,50 +129,33 @@ class _Reached:
         episodes: Episodes,
         before: NDArray[np.int64],
         running: NDArray[np.bool_],
+        did: NDArray[np.int64],
         success: NDArray[np.bool_],
     ) -> NDArray[np.int64]:
         """Remember the worlds of running episodes, reached from ``before``; one goes on from those without success.
 
         Returns which worlds they are, ``before`` where an episode runs no more.
         """
-        live = self._live(episodes)
-        flat = [array.reshape(len(running), -1).astype(np.int64) for array in live.values()]
-        keys = (np.concatenate(flat, axis=1) * self._factors).sum(axis=1).tolist()
+        live = (array.reshape(len(running), -1) for array in (episodes.grids.cells, episodes.grids.cars))
+        keys = hashes(np.concatenate([*live], axis=1)).tolist()
         ticks, potential = episodes.t.tolist(), episodes.potential.tolist()
-        at, new = before.copy(), []
+        at = before.copy()
         for i in np.flatnonzero(running).tolist():
-            known = self._index.setdefault(keys[i], len(self._ticks))
-            at[i] = known
-            if known == len(self._ticks):
-                new.append(i)
-                self._ticks.append(ticks[i])
-                self._potential.append(potential[i])
-                self._before.append(int(before[i]))
-                self._returns.append(0)
-            elif ticks[i] < self._ticks[known]:
-                self._ticks[known], self._before[known] = ticks[i], int(before[i])
+            at[i] = number = self._numbers.setdefault(keys[i], len(self.worlds))
+            came = ticks[i], int(before[i]), did[i].copy()
+            if number == len(self.worlds):
+                self.worlds.append(_World(episodes.grid(i), potential[i], *came))
+            elif ticks[i] < (known := self.worlds[number]).ticks:
+                known.ticks, known.before, known.did = came
             else:
                 continue
             if not success[i] and ticks[i] < self._limit:
-                self._open.setdefault(potential[i], {}).setdefault(ticks[i], []).append(known)
-        self._store(live, new)
+                self._open.setdefault(potential[i], {}).setdefault(ticks[i], []).append(number)
         return at
 
-    def _store(self, live: dict[str, NDArray[np.generic]], new: list[int]) -> None:
-        n = len(self._ticks)
-        for name, array in live.items():
-            kept = self._arrays[name]
-            if n > len(kept):
-                kept = self._arrays[name] = np.concatenate([kept, np.empty_like(kept)])
-            kept[n - len(new) : n] = array[new]
-
     def way_to_best(self) -> list[int]:
-        """Return the worlds from the start to the best one."""
-        way = [min(range(len(self._ticks)), key=lambda i: (-self._potential[i], self._ticks[i]))]
+        """Return the numbers of the worlds from the start to the best one."""
+        way = [min(range(len(self.worlds)), key=lambda i: (-self.worlds[i].potential, self.worlds[i].ticks))]
         while way[-1]:
-            way.append(self._before[way[-1]])
+            way.append(self.worlds[way[-1]].before)
         return way[::-1]
-
-    def grids(self, which: Sequence[int]) -> list[Grid]:
-        """Return copies of worlds."""
-        return [Grid(*(self._arrays[name][i].copy() for name in _ARRAYS)) for i in which]

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -12,59 +18,106 @@ from craftsim.discrete.kinds import MOVE_DIRECTION
 from craftsim.training.shape import FORMS, Shape
 
 
+@dataclass(frozen=True)
+class Seen:
+    """Observations of cars as inputs of a network."""
+
+    places: Tensor  # (..., n, rows) int32: row of the encoder's table for each entity, see Encoder.places
+    offers: Tensor  # (..., n, 15) bool: action masks, with at least one action each
+
+    def __getitem__(self, index: Any) -> Seen:
+        """Index the leading dimensions."""
+        return Seen(self.places[index], self.offers[index])
+
+    def flat(self) -> Seen:
+        """Return the observations with the first two dimensions flattened."""
+        return Seen(self.places.flatten(0, 1), self.offers.flatten(0, 1))
+
+
+def joined(parts: Sequence[Seen], join: Callable[..., Tensor] = torch.cat) -> Seen:
+    """Concatenate along the first dimension, or combine with ``join``, such as torch.stack."""
+    return Seen(join([part.places for part in parts]), join([part.offers for part in parts]))
+
+
 class Encoder(nn.Module):
     """Turns observations (..., n, vector_length) into places, and these with masks (..., n, 15) into vectors.
 
-    Every entity is looked up in a table by what it is and where; these vectors, and one each for the car's number and
-    for what it may do, are added up. This is a linear layer on a one-hot drawing of the world without the
-    multiplication by zeros, and the order of the blocks among themselves plays no part in it.
+    Every entity is looked up in a table by what it is and where; these vectors, and those of what a car may do, are
+    added up. This is a linear layer on a one-hot drawing of the world without the multiplication by zeros, and the
+    order of the blocks among themselves plays no part in it.
     """
+
+    forms: Tensor
+    turns: Tensor
 
     def __init__(self, shape: Shape) -> None:
         super().__init__()
         length, width, height = shape.size
         self.map = (length, width, height + 1)  # a car may stand above the highest cell
         self.cells = shape.cells
-        first = FORMS[IS_CAR]  # the own car has a part of the table to itself
         counts = [FORMS[kind] for kind in range(IS_CAR, IS_GOAL)]
-        forms = torch.tensor([first, *counts[:-1]]).cumsum(0)
+        self.n_forms = sum(counts)
+        forms = torch.tensor([0, *counts[:-1]]).cumsum(0)
         self.register_buffer("forms", forms, persistent=False)
         self.register_buffer("turns", forms.new_tensor([n >= 4 for n in counts]), persistent=False)
         self.absent = shape.places - 1
         self.table = nn.EmbeddingBag(shape.places, shape.width, mode="sum")
-        self.car = nn.Parameter(torch.zeros(shape.n_cars, shape.width))
         self.mask = nn.Linear(N_ACTIONS, shape.width)
+
+    def places(self, observation: Tensor) -> Tensor:
+        """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
+        raise NotImplementedError
+
+    def on_map(self, values: Tensor, places: Tensor) -> Tensor:
+        """Return values of actions (..., n, 15) in the order of the map's actions."""
+        return values
+
+    def look(self, observations: NDArray[np.integer], masks: NDArray[np.generic]) -> Seen:
+        """Return observations (..., n, vector_length) and masks (..., n, 15) as inputs of a network."""
+        places = self.places(torch.from_numpy(observations.astype(np.int64)))
+        return Seen(places.to(torch.int32), torch.from_numpy(masks.astype(np.bool_)))
+
+    def _read(self, observation: Tensor) -> tuple[Tensor, ...]:
+        """Return of each row its numbers, kinds, form without yaw, yaw, if it has one, cell, whether in the area."""
+        rows = observation.long().unflatten(-1, (-1, ROW))
+        x, y, z = rows[..., 0], rows[..., 1], rows[..., 2] - 1
+        length, width, height = self.map
+        kinds = rows[..., IS_CAR:IS_GOAL]
+        turns = (kinds * self.turns).sum(-1)
+        yaw = (2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW]) * turns
+        inside = (x >= 0) & (y >= 0) & (z >= 0) & (x < length) & (y < width) & (z < height)
+        return rows, kinds, (kinds * self.forms).sum(-1), yaw, turns, (x * width + y) * height + z, inside
+
+    def _looked_up(self, places: Tensor) -> Tensor:
+        entities: Tensor = self.table(places.flatten(0, -2)).unflatten(0, places.shape[:-1])
+        return entities
+
+
+class MapEncoder(Encoder):
+    """Looks entities up by their cells of the map, the own car in a part of the table to itself."""
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__(shape)
+        self.car = nn.Parameter(torch.zeros(shape.n_cars, shape.width))  # by its number
         nn.init.normal_(self.table.weight, std=0.5)
 
     def places(self, observation: Tensor) -> Tensor:
         """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
-        rows = observation.long().unflatten(-1, (-1, ROW))
-        x, y, z = rows[..., 0], rows[..., 1], rows[..., 2] - 1
-        length, width, height = self.map
-        cell = (x * width + y) * height + z
-        kinds = rows[..., IS_CAR:IS_GOAL]
-        yaw = 2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW]
-        form = (kinds * self.forms).sum(-1) + yaw * (kinds * self.turns).sum(-1) + 4 * rows[..., IS_LOADED]
-        form[..., 0] -= FORMS[IS_CAR]
+        rows, kinds, form, yaw, _, cell, inside = self._read(observation)
+        form = form + yaw + 4 * rows[..., IS_LOADED]
+        form[..., 1:] += FORMS[IS_CAR]
         # A goal never moves, so there is nothing to learn from its row; a design that does is not for a table of cells.
-        shown = kinds.any(-1) & (rows[..., IS_GOAL] == 0) & (x >= 0) & (y >= 0) & (z >= 0)
-        shown &= (x < length) & (y < width) & (z < height)
+        shown = kinds.any(-1) & (rows[..., IS_GOAL] == 0) & inside
         return torch.where(shown, form * self.cells + cell, self.absent)
 
-    @staticmethod
-    def on_map(values: Tensor, places: Tensor) -> Tensor:
-        """Return values of actions (..., n, 15), as they are."""
-        return values
-
-    def of_places(self, places: Tensor, mask: Tensor) -> Tensor:
-        """Return one vector a car from what :meth:`places` returned, and masks (..., n, 15)."""
-        entities: Tensor = self.table(places.flatten(0, -2)).unflatten(0, places.shape[:-1])
-        offered: Tensor = self.mask(mask.to(entities.dtype))
-        return entities + self.car + offered
+    def forward(self, seen: Seen) -> Tensor:
+        """Return one vector a car (..., n, width)."""
+        offered: Tensor = self.mask(seen.offers.to(self.car.dtype))
+        return self._looked_up(seen.places) + self.car + offered
 
 
-class RelativeEncoder(nn.Module):
-    """The same from a car's own point of view: things are looked up by how they lie and are turned as the car sees it.
+class RelativeEncoder(Encoder):
+    """Looks entities up from a car's own point of view: by how they lie and are turned as the car sees it.
 
     Cars are alike, and so are all four directions: a move is one ahead, to the left, back or to the right until
     :meth:`on_map` says which that is. What is to be built is looked up, too, apart by whether it is there.
@@ -77,67 +130,47 @@ class RelativeEncoder(nn.Module):
     turned: Tensor
 
     def __init__(self, shape: Shape) -> None:
-        super().__init__()
-        length, width, height = shape.size
-        self.map = (length, width, height + 1)
-        self.reach = max(length, width) - 1
+        super().__init__(shape)
+        self.reach = max(shape.size[:2]) - 1
         self.offsets = shape.offsets
         self.own = FORMS[IS_CAR] * shape.cells
-        counts = [FORMS[kind] for kind in range(IS_CAR, IS_GOAL)]
-        forms = torch.tensor([0, *counts[:-1]]).cumsum(0)
-        self.n_forms = sum(counts)
-        self.register_buffer("forms", forms, persistent=False)
-        self.register_buffer("turns", forms.new_tensor([n >= 4 for n in counts]), persistent=False)
-        self.register_buffer("steps", torch.tensor([[1, 0], [0, 1], [-1, 0], [0, -1]]), persistent=False)
         seen_as = _moves_as_seen()
+        self.register_buffer("steps", torch.tensor([[1, 0], [0, 1], [-1, 0], [0, -1]]), persistent=False)
         self.register_buffer("from_map", seen_as.argsort(-1), persistent=False)
         self.register_buffer("to_map", seen_as, persistent=False)
         self.register_buffer("turned", _as_seen_from(self.map), persistent=False)
-        self.absent = shape.places - 1
-        self.table = nn.EmbeddingBag(shape.places, shape.width, mode="sum")
-        self.mask = nn.Linear(N_ACTIONS, shape.width)
         self.inner = nn.Linear(shape.width, shape.width)
         nn.init.normal_(self.table.weight, std=0.3)
 
     def places(self, observation: Tensor) -> Tensor:
         """Return the place in the table of every row of observations (..., 13 * rows), shape (..., rows)."""
-        rows = observation.long().unflatten(-1, (-1, ROW))
-        x, y, z = rows[..., 0], rows[..., 1], rows[..., 2]
-        kinds, is_goal = rows[..., IS_CAR:IS_GOAL], rows[..., IS_GOAL] != 0
-        yaw = (2 * rows[..., YAW_HIGH] + rows[..., YAW_LOW]) * (kinds * self.turns).sum(-1)
-        form = (kinds * self.forms).sum(-1)
-        length, width, height = self.map
-        inside = (x >= 0) & (y >= 0) & (z >= 1) & (x < length) & (y < width) & (z <= height)
-        cell = ((x * width + y) * height + z - 1).clamp(0, length * width * height - 1)
-        ahead = yaw[..., :1]
-        seen = form + (yaw - ahead) % 4 * (kinds * self.turns).sum(-1) + 4 * rows[..., IS_LOADED]
+        rows, kinds, form, yaw, turns, cell, inside = self._read(observation)
+        cell = cell.clamp(0, self.cells - 1)
+        is_goal, ahead = rows[..., IS_GOAL] != 0, yaw[..., :1]
+        seen = form + (yaw - ahead) % 4 * turns + 4 * rows[..., IS_LOADED]
         # A cell to be built is looked up by whether the thing is there; one that a car carries past is not.
-        what = (form + yaw) * length * width * height + cell
-        there = (
-            (what[..., :, None] == what[..., None, :]) & ~is_goal[..., None, :] & kinds.any(-1)[..., None, :]
-        )
+        what = (form + yaw) * self.cells + cell
+        is_thing = ~is_goal & kinds.any(-1)
+        there = (what[..., :, None] == what[..., None, :]) & is_thing[..., None, :]
         loaded = (cell[..., :, None] == cell[..., None, :]) & (rows[..., IS_LOADED] != 0)[..., None, :]
         built = there.any(-1) & ~loaded.any(-1)
         seen = seen + self.n_forms * (is_goal * (1 + built))
         turn = self.steps[ahead]
-        dx, dy, dz = x - x[..., :1], y - y[..., :1], z - z[..., :1]
-        side, size = 2 * self.reach + 1, 2 * (height - 1) + 1
+        dx, dy, dz = (rows[..., :3] - rows[..., :1, :3]).unbind(-1)
+        side, size = 2 * self.reach + 1, 2 * self.map[2] - 1
         front = dx * turn[..., 0] + dy * turn[..., 1] + self.reach
         left = dy * turn[..., 0] - dx * turn[..., 1] + self.reach
-        offset = (front * side + left) * size + dz + height - 1
+        offset = (front * side + left) * size + dz + self.map[2] - 1
         found = self.own + seen * self.offsets + offset
-        found[..., 0] = (ahead[..., 0] + 4 * rows[..., 0, IS_LOADED]) * (length * width * height) + cell[
-            ..., 0
-        ]
+        found[..., 0] = (ahead[..., 0] + 4 * rows[..., 0, IS_LOADED]) * self.cells + cell[..., 0]
         # A cell that the flag is to reach is none of a car's to be built, whose place it has.
         return torch.where((kinds.any(-1) | is_goal) & inside, found, self.absent)
 
-    def of_places(self, places: Tensor, mask: Tensor) -> Tensor:
-        """Return one vector a car from what :meth:`places` returned, and masks (..., n, 15)."""
-        own = self.turned[places[..., :1].long()]
-        looked_up = torch.cat([own, places[..., 1:]], -1)
-        entities: Tensor = self.table(looked_up.flatten(0, -2)).unflatten(0, places.shape[:-1])
-        offered = mask.gather(-1, self.from_map[self._heading(places)]).to(entities.dtype)
+    def forward(self, seen: Seen) -> Tensor:
+        """Return one vector a car (..., n, width)."""
+        own = self.turned[seen.places[..., :1].long()]
+        entities = self._looked_up(torch.cat([own, seen.places[..., 1:]], -1))
+        offered = seen.offers.gather(-1, self.from_map[self._heading(seen.places)]).to(entities.dtype)
         vectors: Tensor = self.inner((entities + self.mask(offered)).relu())
         return vectors
 
@@ -174,8 +207,7 @@ class RelativeEncoder(nn.Module):
 
     def _heading(self, places: Tensor) -> Tensor:
         """Return (..., n): the yaw of each car, from its own place in the table."""
-        length, width, height = self.map
-        return places[..., 0].long() // (length * width * height) % 4
+        return places[..., 0].long() // self.cells % 4
 
 
 def _moves_as_seen() -> Tensor:
@@ -208,6 +240,6 @@ def _as_far(length: int, other: int) -> Tensor:
     return torch.where(2 * cells < length, cells, other - length + cells).clamp(0, other - 1)
 
 
-def make_encoder(shape: Shape) -> Encoder | RelativeEncoder:
+def make_encoder(shape: Shape) -> Encoder:
     """Return the encoder of a shape."""
-    return Encoder(shape) if shape.network == "map" else RelativeEncoder(shape)
+    return MapEncoder(shape) if shape.network == "map" else RelativeEncoder(shape)

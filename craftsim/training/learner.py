@@ -8,24 +8,21 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from craftsim.training.networks import CarNet, numbers, restore_adam, restore_module
-from craftsim.training.rollouts import Rollout, Seen
+from craftsim.training.features import Seen
+from craftsim.training.networks import CarNet, restore_adam, restore_module
+from craftsim.training.rollouts import Rollout
 from craftsim.training.settings import Settings
 
 
 class Learner(ABC):
     """An algorithm with its networks and optimiser."""
 
-    net: CarNet
-    """The policy: from a car's observation to one number per action, higher is better."""
-    modules: nn.Module
-    """All modules with weights, including target networks."""
+    net: CarNet  # the policy: from a car's observation to one number per action, higher is better
+    modules: nn.Module  # all modules with weights, including target networks
     optimizer: torch.optim.Optimizer
     settings: Settings
-    ticks: int
-    """Length of a rollout: ticks of each world between updates."""
-    learnt: int = 0
-    """Ticks so far over all worlds, counted by the trainer."""
+    ticks: int  # length of a rollout: ticks of each world between updates
+    learnt: int = 0  # ticks so far over all worlds, counted by the trainer
 
     def begin(self, worlds: Tensor) -> None:  # noqa: B027
         """Take note of the worlds (B,) in which an episode begins, as a mask."""
@@ -47,20 +44,12 @@ class Learner(ABC):
         nn.utils.clip_grad_norm_(group["params"], self.settings.max_gradient)
         self.optimizer.step()
 
-    def memory(self) -> dict[str, tuple[Tensor, float, float]]:
-        """Return further state: tensors by name, with the bounds of their values."""
-        return {}
-
-    def remember(self, memory: dict[str, Tensor]) -> None:  # noqa: B027
-        """Restore what :meth:`memory` returned; names, types, shapes and bounds have been checked."""
-
     def state(self) -> dict[str, Any]:
         """Return the complete state for a checkpoint: tensors and plain values."""
-        memory = {name: tensor for name, (tensor, _, _) in self.memory().items()}
         return {
             "modules": self.modules.state_dict(),
             "optimizer": self.optimizer.state_dict(),
-            "memory": memory,
+            "memory": {},
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -70,13 +59,6 @@ class Learner(ABC):
         """
         restore_module(self.modules, state["modules"])
         restore_adam(self.optimizer, state["optimizer"])
-        saved = state["memory"]
-        self.remember(
-            {
-                name: numbers(saved[name], name, like, low, high)
-                for name, (like, low, high) in self.memory().items()
-            }
-        )
 
 
 def drawn(logits: Tensor) -> Tensor:

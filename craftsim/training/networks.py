@@ -11,11 +11,11 @@ from torch import Tensor, nn
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.errors import InputError
 from craftsim.storage.limits import LARGEST_WEIGHT
-from craftsim.training.features import make_encoder
+from craftsim.training.features import Seen, make_encoder
 from craftsim.training.shape import Shape
 
 if TYPE_CHECKING:
-    from craftsim.training.rollouts import Rollout, Seen
+    from craftsim.training.rollouts import Rollout
 
 _MIXING_WIDTH: Final = 32
 
@@ -23,10 +23,8 @@ _MIXING_WIDTH: Final = 32
 class RecurrentState(NamedTuple):
     """What a recurrent policy remembers of episodes, changed in place."""
 
-    hidden: Tensor
-    """(..., n, width): the state of the GRU."""
-    last: Tensor
-    """(..., n) int64: actions of the tick before; 15 at first."""
+    hidden: Tensor  # (..., n, width): the state of the GRU
+    last: Tensor  # (..., n) int64: actions of the tick before; 15 at first
 
     def forget(self, which: Tensor) -> None:
         """Forget the episodes of a mask."""
@@ -54,7 +52,7 @@ class CarNet(nn.Module):
 
     def forward(self, seen: Seen, memory: RecurrentState | None = None) -> Tensor:
         """Return (..., n, 15), those of actions that are not offered -inf; a memory's state is updated."""
-        encoded = self.encode(seen)
+        encoded = self.encoder(seen)
         if memory is not None:
             encoded = self._remembered(encoded, *memory)
             memory.hidden.copy_(encoded)
@@ -67,7 +65,7 @@ class CarNet(nn.Module):
         """
         if not self.recurrent:
             return self(rollout.now), self.of_ends(rollout)
-        encoded, begun = self.encode(rollout.now), self.memory(*rollout.actions.shape[1:])
+        encoded, begun = self.encoder(rollout.now), self.memory(*rollout.actions.shape[1:])
         assert begun is not None
         (hidden, last), states = begun, []
         for t, actions in enumerate(rollout.actions):
@@ -76,7 +74,7 @@ class CarNet(nn.Module):
             hidden, last = states[-1] * ~over.unsqueeze(-1), actions.masked_fill(over, N_ACTIONS)
         state = torch.stack(states)
         with torch.no_grad():
-            after = self._remembered(self.encode(rollout.after), state, rollout.actions)
+            after = self._remembered(self.encoder(rollout.after), state, rollout.actions)
             after = self.masked(after, rollout.after)
         return self.masked(state, rollout.now), after
 
@@ -91,17 +89,9 @@ class CarNet(nn.Module):
         state: Tensor = self.cell(seen.flatten(0, -2), hidden.flatten(0, -2))
         return state.view_as(encoded)
 
-    def encode(self, seen: Seen) -> Tensor:
-        """Return the encoder's vectors (..., n, width)."""
-        return self.encoder.of_places(seen.places, seen.offers)
-
-    def values(self, encoded: Tensor, seen: Seen) -> Tensor:
-        """Return (..., n, 15) from the encoder's vectors."""
-        return self.encoder.on_map(self.head(encoded), seen.places)
-
     def masked(self, encoded: Tensor, seen: Seen) -> Tensor:
-        """Return the same with -inf for what is not offered."""
-        return self.values(encoded, seen).masked_fill(~seen.offers, -torch.inf)
+        """Return (..., n, 15) from the encoder's vectors, -inf for what is not offered."""
+        return self.encoder.on_map(self.head(encoded), seen.places).masked_fill(~seen.offers, -torch.inf)
 
 
 def first_net(shape: Shape, seed: int) -> CarNet:
@@ -136,10 +126,9 @@ class QMixer(nn.Module):
         super().__init__()
         self.n_cars = shape.n_cars
         self.encoder = make_encoder(shape)
-        # The table is the first layer of what makes the mixing weights, and begins as a linear layer on a drawing of
-        # all places does. With a policy's table the team's value changes by 7 to 22 with a car's, and otherwise in
-        # every state: the cars' values are lost in it. The published mixer begins with 0.2 to 0.7, this one with 0.1
-        # to 0.5, however many things there are.
+        # The table begins as a linear layer on a drawing of all places does. With a policy's table the team's value
+        # changes by 7 to 22 with a car's, and the cars' values are lost; in the published mixer by 0.2 to 0.7, here by
+        # 0.1 to 0.5, however many things there are.
         largest = shape.places**-0.5
         nn.init.uniform_(self.encoder.table.weight, -largest, largest)
         self.first_weight = nn.Linear(shape.width, shape.n_cars * _MIXING_WIDTH)
@@ -151,7 +140,7 @@ class QMixer(nn.Module):
 
     def forward(self, chosen: Tensor, seen: Seen) -> Tensor:
         """Return the team's value (...) from the values (..., n) of the cars' chosen actions."""
-        return self.mix(chosen, self.encoder.of_places(seen.places, seen.offers).mean(-2).relu())
+        return self.mix(chosen, self.encoder(seen).mean(-2).relu())
 
     def mix(self, chosen: Tensor, state: Tensor) -> Tensor:
         """Return the same from a state (..., width)."""
@@ -175,9 +164,7 @@ class OthersNet(nn.Module):
         """Return (..., n, 15) from what is seen and actions (..., n)."""
         did = _looked_up(self.actions, actions)
         others = did.sum(-2, keepdim=True) - did
-        return self.encoder.on_map(
-            self.head(self.encoder.of_places(seen.places, seen.offers) + others), seen.places
-        )
+        return self.encoder.on_map(self.head(self.encoder(seen) + others), seen.places)
 
 
 class JointNet(nn.Module):
@@ -191,7 +178,8 @@ class JointNet(nn.Module):
 
     def state(self, seen: Seen) -> Tensor:
         """Return a vector (..., width) of what all cars see."""
-        return self.encoder.of_places(seen.places, seen.offers).mean(-2)
+        state: Tensor = self.encoder(seen).mean(-2)
+        return state
 
     def forward(self, state: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """Return (...) twice from states (..., width) and actions (..., n)."""
@@ -213,6 +201,12 @@ def head(width: int, n_out: int, layer_norm: bool = False) -> nn.Module:
     if layer_norm:
         return nn.Sequential(nn.LayerNorm(width), nn.ReLU(), first, nn.LayerNorm(width), nn.ReLU(), last)
     return nn.Sequential(nn.ReLU(), nn.Sequential(first, nn.ReLU(), last))
+
+
+@torch.no_grad()
+def follow(target: nn.Module, online: nn.Module, rate: float) -> None:
+    """Let the weights of a target network follow those of another by this part of their difference."""
+    torch._foreach_lerp_([*target.parameters()], [*online.parameters()], rate)
 
 
 def numbers(

@@ -36,13 +36,8 @@ Observations = dict[str, dict[str, NDArray[Any]]]
 def need_torch() -> None:
     """Raise InputError with the command that installs what is missing."""
     cpu = "pip install torch --index-url https://download.pytorch.org/whl/cpu"
-    need(
-        "train",
-        "training needs",
-        *PACKAGES,
-        "safetensors",
-        remark=f" (a CPU build of torch is enough: {cpu})",
-    )
+    remark = f" (a CPU build of torch is enough: {cpu})"
+    need("train", "training needs", *PACKAGES, "safetensors", remark=remark)
 
 
 class TrainedPolicy:
@@ -51,12 +46,8 @@ class TrainedPolicy:
     def __init__(
         self, config: TrainConfig, identity: TaskIdentity, shape: Shape, net: CarNet, seed: int = 0
     ) -> None:
-        self.config = config
+        self.config, self.identity, self.shape, self.net = config, identity, shape, net
         self._draws = np.random.default_rng(seed) if config.acting == "sampled" else None
-        self.identity = identity
-        """Identity of its task."""
-        self.shape = shape
-        self.net = net
         self._checked: Task | None = None
         self._memory: RecurrentState | None = None
 
@@ -75,16 +66,14 @@ class TrainedPolicy:
 
         task = as_task(task)
         shape = self.shape.of_task(task)
-        if self.shape.network == "relative" and task.layout.n_targets and self.shape.fits(shape):
-            difference = self.identity.rules_difference(rules)
-        else:
-            difference = self.identity.difference(task, rules)
-        if difference:
+        fits = self.shape.fits(shape)
+        plays_others = fits and self.shape.network == "relative" and task.layout.n_targets > 0
+        if difference := self.identity.difference(task, rules, plays_others):
             raise InputError(
                 f"this policy was trained on {self.identity.name}, and cannot play {task.name}: {difference}; "
                 "train one with 'craftsim train'"
             )
-        if not self.shape.fits(shape):
+        if not fits:
             raise InputError(
                 f"this policy is damaged: its network is for {self.shape}, {task.name} has {shape}"
             )
@@ -100,25 +89,23 @@ class TrainedPolicy:
             self.check_task(task)
         any_number = self.shape.network == "relative" and len(observations) > 0
         names = [f"car_{i}" for i in range(len(observations) if any_number else self.shape.n_cars)]
+        trained = f"this policy was trained on {self.identity.name}"
         if set(observations) != set(names):
             raise InputError(
-                f"this policy was trained on {self.identity.name} with the agents {', '.join(names)}; "
-                f"asked for {', '.join(sorted(observations)) or 'none'}"
+                f"{trained} with the agents {', '.join(names)}; asked for {', '.join(sorted(observations)) or 'none'}"
             )
         seen, mask = (
             np.stack([observations[name][key] for name in names]) for key in ("observation", "action_mask")
         )
         if seen.shape[-1] % ROW if any_number else seen.shape[-1] != self.shape.vector_length:
             raise InputError(
-                f"this policy was trained on {self.identity.name}, whose observations have "
-                f"{self.shape.vector_length} numbers, not {seen.shape[-1]}"
+                f"{trained}, whose observations have {self.shape.vector_length} numbers, not {seen.shape[-1]}"
             )
         noise = None if self._draws is None else self._draws.gumbel(size=mask.shape)
         if self._memory is None or getattr(observations, "begins", False):
             self._memory = self.net.memory(len(names))
-        return dict(
-            zip(names, choose_actions(self.net, seen, mask, noise, self._memory).tolist(), strict=True)
-        )
+        chosen = choose_actions(self.net, seen, mask, noise, self._memory)
+        return dict(zip(names, chosen.tolist(), strict=True))
 
 
 def shipped_policies() -> list[str]:

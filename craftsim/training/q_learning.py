@@ -8,20 +8,23 @@ or by a network of the joint action with which their sum must agree where it mat
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import mse_loss
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kernel.tasks import ROW
 from craftsim.errors import InputError
+from craftsim.training.features import Seen, joined
 from craftsim.training.learner import Learner, drawn_offers, of_actions
-from craftsim.training.networks import CarNet, JointNet, QMixer, RecurrentState
-from craftsim.training.rollouts import Rollout, Seen, lambda_returns
-from craftsim.training.settings import QSettings
+from craftsim.training.networks import CarNet, JointNet, QMixer, RecurrentState, follow, numbers
+from craftsim.training.rollouts import Rollout, distinct, lambda_returns
+from craftsim.training.settings import PQNSettings, QSettings
 from craftsim.training.shape import Shape
 
 
@@ -30,16 +33,16 @@ class ReplayMemory:
 
     def __init__(self, shape: Shape, size: int, ticks: int, absent: int) -> None:
         """Make room for so many rollouts of one world; ``absent`` is the last row of the encoder's table."""
-        n, rows = shape.n_cars, shape.n_rows
+        n, rows = shape.n_cars, shape.vector_length // ROW
         self.size = size
         self.bounds = {"places": (0, absent), "actions": (0, N_ACTIONS - 1)}
         self.columns = {
-            "places": torch.zeros(self.size, ticks, 2, n, rows, dtype=torch.int32),
-            "offers": torch.zeros(self.size, ticks, 2, n, N_ACTIONS, dtype=torch.bool),
-            "actions": torch.zeros(self.size, ticks, n, dtype=torch.int64),
-            "rewards": torch.zeros(self.size, ticks),
-            "terminated": torch.zeros(self.size, ticks, dtype=torch.bool),
-            "done": torch.zeros(self.size, ticks, dtype=torch.bool),
+            "places": torch.zeros(size, ticks, 2, n, rows, dtype=torch.int32),
+            "offers": torch.zeros(size, ticks, 2, n, N_ACTIONS, dtype=torch.bool),
+            "actions": torch.zeros(size, ticks, n, dtype=torch.int64),
+            "rewards": torch.zeros(size, ticks),
+            "terminated": torch.zeros(size, ticks, dtype=torch.bool),
+            "done": torch.zeros(size, ticks, dtype=torch.bool),
         }
         self.total = 0
         """Rollouts of one world that were ever put here."""
@@ -50,25 +53,20 @@ class ReplayMemory:
 
     def add(self, rollout: Rollout) -> None:
         """Remember what was played in each world, and forget the oldest."""
-        content = {
-            "places": torch.stack([rollout.now.places, rollout.after.places], 2),
-            "offers": torch.stack([rollout.now.offers, rollout.after.offers], 2),
-            "actions": rollout.actions,
-            "rewards": rollout.rewards,
-            "terminated": rollout.terminated,
-            "done": rollout.done,
-        }
+        seen = joined([rollout.now, rollout.after], partial(torch.stack, dim=2))
+        rest = rollout.actions, rollout.rewards, rollout.terminated, rollout.done
         n = rollout.rewards.shape[1]
         at = (self.total + torch.arange(n)) % self.size
-        for name, column in content.items():
-            self.columns[name][at] = column.transpose(0, 1)
+        for column, played in zip(self.columns.values(), (seen.places, seen.offers, *rest), strict=True):
+            column[at] = played.transpose(0, 1)
         self.total += n
 
     def sample(self, n: int) -> Rollout:
         """Return what was played in n worlds, drawn with replacement."""
         some = torch.randint(len(self), (n,))
         places, offers, *rest = (column[some].transpose(0, 1) for column in self.columns.values())
-        return Rollout(Seen(places[:, :, 0], offers[:, :, 0]), Seen(places[:, :, 1], offers[:, :, 1]), *rest)
+        now, after = (Seen(places[:, :, i], offers[:, :, i]) for i in range(2))
+        return Rollout(now, after, *rest)
 
 
 class QLearner(Learner):
@@ -76,7 +74,7 @@ class QLearner(Learner):
 
     def __init__(self, shape: Shape, ticks: int, algo: str, settings: QSettings) -> None:
         self.settings: QSettings = settings
-        self.ticks, self.n_cars = ticks, shape.n_cars
+        self.algo, self.ticks, self.n_cars = algo, ticks, shape.n_cars
         self.net = CarNet(shape)
         self.team = {"qmix": QMixer, "qtran": JointNet}.get(algo, lambda shape: nn.Identity())(shape)
         self.online = nn.ModuleDict({"net": self.net, "team": self.team})
@@ -86,12 +84,7 @@ class QLearner(Learner):
         self.modules = nn.ModuleDict(
             {"online": self.online, "target": self.target.requires_grad_(False), "rewards": self.rewards}
         )
-        self.loss: Callable[[Rollout], Tensor] = {
-            "iql": self.independent,
-            "vdn": self.summed,
-            "qmix": self.mixed,
-            "qtran": self.transformed,
-        }[algo]
+        self.loss = self.transformed if algo == "qtran" else self.mixed
         self.optimizer = torch.optim.Adam(self.online.parameters(), settings.learning_rate, fused=True)
         self.replay = ReplayMemory(shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent)
         self.acting: RecurrentState | None = None
@@ -128,22 +121,20 @@ class QLearner(Learner):
         best = after.argmax(-1)
         return now, best, of_actions(self.target_net.of_ends(batch), best)
 
-    def independent(self, batch: Rollout) -> Tensor:
-        """Return IQL's loss: each car takes the team's reward for its own."""
-        now, _, follows = self.values(batch)
-        return mse_loss(of_actions(now, batch.actions), self._target(batch, follows))
-
-    def summed(self, batch: Rollout) -> Tensor:
-        """Return VDN's loss."""
-        now, _, follows = self.values(batch)
-        return mse_loss(of_actions(now, batch.actions).sum(-1), self._target(batch, follows.sum(-1)))
-
     def mixed(self, batch: Rollout) -> Tensor:
-        """Return QMIX's loss."""
+        """Return the loss of IQL, VDN and QMIX."""
         now, _, follows = self.values(batch)
         with torch.no_grad():
-            follows = self.target_team(follows, batch.after)
-        return mse_loss(self.team(of_actions(now, batch.actions), batch.now), self._target(batch, follows))
+            follows = self._of_team(self.target_team, follows, batch.after)
+        taken = self._of_team(self.team, of_actions(now, batch.actions), batch.now)
+        return mse_loss(taken, self._target(batch, follows))
+
+    def _of_team(self, team: nn.Module, values: Tensor, seen: Seen) -> Tensor:
+        """Return the team's values; in IQL each car takes the team's reward for its own."""
+        if self.algo == "qmix":
+            mixed: Tensor = team(values, seen)
+            return mixed
+        return values.sum(-1) if self.algo == "vdn" else values
 
     def transformed(self, batch: Rollout) -> Tensor:
         """Return QTRAN-base's loss, the sum of the paper's three."""
@@ -169,30 +160,58 @@ class QLearner(Learner):
             batch = replace(batch, rewards=batch.rewards / self.rewards.deviation())
         return lambda_returns(batch, follows, self.settings.gamma, self.settings.td_lambda)
 
-    def memory(self) -> dict[str, tuple[Tensor, float, float]]:
-        """Return the rollouts that it remembers, and how many it ever did."""
-        n, no_bounds = len(self.replay), (-1e9, 1e9)
-        columns = {
-            name: (column[:n], *self.replay.bounds.get(name, no_bounds))
-            for name, column in self.replay.columns.items()
-        }
-        return {"total": (torch.tensor(self.replay.total), 0, 2**60), **columns}
+    def state(self) -> dict[str, Any]:
+        """Return the complete state, with the rollouts that are remembered, and how many ever were."""
+        kept = {name: column[: len(self.replay)] for name, column in self.replay.columns.items()}
+        return super().state() | {"memory": {"total": torch.tensor(self.replay.total), **kept}}
 
-    def restore(self, state: dict[str, object]) -> None:
-        """Go on from a state: only its total says how many rollouts it holds."""
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restore what :meth:`state` returned: only its total says how many rollouts it holds."""
         memory = state["memory"]
         total = memory["total"] if isinstance(memory, dict) else None
         if not isinstance(total, Tensor) or total.shape != () or not 0 <= int(total) < 2**60:
             raise InputError(
                 f"'total' is {str(total)[:40]}; allowed: the number of rollouts that were remembered"
             )
-        self.replay.total = int(total)
         super().restore(state)
-
-    def remember(self, memory: dict[str, Tensor]) -> None:
-        """Take the rollouts over."""
+        self.replay.total = int(total)
         for name, column in self.replay.columns.items():
-            column[: len(memory[name])] = memory[name]
+            kept = column[: len(self.replay)]
+            kept.copy_(numbers(memory[name], name, kept, *self.replay.bounds.get(name, (-1e9, 1e9))))
+
+
+class PQNLearner(Learner):
+    """PQN-VDN: the sum of the cars' values is the team's, learnt on many worlds side by side, without replay.
+
+    After Gallici et al., "Simplifying deep temporal difference learning", ICLR 2025: lambda returns of fresh rollouts,
+    and layer normalisation, take the place of replay and target networks.
+    """
+
+    def __init__(self, shape: Shape, ticks: int, settings: PQNSettings) -> None:
+        self.settings: PQNSettings = settings
+        self.ticks = ticks
+        self.net = CarNet(shape)
+        self.modules: nn.Module = self.net
+        self.optimizer = torch.optim.RAdam(self.net.parameters(), settings.learning_rate)
+
+    def act(self, seen: Seen) -> Tensor:
+        """Choose each car's best action, and now and then any."""
+        return epsilon_greedy(self.net(seen), seen, self.settings.epsilon(self.learnt))
+
+    def update(self, rollout: Rollout) -> None:
+        """Learn from each tick as many times as there are epochs."""
+        settings = self.settings
+        n, actions = len(rollout), rollout.actions.flatten(0, 1)
+        once, inverse = distinct(joined([rollout.now.flat(), rollout.after.flat()]))
+        with torch.no_grad():
+            best = self.net(once).amax(-1).sum(-1)
+        after = best[inverse[n:]].view_as(rollout.rewards)
+        target = lambda_returns(rollout, after, settings.gamma, settings.td_lambda).flatten()
+        for _ in range(settings.epochs):
+            for some in torch.randperm(n).chunk(settings.minibatches):
+                met, places = torch.unique(inverse[some], return_inverse=True)
+                values = self.net(once[met]).index_select(0, places)
+                self.minimize(mse_loss(of_actions(values, actions[some]).sum(-1), target[some]))
 
 
 class RewardScale(nn.Module):
@@ -219,9 +238,3 @@ def epsilon_greedy(values: Tensor, seen: Seen, epsilon: float) -> Tensor:
     """Return actions (B, n): with this probability one drawn from those that are offered, or the best one."""
     best, any_offered = values.argmax(-1), drawn_offers(seen.offers)
     return torch.where(torch.rand(best.shape) < epsilon, any_offered, best)
-
-
-@torch.no_grad()
-def follow(target: nn.Module, online: nn.Module, rate: float) -> None:
-    """Let the weights of a target network follow those of another by this part of their difference."""
-    torch._foreach_lerp_([*target.parameters()], [*online.parameters()], rate)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from craftsim.choices import Execution
 from craftsim.discrete.asynchronous import USUAL_TICK_S, AsynchronousEpisodes, Timing
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.rules import RuleSet
@@ -18,13 +19,13 @@ from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.physics_vector import PhysicsVectorEnv
-from craftsim.training.features import Encoder, RelativeEncoder
+from craftsim.training.exploration import hashes
+from craftsim.training.features import Encoder, Seen, joined
 from craftsim.training.shape import Shape
 
 _HASH_SEED: Final = 2
-_NOVELTY_SEED: Final = 1
 BUCKETS: Final = 1 << 20
-"""Counts of :class:`NoveltyWorlds`."""
+"""Counts of :class:`Novelty`."""
 TRAINED_JITTER: Final = 0.1
 """Relative jitter of durations in asynchronous training."""
 
@@ -32,82 +33,49 @@ TRAINED_JITTER: Final = 0.1
 class BatchStep(NamedTuple):
     """The result of a step of B worlds."""
 
-    reward: NDArray[np.float64]
-    """(B,): team reward."""
-    terminated: NDArray[np.bool_]
-    """(B,): the task was completed."""
-    done: NDArray[np.bool_]
-    """(B,): the episode is over."""
-    elapsed: NDArray[np.float64] | None = None
-    """(B,): elapsed time in usual ticks; None: one each."""
-
-
-@dataclass(frozen=True)
-class Seen:
-    """Observations of cars as inputs of a network."""
-
-    places: Tensor
-    """(..., n, rows) int32: row of the encoder's table for each entity, see :meth:`.features.Encoder.places`."""
-    offers: Tensor
-    """(..., n, 15) bool: action masks, with at least one action each."""
-
-    def __getitem__(self, index: Any) -> Seen:
-        """Index the leading dimensions."""
-        return Seen(self.places[index], self.offers[index])
-
-    def flat(self, dims: int = 2) -> Seen:
-        """Return the observations with the first ``dims`` dimensions flattened."""
-        return Seen(self.places.flatten(0, dims - 1), self.offers.flatten(0, dims - 1))
-
-
-def joined(parts: Sequence[Seen], join: Callable[..., Tensor] = torch.cat) -> Seen:
-    """Concatenate along the first dimension, or combine with ``join``, such as torch.stack."""
-    return Seen(join([part.places for part in parts]), join([part.offers for part in parts]))
+    reward: NDArray[np.float64]  # (B,): team reward
+    terminated: NDArray[np.bool_]  # (B,): the task was completed
+    done: NDArray[np.bool_]  # (B,): the episode is over
+    elapsed: NDArray[np.float64] | None = None  # (B,): elapsed time in usual ticks; None: one each
 
 
 @dataclass(frozen=True)
 class Rollout:
     """T ticks of B worlds with n cars."""
 
-    now: Seen
-    """(T, B): before each tick."""
-    after: Seen
-    """(T, B): after each tick; at the end of an episode its last observation."""
-    actions: Tensor
-    """(T, B, n) int64."""
-    rewards: Tensor
-    """(T, B) float32: team rewards."""
-    terminated: Tensor
-    """(T, B) bool: the task was completed."""
-    done: Tensor
-    """(T, B) bool: the episode ended, by success or its time limit."""
-    decides: Tensor | None = None
-    """(T, B, n) bool: which cars chose their action, while the others were executing one; None: all."""
-    elapsed: Tensor | None = None
-    """(T, B) float32: elapsed time of each step in usual ticks; None: one each."""
+    now: Seen  # (T, B): before each tick
+    after: Seen  # (T, B): after each tick; at the end of an episode its last observation
+    actions: Tensor  # (T, B, n) int64
+    rewards: Tensor  # (T, B) float32: team rewards
+    terminated: Tensor  # (T, B) bool: the task was completed
+    done: Tensor  # (T, B) bool: the episode ended, by success or its time limit
+    decides: Tensor | None = None  # (T, B, n) bool: which cars chose, while others were acting; None: all
+    elapsed: Tensor | None = None  # (T, B) float32: time of each step in usual ticks; None: one each
 
     def __len__(self) -> int:
         """Return the number of ticks over all worlds."""
         return self.rewards.numel()
 
 
-class GridWorlds:
-    """B parallel worlds of one task on the grid, in ticks or, in asynchronous execution, from event to event."""
+def make_episodes(
+    task: Task,
+    rng: np.random.Generator,
+    n: int,
+    rules: RuleSet = "physical",
+    helper_depth: int | None = None,
+    execution: Execution = "synchronous",
+) -> Episodes:
+    """Return n episodes on the grid, in ticks or, in asynchronous execution, from event to event."""
+    if execution == "synchronous":
+        return Episodes(task, rng, n, rules, helper_depth)
+    return AsynchronousEpisodes(task, rng, n, rules, helper_depth, timing=Timing(jitter=TRAINED_JITTER))
 
-    def __init__(
-        self,
-        task: Task,
-        n: int,
-        rules: RuleSet = "physical",
-        helper_depth: int | None = None,
-        asynchronous: bool = False,
-    ) -> None:
-        rng = np.random.default_rng()
-        self.episodes = (
-            AsynchronousEpisodes(task, rng, n, rules, helper_depth, timing=Timing(jitter=TRAINED_JITTER))
-            if asynchronous
-            else Episodes(task, rng, n, rules, helper_depth)
-        )
+
+class GridWorlds:
+    """B parallel worlds of one task on the grid; ``how`` as of :func:`make_episodes`."""
+
+    def __init__(self, task: Task, n: int, *how: Any) -> None:
+        self.episodes = make_episodes(task, np.random.default_rng(), n, *how)
         self._over = np.zeros(n, np.bool_)
 
     @property
@@ -145,20 +113,22 @@ class GridWorlds:
 
 
 class PhysicsWorlds:
-    """The same in physics over worker processes; results do not depend on their number."""
+    """The same in physics over worker processes; results do not depend on their number.
+
+    Options are those of :class:`craftsim.envs.physics_vector.PhysicsVectorEnv`.
+    """
 
     decides: NDArray[np.bool_] | None = None
 
     def __init__(self, task: Task, n: int, **options: Any) -> None:
-        """Prepare; options are those of :class:`craftsim.envs.physics_vector.PhysicsVectorEnv`."""
         self.envs = PhysicsVectorEnv(task, n, **options)
-        self._seen: tuple[NDArray[np.integer], NDArray[np.bool_]]
-        self._next: tuple[NDArray[np.integer], NDArray[np.bool_]]
 
     def reset(self, seed: int) -> None:
         """Start all episodes anew."""
-        observation, _infos = self.envs.reset(seed=seed)
-        self._seen = self.envs.car_vectors(), observation["action_mask"] != 0
+        self._next = self._seen = self._look(self.envs.reset(seed=seed)[0])
+
+    def _look(self, observation: dict[str, NDArray[Any]]) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
+        return self.envs.car_vectors(), observation["action_mask"] != 0
 
     def observe(self) -> tuple[NDArray[np.integer], NDArray[np.bool_]]:
         """Return observations and masks."""
@@ -168,14 +138,13 @@ class PhysicsWorlds:
         """Let all cars act."""
         observation, reward, terminated, truncated, infos = self.envs.step(actions)
         # A world whose episode has ended stands at the start of the next one already.
-        self._next = self.envs.car_vectors(), observation["action_mask"] != 0
-        vectors, masks = self._next[0].copy(), self._next[1].copy()
+        self._next = self._look(observation)
+        vectors, masks = self._seen = self._next[0].copy(), self._next[1].copy()
         done = terminated | truncated
         for world in np.flatnonzero(done):
             last = infos["final_obs"][world]
             vectors[world] = car_vectors(last["observation"].reshape(1, -1, ROW), masks.shape[1])[0]
             masks[world] = last["action_mask"] != 0
-        self._seen = vectors, masks
         return BatchStep(reward, terminated, done)
 
     def restart(self) -> None:
@@ -187,63 +156,59 @@ class PhysicsWorlds:
         self.envs.close()
 
 
-class NoveltyWorlds:
-    """Worlds whose rewards rise by a weight divided by the root of how often their arrangement of things was seen.
+class Novelty:
+    """A bonus: a weight divided by the root of how often an arrangement of things was seen.
 
-    Count-based exploration by hashing (Tang et al., "#Exploration", NeurIPS 2017): the bonus fades as counts grow, and
-    evaluations never see it. Where the cars are plays no part. ``counts`` (BUCKETS,) may be shared by several.
+    Count-based exploration by hashing (Tang et al., "#Exploration", NeurIPS 2017): it fades as ``counts`` (BUCKETS,)
+    grow, and evaluations never see it. Where the cars are plays no part.
     """
 
-    def __init__(
-        self, worlds: GridWorlds | PhysicsWorlds, weight: float, shape: Shape, counts: NDArray[np.int32]
-    ) -> None:
-        self.worlds, self.weight, self.counts = worlds, weight, counts
-        self._skip = ROW * (1 + shape.n_cars)
-        n = shape.vector_length - self._skip
-        self._factors = np.random.default_rng(_NOVELTY_SEED).integers(-(2**62), 2**62, n)
-        self.reset, self.observe = worlds.reset, worlds.observe
-        self.restart, self.close = worlds.restart, worlds.close
+    def __init__(self, weight: float, shape: Shape, counts: NDArray[np.int32]) -> None:
+        self.weight, self.counts, self._skip = weight, counts, ROW * (1 + shape.n_cars)
 
-    @property
-    def decides(self) -> NDArray[np.bool_] | None:
-        """Which cars choose what they do next."""
-        return self.worlds.decides
-
-    def step(self, actions: NDArray[np.int64]) -> BatchStep:
-        """Let all cars act; the bonus is part of the reward."""
-        outcome = self.worlds.step(actions)
-        things = self.observe()[0][:, 0, self._skip :].astype(np.int64)
-        with np.errstate(over="ignore"):
-            buckets = ((things * self._factors).sum(-1) >> 20) % BUCKETS
+    def __call__(self, vectors: NDArray[np.integer]) -> NDArray[np.float64]:
+        """Count what is observed, (B, n, vector_length), and return (B,)."""
+        buckets = (hashes(vectors[:, 0, self._skip :]) >> 20) % BUCKETS
         np.add.at(self.counts, buckets, 1)
-        return outcome._replace(reward=outcome.reward + self.weight / np.sqrt(self.counts[buckets]))
+        bonus: NDArray[np.float64] = self.weight / np.sqrt(self.counts[buckets])
+        return bonus
 
 
-WorldBatch = GridWorlds | PhysicsWorlds | NoveltyWorlds
+WorldBatch = GridWorlds | PhysicsWorlds
 
 
-def _forget(_worlds: Tensor) -> None: ...
+def _ignore(_worlds: Tensor) -> None: ...
 
 
 @torch.no_grad()
 def play(
     worlds: WorldBatch,
-    encoder: Encoder | RelativeEncoder,
+    encoder: Encoder,
     act: Callable[[Seen], Tensor],
     ticks: int,
-    begin: Callable[[Tensor], None] = _forget,
+    begin: Callable[[Tensor], None] = _ignore,
+    bonus: Callable[[NDArray[np.integer]], NDArray[np.float64]] | None = None,
 ) -> Rollout:
     """Return a rollout of all worlds from their present states.
 
-    ``act`` maps observations to actions (B, n); ``begin`` gets a mask (B,) of the worlds in which an episode begins.
+    Args:
+        worlds: what is played.
+        encoder: of the network.
+        act: from observations to actions (B, n).
+        ticks: how many are played.
+        begin: gets a mask (B,) of the worlds in which an episode begins.
+        bonus: from the observations after a tick to what is added to its rewards.
     """
     columns: list[tuple[Any, ...]] = []
-    now = _look(worlds, encoder)
+    now = encoder.look(*worlds.observe())
     begin(torch.ones(len(now.places), dtype=torch.bool))
     for _ in range(ticks):
         decides, actions = worlds.decides, act(now)
         reward, terminated, done, elapsed = worlds.step(actions.numpy())
-        after = _look(worlds, encoder)
+        vectors, masks = worlds.observe()
+        after = encoder.look(vectors, masks)
+        if bonus is not None:
+            reward = reward + bonus(vectors)
         arrays = reward.astype(np.float32), terminated, done, decides, elapsed
         columns.append(
             (now, after, actions, *(None if a is None else torch.from_numpy(a.copy()) for a in arrays))
@@ -251,17 +216,11 @@ def play(
         now = after
         if done.any():
             worlds.restart()
-            now = _look(worlds, encoder)
+            now = encoder.look(*worlds.observe())
             begin(torch.from_numpy(done.copy()))
     nows, afters, *rest = zip(*columns, strict=True)
     stacked: Any = (None if column[0] is None else torch.stack(column) for column in rest)
     return Rollout(joined(nows, torch.stack), joined(afters, torch.stack), *stacked)
-
-
-def _look(worlds: WorldBatch, encoder: Encoder | RelativeEncoder) -> Seen:
-    vectors, masks = worlds.observe()
-    places = encoder.places(torch.from_numpy(vectors.astype(np.int64)))
-    return Seen(places.to(torch.int32), torch.from_numpy(masks.copy()))
 
 
 def lambda_returns(rollout: Rollout, after: Tensor, gamma: float, decay: float) -> Tensor:

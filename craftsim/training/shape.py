@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from craftsim.discrete.grid import check_size
@@ -25,19 +25,13 @@ _WEIGHT_BYTES: Final = 4
 class Shape:
     """The shape of the networks for a task. Raises InputError for one that no policy file could hold."""
 
-    size: tuple[int, int, int]
-    """Length, width and height of the map."""
+    size: tuple[int, int, int]  # length, width and height of the map
     n_cars: int
-    vector_length: int
-    """Numbers in one car's observation."""
-    width: int
-    """Length of the vectors inside the network."""
-    network: Literal["map", "relative"] = "map"
-    """Whether things are looked up by their cells, or by where they are as a car sees it."""
-    layer_norm: bool = False
-    """Whether the policy normalises its layers."""
-    recurrent: bool = False
-    """Whether the policy has a memory."""
+    vector_length: int  # numbers in one car's observation
+    width: int  # of the vectors inside the network
+    network: Literal["map", "relative"] = "map"  # things are looked up by cell, or as they lie from a car
+    layer_norm: bool = False  # whether the policy normalises its layers
+    recurrent: bool = False  # whether the policy has a memory
 
     def __post_init__(self) -> None:
         check_size(self.size, self.n_cars)
@@ -56,11 +50,6 @@ class Shape:
         cells = " x ".join(map(str, self.size))
         seen = f" with {self.n_cars} cars that observe {self.vector_length} numbers"
         return f"{cells} cells{seen if self.network == 'map' else ''} (network {self.network}, width {self.width})"
-
-    @property
-    def n_rows(self) -> int:
-        """Things in one car's observation."""
-        return self.vector_length // ROW
 
     @property
     def cells(self) -> int:
@@ -115,10 +104,8 @@ class TaskIdentity:
     """What a task is, in digests (SHA-256, hexadecimal) that can be stored and compared."""
 
     name: str
-    world: str
-    """Of the start files' contents and of whether observations show the flag."""
-    design: str
-    """Of the cells to be built; empty for a task without a design."""
+    world: str  # of the start files' contents and of whether observations show the flag
+    design: str  # of the cells to be built; empty for a task without a design
     rules: RuleSet
 
     @classmethod
@@ -133,25 +120,17 @@ class TaskIdentity:
         """One digest of all but the name."""
         return _digest([self.world, self.design, self.rules])
 
-    def difference(self, task: Task, rules: RuleSet | None = None) -> str:
+    def difference(self, task: Task, rules: RuleSet | None = None, any_world: bool = False) -> str:
         """Return in words in what another task differs, or nothing where it is the same.
 
-        Designs are compared where both have one, rule sets where one is given.
+        Designs are compared where both have one, rule sets where one is given; nothing else in ``any_world``.
         """
-        other = TaskIdentity.of(task, rules or self.rules)
-        if self.world != other.world:
+        other = TaskIdentity.of(task)
+        if not any_world and self.world != other.world:
             return "its worlds start otherwise"
-        if self.design and other.design and self.design != other.design:
+        if not any_world and self.design and other.design and self.design != other.design:
             return "its design is another"
-        return self.rules_difference(rules)
-
-    def rules_difference(self, rules: RuleSet | None) -> str:
-        """Return in words that a rule set is another, or nothing where it is the same or none is given."""
         return f"its rule set is {rules}, not {self.rules}" if rules and rules != self.rules else ""
-
-    def as_dict(self) -> dict[str, str]:
-        """Return the fields by name."""
-        return asdict(self)
 
 
 def starts_digest(task: Task) -> str:

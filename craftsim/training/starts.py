@@ -1,23 +1,42 @@
-"""What a run is given beside its task: other starts to train from, and what it imitates before it learns."""
+"""What a run is given beside its task: other starts to train from, and what it imitates before it learns.
+
+Demonstrations are what is done on the way to a building, tick by tick, by the planner or by exploration.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules, RuleSet
 from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.starts import Starts, StartSampler, load_starts, targets_of
 from craftsim.errors import InputError
+from craftsim.planning import NoPlanError, plan_building
+from craftsim.planning.joint_plan import Ticks
 from craftsim.training.config import HALF, TrainConfig
-from craftsim.training.demonstrations import Demonstrations, Progress, planned_demonstrations, replayed
-from craftsim.training.exploration import STARTS, done_on, explore
+from craftsim.training.exploration import STARTS, explore
+
+Progress = Callable[[int], AbstractContextManager[Callable[[bool], None]]]
+"""Given how many plans are to be made, a context in which a call says of each whether there is one."""
+NOT_SHOWN: Final = -1
+"""In place of an action: the plan lets the car wait. A policy that has learnt to wait may do so for ever."""
+
+
+def silent(total: int) -> AbstractContextManager[Callable[[bool], None]]:
+    """Show no progress."""
+    return nullcontext(lambda found: None)
 
 
 def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
@@ -37,17 +56,20 @@ def with_starts(task: Task, path: Path, rules: RuleSet = "physical") -> Task:
             f"{path}: task '{task.name}' starts otherwise in every episode, so that no plan fits it, nor worlds "
             "without a design where each has its own; leave starts out"
         )
-    own = task.draw(np.random.default_rng(0))
-    grids = along_plan(own, path, rules) if path.suffix == ".plan" else load_starts(path)
-    return half_from(task, grids)
+    if path.suffix != ".plan":
+        return _half_from(task, load_starts(path))
+    played, grids = Rules(rules), [task.draw(np.random.default_rng(0))]
+    for tick in read_plan(path, grids[0].n_cars).ticks[:-1]:
+        grids.append(played.tick(grids[-1], tick)[0])
+    return _half_from(task, grids[1:])
 
 
-def half_from(task: Task, grids: Sequence[Grid]) -> Task:
+def _half_from(task: Task, grids: Sequence[Grid]) -> Task:
     """Return a task of whose episodes half start as ever and half with one of these worlds."""
     if task.split:
         for grid in grids:
             task.check_start(grid)
-        return half_shown(task, Starts.of(grids, targets_of(task.design)))
+        return _half_shown(task, Starts.of(grids, targets_of(task.design)))
     own = task.draw(np.random.default_rng(0))
     return task.starting_from([*grids, *[own] * len(grids)])
 
@@ -58,8 +80,7 @@ class HalfShown:
 
     own: StartSampler
     others: Starts
-    share: float = 0.5
-    """Of the others, where it is not half."""
+    share: float  # of the others, where it is not half
 
     def draw(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n starts."""
@@ -69,25 +90,94 @@ class HalfShown:
         return starts
 
 
-def half_shown(task: Task, worlds: Starts, share: float = 0.5) -> Task:
-    """Return a task that varies of whose episodes half, or another share, start with one of these worlds."""
+def _half_shown(task: Task, worlds: Starts, share: float = HALF) -> Task:
     assert task.sampler is not None, "a task that varies has a sampler"
     return replace(task, sampler=HalfShown(task.sampler, worlds, share))
 
 
-def along_plan(start: Grid, path: Path, rule_set: RuleSet) -> list[Grid]:
-    """Return the worlds that a plan comes by before its last tick, the start left out."""
-    rules, grids = Rules(rule_set), [start]
-    for tick in read_plan(path, start.n_cars).ticks[:-1]:
-        grids.append(rules.tick(grids[-1], tick)[0])
-    return grids[1:]
+@dataclass(frozen=True)
+class Demonstrations:
+    """N ticks of plans, one plan after the other."""
+
+    worlds: Starts  # before each tick, with what is to be built
+    actions: NDArray[np.int64]  # (N, n): of each car, or NOT_SHOWN
+    rewards: NDArray[np.float32]  # (N,)
+    first: NDArray[np.bool_]  # (N,): the first tick of a plan
+
+    def returns(self, gamma: float) -> NDArray[np.float32]:
+        """Return (N,): the discounted sum of rewards from each tick to the end of its plan."""
+        found, ahead = np.empty_like(self.rewards), np.float32(0)
+        for i in range(len(found) - 1, -1, -1):
+            found[i] = ahead = self.rewards[i] + np.float32(gamma) * ahead
+            if self.first[i]:
+                ahead = np.float32(0)
+        return found
+
+
+def planned_demonstrations(
+    task: Task, plans: int, rng: np.random.Generator, progress: Progress = silent
+) -> Demonstrations:
+    """Return what the planner does from so many starts of a task under the physical rule set.
+
+    Starts without a plan within the length of an episode are left out. Raises InputError where there is none at all.
+    """
+    starts = task.draw_starts(rng, plans)
+    seeds = rng.integers(2**31, size=plans).tolist()
+    planned: list[Ticks] = []
+    with progress(plans) as made:
+        for i, seed in enumerate(seeds):
+            planned.append(_plan(task, starts, i, seed))
+            made(bool(planned[-1]))
+    found = np.flatnonzero([0 < len(ticks) <= task.max_steps + 2 for ticks in planned])
+    if not len(found):
+        raise InputError(
+            f"task '{task.name}': the planner found no plan within {task.max_steps + 2} ticks for any of {plans} "
+            "starts; ask for more, or leave imitate out"
+        )
+    return _replayed(task, starts.take(found), [planned[i] for i in found])
+
+
+def _plan(task: Task, starts: Starts, i: int, seed: int) -> Ticks:
+    """Return the ticks of a plan; none where there is no plan."""
+    grid = starts.grid(i)
+    one = task.starting_from([grid], starts.design(i, task.name)) if task.draws_designs else task
+    try:
+        return plan_building(grid, one, rounds=1, time_s=math.inf, seed=seed, exact=False).ticks
+    except NoPlanError:
+        return ()
+
+
+def _replayed(
+    task: Task, starts: Starts, plans: Sequence[Ticks], rules: RuleSet = "physical"
+) -> Demonstrations:
+    """Return what cars do in plans, one from each start."""
+    n_cars, lengths = starts.grids.n_cars, np.array([len(plan) for plan in plans])
+    rows, n_ticks = np.arange(len(plans)), int(lengths.max())
+    actions = np.full((len(plans), n_ticks, n_cars), NOT_SHOWN)
+    turns = np.tile(np.arange(n_cars), (len(plans), n_ticks, 1))
+    for i, plan in enumerate(plans):
+        for t, tick in enumerate(plan):
+            acting = [car for car, _ in tick]
+            actions[i, t, acting] = [action for _, action in tick]
+            turns[i, t] = acting + [car for car in range(n_cars) if car not in acting]
+    episodes = Episodes(task, np.random.default_rng(0), len(plans), rules)
+    episodes.begin(rows, starts)
+    worlds, rewards = [], np.zeros(actions.shape[:2], np.float32)
+    for t in range(n_ticks):
+        worlds.append(Starts(episodes.grids, episodes.designs).take(rows[lengths > t]))
+        done = np.where(actions[:, t] == NOT_SHOWN, int(Action.STOP), actions[:, t])
+        rewards[:, t] = episodes.step(done, turns[:, t]).reward
+    # All that is shown in one tick lies together so far.
+    which = np.arange(n_ticks)[:, None] < lengths
+    shown = Starts.joined(worlds).take(np.lexsort(np.nonzero(which)))
+    which = which.T
+    return Demonstrations(shown, actions[which], rewards[which], np.nonzero(which)[1] == 0)
 
 
 class Guidance(NamedTuple):
     """Either may be absent; the same whenever a run is resumed."""
 
-    starts: Task | None = None
-    """The task with other starts."""
+    starts: Task | None = None  # the task with other starts
     shown: Demonstrations | None = None
 
 
@@ -109,24 +199,18 @@ def guidance_of(
 ) -> Guidance:
     """Return what a configuration asks for; given starts replace those along plans."""
     if config.explore:
-        return _explored(config, task, rng)
-    if config.imitate:
-        shown = planned_demonstrations(task, config.imitate, rng, progress)
-        return _planned(config, task, shown, rng) if starts is None else Guidance(starts, shown)
-    return Guidance(starts)
-
-
-def _explored(config: TrainConfig, task: Task, rng: np.random.Generator) -> Guidance:
-    starts, way = explore(task, config.rules, config.explore, rng)
-    shown = None
-    if 1 < len(way) <= task.max_steps + 3:
-        start = Starts.of(way[:1], targets_of(task.design))
-        shown = replayed(task, start, [done_on(way, Rules(config.rules))], config.rules)
-    return Guidance(half_from(task, starts), shown)
-
-
-def _planned(config: TrainConfig, task: Task, shown: Demonstrations, rng: np.random.Generator) -> Guidance:
-    if task.split:
-        return Guidance(half_shown(task, shown.worlds, config.shown_share), shown)
-    some = rng.integers(len(shown.worlds), size=STARTS)
-    return Guidance(half_from(task, [shown.worlds.grid(i) for i in some]), shown)
+        reached, way, ticks = explore(task, config.rules, config.explore, rng)
+        shown = None
+        if 0 < len(ticks) <= task.max_steps + 2:
+            start = Starts.of(way[:1], targets_of(task.design))
+            shown = _replayed(task, start, [ticks], config.rules)
+        return Guidance(_half_from(task, reached), shown)
+    if not config.imitate:
+        return Guidance(starts)
+    shown = planned_demonstrations(task, config.imitate, rng, progress)
+    if starts is None and task.split:
+        starts = _half_shown(task, shown.worlds, config.shown_share)
+    elif starts is None:
+        some = rng.integers(len(shown.worlds), size=STARTS)
+        starts = _half_from(task, [shown.worlds.grid(i) for i in some])
+    return Guidance(starts, shown)

@@ -30,22 +30,19 @@ from craftsim.training.checkpoint import (
     save_policy,
     save_run,
 )
-from craftsim.training.coma import COMALearner
 from craftsim.training.config import WITH_PROBABILITIES, TrainConfig
 from craftsim.training.curve import CURVE_FILE, CurvePoint, EvaluationResult, write_curve
-from craftsim.training.demonstrations import Progress, silent
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.features import RelativeEncoder
 from craftsim.training.learner import Learner
 from craftsim.training.networks import CarNet, first_net, numbers
 from craftsim.training.policy import PACKAGES, POLICY_FILE, policy_file
-from craftsim.training.ppo import PPOLearner, imitate
-from craftsim.training.pqn import PQNLearner
-from craftsim.training.q_learning import QLearner
+from craftsim.training.policy_gradient import COMALearner, PPOLearner, imitate
+from craftsim.training.q_learning import PQNLearner, QLearner
 from craftsim.training.rollouts import (
     BUCKETS,
     GridWorlds,
-    NoveltyWorlds,
+    Novelty,
     PhysicsWorlds,
     Rollout,
     WorldBatch,
@@ -53,7 +50,7 @@ from craftsim.training.rollouts import (
 )
 from craftsim.training.settings import COMASettings, PPOSettings, PQNSettings, QSettings, settings_of
 from craftsim.training.shape import Shape, TaskIdentity, check_stage, starts_digest
-from craftsim.training.starts import Guidance, check_guidance, guidance_of
+from craftsim.training.starts import Guidance, Progress, check_guidance, guidance_of, silent
 from craftsim.workers.actor import defer_sigint
 
 if TYPE_CHECKING:
@@ -90,13 +87,11 @@ class Trainer:
         Raises:
             InputError: there is no such task.
         """
-        self.config = config
-        self.workers = workers
+        self.config, self.workers = config, workers
         self.task = task or _named(config.task, config)
         self.identity = TaskIdentity.of(self.task, config.rules)
         self.starts = "" if starts is None else starts_digest(starts)
         """Digest of the other starts; empty without."""
-        self.iteration = 0
         check_guidance(config, self.task, starts)
         self._given, self._progress = starts, progress
         self._own_starts = starts is None and not config.explore and not config.imitate
@@ -107,7 +102,7 @@ class Trainer:
             check_stage(stage, self.shape)
         self._made: tuple[int, WorldBatch] | None = None
         self.curve: list[CurvePoint] = []
-        self.wall_s = self.cpu_s = 0.0
+        self.iteration, self.wall_s, self.cpu_s = 0, 0.0, 0.0
         with torch.random.fork_rng():
             torch.manual_seed(config.seed)
             # Where cars decide one by one, most events are a single car's.
@@ -138,19 +133,16 @@ class Trainer:
         """The worlds of rollouts, made when they are first needed, and anew for each stage."""
         if self._made is None or self._made[0] != self.stage:
             self.close()
-            task = [*self._stages, self.guidance.starts or self.task][self.stage]
-            self._made = self.stage, self._make_worlds(task)
+            task, n = [*self._stages, self.guidance.starts or self.task][self.stage], self.config.n_worlds
+            on_grid = self.config.backend == "grid"
+            worlds = GridWorlds(task, n, *self._how) if on_grid else PhysicsWorlds(task, n, **self._physics)
+            self._made = self.stage, worlds
         return self._made[1]
 
-    def _make_worlds(self, task: Task) -> WorldBatch:
-        config = self.config
-        worlds: GridWorlds | PhysicsWorlds
-        if config.backend == "grid":
-            how = config.rules, config.helper_depth, config.execution == "asynchronous"
-            worlds = GridWorlds(task, config.n_worlds, *how)
-        else:
-            worlds = PhysicsWorlds(task, config.n_worlds, **self._physics)
-        return NoveltyWorlds(worlds, config.novelty, self.shape, self.counts) if config.novelty else worlds
+    @property
+    def _how(self) -> tuple[Any, ...]:
+        """How episodes on the grid go."""
+        return self.config.rules, self.config.helper_depth, self.config.execution
 
     @property
     def _physics(self) -> dict[str, Any]:
@@ -195,8 +187,8 @@ class Trainer:
         """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
         net, seed, config = self.learner.net, self._seed(purpose), self.config
         if config.backend == "grid":
-            rules = config.rules, config.helper_depth, config.acting, config.execution
-            return evaluate(net, self.task, episodes, seed, *rules)
+            rules, depth, execution = self._how
+            return evaluate(net, self.task, episodes, seed, rules, depth, config.acting, execution)
         last = self.stage == len(self._stages)
         if self._own_starts and last and record is None and isinstance(self.worlds, PhysicsWorlds):
             return evaluate_in_physics(net, self.worlds.envs, episodes, seed, config.acting)
@@ -213,8 +205,9 @@ class Trainer:
         """Return a rollout, after seeding worlds and torch's default generator."""
         torch.manual_seed(seed)
         self.worlds.reset(seed)
-        learner = self.learner
-        return play(self.worlds, learner.net.encoder, learner.act, learner.ticks, learner.begin)
+        learner, weight = self.learner, self.config.novelty
+        bonus = Novelty(weight, self.shape, self.counts) if weight else None
+        return play(self.worlds, learner.net.encoder, learner.act, learner.ticks, learner.begin, bonus)
 
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
@@ -242,47 +235,29 @@ class Trainer:
         head = PolicyHead(self.config, self.identity, self.shape, made_with)
         save_policy(folder / POLICY_FILE, head, self.learner.net)
         write_curve(folder / CURVE_FILE, self.curve)
-        run = RunHead(
-            self.config,
-            self.identity,
-            self.starts,
-            made_with,
-            self.iteration,
-            self.wall_s,
-            self.cpu_s,
-            self.curve,
-        )
+        so_far = self.iteration, self.wall_s, self.cpu_s, self.curve
+        run = RunHead(self.config, self.identity, self.starts, made_with, *so_far)
         save_run(folder / RUN_FILE, run, self.learner.state(), torch.from_numpy(self.counts))
 
     @classmethod
     def resume(
-        cls,
-        folder: Path,
-        starts: Task | None = None,
-        task: Task | None = None,
-        config: TrainConfig | None = None,
-        workers: int | None = None,
-        progress: Progress = silent,
-        stages: Sequence[Task] | None = None,
+        cls, folder: Path, starts: Task | None = None, config: TrainConfig | None = None, **given: Any
     ) -> Trainer:
         """Return the run that a folder holds, as it was when it was saved.
 
-        Raises InputError for a file that is none or damaged, and
-        where the configuration, the task or the other starts are not those that the run was begun with.
+        Raises InputError for a file that is none or damaged, and where the configuration, the task or the other starts
+        are not those that the run was begun with.
 
         Args:
             folder: holds the run.
             starts: the task with other starts to train from, where they are not its own.
-            task: the task itself; looked up by its name in the file unless given, as in the constructor.
             config: what the run must have been begun with; anything unless given.
-            workers: as in the constructor.
-            progress: as in the constructor.
-            stages: as in the constructor.
+            given: further arguments of the constructor.
         """
         with open_run(folder / RUN_FILE) as (head, learner, novelty):
             if config is not None and head.config != config:
                 raise InputError(f"it was begun with {head.config}, not with {config}")
-            trainer = cls(head.config, starts, task, workers, progress, stages)
+            trainer = cls(head.config, starts, **given)
             if head.task.digest != trainer.identity.digest:
                 raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
             if head.starts != trainer.starts:
@@ -296,9 +271,8 @@ class Trainer:
                 raise InputError(
                     f"damaged: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
                 ) from error
-            trainer.iteration = head.iteration
+            trainer.iteration, trainer.curve = head.iteration, head.curve
             trainer.wall_s, trainer.cpu_s = head.wall_s, head.cpu_s
-            trainer.curve = head.curve
         return trainer
 
 

@@ -226,7 +226,7 @@ def _asked(task: Task, by: str | Policy, setup: Setup, seeds: tuple[int, int], b
     from craftsim.envs.physics_backend import PhysicsBackend
     from craftsim.envs.planner import PlannerPolicy
 
-    backend = PhysicsBackend(setup, None, task.goal_cells, watch_contacts=True)
+    backend = PhysicsBackend(setup, Options(check_contacts=True), task)
     reached = by_rules = None
     for world in (backend, None) if task.has_goal else (backend,):
         env = ParallelConstruction(task, Options("grid", rule_set=setup.rules), world)

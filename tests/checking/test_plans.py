@@ -15,6 +15,7 @@ from craftsim.checking.setup import Setup, nominal_gains, set_up, setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import make_schedule
+from craftsim.envs.options import Options
 from craftsim.envs.physics_backend import PhysicsBackend
 from craftsim.errors import InputError
 from craftsim.models.sensing import EXACT
@@ -284,7 +285,7 @@ def test_a_failure_is_that_of_its_car_alone():
 
 def test_an_episode_is_run_again_bit_for_bit_from_its_recipe():
     """Random legal play that the footprints allow; cars wait at times, with something running or nothing."""
-    rng, backend = np.random.default_rng(4), PhysicsBackend(SETUP, watch_contacts=True)
+    rng, backend = np.random.default_rng(4), PhysicsBackend(SETUP, Options(check_contacts=True))
     backend.start(_yard(), np.random.default_rng(3))
     judge, n_begun = backend.judge, 0
     while n_begun < 12:

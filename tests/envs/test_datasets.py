@@ -1,10 +1,7 @@
 """A dataset that Minari loads holds what was played, bit for bit, and is whole or not there."""
 
 import json
-import threading
-from pathlib import Path
 
-import forked
 import numpy as np
 import pytest
 
@@ -60,15 +57,6 @@ def test_the_environment_that_a_dataset_names_plays_its_episodes_again(folder, b
     env.close()
 
 
-def test_an_episode_is_the_same_whatever_else_is_written(folder):
-    env = parallel_env("strip", "grid")
-    write_dataset(env, _random, folder, "all-v0", 3, seed=4)
-    write_dataset(env, _random, folder, "last-v0", 1, seed=6)
-    third, alone = minari.load_dataset("all-v0")[2], minari.load_dataset("last-v0")[0]
-    np.testing.assert_array_equal(third.actions, alone.actions)
-    np.testing.assert_array_equal(third.observations["observation"], alone.observations["observation"])
-
-
 @pytest.mark.parametrize("task", TASK_NAMES)
 def test_a_shipped_plan_builds_whatever_order_the_cars_act_in(folder, task):
     env = parallel_env(task, "grid")
@@ -94,12 +82,6 @@ def test_a_policy_that_breaks_leaves_nothing_behind(folder):
     assert not [path for path in folder.rglob("*") if path.is_file() or "test" in path.name]
 
 
-@pytest.mark.parametrize("name", ["strip", "../strip-v0", "strip v0", "/strip-v0", "-v", ""])
-def test_a_name_that_minari_would_not_find_is_refused(folder, name):
-    with pytest.raises(InputError, match="no name of a dataset"):
-        write_dataset(parallel_env("strip", "grid"), _random, folder, name, 1)
-
-
 def test_the_command_writes_what_loads_and_overwrites_nothing(folder, capsys):
     words = ["export", "strip", "--plan", "strip", "--episodes", "2", "--out", str(folder)]
     assert main(words) == 0
@@ -110,6 +92,9 @@ def test_the_command_writes_what_loads_and_overwrites_nothing(folder, capsys):
     assert "exists already; choose another name" in capsys.readouterr().err
     assert main([*words, "--policy", "random"]) == 2
     assert "give one of them" in capsys.readouterr().err
+    for name in ("strip", "../strip-v0", "strip v0", "/strip-v0", "-v", ""):
+        with pytest.raises(InputError, match="no name of a dataset"):
+            write_dataset(parallel_env("strip", "grid"), _random, folder, name, 1)
 
 
 @pytest.mark.parametrize("words", [[], ["--out", "sets"], ["--out", "sets/inner/../../sets"]])
@@ -123,38 +108,6 @@ def test_the_folder_may_be_relative(words, tmp_path, monkeypatch):
         "data",
         "report.json",
     ]
-
-
-def test_a_second_export_of_a_name_is_refused_and_the_first_loses_nothing(folder, capsys):
-    words = ["export", "strip", "--name", NAME, "--policy", "random", "--episodes", "1", "--out", str(folder)]
-    statuses = []
-
-    def meanwhile(seed):
-        if seed == 1:
-            # As another process would: who owns a folder in this thread may own it again.
-            second = threading.Thread(target=lambda: statuses.append(main(words)))
-            second.start()
-            second.join()
-        return _random(seed)
-
-    write_dataset(parallel_env("strip", "grid"), meanwhile, folder, NAME, 3)
-    assert statuses == [2]
-    assert "is in use: another craftsim writes into it" in capsys.readouterr().err
-    assert minari.load_dataset(NAME).total_episodes == 3
-    assert [path.name for path in (folder / NAME).iterdir()] == ["data"]
-
-
-def test_two_processes_that_export_one_name_leave_one_whole_dataset(folder, tmp_path_factory):
-    words = ["export", "strip", "--name", NAME, "--policy", "random", "--episodes", "20", "--out", folder]
-    errors = [tmp_path_factory.mktemp("said") / name for name in ("one", "two")]
-    for path in errors:
-        path.touch()
-    processes = [forked.start("craftsim", *words, err=str(path)) for path in errors]
-    for process in processes:
-        process.join()
-    assert sorted(process.exitcode for process in processes) == [0, 2]
-    assert any("is in use" in text or "exists already" in text for text in map(Path.read_text, errors))
-    assert minari.load_dataset(NAME).total_episodes == 20
 
 
 def test_what_a_kill_leaves_of_a_dataset_is_gone_with_the_next_and_no_link_there_is_followed(folder):

@@ -1,18 +1,25 @@
-"""The environments on the grid: the interfaces, equal episodes from equal seeds, sound masks, rewards and ends."""
+"""The environments on the grid, single and in batches: interfaces, seeds, masks, rewards and ends."""
+
+from contextlib import closing
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
 from platforms import platform
 
 from craftsim.discrete.files.plan import read_plan
-from craftsim.discrete.files.shipped import shipped_blueprint, shipped_plan
+from craftsim.discrete.files.shipped import shipped_blueprint
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import TASK_NAMES, make_task
+from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.envs import GYMNASIUM_IDS, parallel_env
+from craftsim.discrete.tasks.starts import load_starts, save_starts
+from craftsim.envs import GYMNASIUM_IDS, parallel_env, vector_env
+from craftsim.envs import env as turns_env
+from craftsim.envs.planner import PlanPolicy
+from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import InputError
 from craftsim.testing import check_api, check_deterministic, check_masks, random_policy
 
@@ -20,57 +27,42 @@ STOP = int(Action.STOP)
 
 
 @pytest.mark.parametrize("helper_depth", [None, 10])
-@pytest.mark.parametrize("task", TASK_NAMES)
-def test_the_tasks_pass_the_tests_of_interface_and_determinism(task, helper_depth):
+@pytest.mark.parametrize("task", [*TASK_NAMES, 1, 3, 8])
+def test_tasks_with_any_number_of_cars_pass_the_tests_of_interface_determinism_and_masks(task, helper_depth):
+    task = platform(task) if isinstance(task, int) else task
+
     def make():
         return parallel_env(task, "grid", helper_depth=helper_depth)
 
     check_api(make)
     check_deterministic(make, episodes=3)
+    if helper_depth is None:
+        check_masks(make(), states=5)
 
 
-def test_masks_are_sound_on_all_tasks():
-    for task in TASK_NAMES:
-        check_masks(parallel_env(task, "grid"), states=5)
+@pytest.mark.parametrize("task", [*TASK_NAMES, "random_strip", "designs"])
+def test_gymnasium_makes_the_central_form_and_batches_that_keep_to_their_spaces(task):
+    check_env(gymnasium.make(GYMNASIUM_IDS[task], backend="grid").unwrapped)
+    envs = gymnasium.make_vec(GYMNASIUM_IDS[task], num_envs=7, vectorization_mode="vector_entry_point")
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    observations, _ = envs.reset(seed=3)
+    rng = np.random.default_rng(0)
+    for _ in range(25):
+        assert envs.observation_space.contains(observations)
+        actions = _pick(rng, observations["action_mask"])
+        assert envs.action_space.contains(actions)
+        observations, *_ = envs.step(actions)
 
 
-@pytest.mark.parametrize("cars", [1, 3, 8])
-def test_any_number_of_cars_passes_all_tests(cars):
-    def make():
-        return parallel_env(platform(cars), "grid")
-
-    check_api(make)
-    check_deterministic(make, episodes=3)
-    check_masks(make(), states=10)
-
-
-def test_gymnasium_makes_and_accepts_the_central_form():
-    for task in TASK_NAMES:
-        check_env(gymnasium.make(GYMNASIUM_IDS[task], backend="grid").unwrapped)
-
-
-def _play_plan(env, task, seed=0):
-    """Play the shipped plan in acting order, one action a tick, and return the last step."""
-    env.reset(seed=seed)
-    result = None
-    for joint in read_plan(shipped_plan(task), len(env.possible_agents)).ticks:
-        for car, action in joint:
-            result = env.step(dict.fromkeys(env.agents, STOP) | {f"car_{car}": int(action)})
-            if not env.agents:
-                return result
-    return result
-
-
-def test_a_finished_building_terminates_and_does_not_truncate():
-    for task in TASK_NAMES:
-        env = parallel_env(make_task(task, max_steps=500), "grid")
-        _, _, terminated, truncated, infos = _play_plan(env, task)
-        assert set(terminated.values()) == {True}
-        assert set(truncated.values()) == {False}
-        assert infos["car_0"]["success"]
-        assert env.agents == []
-        with pytest.raises(InputError, match=r"reset\(\)"):
-            env.step({})
+@pytest.mark.parametrize("task", TASK_NAMES)
+def test_a_finished_building_terminates_and_does_not_truncate(task):
+    env = parallel_env(make_task(task, max_steps=500), "grid")
+    act = PlanPolicy(env, read_plan(task, env.core.n_cars))
+    observations, _ = env.reset(seed=0)
+    while env.agents:
+        observations, _, terminated, truncated, infos = env.step(act(observations))
+    assert (set(terminated.values()), set(truncated.values())) == ({True}, {False})
+    assert infos["car_0"]["success"]
 
 
 def test_an_episode_that_takes_too_long_truncates_and_does_not_terminate():
@@ -83,39 +75,19 @@ def test_an_episode_that_takes_too_long_truncates_and_does_not_terminate():
 
 
 def test_rewards_observations_and_masks_are_those_of_an_episode_of_the_task():
-    env = parallel_env("simple_two_story", "grid")
-    episode = Episodes(make_task("simple_two_story"), np.random.default_rng(0))
-    act = random_policy(np.random.default_rng(0))
+    env, task = parallel_env("simple_two_story", "grid"), make_task("simple_two_story")
+    episode, act = Episodes(task, np.random.default_rng(0)), random_policy(np.random.default_rng(0))
     observations, _ = env.reset(seed=5)
-    while env.agents:
+    running = True
+    while running:
         np.testing.assert_array_equal([o["observation"] for o in observations.values()], episode.vectors()[0])
         np.testing.assert_array_equal([o["action_mask"] for o in observations.values()], episode.legal()[0])
-        actions = act(observations)
-        before = env.grid
-        agents = list(env.agents)
-        observations, rewards, *_ = env.step(actions)
-        told = [actions[agent] for agent in agents]
-        # The order of the cars is drawn; find the one that explains what happened.
-        for order in ((0, 1), (1, 0)):
-            assert episode.grid(0).same_visible(before)
-            tried = Episodes(make_task("simple_two_story"), np.random.default_rng(0))
-            tried.put(0, before)
-            tried.potential, tried.t = episode.potential, episode.t
-            step = tried.step([told], [order])
-            if tried.grid(0).same_visible(env.grid):
-                break
-        assert tried.grid(0).same_visible(env.grid)
-        assert set(rewards.values()) == {step.reward[0]}
-        episode = tried
-
-
-def test_an_illegal_action_counts_as_stop_and_is_flagged():
-    env = parallel_env("strip", "grid")
-    env.reset(seed=0)
-    before = env.grid
-    _, _, _, _, infos = env.step({"car_0": int(Action.DROP), "car_1": STOP})
-    assert env.grid.same_visible(before)
-    assert [infos[agent]["illegal"] for agent in ("car_0", "car_1")] == [True, False]
+        actions = [*act(observations).values()]
+        result = env.core.step(actions)
+        step = episode.step([actions], result.order[None])
+        assert episode.grid(0).same_visible(env.grid)
+        assert (result.reward, result.terminated | result.truncated) == (step.reward[0], step.done[0])
+        observations, running = env.observe_all(), not step.done[0]
 
 
 def _stuck_on_a_ramp():
@@ -167,22 +139,134 @@ def test_time_costs_what_its_weight_says_and_the_slowest_car_counts():
     plain, weighted = (parallel_env("strip", "grid", time_weight=w) for w in (0.0, 2.0))
     for env in (plain, weighted):
         env.reset(seed=0)
-    actions = {"car_0": int(Action.MOVE_LEFT), "car_1": STOP}
+    actions = {"car_0": int(Action.MOVE_LEFT), "car_1": int(Action.DROP)}
     _, free, _, _, infos = plain.step(actions)
+    assert [info["illegal"] for info in infos.values()] == [False, True]
     _, paid, _, _, _ = weighted.step(actions)
     assert 0.5 < infos["car_1"]["duration_s"] < 2.0
     assert paid["car_0"] == pytest.approx(free["car_0"] - 2.0 * infos["car_0"]["duration_s"])
 
 
-def test_pictures_and_text_show_the_world(capsys):
-    env = parallel_env("strip", "grid", render_mode="rgb_array")
-    env.reset(seed=0)
-    assert env.render().shape[2] == 3
-    env = parallel_env("strip", "grid", render_mode="ansi")
-    env.reset(seed=0)
-    assert "level 1" in env.render()
-    assert capsys.readouterr().out == ""
-    env = parallel_env("strip", "grid", render_mode="human")
-    env.reset(seed=0)
-    assert env.render() is None
-    assert "level 1" in capsys.readouterr().out
+def _pick(rng, mask):
+    return (rng.random(mask.shape) * mask).argmax(-1)
+
+
+@pytest.mark.parametrize("helper_depth", [None, 10])
+def test_a_batch_is_the_episodes_of_its_task_and_tells_the_last_observation_before_a_reset(helper_depth):
+    envs = GridVectorEnv("simple_two_story", 50, helper_depth=helper_depth, time_weight=0.5)
+    observations, _ = envs.reset(seed=3)
+    rng = np.random.default_rng(3)
+    episodes = Episodes(make_task("simple_two_story"), rng, 50, helper_depth=helper_depth)
+    picks = np.random.default_rng(0)
+    n_ended = 0
+    for _ in range(45):
+        mask = episodes.legal() if helper_depth is None else episodes.reachable()
+        mask[..., STOP] |= ~mask.any(-1)
+        np.testing.assert_array_equal(observations["action_mask"], mask)
+        np.testing.assert_array_equal(envs.car_vectors(), episodes.vectors())
+        actions = _pick(picks, mask)
+        observations, reward, terminated, truncated, infos = envs.step(actions)
+        steps = episodes.step(actions)
+        np.testing.assert_allclose(reward, steps.reward - 0.5 * infos["duration_s"])
+        np.testing.assert_array_equal(terminated | truncated, steps.done)
+        np.testing.assert_array_equal(terminated, steps.success)
+        if steps.done.any():
+            np.testing.assert_array_equal(infos["_final_obs"], steps.done)
+            last = infos["final_obs"][steps.done][0]
+            np.testing.assert_array_equal(last["observation"], episodes.entity_rows()[steps.done][0].ravel())
+            n_ended += int(steps.done.sum())
+            episodes.reset(steps.done.nonzero()[0])
+    assert n_ended >= 100
+
+
+def test_worlds_that_were_reached_are_kept_in_a_file_and_are_the_starts_of_training(tmp_path):
+    env, act, worlds = parallel_env("strip", "grid"), random_policy(np.random.default_rng(0)), []
+    observations, _ = env.reset(seed=0)
+    while env.agents:
+        worlds.append(env.grid)
+        observations = env.step(act(observations))[0]
+    save_starts(tmp_path / "starts.npz", worlds)
+    loaded = load_starts(tmp_path / "starts.npz")
+    assert all(a.same_visible(b) and a.same_marks(b) for a, b in zip(worlds, loaded, strict=True))
+    envs = GridVectorEnv(make_task("strip").starting_from(loaded), 200)
+    envs.reset(seed=0)
+    starts, drawn = (
+        {grid.cars.tobytes() + grid.kind.tobytes() for grid in grids}
+        for grids in (worlds, [envs.episodes.grid(i) for i in range(200)])
+    )
+    assert drawn <= starts
+    assert len(drawn) > len(starts) / 2
+
+
+def test_files_that_hold_no_starts_and_starts_that_do_not_fit_are_refused(tmp_path):
+    path = tmp_path / "starts.npz"
+    with pytest.raises(InputError, match="no such file"):
+        load_starts(path)
+    for text in ("no archive", ""):
+        path.write_text(text)
+        with pytest.raises(InputError, match="not an archive of arrays"):
+            load_starts(path)
+    np.savez(path, kind=np.zeros(3))
+    with pytest.raises(InputError, match="save_starts"):
+        load_starts(path)
+    strip, complex_ = (
+        make_task(name).draw(np.random.default_rng(0)) for name in ("strip", "complex_two_story")
+    )
+    with pytest.raises(InputError, match="one size"):
+        save_starts(path, [strip, complex_])
+    with pytest.raises(InputError, match="4 cars"):
+        make_task("strip").starting_from([complex_])
+    with pytest.raises(InputError, match="at least one"):
+        make_task("strip").starting_from([])
+
+
+@pytest.mark.parametrize("task", ["random_strip@test", "designs@test"])
+def test_one_episode_starts_as_another_and_the_same_seed_as_before(task):
+    one, other = parallel_env(task, "grid"), parallel_env(task, "grid")
+    starts = [one.reset(seed=seed)[0]["car_0"]["observation"] for seed in (0, 1, 0)]
+    assert np.array_equal(starts[0], starts[2])
+    assert not np.array_equal(starts[0], starts[1])
+    assert np.array_equal(other.reset(seed=0)[0]["car_0"]["observation"], starts[0])
+    turns = turns_env(task, "grid")
+    turns.reset(seed=0)
+    assert np.array_equal(turns.observe("car_0")["observation"], starts[0])
+
+
+def test_a_batch_of_worlds_varies_and_goes_on_with_other_starts():
+    envs = vector_env("designs", 6)
+    first = envs.reset(seed=0)[0]["observation"]
+    assert len({row.tobytes() for row in first}) == 6
+    designs = envs.episodes.designs.copy()
+    for _ in range(envs.task.max_steps + 2):
+        envs.step(np.full((6, 2), 14))
+    assert not np.array_equal(envs.episodes.designs, designs)
+
+
+def test_an_episode_shows_its_own_design_and_a_given_start_needs_one():
+    made = parallel_env("designs", "grid")
+    made.reset(seed=0)
+    first, played = made.core.episodes.designs.copy(), made.core.played
+    assert first.shape == (1, 8, 5)
+    grid, design = made.core.grid, played.design
+    made.reset(seed=1)
+    assert not np.array_equal(first, made.core.episodes.designs)
+    made.reset(options={"grid": grid, "design": design})
+    assert np.array_equal(first, made.core.episodes.designs)
+    with pytest.raises(InputError, match="give the option 'design'"):
+        made.reset(options={"grid": grid})
+    with pytest.raises(InputError, match="has its own goal"):
+        parallel_env("strip", "grid").reset(
+            options={"grid": as_task("strip").draw(np.random.default_rng(0)), "design": design}
+        )
+
+
+def test_physics_starts_as_the_grid_does_and_marks_the_design_of_the_episode():
+    with closing(parallel_env("designs", "physics")) as real:
+        grid = parallel_env("designs", "grid")
+        for seed in (0, 1):
+            real.reset(seed=seed)
+            grid.reset(seed=seed)
+            assert real.core.grid.same_visible(grid.core.grid)
+            assert real.core.backend.recipe.goals == tuple(real.core.played.goal_cells)
+        *_, infos = real.step(dict.fromkeys(real.agents, 14))
+        assert not any(info["problems"] for info in infos.values())

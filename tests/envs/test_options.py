@@ -1,4 +1,4 @@
-"""Options: each reaches the physics or what is observed, in every form; wrong ones are refused with what is allowed."""
+"""Options reach the physics or what is observed, in every form; wrong ones, starts, seeds and actions are refused."""
 
 from contextlib import closing
 from dataclasses import replace
@@ -10,8 +10,11 @@ import pytest
 from gymnasium import spaces
 
 from craftsim.checking.setup import setup_of
+from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
+from craftsim.discrete.tasks import make_task
 from craftsim.envs import GYMNASIUM_IDS, env, parallel_env, vector_env
+from craftsim.envs.actions import ObjectChoice
 from craftsim.envs.observations import Images, Observe
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import InputError
@@ -24,6 +27,7 @@ from craftsim.testing import check_api
 
 MOVE = {"car_0": int(Action.MOVE_LEFT), "car_1": int(Action.STOP)}
 BOTH = np.array([Action.MOVE_LEFT, Action.STOP])
+STOP = int(Action.STOP)
 SLOW = replace(load_gains(), drive=replace(load_gains().drive, max_speed=0.25 * load_gains().drive.max_speed))
 HEAVY = Machines(
     cars=(replace(SmartcarParameters(), chassis_mass_kg=1.1 * SmartcarParameters().chassis_mass_kg),)
@@ -65,24 +69,13 @@ def test_environments_have_the_reduced_drive_and_validation_has_rollers_unless_t
         replace(NOMINAL, drive="roller")
 
 
-@pytest.mark.parametrize("form", ["parallel", "turns", "central"])
-def test_observers_see_the_world_after_every_control_period_and_gains_make_cars_slow(form):
+def test_observers_see_the_world_after_every_control_period_and_gains_make_cars_slow():
     times: list[float] = []
-    options = {"gains": SLOW, "observers": [lambda physics: times.append(physics.time_s)]}
-    if form == "central":
-        world = _central(backend="physics", **options)
-        world.reset(seed=0)
-        duration_s = world.step(BOTH)[4]["duration_s"]
-    elif form == "parallel":
-        world = parallel_env("strip", "physics", **options)
-        world.reset(seed=0)
-        duration_s = world.step(MOVE)[4]["car_0"]["duration_s"]
-    else:
-        world = env("strip", "physics", **options)
-        world.reset(seed=0)
-        for action in BOTH:
-            world.step(int(action))
-        duration_s = world.infos["car_0"]["duration_s"]
+    world = env("strip", "physics", gains=SLOW, observers=[lambda physics: times.append(physics.time_s)])
+    world.reset(seed=0)
+    for action in BOTH:
+        world.step(int(action))
+    duration_s = world.infos["car_0"]["duration_s"]
     assert duration_s > 1.3, "the shipped gains take less than a second"
     assert np.ptp(times) == pytest.approx(duration_s, abs=0.1)
     assert np.diff(times) == pytest.approx(0.02)
@@ -137,6 +130,16 @@ def test_wrong_options_are_refused_in_both_forms():
         ({"backend": "physics", "observers": 3}, "observers: must be"),
         ({"backend": "physics", "images": "front"}, "instance of Images"),
         ({"observe": print}, "instance of Observe"),
+        ({"backend": "physics", "record": 3}, r"Options.record: must be an instance of Path, not '3'"),
+        ({"backend": "physics", "record": "/dev/null"}, "cannot make the output directory"),
+        ({"record": "folder"}, "knows no 'record'"),
+        ({"object_choice": ObjectChoice()}, "needs the action helper; give helper_depth"),
+        ({"object_choice": 3, "helper_depth": 20}, "must be an instance of ObjectChoice"),
+        ({"local_view": -1}, r"local_view: -1 is out of range, allowed: 0 to 64"),
+        ({"jitter": 0.1}, "asynchronous"),
+        ({"execution": "asynchronous", "wait_s": 0.0}, "wait_s"),
+        ({"execution": "asynchronous", "backend": "physics", "failures": 0.1}, "physics knows no 'failures'"),
+        ({"execution": "later"}, "execution"),
         *(
             ({name: value}, f"the grid backend knows no '{name}'; leave it out, or take backend='physics'")
             for name, value in {
@@ -164,6 +167,9 @@ def test_a_batch_of_grid_worlds_has_fewer_options():
         ({"observe": OWN}, "knows no 'observe'"),
         ({"workers": 2}, "knows no 'workers'"),
         ({"engine": "ray"}, "knows no 'engine'"),
+        ({"backend": "physics", "engine": "rye"}, r"did you mean 'ray'.*allowed: local, ray"),
+        ({"backend": "physics", "workers": 0}, "workers: 0 is out of range, allowed: 1 to 256"),
+        ({"backend": "physics", "workers": "two"}, "workers: must be an integer from 1 to 256, not 'two'"),
         ({"num_envs": 0}, "num_envs: 0 is out of range"),
         ({"backend": "physics", "num_envs": 0}, "num_envs: 0 is out of range"),
     ):
@@ -181,42 +187,33 @@ def test_images_that_there_are_not_are_refused():
             Images(**arguments)
 
 
-@pytest.mark.parametrize("form", ["parallel", "central", "vector"])
+@pytest.mark.parametrize("form", ["parallel", "vector"])
 def test_what_is_handed_out_may_be_changed_without_any_consequence(form):
     """A mask that is turned around neither changes its twin in the infos nor what counts as illegal."""
-
-    def play(spoils):
+    found = []
+    for spoils in (False, True):
         if form == "parallel":
             world, actions = parallel_env("strip", "grid", helper_depth=3), MOVE
             observations, infos = world.reset(seed=0)
-            masks = [observations["car_0"]["action_mask"], infos["car_0"]["action_mask"]]
-        elif form == "central":
-            world, actions = _central(backend="grid", helper_depth=3), BOTH
-            observation, info = world.reset(seed=0)
-            masks = [observation["action_mask"], info["action_mask"]]
+            twin, seen = infos["car_0"]["action_mask"], observations["car_0"]
         else:
             world, actions = GridVectorEnv("strip", 2, helper_depth=3), np.stack([BOTH, BOTH])
-            observation, _ = world.reset(seed=0)
-            masks = [observation["action_mask"]]
-            vectors = world.car_vectors().copy()
+            seen, _ = world.reset(seed=0)
+            twin = world.car_vectors()
+        before = twin.copy()
         if spoils:
-            for number, mask in enumerate(masks):
-                others = [other.copy() for other in masks[number + 1 :]]
-                mask[...] = 1 - mask
-                np.testing.assert_array_equal(masks[number + 1 :], others)
-            if form == "vector":
-                observation["observation"][...] = 1 - observation["observation"]
-                np.testing.assert_array_equal(world.car_vectors(), vectors)
+            for array in seen.values():
+                array[...] = 1 - array
+        np.testing.assert_array_equal(world.car_vectors() if form == "vector" else twin, before)
         infos = world.step(actions)[4]
-        return [info["illegal"] for info in infos.values()] if form == "parallel" else infos["illegal"]
-
-    np.testing.assert_array_equal(play(spoils=True), play(spoils=False))
+        wrong = [info["illegal"] for info in infos.values()] if form == "parallel" else infos["illegal"]
+        found.append(np.array(wrong).tolist())
+    assert found[0] == found[1]
 
 
 def test_names_of_0_2_go_on_working_and_say_where_they_are_now():
     for old, name, now in [
         ("answers", "answer_text", "text"),
-        ("collecting", "reached_worlds", "datasets"),
         ("conversation", "converse", "text"),
         ("entity_sets", "observe_entities", "observations"),
         ("images", "Images", "observations"),
@@ -225,3 +222,98 @@ def test_names_of_0_2_go_on_working_and_say_where_they_are_now():
         with pytest.warns(DeprecationWarning, match=rf"craftsim\.envs\.{now}\.{name} now"):
             found = getattr(import_module(f"craftsim.envs.{old}"), name)
         assert found is getattr(import_module(f"craftsim.envs.{now}"), name)
+
+
+def _start(change):
+    grid = make_task("strip").draw(np.random.default_rng(0))
+    change(grid)
+    return grid
+
+
+def _one_block_more(grid):
+    grid.kind[0, 0, 1] = Kind.BLOCK
+
+
+def _a_slope(grid):
+    grid.cars[0, 4] = Kind.FSLOPE
+
+
+def _a_car_outside(grid):
+    grid.cars[1, 0] = 77
+
+
+def test_starts_that_do_not_fit_are_refused_and_the_next_reset_works():
+    for options, words in [
+        ({"grid": "strip"}, "must be a Grid"),
+        ({"grid": Grid.empty((3, 3, 2), 2)}, r"task 'strip' has \(4, 4, 3\)"),
+        ({"grid": Grid.empty((4, 4, 3), 3)}, "3 cars"),
+        ({"grid": _start(_one_block_more)}, "has 5 blocks; task 'strip' observes at most 4"),
+        ({"grid": _start(_a_slope)}, "has 1 slopes"),
+        ({"grid": _start(_a_car_outside)}, r"car 1 is at \(77, 3, 1\)"),
+        ({"blueprint": "no-such-file.yaml"}, "no such file"),
+        ({"blueprint": 3}, "must be a path"),
+        ({"grid": _start(lambda grid: None), "blueprint": "strip.yaml"}, "give one of them"),
+    ]:
+        env = parallel_env("strip", "grid")
+        with pytest.raises(InputError, match=words):
+            env.reset(seed=0, options=options)
+        env.reset(seed=0)
+        assert env.grid.same_visible(_start(lambda grid: None))
+
+
+@pytest.mark.parametrize("seed", [-1, "one"])
+def test_a_seed_is_a_whole_number_from_0(seed):
+    with pytest.raises(InputError, match="the seed is"):
+        parallel_env("strip", "grid").reset(seed=seed)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [lambda: parallel_env("strip", "grid"), lambda: _central(backend="grid")],
+    ids=["parallel", "central"],
+)
+def test_before_a_reset_and_after_the_end_a_reset_is_asked_for(make):
+    env = make()
+    stop = {"car_0": STOP, "car_1": STOP} if hasattr(env, "possible_agents") else [STOP, STOP]
+    for act in (lambda: env.step(stop), lambda: env.core.grid, lambda: env.core.state()):
+        with pytest.raises(InputError, match=r"reset\(\)"):
+            act()
+    env.reset(seed=0)
+    for _ in range(20):
+        env.step(stop)
+    with pytest.raises(InputError, match=r"the episode is over; call reset\(\)"):
+        env.step(stop)
+    env.reset()
+    env.step(stop)
+
+
+def test_actions_that_are_none_are_refused_and_change_nothing():
+    for actions, words in [
+        ([STOP], r"shape \(2,\), not \(1,\)"),
+        ([[STOP], [STOP, STOP]], r"shape \(2,\)"),
+        ([-1, STOP], "0 to 14"),
+        ([15, STOP], "0 to 14"),
+        ([1.5, STOP], "whole numbers"),
+        (["LIFT", "STOP"], "whole numbers"),
+    ]:
+        env = _central(backend="grid")
+        env.reset(seed=0)
+        before = env.core.grid
+        with pytest.raises(InputError, match=words):
+            env.step(actions)
+        assert env.core.grid.same_visible(before)
+        envs = GridVectorEnv("strip", 1)
+        envs.reset(seed=0)
+        with pytest.raises(InputError, match=words.replace("2,", "1, 2").split(", not")[0]):
+            envs.step([actions])
+
+
+def test_every_agent_needs_an_action():
+    env = parallel_env("strip", "grid")
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="no action for car_1"):
+        env.step({"car_0": STOP})
+    with pytest.raises(InputError, match="must be a dictionary"):
+        env.step([STOP, STOP])
+    with pytest.raises(InputError, match="0 to 14"):
+        env.step({"car_0": 15, "car_1": STOP})

@@ -1,5 +1,6 @@
 """A reward that is a function of a tick, on either backend; tasks of one's own in Gymnasium; masks for MaskablePPO."""
 
+from contextlib import closing
 from dataclasses import replace
 
 import gymnasium
@@ -37,33 +38,17 @@ def _task(reward):
     return replace(make_task("strip"), name="own_strip", reward=reward)
 
 
-def _play(env, ticks=3):
-    observations, _ = env.reset(seed=0)
-    rewards = []
-    for _ in range(ticks):
-        actions = {agent: int(np.flatnonzero(o["action_mask"])[-1]) for agent, o in observations.items()}
-        actions["car_1"] = int(Action.LIFT)
-        observations, reward, _, _, infos = env.step(actions)
-        rewards.append((reward["car_0"], infos["car_0"]["duration_s"]))
-    return rewards
-
-
 def test_on_the_grid_a_reward_sees_actions_and_nominal_times():
     watch = Watch()
-    rewards = _play(craftsim.parallel_env(_task(watch), "grid"))
-    assert [tick.t for tick in watch.seen] == [0, 1, 2]
-    first = watch.seen[0]
-    assert first.actions[1] is Action.LIFT
-    assert first.verdicts == (None, None)
-    assert first.contacts is None
-    assert first.attempts == ()
-    assert first.problems == ()
-    assert first.duration_s == max(first.durations_s) == rewards[0][1]
-    expected = nominal_durations()[first.actions[0], 0] if first.applied[0] else 0.0
-    assert first.durations_s[0] == pytest.approx(expected)
-    for tick, (reward, _) in zip(watch.seen, rewards, strict=True):
-        moved = (tick.before.cars[:, :3] != tick.after.cars[:, :3]).any(axis=1).sum()
-        assert reward == 2.0 * moved - tick.duration_s
+    env = craftsim.parallel_env(_task(watch), "grid")
+    env.reset(seed=0)
+    _, rewards, _, _, infos = env.step({"car_0": int(Action.MOVE_RIGHT), "car_1": int(Action.LIFT)})
+    (first,) = watch.seen
+    assert (first.t, first.actions, first.verdicts) == (0, (Action.MOVE_RIGHT, Action.LIFT), (None, None))
+    assert (first.contacts, first.attempts, first.problems) == (None, (), ())
+    assert first.duration_s == max(first.durations_s) == infos["car_0"]["duration_s"]
+    assert first.durations_s[0] == pytest.approx(nominal_durations()[Action.MOVE_RIGHT, 0])
+    assert rewards["car_0"] == 2.0 - first.duration_s
 
 
 def test_in_physics_it_sees_verdicts_times_and_contacts():
@@ -127,15 +112,8 @@ def test_masks_are_flat_as_sb3_contrib_asks_for_them():
     env = gymnasium.make("craftsim/Strip-v0", backend="grid")
     observation, _ = env.reset(seed=0)
     masks = env.get_wrapper_attr("action_masks")()
-    assert masks.dtype == np.bool_
-    assert masks.shape == (env.action_space.nvec.sum(),)
+    assert (masks.dtype, masks.shape) == (np.bool_, (env.action_space.nvec.sum(),))
     assert np.array_equal(masks, observation["action_mask"].ravel() == 1)
-
-
-def test_masks_of_worlds_in_processes_are_those_observed_last():
-    envs = craftsim.vector_env("strip", 2, "physics", workers=1)
-    try:
+    with closing(craftsim.vector_env("strip", 2, "physics", workers=1)) as envs:
         observations, _ = envs.reset(seed=0)
         assert np.array_equal(envs.action_masks(), observations["action_mask"].reshape(2, -1) == 1)
-    finally:
-        envs.close()

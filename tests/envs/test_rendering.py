@@ -15,10 +15,12 @@ from gymnasium.wrappers import RecordVideo
 
 from craftsim.discrete.kinds import Action
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
-from craftsim.envs import env as turns_env
 from craftsim.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("rendering")
+MOVE = {"car_0": int(Action.MOVE_LEFT), "car_1": int(Action.STOP)}
+SMALL = {"backend": "physics", "render_size": (64, 48)}
+JOINT = np.array([Action.MOVE_LEFT, Action.STOP])
 
 
 def test_a_picture_shows_the_physics_and_follows_it_and_other_starts():
@@ -38,10 +40,6 @@ def test_a_picture_shows_the_physics_and_follows_it_and_other_starts():
     env.reset(options={"grid": grid})
     assert (env.render() != first).any()
     env.close()
-
-
-MOVE = {"car_0": int(Action.MOVE_LEFT), "car_1": int(Action.STOP)}
-BACK = {"car_0": int(Action.MOVE_RIGHT), "car_1": int(Action.STOP)}
 
 
 def test_training_in_physics_first_and_filming_after_it_works_in_one_process():
@@ -74,22 +72,24 @@ def test_a_list_of_pictures_shows_the_motion_since_the_last_render():
     moving = env.render()
     assert len(moving) == pytest.approx(10 * duration_s, abs=1)
     assert all((a != b).any() for a, b in pairwise(moving[:-1]))
-    env.step(BACK)
-    env.step(MOVE)
-    assert len(env.render()) > len(moving)
     env.step(MOVE)
     env.reset(seed=0)
     assert len(env.render()) == 1, "a new episode does not show the last one's end"
     env.close()
 
 
-def test_on_the_grid_the_list_has_one_picture_a_tick():
+def test_on_the_grid_the_list_has_one_picture_a_tick_and_text_shows_the_levels(capsys):
     env = parallel_env("strip", "grid", render_mode="rgb_array_list")
     assert env.metadata["render_fps"] == 2
     env.reset(seed=0)
     env.step(MOVE)
     env.step(MOVE)
     assert len(env.render()) == 3
+    for mode in ("ansi", "human"):
+        env = parallel_env("strip", "grid", render_mode=mode)
+        env.reset(seed=0)
+        said = (env.render() or "") + capsys.readouterr().out
+        assert said.count("level 1") == 1
 
 
 def test_the_camera_and_the_size_are_chosen_and_an_unknown_camera_is_refused_with_those_there_are():
@@ -133,10 +133,6 @@ def clips(monkeypatch):
     sys.modules.pop("gymnasium.utils.save_video", None)  # it took the clip at its import
 
 
-SMALL = {"backend": "physics", "render_size": (64, 48)}
-JOINT = np.array([Action.MOVE_LEFT, Action.STOP])
-
-
 def test_gymnasiums_recorder_takes_a_picture_a_step_in_either_mode(clips, tmp_path):
     for mode in ("rgb_array", "rgb_array_list"):
         made = gymnasium.make(GYMNASIUM_IDS["strip"], render_mode=mode, disable_env_checker=True, **SMALL)
@@ -151,40 +147,3 @@ def test_gymnasiums_recorder_takes_a_picture_a_step_in_either_mode(clips, tmp_pa
         change = np.abs(clip.pictures[1].astype(int) - last)
         assert change.max() == 0 if mode == "rgb_array" else change.mean() < 0.5
         assert np.abs(clip.pictures[0].astype(int) - last).mean() > 1
-
-
-def test_gymnasium_saves_the_motion_between_ticks(clips, tmp_path):
-    from gymnasium.utils.save_video import save_video
-
-    made = gymnasium.make(
-        GYMNASIUM_IDS["strip"], render_mode="rgb_array_list", disable_env_checker=True, **SMALL
-    )
-    with closing(made) as env:
-        env.reset(seed=0)
-        duration_s = env.step(JOINT)[4]["duration_s"]
-        fps = env.metadata["render_fps"]
-        save_video(env.render(), str(tmp_path), fps=fps, episode_trigger=lambda number: True)
-    clip = clips["rl-video-episode-0.mp4"]
-    assert len(clip.pictures) / clip.fps == pytest.approx(duration_s, abs=2 / fps)
-
-
-@pytest.mark.parametrize(("form", "pictures"), [("parallel", 2), ("turns", 3)])
-def test_pettingzoos_recorders_take_a_picture_a_step(clips, tmp_path, form, pictures):
-    """A step of the form with turns is one agent's."""
-    wrappers = pytest.importorskip("pettingzoo.utils.wrappers")
-    if not hasattr(wrappers, "RecordVideo"):
-        pytest.skip("PettingZoo records from 1.27 on")
-    make, record = {
-        "parallel": (parallel_env, wrappers.RecordVideoParallel),
-        "turns": (turns_env, wrappers.RecordVideo),
-    }[form]
-    with closing(record(make("strip", render_mode="rgb_array", **SMALL), str(tmp_path / form))) as env:
-        env.reset(seed=0)
-        if form == "parallel":
-            env.step(MOVE)
-        else:
-            for action in MOVE.values():
-                env.step(action)
-    clip = clips["rl-video-episode-0.mp4"]
-    assert (len(clip.pictures), clip.fps) == (pictures, 2)
-    assert (clip.pictures[0] != clip.pictures[-1]).any()

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from craftsim.discrete.kinds import MOVE_DIRECTION, Action
+from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs import parallel_env, text
 from craftsim.envs.observations import Images
@@ -21,11 +21,6 @@ def test_an_action_that_is_written_is_read_again():
     for action in Action:
         assert read_answer(answer_text({"car_0": action}), 2) == [action, Action.STOP]
         assert read_answer(f"1: {action.name}", 2) == [Action.STOP, action]
-
-
-def test_what_stands_before_the_mark_is_not_read():
-    answer = "car_0: drop? No: car 1 is below. ANSWER: no. ANSWER:\n`car 1: Move  Left`.\n"
-    assert read_answer(answer, 2) == [Action.STOP, Action.MOVE_LEFT]
 
 
 def test_an_answer_that_cannot_be_read_is_refused_and_nothing_happens():
@@ -65,16 +60,6 @@ def test_the_legal_actions_that_are_listed_are_those_of_the_masks(task):
         assert env.observation_space.contains(text)
 
 
-def test_what_a_listed_move_leads_to_is_where_the_car_then_is():
-    env = TextConstruction("simple_two_story", backend="grid")
-    text, _ = env.reset(seed=0)
-    moves = dict(re.findall(r"(move \w+) \(to (\([^)]*\))\)", text.split("  car_0: ")[1].splitlines()[0]))
-    assert set(moves) < {words_of(action) for action in MOVE_DIRECTION}
-    for words, cell in moves.items():
-        env.reset(seed=0)
-        assert f"car_0 at {cell}," in env.step(f"car_0: {words}")[0]
-
-
 def test_the_text_form_plays_the_same_episode_as_the_parallel_form():
     env, twin = TextConstruction("strip", backend="grid"), parallel_env("strip", "grid")
     env.reset(seed=3)
@@ -109,7 +94,7 @@ def test_who_acts_second_is_refused_for_what_the_first_one_did():
     }
 
 
-def test_the_refusal_is_in_the_same_words_in_physics_and_on_the_grid():
+def test_in_physics_the_refusal_is_in_the_same_words_and_a_skill_that_fails_says_what_happened():
     said = []
     for backend in ("grid", "physics"):
         env = TextConstruction("strip", backend=backend)
@@ -117,21 +102,20 @@ def test_the_refusal_is_in_the_same_words_in_physics_and_on_the_grid():
         said.append([str(one) for one in env.step("car_0: lift; car_1: unfold")[4]["feedback"]])
     assert said[0] == said[1]
     assert all(": forbidden: there is no" in line for line in said[0])
-
-
-def test_a_skill_that_fails_says_what_happened():
-    env = TextConstruction("strip", backend="physics")
-    env.reset(seed=0)
     physics = env.core.backend.judge.physics
     weak = physics.baseline.copy()
     weak.actuator_forcerange[physics.cars[0].wheel_actuators] = 0.0
     physics.set_baseline(weak)
     text, *_, info = env.step("car_0: move left; car_1: stop")
     first, second = info["feedback"]
-    assert (first.result, second.result) == ("failed", "as predicted")
-    assert (first.done, second.done) == (False, True)
+    assert [(one.result, one.done) for one in (first, second)] == [("failed", False), ("as predicted", True)]
     assert f"  car_0: move left: failed: {first.why}\n  car_1: stop: done\n" in text
     assert first.why.startswith(("blocked", "slipped"))
+    physics.data.qpos[physics.blocks[0].qpos] += 0.06  # what no skill would do
+    text, reward, terminated, truncated, info = env.step("car_0: move left")
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert f"The world cannot be read any more: {'; '.join(info['problems'])}." in text
+    assert "The episode is over; the goal is not reached." in text
 
 
 @pytest.mark.parametrize("task", ["strip", "simple_two_story", "breaking_barrier"])
@@ -174,21 +158,12 @@ def test_the_instructions_name_every_cell_of_the_design():
     assert "one platform" in TextConstruction("free_building", backend="grid").instructions
 
 
-@pytest.mark.parametrize("option", [{"images": Images()}, {"helper_depth": 8}], ids=str)
+@pytest.mark.parametrize(
+    "option", [{"images": Images()}, {"helper_depth": 8}, {"execution": "asynchronous"}], ids=str
+)
 def test_an_option_that_texts_have_no_place_for_is_refused(option):
     with pytest.raises(InputError, match=f"the text form knows no '{next(iter(option))}'; leave it out"):
         TextConstruction("strip", **option)
-
-
-def test_a_world_that_cannot_be_read_any_more_is_told_as_such():
-    env = TextConstruction("strip", backend="physics")
-    env.reset(seed=0)
-    physics = env.core.backend.judge.physics
-    physics.data.qpos[physics.blocks[0].qpos] += 0.06  # what no skill would do
-    text, reward, terminated, truncated, info = env.step("car_0: move left")
-    assert (reward, terminated, truncated) == (0.0, False, True)
-    assert f"The world cannot be read any more: {'; '.join(info['problems'])}." in text
-    assert "The episode is over; the goal is not reached." in text
 
 
 def test_the_examples_in_docstrings_hold():

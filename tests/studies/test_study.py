@@ -15,9 +15,8 @@ from craftsim.cli import main
 from craftsim.cli.progress import telling
 from craftsim.discrete.tasks import make_task, register_task
 from craftsim.errors import InputError
-from craftsim.studies.report import conclusions, runs_table
-from craftsim.studies.runs import RUNS, train_and_evaluate, under_way
-from craftsim.studies.study import SHIPPED, Study, read_study
+from craftsim.studies.results import conclusions, runs_table
+from craftsim.studies.study import RUNS, SHIPPED, Study, read_study, train_and_evaluate, under_way
 from craftsim.training.curve import CURVE_FILE, CurvePoint, write_curve
 
 TEXT = """

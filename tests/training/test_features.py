@@ -5,7 +5,6 @@ import pytest
 import torch
 from torch import nn
 
-import craftsim
 from craftsim.discrete.kernel.tasks import (
     IS_BLOCK,
     IS_BODY,
@@ -21,21 +20,16 @@ from craftsim.discrete.kinds import MOVE_DIRECTION
 from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.random_tasks import random_task
-from craftsim.errors import InputError
-from craftsim.training.config import TrainConfig
-from craftsim.training.features import Encoder, make_encoder
+from craftsim.training.features import Seen, make_encoder
 from craftsim.training.networks import CarNet
-from craftsim.training.policy import load_policy
-from craftsim.training.rollouts import Seen
 from craftsim.training.shape import Shape
-from craftsim.training.trainer import Trainer
 
 
 @pytest.mark.parametrize("name", TASK_NAMES)
 def test_different_entities_have_places_of_their_own(name):
     task = make_task(name)
     episodes, rng = Episodes(task, np.random.default_rng(0), 200), np.random.default_rng(1)
-    encoder = Encoder(Shape.of(task, 4))
+    encoder = make_encoder(Shape.of(task, 4))
     rows_at: dict[int, tuple] = {}
     for _ in range(25):
         vectors = episodes.vectors()
@@ -65,9 +59,9 @@ def test_the_order_of_blocks_plays_no_part():
     blocks = rows[0, 0, :, IS_BLOCK].nonzero()[:, 0]
     turned = rows.clone()
     turned[:, :, blocks] = rows[:, :, blocks.flip(0)]
-    encoder = Encoder(Shape.of(task, 8))
+    encoder = make_encoder(Shape.of(task, 8))
     assert not torch.equal(turned, rows)
-    vectors = [encoder.of_places(encoder.places(rows), mask) for rows in (turned.flatten(-2), seen)]
+    vectors = [encoder(Seen(encoder.places(rows), mask)) for rows in (turned.flatten(-2), seen)]
     assert torch.allclose(*vectors, atol=1e-6)
 
 
@@ -146,19 +140,3 @@ def test_networks_that_look_from_a_car_serve_more_cars():
     episodes = Episodes(three, np.random.default_rng(0), 4)
     seen, mask = torch.from_numpy(episodes.vectors()), torch.from_numpy(episodes.offered())
     assert _values(net, seen, mask).shape == (4, 3, 15)
-
-
-def test_a_policy_that_looks_from_a_car_plays_other_tasks_that_show_their_design(tmp_path, monkeypatch):
-    monkeypatch.setattr("craftsim.designs.tasks.POOL", 10)
-    trainer = Trainer(TrainConfig("designs", worlds=1, width=4, network="relative"))
-    trainer.save(tmp_path)
-    policy = load_policy(tmp_path)
-    env = craftsim.parallel_env("designs", "grid", n_cars=3)
-    assert set(policy(env.reset(seed=0)[0])) == {"car_0", "car_1", "car_2"}
-    policy.check_task(as_task("random_strip", area=(6, 6, 2)))
-    with pytest.raises(InputError, match="cannot play strip"):
-        policy.check_task("strip")
-    with pytest.raises(InputError, match="cannot play random_strip: its worlds start otherwise"):
-        policy.check_task("random_strip")
-    with pytest.raises(InputError, match="its rule set is published, not physical"):
-        policy.check_task("designs@test", "published")

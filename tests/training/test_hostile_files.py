@@ -11,7 +11,6 @@ import torch
 from safetensors.torch import save_file
 from training_files import read_content, write_content
 
-from craftsim.cli import main
 from craftsim.errors import InputError
 from craftsim.training.checkpoint import POLICY_FILE, ROWS, RUN_FILE, TABLE, read_policy
 from craftsim.training.config import TrainConfig
@@ -193,22 +192,6 @@ def test_a_run_file_that_unpacks_to_more_or_has_many_parts_is_refused(tmp_path):
             archive.writestr(f"archive/data/{number}", b"")
     with pytest.raises(InputError, match="allowed: at most 1024"):
         Trainer.resume(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--seed", str(2**64)], "seed is 18446744073709551616; allowed: 0 to 9223372036854775807"),
-        (["--set", "worlds=1000000000"], "--set worlds: 1000000000 is out of range, allowed: 1 to 100000"),
-        (["--episodes", "0"], "--episodes is 0"),
-        (["--steps", str(10**30)], "--steps is 1000"),
-        (["--until", "nan"], "--until is nan"),
-        (["--set", "novelty=.inf"], "--set novelty: "),
-    ],
-)
-def test_a_number_that_is_too_large_is_told(words, message, tmp_path, capsys):
-    assert main(["train", "--out", str(tmp_path), *words]) == 2
-    assert message in capsys.readouterr().err
 
 
 def test_a_full_disk_is_one_message_and_leaves_what_was_there(saved, tmp_path):

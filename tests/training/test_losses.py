@@ -1,4 +1,4 @@
-"""The algorithms' losses and returns against formulas, known answers, and another implementation."""
+"""The algorithms' losses, returns and first values against formulas, known answers, and another implementation."""
 
 from dataclasses import replace
 from itertools import product
@@ -7,16 +7,20 @@ import pytest
 import torch
 from torch import nn
 
-from craftsim.training.coma import counterfactual
-from craftsim.training.networks import QMixer
-from craftsim.training.ppo import advantages
+from craftsim.training.config import TrainConfig
+from craftsim.training.features import Seen
+from craftsim.training.networks import JointNet, OthersNet, QMixer
+from craftsim.training.policy_gradient import advantages, counterfactual
 from craftsim.training.q_learning import QLearner
-from craftsim.training.rollouts import Rollout, Seen, lambda_returns
+from craftsim.training.rollouts import Rollout, lambda_returns
 from craftsim.training.settings import QSettings
 from craftsim.training.shape import Shape
+from craftsim.training.trainer import Trainer
 
 PAYOFF = torch.tensor([[8.0, -12.0, -12.0], [-12.0, 0.0, 0.0], [-12.0, 0.0, 0.0]])
 """Son et al., table 1a: the best joint action is the first of both."""
+
+
 SHAPE = Shape((3, 3, 2), 2, 13 * 3, 64)
 
 
@@ -152,3 +156,49 @@ def test_values_of_q_learning_are_those_of_its_formula():
         target = i + (0.0 if ends[i] else 0.9 * follows)
         expected += (target - learner.net(now)[i, :, 0].sum()) ** 2 / 6
     assert float(learner.loss(batch)) == pytest.approx(float(expected), rel=1e-5)
+
+
+def _played(task, network):
+    """Return the shape of a task's networks, and observations and masks of its first episodes, played at random."""
+    trainer = Trainer(TrainConfig(task, "qmix", worlds=10, network=network))
+    played = trainer.play(0)
+    return trainer.shape, played.now.flat()
+
+
+def _share(mix, n_cars, state, n):
+    """Return by how much the team's value changes with a car's, on average over n states."""
+    chosen = torch.zeros(n, n_cars, requires_grad=True)
+    (slope,) = torch.autograd.grad(mix(chosen, state).sum(), chosen)
+    return float(slope.mean())
+
+
+@pytest.mark.parametrize(
+    "case", [("strip", "map"), ("complex_two_story", "map"), ("designs", "relative")], ids=str
+)
+def test_the_team_s_value_rises_at_first_with_a_car_s_as_in_the_published_mixer(case):
+    """There one or two linear layers make the weights, of a state whose numbers were divided by their largest.
+
+    The table of the state begins as a linear layer does, whose numbers hardly depend on how many things there are.
+    """
+    shape, observed = _played(*case)
+    n, shares = shape.n_cars, []
+    for seed in range(6):
+        torch.manual_seed(seed)
+        mixer = QMixer(shape)
+        table, layer = mixer.encoder.table.weight.detach(), nn.Linear(shape.places, 2).weight.detach()
+        assert table.abs().max() <= shape.places**-0.5
+        assert float(table.std()) == pytest.approx(float(layer.std()), rel=0.02)
+        ours = _share(mixer, n, observed, len(observed.places))
+        state, published = 0.3 * torch.randn(2000, 50), QMixer(replace(shape, width=50))
+        single = _share(published.mix, n, state, 2000)
+        for name, n_out in {"first_weight": 32 * n, "last_weight": 32}.items():
+            layers = nn.Linear(50, 64), nn.ReLU(), nn.Linear(64, n_out)
+            setattr(published, name, nn.Sequential(*layers))
+        shares.append((ours, single, _share(published.mix, n, state, 2000)))
+    ours, single, double = torch.tensor(shares).mean(0).tolist()
+    assert double / 2 < ours < single
+    torch.manual_seed(0)
+    with torch.no_grad():
+        joint, others, actions = JointNet(shape), OthersNet(shape), observed.offers.long().argmax(-1)
+        values = *joint(joint.state(observed), actions), others(observed, actions)
+    assert all(value.abs().max() < 0.1 for value in values)

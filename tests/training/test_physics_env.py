@@ -1,6 +1,5 @@
 """Training in physics: the same run at any number of workers."""
 
-import re
 from contextlib import closing
 from dataclasses import replace
 
@@ -8,7 +7,6 @@ import pytest
 import torch
 
 from craftsim.checking.setup import RANDOMIZE
-from craftsim.cli import main
 from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
 from craftsim.models.randomization import NONE
@@ -54,17 +52,3 @@ def test_a_run_plays_in_the_physics_of_its_configuration(monkeypatch):
         config = TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive, randomize=randomize)
         assert Trainer(config, task=SHORT).worlds is not None
     assert asked == [("reduced", NONE), ("rollers", RANDOMIZE["lab_floor"][1])]
-
-
-def test_where_training_runs_is_one_of_two_and_workers_and_drives_are_for_physics(capsys):
-    with pytest.raises(InputError, match="allowed: grid, physics"):
-        TrainConfig("strip", backend="grit")
-    with pytest.raises(InputError, match="allowed: rollers, reduced"):
-        TrainConfig("strip", drive="tracks")
-    with pytest.raises(InputError, match="allowed: none, mild, strong, lab_floor, workshop_floor"):
-        TrainConfig("strip", backend="physics", randomize="wild")
-    with pytest.raises(InputError, match="on the grid nothing is drawn of physics"):
-        TrainConfig("strip", randomize="mild")
-    for option in ("--set workers=2", "--set drive=rollers", "--set randomize=mild", "--record trajectory"):
-        assert main(["train", *option.split()]) == 2
-        assert re.search(r"(workers|drive|randomize|record) is for physics", capsys.readouterr().err)

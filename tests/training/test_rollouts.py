@@ -1,31 +1,30 @@
-"""A rollout holds what the episodes of the grid or of physics do, tick by tick, and which of its rows are the same."""
+"""A rollout holds what the episodes of the grid or of physics do, and what a recurrent policy remembers of them."""
 
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
-from craftsim.discrete.grid import CarField
+from craftsim.cli import main
+from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.training.features import Encoder
+from craftsim.envs import parallel_env
+from craftsim.training.config import TrainConfig
+from craftsim.training.evaluation import choose_actions
+from craftsim.training.features import Seen, make_encoder
 from craftsim.training.learner import drawn, drawn_offers
-from craftsim.training.rollouts import (
-    BUCKETS,
-    GridWorlds,
-    NoveltyWorlds,
-    PhysicsWorlds,
-    Seen,
-    distinct,
-    play,
-)
+from craftsim.training.policy import load_policy
+from craftsim.training.rollouts import BUCKETS, GridWorlds, Novelty, PhysicsWorlds, distinct, play
 from craftsim.training.shape import Shape
-from craftsim.training.trainer import TrainConfig, Trainer
+from craftsim.training.trainer import Trainer
 
 
 def _encoder(task):
-    return Encoder(Shape.of(task, 4))
+    return make_encoder(Shape.of(task, 4))
 
 
 def _random_legal(seen):
@@ -74,7 +73,7 @@ def test_a_rollout_in_physics_keeps_the_last_observations_and_begins_each_episod
 
 def test_an_asynchronous_rollout_is_what_the_cars_decide_one_by_one():
     task = make_task("simple_two_story", max_steps=3)
-    worlds, encoder = GridWorlds(task, 8, asynchronous=True), _encoder(task)
+    worlds, encoder = GridWorlds(task, 8, "physical", None, "asynchronous"), _encoder(task)
     rollouts = []
     for _ in range(2):
         torch.manual_seed(0)
@@ -93,14 +92,6 @@ def test_an_asynchronous_rollout_is_what_the_cars_decide_one_by_one():
     assert (played.now.offers[~played.decides] == only_stop).all()
     # Four decisions of each car are an episode, but for a wait that an event ended.
     assert played.done.any(0).all()
-
-
-def test_a_car_that_can_do_nothing_is_offered_stop():
-    episodes = Episodes(make_task("simple_two_story"), np.random.default_rng(0), 1)
-    cars = episodes.grids.cars
-    cars[0, 0, [CarField.YAW, CarField.SLOPE]] = 2, 1  # as if on a slope that leads up to the edge of the map
-    assert not episodes.legal()[0, 0].any()
-    assert episodes.offered()[0, 0].nonzero()[0].tolist() == [Action.STOP]
 
 
 def test_rows_are_the_same_exactly_where_all_their_columns_are():
@@ -133,12 +124,75 @@ def test_actions_are_drawn_with_the_probabilities_of_their_logits_and_only_where
 
 def test_the_bonus_for_new_buildings_fades_and_does_not_depend_on_where_cars_are():
     task = make_task("strip")
-    counts = np.zeros(BUCKETS, np.int32)
-    worlds = NoveltyWorlds(GridWorlds(task, 2), 1.0, Shape.of(task, 4), counts)
+    worlds, counts = GridWorlds(task, 2), np.zeros(BUCKETS, np.int32)
+    novelty = Novelty(1.0, Shape.of(task, 4), counts)
     worlds.reset(0)
-    bonuses = []
-    for _ in range(4):  # nothing is built: cars stand or drive
-        reward = worlds.step(np.full((2, 2), int(Action.STOP))).reward
-        bonuses.append(reward.tolist())
-    assert np.allclose(bonuses, [[(2 * k) ** -0.5] * 2 for k in range(1, 5)])
+    for k in range(1, 5):  # nothing is built: cars stand or drive
+        worlds.step(np.full((2, 2), int(Action.STOP)))
+        assert np.allclose(novelty(worlds.observe()[0]), (2 * k) ** -0.5)
     assert counts.sum() == 8
+
+
+@pytest.fixture(scope="module")
+def trained():
+    trainer = Trainer(TrainConfig("strip", "vdn", worlds=6, width=8, recurrent=True))
+    steps = 2 * trainer.steps_an_iteration
+    list(trainer.run(steps, until=2.0))
+    return trainer
+
+
+def test_values_to_learn_from_are_those_of_acting_tick_by_tick(trained):
+    net, rollout = trained.learner.net, trained.play(1)
+    rollout = replace(rollout, done=torch.rand(rollout.done.shape, generator=torch.manual_seed(0)) < 0.1)
+    memory, found, ends = net.memory(*rollout.actions.shape[1:]), [], []
+    with torch.no_grad():
+        now, after = net.of_rollouts(rollout)
+        for t, actions in enumerate(rollout.actions):
+            found.append(net(rollout.now[t], memory))
+            memory.last.copy_(actions)
+            ends.append(net(rollout.after[t], type(memory)(memory.hidden.clone(), memory.last)))
+            memory.forget(rollout.done[t])
+    torch.testing.assert_close(now, torch.stack(found))
+    torch.testing.assert_close(after, torch.stack(ends))
+    goes_on = ~rollout.done[:-1]
+    torch.testing.assert_close(after[:-1][goes_on], now[1:][goes_on])
+    assert net.of_rollouts(rollout)[0].requires_grad
+
+
+def test_a_policy_forgets_the_episode_before(trained, tmp_path):
+    trained.save(tmp_path)
+    policy, env, episodes = load_policy(tmp_path), parallel_env("strip", "grid"), []
+    torch.manual_seed(0)
+    for weight in policy.net.parameters():
+        weight.data.normal_()  # so that what is remembered decides
+    for _ in range(2):
+        observations, done = env.reset(seed=3)[0], []
+        while env.agents:
+            done.append(policy(observations))
+            observations = env.step(done[-1])[0]
+        episodes.append(done)
+    assert episodes[0] == episodes[1]
+    worlds = Episodes(make_task("strip"), np.random.default_rng(0), 1)
+    memory, first = trained.learner.net.memory(1, worlds.n_cars), []
+    looks = enumerate(zip(worlds.vectors()[0], worlds.offered()[0], strict=True))
+    seen = {f"car_{car}": {"observation": row, "action_mask": mask} for car, (row, mask) in looks}
+    for _ in range(2):
+        policy.reset()
+        first.append(policy(seen))
+    assert first[0] == first[1]
+    assert [*first[0].values()] == choose_actions(
+        policy.net, worlds.vectors(), worlds.offered(), memory=memory
+    )[0].tolist()
+    assert (memory.last < N_ACTIONS).all()
+
+
+def test_policies_that_learnt_values_are_evaluated_on_the_grid(trained, tmp_path):
+    trained.save(tmp_path)
+    words = ["validate", "strip", "--backend", "grid", "--trials", "2", "--policy"]
+    assert main([*words, str(tmp_path), "--out", str(tmp_path / "out")]) == 0
+
+
+def test_settings_of_a_command_may_be_true_or_false(tmp_path):
+    words = ["--steps", "80", "--set", "recurrent=true", "worlds=1", "width=4", "--episodes", "1", "--out"]
+    assert main(["train", "strip", "--algo", "vdn", *words, str(tmp_path)]) == 0
+    assert load_policy(tmp_path).net.recurrent

@@ -5,21 +5,21 @@ import importlib.util
 import json
 import subprocess
 import sys
-import threading
 
 import pytest
 
 from craftsim.cli import main
 from craftsim.discrete.tasks import make_task
+from craftsim.errors import InputError
 from craftsim.training.config import NEVER, protocol
-from craftsim.training.curve import last_fifth
+from craftsim.training.curve import TENSORBOARD, CurvePoint, TensorboardLog, last_fifth
 from craftsim.training.policy import load_policy
-from craftsim.training.trainer import Trainer
 
 
 def _train(out, *words):
     task = [] if "--task" in words else ["strip"]
-    return main(["train", *task, "--episodes", "20", "--set", "worlds=10", "--out", str(out), *words])
+    episodes = [] if "--episodes" in words else ["--episodes", "20"]
+    return main(["train", *task, *episodes, "--set", "worlds=10", "--out", str(out), *words])
 
 
 def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
@@ -50,9 +50,15 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
     ("words", "message"),
     [
         (["--until", "2"], "--until is 2; allowed: 0 to 1"),
+        (["--until", "nan"], "--until is nan"),
         (["--steps", "0"], "--steps is 0; allowed: 1 to"),
+        (["--steps", str(10**30)], "--steps is 1000"),
         (["--seed", "-1"], "seed is -1"),
+        (["--seed", str(2**64)], "seed is 18446744073709551616; allowed: 0 to 9223372036854775807"),
+        (["--episodes", "0"], "--episodes is 0"),
         (["--set", "novelty=nan"], "--set novelty"),
+        (["--set", "novelty=.inf"], "--set novelty: "),
+        (["--set", "width=1000000000"], "--set width: 1000000000 is out of range"),
         (["--set", "starts=no_such.plan"], "no_such.plan"),
         (
             ["--set", "starts=some.plan", "--preset", "paper"],
@@ -60,6 +66,10 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
         ),
         (["--set", "explore=-1"], "--set explore: -1 is out of range"),
         (["--set", "helper_depth=5", "--backend", "physics"], "or train on the grid"),
+        (["--set", "workers=2"], "workers is for physics"),
+        (["--set", "drive=rollers"], "drive is for physics"),
+        (["--set", "randomize=mild"], "randomize is for physics"),
+        (["--record", "trajectory"], "record is for physics"),
         (["--task", "strap"], "strip"),
     ],
 )
@@ -143,27 +153,6 @@ def test_a_run_is_neither_overwritten_nor_mixed_with_another(tmp_path, capsys):
     assert "begun with" in capsys.readouterr().err
 
 
-def test_a_second_run_in_a_folder_is_refused_and_the_first_loses_nothing(tmp_path, capsys, monkeypatch):
-    statuses, run = [], Trainer.run
-
-    def meanwhile(self, steps, until):
-        monkeypatch.setattr(Trainer, "run", run)
-        for words in ([], ["--resume"]):
-            # As another process would: who owns a folder in this thread may own it again.
-            second = threading.Thread(
-                target=lambda more: statuses.append(_train(tmp_path, *more)), args=[words]
-            )
-            second.start()
-            second.join()
-        yield from run(self, steps, until)
-
-    monkeypatch.setattr(Trainer, "run", meanwhile)
-    assert _train(tmp_path, "--steps", "1") == 0
-    assert statuses == [2, 2]
-    assert capsys.readouterr().err.count("is in use: another craftsim writes into it") == 2
-    assert _train(tmp_path, "--steps", "1", "--resume") == 0
-
-
 def test_a_run_goes_on_from_the_starts_of_then_only(tmp_path, capsys):
     plan, other = tmp_path / "short.plan", tmp_path / "other.plan"
     plan.write_text("0 0 MOVE_RIGHT\n1 0 LIFT\n2 0 MOVE_RIGHT\n")
@@ -186,7 +175,10 @@ def test_without_a_terminal_it_says_now_and_then_how_far_it_is(tmp_path, capsys,
     assert "strip, ippo: 400 of at most 600 steps, success -, return -," in capsys.readouterr().out
 
 
-def test_without_the_extra_it_says_how_to_install_it(tmp_path, capsys, monkeypatch):
+def test_without_an_extra_it_says_how_to_install_it(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("craftsim.training.curve.find_spec", lambda name: None)
+    assert _train(tmp_path / "run", "--set", "tensorboard=true") == 2
+    assert "pip install tensorboard" in capsys.readouterr().err
     find = importlib.util.find_spec
     monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None if name == "torch" else find(name))
     assert _train(tmp_path) == 2
@@ -201,3 +193,33 @@ def test_the_command_is_there_without_torch(module):
     code = f"import sys, {module}; print('torch' in sys.modules)"
     child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert child.stdout == "False\n"
+
+
+def _point(steps):
+    return CurvePoint(10, steps // 100, 0.5, 12.0, 1, 0, 3, steps=steps)
+
+
+def test_every_point_is_there_once_after_a_run_went_on(tmp_path):
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    curve = [_point(100)]
+    TensorboardLog(tmp_path, []).write(curve[0])
+    curve.append(_point(200))  # whose event was not written any more
+    TensorboardLog(tmp_path, curve).write(_point(300))
+    events = EventAccumulator(str(tmp_path / TENSORBOARD)).Reload()
+    assert set(events.Tags()["scalars"]) == {"eval/success", "eval/return", "eval/ticks"}
+    shown = [(event.step, event.value) for event in events.Scalars("eval/success")]
+    assert shown == [(100, pytest.approx(0.1)), (200, pytest.approx(0.2)), (300, pytest.approx(0.3))]
+
+
+def test_a_log_behind_a_link_is_left_alone(tmp_path):
+    pytest.importorskip("tensorboard")
+    precious = tmp_path / "elsewhere/events.out.tfevents.1"
+    precious.parent.mkdir()
+    precious.touch()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / TENSORBOARD).symlink_to(precious.parent)
+    with pytest.raises(InputError, match="is a link, and none is followed"):
+        TensorboardLog(tmp_path / "run", [])
+    assert [*precious.parent.iterdir()] == [precious]

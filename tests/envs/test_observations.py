@@ -1,4 +1,6 @@
-"""Object choices and local views: what is listed, where choices lead, on the grid, in batches and in physics."""
+"""What is observed beside the rows: object choices, local views, entity sets, and camera images."""
+
+from __future__ import annotations
 
 from collections import deque
 from contextlib import closing
@@ -8,21 +10,41 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import craftsim
+from craftsim.designs.tasks import with_reflections
 from craftsim.discrete.asynchronous import BEGUN
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.tasks import make_task
+from craftsim.discrete.tasks import as_task, make_task
 from craftsim.envs import parallel_env, vector_env
 from craftsim.envs.actions import ObjectChoice
 from craftsim.envs.central import CentralConstruction
-from craftsim.envs.observations import local_views
+from craftsim.envs.observations import (
+    FILLED,
+    OWN,
+    WHAT,
+    Images,
+    X,
+    Y,
+    Z,
+    entity_sets,
+    local_views,
+    observe_entities,
+)
 from craftsim.errors import InputError
+from craftsim.rendering.images import IMAGE_KINDS, take_images
 from craftsim.testing import check_api, check_deterministic, random_policy
 
 STOP, LIFT, DROP = int(Action.STOP), int(Action.LIFT), int(Action.DROP)
 CONTINUE = len(Action)
 EVERYWHERE = ObjectChoice(floor=True)
 DRIVING = [*range(Action.ROTATE_LEFT, Action.MOVE_RIGHT + 1)]
+
+
+SIZE = (32, 24)
+EACH, SHARED = Images("front", SIZE, IMAGE_KINDS), Images("top", SIZE)
+SHORT = make_task("strip", max_steps=0)
+"""Two ticks an episode."""
+MOVES = np.array([Action.MOVE_LEFT, Action.ROTATE_LEFT])
 
 
 def _env(task, backend="grid", choice=EVERYWHERE, **options):
@@ -211,18 +233,6 @@ def test_a_local_view_shows_the_cells_around_each_car():
     assert local_views(far[None], np.zeros((1, 0, 5), np.int64), 1).shape == (1, 0, 3, 3, 2, 6)
 
 
-def test_wrong_options_are_refused():
-    for options, words in [
-        ({"object_choice": ObjectChoice()}, "needs the action helper; give helper_depth"),
-        ({"object_choice": 3, "helper_depth": 20}, "must be an instance of ObjectChoice"),
-        ({"local_view": -1}, r"local_view: -1 is out of range, allowed: 0 to 64"),
-    ]:
-        with pytest.raises(InputError, match=words):
-            parallel_env("strip", "grid", **options)
-        with pytest.raises(InputError, match="radius: 0 is out of range"):
-            ObjectChoice(radius=0)
-
-
 def test_a_choice_that_a_running_action_stands_against_is_not_offered():
     task = make_task("strip", max_steps=20)
     env = craftsim.env(task, "grid", execution="asynchronous", helper_depth=20, object_choice=EVERYWHERE)
@@ -239,3 +249,108 @@ def test_a_choice_that_a_running_action_stands_against_is_not_offered():
             if action > CONTINUE:
                 assert core.episodes.decisions.outcome[0, car] == BEGUN
     assert withheld
+
+
+def _sorted(rows):
+    return rows[np.lexsort(rows.T)]
+
+
+def test_in_the_cars_frame_a_turned_world_looks_the_same():
+    task = as_task("designs")
+    starts = task.draw_starts(np.random.default_rng(0), 8)
+    turned = with_reflections(starts)
+    seen = entity_sets(turned.grids, task.layout, turned.designs)
+    for turn in (16, 32, 48):  # the reflected ones stand between
+        for i in range(8):
+            for car in range(2):
+                np.testing.assert_array_equal(_sorted(seen[i, car]), _sorted(seen[turn + i, car]))
+    on_map = entity_sets(turned.grids, task.layout, turned.designs, "map")
+    assert any((_sorted(on_map[i, 0]) != _sorted(on_map[16 + i, 0])).any() for i in range(8))
+
+
+def test_own_row_stands_at_the_origin_and_nothing_beyond_the_radius_is_seen():
+    task = as_task("designs")
+    starts = task.draw_starts(np.random.default_rng(1), 8)
+    everything = entity_sets(starts.grids, task.layout, starts.designs)
+    near = entity_sets(starts.grids, task.layout, starts.designs, radius=1)
+    own = everything[everything[..., OWN] == 1]
+    assert len(own) == 16
+    assert not own[:, X : Z + 1].any()
+    far = np.abs(everything[..., [X, Y]]).max(-1) > 1
+    assert far.any()
+    assert not near[far].any()
+    np.testing.assert_array_equal(near[~far], everything[~far])
+
+
+def test_cells_of_the_design_are_filled_exactly_when_it_is_built_within_their_space():
+    task = as_task("strip")
+    grid = task.draw(np.random.default_rng(0))
+    targets = observe_entities(task).of(grid, 0)[task.layout.n_rows - 1 :]
+    assert (targets[:, WHAT] > 0).all()
+    built = [grid.kind[target.cell] == target.kind for target in task.design.targets]
+    assert targets[:, FILLED].sum() == sum(built) < len(built)
+    env = parallel_env("strip", "grid", observe=observe_entities(task, "map", 2))
+    seen, _ = env.reset(seed=0)
+    assert env.observation_space("car_0").contains(seen["car_0"])
+
+
+@pytest.mark.parametrize(
+    ("task", "bad", "said"),
+    [
+        ("strip", {"frame": "world"}, "there are car, map"),
+        ("strip", {"radius": -1}, "allowed: None, or 0"),
+        ("designs", {}, "design of its own"),
+    ],
+)
+def test_entity_sets_that_make_no_sense_are_refused(task, bad, said):
+    with pytest.raises(InputError, match=said):
+        observe_entities(as_task(task), **bad)
+
+
+@pytest.mark.usefixtures("rendering")
+def test_each_agent_sees_through_its_own_camera_what_the_site_holds():
+    with closing(parallel_env("strip", images=EACH)) as cars:
+        seen = cars.reset(seed=0)[0]
+        before = seen["car_1"]["rgb"].copy()
+        for tick in range(2):
+            physics = cars.core.backend.judge.physics
+            for car, agent in enumerate(cars.agents):
+                assert cars.observation_space(agent).contains(seen[agent])
+                for kind, array in take_images(physics, f"front:{car}", SIZE).items():
+                    np.testing.assert_array_equal(seen[agent][kind], array)
+            if tick == 0:
+                seen = cars.step(dict(zip(cars.agents, MOVES.tolist(), strict=True)))[0]
+        assert (seen["car_1"]["rgb"] != before).any()
+
+
+@pytest.mark.usefixtures("rendering")
+def test_batches_have_the_images_of_single_environments_in_several_processes():
+    singles = [CentralConstruction(SHORT, images=EACH) for _ in range(2)]
+    expected = [single.reset(seed=3 + world)[0] for world, single in enumerate(singles)]
+    with closing(vector_env(SHORT, 2, "physics", workers=2, images=EACH)) as envs:
+        seen = envs.reset(seed=3)[0]
+        assert envs.observation_space.contains(seen)
+        assert seen["rgb"].shape == (2, 2, 24, 32, 3)
+        for tick in range(2):
+            for world, single in enumerate(singles):
+                for kind in IMAGE_KINDS:
+                    np.testing.assert_array_equal(seen[kind][world], expected[world][kind])
+                expected[world] = single.step(MOVES)[0]
+            seen, _, _, truncated, infos = envs.step(np.tile(MOVES, (2, 1)))
+            assert truncated.all() == (tick == 1)
+        for world, single in enumerate(singles):
+            np.testing.assert_array_equal(infos["final_obs"][world]["rgb"], expected[world]["rgb"])
+            np.testing.assert_array_equal(seen["rgb"][world], single.reset()[0]["rgb"])
+            single.close()
+
+
+@pytest.mark.usefixtures("rendering")
+def test_all_cars_get_the_same_images_of_one_of_the_worlds_cameras_and_the_interfaces_hold():
+    with closing(parallel_env(SHORT, images=SHARED)) as cars:
+        seen = cars.reset(seed=0)[0]
+        np.testing.assert_array_equal(seen["car_0"]["rgb"], seen["car_1"]["rgb"])
+        with closing(CentralConstruction(SHORT, images=SHARED)) as central:
+            np.testing.assert_array_equal(central.reset(seed=0)[0]["rgb"], seen["car_0"]["rgb"])
+    cars = parallel_env(SHORT, images=EACH)
+    check_api(lambda: cars, cycles=2)
+    check_env(CentralConstruction(SHORT, images=EACH), skip_render_check=True)

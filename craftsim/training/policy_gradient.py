@@ -1,28 +1,30 @@
-"""Independent and multi-agent PPO: clipped objective and generalised advantages over many parallel worlds; imitation.
+"""Policy gradients: independent and multi-agent PPO, COMA, and imitation.
 
-After Schulman et al. (2017) and Yu et al., "The surprising effectiveness of PPO in cooperative multi-agent games"
-(NeurIPS 2022).
+After Schulman et al. (2017); Yu et al., "The surprising effectiveness of PPO in cooperative multi-agent games" (NeurIPS
+2022); and Foerster et al., "Counterfactual multi-agent policy gradients" (AAAI 2018).
 """
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Final
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.nn.functional import smooth_l1_loss
+from torch.nn.functional import mse_loss, smooth_l1_loss
 
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
-from craftsim.training.demonstrations import NOT_SHOWN, Demonstrations
+from craftsim.training.features import Seen, joined
 from craftsim.training.learner import Learner, drawn, of_actions
-from craftsim.training.networks import CarNet, Critic
-from craftsim.training.rollouts import Rollout, Seen, distinct, joined
-from craftsim.training.settings import PPOSettings
+from craftsim.training.networks import CarNet, Critic, OthersNet, follow
+from craftsim.training.rollouts import Rollout, distinct
+from craftsim.training.settings import COMASettings, PPOSettings
 from craftsim.training.shape import Shape
+from craftsim.training.starts import NOT_SHOWN, Demonstrations
 
 MIN_ADVANTAGE_STD: Final = 0.1
 """Advantages with a smaller standard deviation are not normalised to 1, since they are noise of the critic."""
@@ -61,7 +63,7 @@ class PPOLearner(Learner):
         # Values now and after each tick; these differ at the end of an episode.
         once, inverse = distinct(joined([rollout.now.flat(), rollout.after.flat()]))
         with torch.no_grad():
-            encoded = self.net.encode(once)
+            encoded = self.net.encoder(once)
             now, after = self.critic(encoded)[inverse].view(2, *rollout.actions.shape)
             before = self.net.masked(encoded, once).log_softmax(-1)
             before = of_actions(before[inverse[:n]], actions)
@@ -74,7 +76,7 @@ class PPOLearner(Learner):
             for some in torch.randperm(n).chunk(settings.minibatches):
                 met, places = torch.unique(inverse[some], return_inverse=True)
                 seen = once[met]
-                encoded = self.net.encode(seen)
+                encoded = self.net.encoder(seen)
                 log_probs = self.net.masked(encoded, seen).log_softmax(-1)
                 ratio = (of_actions(log_probs.index_select(0, places), actions[some]) - before[some]).exp()
                 gain = ratio * advantage[some]
@@ -114,6 +116,66 @@ def advantages(rollout: Rollout, now: Tensor, after: Tensor, gamma: float, decay
     return found
 
 
+class COMALearner(Learner):
+    """COMA: each car is judged by what the team would have got had it acted otherwise.
+
+    Passes over each rollout, whose actions are those of the policy that learns from them.
+    """
+
+    def __init__(self, shape: Shape, ticks: int, settings: COMASettings) -> None:
+        self.settings: COMASettings = settings
+        self.ticks = ticks
+        self.net = CarNet(shape)
+        self.critic = OthersNet(shape)
+        self.target = deepcopy(self.critic).requires_grad_(False)
+        self.modules = nn.ModuleDict({"net": self.net, "critic": self.critic, "target": self.target})
+        weights = [*self.net.parameters(), *self.critic.parameters()]
+        self.optimizer = torch.optim.Adam(weights, settings.learning_rate, fused=True)
+
+    def act(self, seen: Seen) -> Tensor:
+        """Draw each car's action by the policy."""
+        return drawn(self.net(seen))
+
+    def update(self, rollout: Rollout) -> None:
+        """Learn from each tick once."""
+        returns = self._returns(rollout).flatten(0, 1)
+        seen, actions = rollout.now.flat(), rollout.actions.flatten(0, 1)
+        for some in torch.randperm(len(rollout)).chunk(self.settings.minibatches):
+            logits = self.net(seen[some])
+            values = self.critic(seen[some], actions[some])
+            gain, entropy = counterfactual(logits, values.detach(), actions[some])
+            taken = of_actions(values, actions[some])
+            self.minimize(
+                mse_loss(taken, returns[some]) - gain.mean() - self.settings.entropy * entropy.mean()
+            )
+            follow(self.target, self.critic, self.settings.target_rate)
+
+    @torch.no_grad()
+    def _returns(self, rollout: Rollout) -> Tensor:
+        """Return (T, B, n): TD(lambda) of the target critic; an episode that ran out of time is over, too."""
+        gamma, decay = self.settings.gamma, self.settings.td_lambda
+        values = self.target(rollout.now, rollout.actions)
+        taken = of_actions(values, rollout.actions)
+        reward, same = rollout.rewards.unsqueeze(-1), ~rollout.done.unsqueeze(-1)
+        found, ahead, follows = torch.empty_like(taken), taken[-1], taken[-1]
+        for t in range(len(taken) - 1, -1, -1):
+            found[t] = ahead = reward[t] + gamma * same[t] * ((1 - decay) * follows + decay * ahead)
+            follows = taken[t]
+        return found
+
+
+def counterfactual(logits: Tensor, values: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+    """Return (..., n) twice: what the policy's gradient ascends, and its entropy.
+
+    The baseline of a car's advantage is the value that its policy expects, all others acting as they did.
+    """
+    log_probs = logits.log_softmax(-1)
+    probs = log_probs.exp()
+    advantage = of_actions(values, actions) - (probs.detach() * values).sum(-1)
+    entropy = -(probs * log_probs.clamp(min=-1e4)).sum(-1)
+    return of_actions(log_probs, actions) * advantage, entropy
+
+
 def imitate(
     learner: PPOLearner,
     task: Task,
@@ -126,7 +188,7 @@ def imitate(
     actions = torch.from_numpy(shown.actions)
     returns = torch.from_numpy(shown.returns(learner.settings.gamma))
     # What a car does later in a tick may be legal only after what another did: such actions are not imitated.
-    taught = (actions != NOT_SHOWN) & seen.offers.gather(-1, actions.clamp(min=0)[..., None])[..., 0]
+    taught = (actions != NOT_SHOWN) & of_actions(seen.offers, actions.clamp(min=0))
     optimizer = torch.optim.Adam(learner.modules.parameters(), LEARNING_RATE, fused=True)
     batches = -(-len(actions) // BATCH)
     steps = max(LEAST, EPOCHS * batches)
@@ -135,7 +197,7 @@ def imitate(
         if step % batches == 0:
             order = torch.randperm(len(actions)).chunk(batches)
         some = order[step % batches]
-        encoded = learner.net.encode(seen[some])
+        encoded = learner.net.encoder(seen[some])
         logits = learner.net.masked(encoded, seen[some])
         values = learner.critic(encoded)
         doing = functional.cross_entropy(logits[taught[some]], actions[some][taught[some]])
@@ -149,10 +211,9 @@ def imitate(
 
 def _seen(learner: PPOLearner, shown: Demonstrations, episodes: Episodes) -> Seen:
     """Return what the cars saw, (N,)."""
-    places, masks = [], []
-    for rows in np.split(np.arange(len(shown.actions)), range(_LOOKED_AT, len(shown.actions), _LOOKED_AT)):
+    parts, n = [], len(shown.actions)
+    for rows in np.split(np.arange(n), range(_LOOKED_AT, n, _LOOKED_AT)):
         episodes.begin(np.arange(len(rows)), shown.worlds.take(rows))
-        vectors = torch.from_numpy(episodes.vectors()[: len(rows)])
-        places.append(learner.net.encoder.places(vectors).to(torch.int32))
-        masks.append(torch.from_numpy(episodes.offered()[: len(rows)]))
-    return Seen(torch.cat(places), torch.cat(masks))
+        vectors, offered = episodes.vectors()[: len(rows)], episodes.offered()[: len(rows)]
+        parts.append(learner.net.encoder.look(vectors, offered))
+    return joined(parts)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -50,17 +49,11 @@ published, derived, assumed = (partial(_parameter, origin) for origin in get_arg
 class NearNominal:
     """A record of numbers, none of which may be of another order than its nominal value; fixed ones are equal to it."""
 
-    @classmethod
-    def nominal(cls) -> Mapping[str, float]:
-        """Return the nominal values by name."""
-        declared: Any = fields(cls)  # type: ignore[arg-type]
-        return {one.name: one.default for one in declared}
-
     @field_validator("*")
     @classmethod
     def _near(cls, value: float, info: ValidationInfo) -> float:
-        nominal = cls.nominal()[str(info.field_name)]
         declared = next(one for one in fields(cls) if one.name == info.field_name)  # type: ignore[arg-type]
+        nominal: Any = declared.default
         if (why := declared.metadata.get("fixed")) and value != nominal:
             raise ValueError(f"cannot be changed from {nominal:.6g}: {why}")
         least, most = abs(nominal) / REACH, abs(nominal) * REACH

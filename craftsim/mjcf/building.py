@@ -119,16 +119,10 @@ class MachineBuilder:
         parameters: Any,
         **solid: Any,
     ) -> None:
-        """Begin a machine.
+        """Begin a machine of a kind, such as ``block``; ``prefix`` begins the names of all its parts.
 
-        Args:
-            spec: of the world.
-            prefix: begins the names of all its parts.
-            kind: what it is called, such as ``block``.
-            visual: whether it has what is only seen.
-            looks: the solids of meshes that are only seen, by their names and from the machine's parameters.
-            parameters: of the machine.
-            solid: attributes of the geoms that touch.
+        ``visual`` is whether it has what is only seen, ``looks`` gives the solids of that by the names of meshes, from
+        the machine's parameters; ``solid`` are attributes of the geoms that touch.
         """
         self.spec, self.prefix, self.visual = spec, prefix, visual
         self._kind, self._looks, self._parameters = kind, looks, parameters
@@ -205,6 +199,33 @@ class MachineBuilder:
         motor.ctrlrange, motor.forcerange, motor.actrange = both(speed), both(force), [0, travel]
 
 
+# A tile of the texture is a grid cell: texrepeat counts tiles per two metres.
+_SCENE: Final = f"""
+<mujoco>
+  <visual>
+    <global offwidth="1920" offheight="1080" azimuth="130" elevation="-30"/>
+    <headlight ambient=".38 .38 .38" diffuse=".35 .35 .35" specular=".05 .05 .05"/>
+    <quality shadowsize="4096" offsamples="4"/>
+    <map znear=".02" zfar="60"/>
+    <rgba haze=".86 .9 .95 1"/>
+  </visual>
+  <asset>
+    <texture name="sky" type="skybox" builtin="gradient" rgb1=".93 .95 .98" rgb2=".62 .72 .84" width="256"
+             height="256"/>
+    <texture name="floor" type="2d" builtin="flat" rgb1="{" ".join(map(str, FLOOR_RGBA[:3]))}" mark="edge"
+             markrgb=".55 .57 .58" width="256" height="256"/>
+    <material name="floor" texture="floor" texuniform="true" texrepeat="{2 / CELL_PITCH_M:.7f} {2 / CELL_PITCH_M:.7f}"
+              specular=".1" shininess=".1" reflectance="0"/>
+  </asset>
+  <worldbody>
+    <light name="sun" pos="-1.5 -2.5 5" dir=".28 .42 -.86" type="directional" diffuse=".55 .54 .5"
+           specular=".15 .15 .15"/>
+  </worldbody>
+</mujoco>
+"""
+"""Light, sky and floor, for what is to be seen."""
+
+
 def new_world(
     contact: ContactParameters, size: ArrayLike, middle: ArrayLike, visual: bool = True
 ) -> mujoco.MjSpec:
@@ -216,7 +237,7 @@ def new_world(
         middle: (3,) metres: where it is drawn.
         visual: whether it has light and textures.
     """
-    spec = mujoco.MjSpec()
+    spec = mujoco.MjSpec.from_string(_SCENE) if visual else mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -231,52 +252,5 @@ def new_world(
         **surface(contact, contact.ground_friction),
     )
     if visual:
-        _light(spec)
-        _paint(spec, ground)
+        ground.material = "floor"
     return spec
-
-
-def _light(spec: mujoco.MjSpec) -> None:
-    spec.worldbody.add_light(
-        name="sun",
-        pos=[-1.5, -2.5, 5],
-        dir=[0.28, 0.42, -0.86],
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        diffuse=[0.55, 0.54, 0.50],
-        specular=[0.15, 0.15, 0.15],
-    )
-    view, head = spec.visual.global_, spec.visual.headlight
-    view.offwidth, view.offheight, view.azimuth, view.elevation = 1920, 1080, 130, -30
-    head.ambient, head.diffuse, head.specular = [0.38] * 3, [0.35] * 3, [0.05] * 3
-    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 4096, 4
-    spec.visual.map.znear, spec.visual.map.zfar = 0.02, 60
-    spec.visual.rgba.haze = [0.86, 0.90, 0.95, 1]
-
-
-def _paint(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.93, 0.95, 0.98],
-        rgb2=[0.62, 0.72, 0.84],
-        width=256,
-        height=256,
-    )
-    spec.add_texture(
-        name="floor",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        rgb1=FLOOR_RGBA[:3],
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        markrgb=[0.55, 0.57, 0.58],
-        width=256,
-        height=256,
-    )
-    # A tile of the texture is a grid cell: texrepeat counts tiles per two metres.
-    tiles = digits(round(2 / CELL_PITCH_M, 7))
-    floor = spec.add_material(
-        name="floor", texuniform=True, texrepeat=[tiles, tiles], specular=0.1, shininess=0.1, reflectance=0
-    )
-    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
-    ground.material = "floor"

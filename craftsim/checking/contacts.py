@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.footprint import cell_of
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Cell, Grid, Kind
-from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.state import KIND
 from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
 from craftsim.mjcf.building import GROUND
@@ -41,24 +41,12 @@ Hazard = tuple[tuple[str, ...], str]
 """An unsafe event: the names of the machines concerned, and a text with the limit."""
 Numbers = NDArray[np.integer]
 
-PAIR: Final = np.dtype(
-    [
-        *(("since_s", "f8"), ("peak_n", "f8"), ("x", "f8"), ("y", "f8"), ("z", "f8")),
-        *(("touching", "i8"), ("touched", "i8"), ("blow", "i8")),
-    ],
-    align=True,
-)
+PAIR: Final = layout(f8="since_s peak_n x y z", i8="touching touched blow")
 """Two machines a < b, record a * n_machines + b: time of the first contact (inf without one) and peak force; the net
 force while it is summed, and whether they touch. The columns ``touched`` and ``blow`` are lists of pairs."""
-MOTION: Final = np.dtype([("qpos", "i8"), ("qvel", "i8"), ("down_m_s", "f8"), ("upright", "f8")], align=True)
+MOTION: Final = layout(i8="qpos qvel", f8="down_m_s upright")
 """A machine: indices of its free joint in qpos and in qvel, its least vertical speed and cosine of tilt so far."""
-WORST: Final = np.dtype(
-    [
-        *(("n_machines", "i8"), ("limit_n", "f8"), ("hardest_n", "f8"), ("recent_n", "f8")),
-        *(("down_m_s", "f8"), ("upright", "f8")),
-    ],
-    align=True,
-)
+WORST: Final = layout(i8="n_machines", f8="limit_n hardest_n recent_n down_m_s upright")
 """Of all machines: their number, the limit of forces, the largest force since the log began and since the last control
 period, and the least of both fields of MOTION."""
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.bound import bound
-from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.mjcf.building import TOUCHES
 from craftsim.models.config import Amount
 from craftsim.models.parts import WHEELS
@@ -33,15 +33,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Records = NDArray[np.void]
 
-WHEEL: Final = np.dtype(
-    [
-        *((name, "i8") for name in ("motor", "gear", "tree", "dof", "body", "engaged")),
-        *((name, "f8") for name in ("slowest", "fastest", "low", "high", "own_low", "own_high", "own_gain")),
-        ("own_gear", "f8", (6,)),
-        *((name, "f8") for name in ("dry_nm", "played", "nm_per_n", "load")),
-        ("inertia", "f8", (6,)),
-    ],
-    align=True,
+WHEEL: Final = layout(
+    i8="motor gear tree dof body engaged",
+    f8="slowest fastest low high own_low own_high own_gain dry_nm played nm_per_n load",
+    f8x6="own_gear inertia",
 )
 """A wheel, its motor and its gear: where they and their car lie in MuJoCo's arrays, and the range of commanded speeds.
 
@@ -313,13 +308,7 @@ def turn_motors(motors: TurnedMotors) -> None:
             gears[gear, k] = gears[motor, k] if wheel.engaged else 0.0
 
 
-_LOSSES: Final = np.dtype(
-    [
-        *((name, "f8") for name in ("torque_slope", "gear_loss", "backlash_rad", "sag", "elapsed_s")),
-        ("reduced", "i8"),
-    ],
-    align=True,
-)
+_LOSSES: Final = layout(f8="torque_slope gear_loss backlash_rad sag elapsed_s", i8="reduced")
 """Figures of a Drivetrain, the time since they were last taken into account, and whether it is a reduced drive's."""
 
 

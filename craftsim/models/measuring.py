@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from craftsim.discrete.kernel.bound import bound
-from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.limits import PHYSICS_PARTS, Range
@@ -23,20 +23,16 @@ from craftsim.storage.limits import PHYSICS_PARTS, Range
 Floats = NDArray[np.float64]
 Records = NDArray[np.void]
 
-WIRING: Final = np.dtype(
-    [
-        *((name, "i8") for name in ("pose", "board", "board_dof", "board_activation", "board_motor")),
-        ("wheel_speeds", "i8", (4,)),
-        ("wheel_motors", "i8", (4,)),
-        *((name, "f8") for name in ("plug_m", "above_m", "along_m", "across_m", "line_m")),
-    ],
-    align=True,
+WIRING: Final = layout(
+    i8="pose board board_dof board_activation board_motor",
+    i8x4="wheel_speeds wheel_motors",
+    f8="plug_m above_m along_m across_m line_m",
 )
 """Where a car's joints and motors lie in MuJoCo's arrays, and its wheels' speeds in qvel or, on the reduced drive, in
 actuator_velocity; how far from its middle it feels a slope's plug, and how high something is above it; how far its line
 sensors lie before and behind its middle, and beside it, and how far to a side each sees."""
 
-UNDERSIDE: Final = np.dtype([(name, "i8") for name in ("pose", "slope", "hinge", "motor")], align=True)
+UNDERSIDE: Final = layout(i8="pose slope hinge motor")
 """What bears a cross below: where its pose lies in MjData.qpos; a slope's number, where its hinge lies there, and its
 motor in MjData.ctrl; these are -1 for other things."""
 

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.kernel.jit import compiled, records
+from craftsim.discrete.kernel.jit import compiled, layout, records
 from craftsim.discrete.kernel.rotation import body_axes, wrap
 from craftsim.models.config import Amount
 from craftsim.models.measuring import (
@@ -183,29 +183,15 @@ _BIASES: Final = {
 }
 """Readings whose bias has a sign that is drawn, and the figures of that bias."""
 
-_NOISE: Final = np.dtype(
-    [*((f.name, "f8") for f in fields(SensorNoise)), ("encoder_share", "f8")], align=True
-)
+_NOISE: Final = layout(f8=" ".join([*(f.name for f in fields(SensorNoise)), "encoder_share"]))
 """A SensorNoise with times in control periods, drifts as what walks in one, and the share by which a filtered speed
 approaches a new one in a period."""
 
-_OWN: Final = np.dtype(
-    [
-        *((name, "f8") for name in ("delay", "phase", "off_x", "off_y", "off_heading", *_BIASES)),
-        ("last", "i8"),
-    ],
-    align=True,
-)
+_OWN: Final = layout(f8=" ".join(["delay phase off_x off_y off_heading", *_BIASES]), i8="last")
 """A car's: delay and phase of its localisations in periods, their bias as it has drifted, the biases of its other
 readings, and the number of its last localisation."""
 
-_ENCODERS: Final = np.dtype(
-    [
-        *(("joints", "i8", (4,)), ("pose", "f8", (7,))),
-        *((name, "f8", (4,)) for name in ("before", "angles", "counts")),
-    ],
-    align=True,
-)
+_ENCODERS: Final = layout(i8x4="joints", f8x7="pose", f8x4="before angles counts")
 """A car's: where its wheels' angles lie in MjData.qpos, -1 for none; its pose a period ago; by wheel the angle before
 the first count, the angle, and its counts."""
 

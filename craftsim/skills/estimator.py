@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.kernel.bound import bound
-from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.measuring import READING, Floats, Records
@@ -75,40 +75,21 @@ _X, _Y, _HEADING, _BIAS, _MARKER, _SLIP, _N = 0, 1, 2, 3, 6, 9, 11
 """Indices in the state: the errors of odometry in x, y and heading; the biases of localisations in these; the offset of
 the visible marker from the middle of its cell in these; the velocity of slip in x and y. Last, their number."""
 
-_FILTER: Final = np.dtype(
-    [
-        ("state", "f8", (_N,)),
-        ("covariance", "f8", (_N, _N)),
-        ("slopes", "f8", (_N,)),
-        ("shares", "f8", (_N,)),
-    ],
-    align=True,
-)
+_FILTER: Final = layout(f8x11="state slopes shares", f8x11x11="covariance")
 """A state and its covariance. ``slopes`` are the derivatives of the next measurement by the state; ``shares`` is
 scratch."""
 
-_SEEN: Final = np.dtype(
-    [
-        ("reach_m", "f8", (4,)),
-        *((name, "f8") for name in ("variance", "placed", "turned")),
-        *((name, "i8") for name in ("seen", "x", "y", "raised")),
-    ],
-    align=True,
-)
+_SEEN: Final = layout(f8x4="reach_m", f8="variance placed turned", i8="seen x y raised")
 """How far a car's line sensors are before its middle, the first two, and to the left of it; the variances of a line's
 position and of a marker's place and heading; whether a marker is seen, and its cell; whether the board was raised."""
 
-_ESTIMATE: Final = np.dtype(
-    [
-        *((name, "f8") for name in ("period_s", "lever_m", "radius_m")),
-        *((name, "f8") for name in ("slip", "loose", "jitter", "counts", "delay", "delay_std")),
-        ("n_still", "i8"),
-        ("known", _FILTER),
-        ("marker", _SEEN),
-        ("drifts", "f8", (6,)),
-        *((name, "f8", (3,)) for name in ("noise", "scatter")),
-    ],
-    align=True,
+_ESTIMATE: Final = layout(
+    f8="period_s lever_m radius_m slip loose jitter counts delay delay_std",
+    i8="n_still",
+    f8x6="drifts",
+    f8x3="noise scatter",
+    known=_FILTER,
+    marker=_SEEN,
 )
 """What one car estimates. ``drifts`` are the process variances of a period at rest; ``noise`` are the variances of
 localisations, and ``scatter`` the sums from which they are computed."""

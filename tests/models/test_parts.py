@@ -73,14 +73,3 @@ def test_ten_rollers_a_wheel_in_x_arrangement_turn_freely_and_alone_carry_the_ca
     mujoco.mj_step(model, data, 100)
     touching = {model.geom(g).name for g in data.contact.geom.flat} - {"ground"}
     assert {name[:9] for name in touching} == {f"roller_{w}" for w in ("fl", "fr", "rl", "rr")}
-
-
-def test_goal_markers_have_no_contact():
-    """A goal is a site, which MuJoCo draws and never collides: the model has no geom and no body more than without."""
-    worlds = (
-        PhysicsWorld(Grid.empty((4, 4, 2), 1), goals=goals, reset=False)
-        for goals in ([], [(1, 1, 1), (2, 1, 2)])
-    )
-    bare, marked = (physics.seen_model() for physics in worlds)
-    assert marked.nsite == bare.nsite + 2
-    assert (marked.ngeom, marked.nbody) == (bare.ngeom, bare.nbody)

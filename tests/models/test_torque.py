@@ -59,10 +59,6 @@ def test_below_the_statics_limit_a_car_cannot_climb_the_real_slope(ramp, thresho
     assert threshold(climbs, 0.3, 2.0) == pytest.approx(CLIMB_NM, rel=0.02)
 
 
-def test_the_motor_has_three_times_the_torque_of_a_climb():
-    assert SMARTCAR.wheel_torque_nm > 3 * CLIMB_NM
-
-
 class Flap:
     """A slope alone on the floor, and its hinge."""
 

@@ -117,13 +117,6 @@ def test_a_setting_that_cannot_work_is_refused_by_name():
                 SimulationConfig(**{field: value})
 
 
-def test_the_default_settings_are_the_mjcfs_own(open_part):
-    """A part opened in the viewer obeys the physics of a PhysicsWorld."""
-    option, config = open_part("smartcar").opt, SimulationConfig()
-    assert option.timestep == config.timestep_s
-    assert option.impratio == config.friction_impedance_ratio
-
-
 def test_a_world_that_is_too_large_for_physics_or_has_two_cars_in_a_cell_is_refused_at_once():
     for size, n_cars, message in (
         ((30, 30, 10), 1, "a world of 9000 cells: too large for physics; allowed: at most 8192"),

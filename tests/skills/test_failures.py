@@ -193,13 +193,6 @@ def test_a_leaning_car_has_tipped_commands_zeros_and_keeps_its_outcome_and_the_i
                 assert skill.outcome is first
 
 
-def test_no_skill_performs_a_diagonal_move():
-    for action in [a for a in Action if a > Action.STOP]:
-        assert action not in MOVE_DIRECTION
-        with pytest.raises(InputError, match=action.name):
-            _skill(action)
-
-
 def _apply(physics, command):
     physics.drive(0, command.wheels)
     physics.move_board(0, command.board)

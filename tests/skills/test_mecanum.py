@@ -38,10 +38,6 @@ def test_the_wheels_turn_as_the_formula_says():
         np.testing.assert_allclose(CAR.wheel_speeds(twist), np.array(rim_speeds) / R, rtol=1e-12)
 
 
-def test_wheels_that_fight_each_other_give_no_twist():
-    np.testing.assert_allclose(CAR.body_twist([1, 1, -1, -1]), 0.0, atol=1e-12)
-
-
 def test_smaller_wheels_turn_faster_and_a_wider_car_turns_its_wheels_further():
     other = Mecanum(SmartcarParameters(wheel_radius_m=0.0490, wheel_y_m=0.09))
     np.testing.assert_allclose(other.wheel_speeds((1, 0, 0)), np.ones(4) / 0.0490)

@@ -1,7 +1,6 @@
 """MJCF and meshes follow the parameters, nominal or not, and every figure is read and says where it comes from."""
 
 import math
-import shutil
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import lru_cache

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from craftsim.discrete.files.blueprint import read_blueprint
-from craftsim.discrete.grid import Grid
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.world import PhysicsWorld
 

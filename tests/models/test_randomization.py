@@ -2,8 +2,8 @@
 
 import math
 from dataclasses import fields, replace
+from itertools import product
 
-import mujoco
 import numpy as np
 import pytest
 from scipy.stats import kstest, uniform
@@ -12,7 +12,10 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Drive
 from craftsim.models.config import SimulationConfig
-from craftsim.models.randomization import DomainRandomization, _vary_bodies, by_name, randomize
+from craftsim.models.effects import Drivetrain
+from craftsim.models.floor import Floor
+from craftsim.models.randomization import DomainRandomization, Making, randomize
+from craftsim.models.sensing import SensorNoise
 from craftsim.models.world import PhysicsWorld
 
 RANDOMIZED = DomainRandomization()
@@ -73,18 +76,17 @@ def test_every_kind_of_figure_stays_within_its_range_and_uses_it(varied):
 
 
 def test_one_material_of_one_machine_has_one_friction_and_others_have_their_own(varied):
-    model = varied.model
-    nominal = model.geom_friction[:, 0].copy()
-    machine = model.body_rootid[model.geom_bodyid]
+    model, nominal = varied.model, varied.model.geom_friction.copy()
+    surfaces = np.column_stack([model.body_rootid[model.geom_bodyid], nominal[:, 0]])
+    materials, material = np.unique(surfaces, axis=0, return_inverse=True)
     randomize(varied, RANDOMIZED, np.random.default_rng(4))
-    factor = model.geom_friction[:, 0] / nominal
-    materials = {(m, f): set() for m, f in zip(machine.tolist(), nominal.tolist(), strict=True)}
-    for key, value in zip(zip(machine.tolist(), nominal.tolist(), strict=True), factor.tolist(), strict=True):
-        materials[key].add(round(value, 12))
-    assert all(len(values) == 1 for values in materials.values())
-    assert len({next(iter(values)) for values in materials.values()}) == len(materials) > 5
-    # Only sliding friction is drawn.
-    np.testing.assert_array_equal(_ratios(varied, "geom_friction")[0][0] != 1, _sliding(model))
+    factor = np.round(model.geom_friction[:, 0] / nominal[:, 0], 12)
+    drawn = [set(factor[material.reshape(-1) == i]) for i in range(len(materials))]
+    assert all(len(values) == 1 for values in drawn)
+    assert len(set().union(*drawn)) == len(materials) > 5
+    np.testing.assert_array_equal(
+        model.geom_friction[:, 1:], nominal[:, 1:], "only sliding friction is drawn"
+    )
 
 
 def test_mass_and_inertia_of_all_parts_of_a_machine_scale_alike(varied):
@@ -130,10 +132,10 @@ def test_a_draw_of_zero_width_is_nominal_restoring_is_exact_and_draws_do_not_add
 
 
 def test_a_width_that_cannot_be_is_refused_by_its_name():
-    for value in (-1e-9, 1.0, math.nan, math.inf):
-        for name in [field.name for field in fields(DomainRandomization)]:
-            with pytest.raises(InputError, match=f"DomainRandomization.{name}: (must be|.* is out of range)"):
-                replace(RANDOMIZED, **{name: value})
+    for kind in (DomainRandomization, Making, Drivetrain, Floor, SensorNoise):
+        for name, value in product((f.name for f in fields(kind)), (-1e-9, 1.0, math.nan, math.inf)):
+            with pytest.raises(InputError, match=f"{kind.__name__}.{name}: (must be|.* is out of range)"):
+                kind(**{name: value})
 
 
 def _drawn(grid: Grid, drive: Drive = "rollers", seed: int = 5) -> dict[str, np.ndarray]:

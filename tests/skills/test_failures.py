@@ -9,8 +9,7 @@ import pytest
 
 from craftsim.discrete.geometry import INCLINE_RAD
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.kinds import MOVE_DIRECTION, Action
-from craftsim.errors import InputError
+from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.sensing import CarMeasurement, measure
 from craftsim.skills.executor import Executor

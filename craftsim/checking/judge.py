@@ -20,8 +20,7 @@ from craftsim.checking.attempt import (
     capped_text,
     compare,
 )
-from craftsim.checking.contacts import ContactLog, handled, under, unexpected_contacts
-from craftsim.checking.drift import Drift, apart
+from craftsim.checking.contacts import ContactLog, Drift, apart, handled, under, unexpected_contacts
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kinds import Action

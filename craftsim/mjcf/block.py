@@ -57,10 +57,9 @@ def add_block(
     """Add a block, or another table, to a spec.
 
     Four legs and a deck over a frame of four bars, which leaves a pocket for a smartcar's boss; the deck's mass is
-    shared by volume. Legs end in round rubber feet at their outer corners: a foot touches in one point where a leg's
-    end would in four; it stands as wide and, with a contact stiffer by ``foot_stiffness_ratio``, as firm. The frame
-    stands on a board by its front and back bars; the other two, a little higher, add nothing to that support but
-    contacts to compute, and only stop the boss, by its bevel.
+    shared by volume. Legs end in round rubber feet at their outer corners: one point of contact each, on as wide a
+    stand and, by ``foot_stiffness_ratio``, as firm. The frame stands on a board by its front and back bars; the other
+    two, a little higher, only stop the boss, by its bevel.
 
     ``name`` is which of :data:`TABLE_NAMES`; the other arguments are as of :func:`craftsim.mjcf.car.add_car`.
     """

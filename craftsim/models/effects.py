@@ -41,10 +41,10 @@ WHEEL: Final = layout(
 """A wheel, its motor and its gear: where they and their car lie in MuJoCo's arrays, and the range of commanded speeds.
 
 ``low`` and ``high`` are the torques that the motor can give now; ``own_`` are parameters of the baseline, ``own_gear``
-that of the reduced drive's motors in the frame of the car. ``dry_nm`` is the gear's dry friction, ``played`` the angle
-that it has gone through its backlash, forwards, and ``engaged`` says whether it is at an end of that. ``nm_per_n`` is
-the torque that a newton of load lets the wheel pass on, ``load`` in newtons what it carries, and ``inertia`` the torque
-that an acceleration of the car, in its own frame, takes to turn wheel and motor.
+in the frame of the car. ``dry_nm`` is the gear's dry friction, ``played`` the angle gone through its backlash,
+forwards, and ``engaged`` whether it is at an end of that. ``nm_per_n`` is the torque that a newton of load lets the
+wheel pass on, ``load`` in newtons what it carries, ``inertia`` the torque per acceleration of the car to turn wheel and
+motor.
 """
 
 
@@ -127,16 +127,13 @@ class Bearings(StepEffect):
     """The dry friction of the rollers' bearings, in force where a roller touches something or is about to.
 
     MuJoCo solves a row for each joint with dry friction, and of a car's forty rollers four to eight touch at a time.
-    One that touches nothing has 1e-6 kg m^2 and no force to pass on: whether its bearing is dry or not, the car feels
-    nothing of it, and its grease stops it within a tenth of a second. So such a roller turns on its grease alone. The
-    friction is there before it touches: MuJoCo lists what comes within the rollers' gap of 0.2 mm as a contact without
-    force. Which rollers have it follows from the contacts of the last step, which are part of the state.
-
-    Of cars that sleep, whose contacts MuJoCo leaves out, all rollers have it.
+    One in the air, of 1e-6 kg m^2, has no force to pass on and is stopped by its grease within a tenth of a second: it
+    turns on that alone. MuJoCo lists what comes within the rollers' gap of 0.2 mm as a contact without force, so the
+    friction is there before it touches. It follows from the contacts of the last step, which are part of the state; of
+    cars that sleep, whose contacts MuJoCo leaves out, all rollers have it.
     """
 
     def __init__(self, world: PhysicsWorld) -> None:
-        """Take the friction of the bearings from a world's baseline."""
         model = world.model
         geoms = np.flatnonzero(model.geom_contype == ROLLERS)
         dofs = model.body_dofadr[model.geom_bodyid[geoms]].astype(np.intp)
@@ -179,22 +176,18 @@ def _follow_contacts(
 class Grip(StepEffect):
     """How hard the wheels of the reduced drive can push: by their grip, from the load that each of them carries.
 
-    Wheels without rollers do not touch the floor with friction; their motors push the car as if they did. A mecanum
-    wheel holds the ground along its roller's axis, at 45 degrees to its way, with a force of at most the friction
-    coefficient times its load N: no more of its motor's torque than mu N R / sqrt(2), less what the gear takes, reaches
-    the ground. The loads are those of the last physics step, and the limits hold for one control period.
-
-    Where the floor is uneven, or the wheels are not equal, they hold for one physics step, and of the four loads those
-    three parts count that equilibrium gives: their sum, and how it lies along the car and across. The fourth, how a
-    stiff car leans on one diagonal or the other, is left out: rollers, which rattle, share it out
-    (docs/explanation/imperfections.md).
+    Motors push the car as if wheels touched the floor with friction. A mecanum wheel holds the ground along its
+    roller's axis, at 45 degrees to its way, by the friction coefficient times its load N at most: no more of its
+    motor's torque than mu N R / sqrt(2), less what the gear takes, reaches the ground. Loads are those of the last
+    physics step, and limits hold for one control period; where the floor is uneven, or the wheels are not equal, for
+    one physics step. Of the four loads those three parts count there that equilibrium gives. The fourth, how a stiff
+    car leans on one diagonal or the other, is left out: rollers share it out (docs/explanation/imperfections.md).
 
     The motors of cars that sleep, the loads of which MuJoCo leaves out, have no such limits, which so depend on the
     state alone.
     """
 
     def __init__(self, world: PhysicsWorld, wheels: Records) -> None:
-        """Work out what a newton of load and an acceleration of the car mean for each wheel."""
         model, baseline = world.model, world.baseline
         names = [model.actuator(int(motor)).name for motor in wheels["motor"]]
         geoms = np.array([model.geom(name).id for name in names], np.int32)
@@ -315,22 +308,19 @@ _LOSSES: Final = layout(f8="torque_slope gear_loss backlash_rad sag elapsed_s", 
 class DrivetrainLosses(StepEffect):
     """What wheel motors, gears and batteries lack.
 
-    - The most torque of a motor that drives falls in proportion to its speed, by ``torque_slope`` at its top speed (the
-      torque-speed line of a DC motor); a motor that brakes has all of its torque.
-    - A battery sags in proportion to the torque that the four motors of its car drive with: that line falls, all of it.
-    - Of a motor's torque its gear takes ``gear_loss`` while the motor drives, and adds as much while it brakes. At rest
-      the gear's dry friction alone holds.
+    - The most torque of a motor that drives falls in proportion to its speed, by ``torque_slope`` at its top speed; a
+      motor that brakes has all of its torque. A battery's ``sag`` lowers that line by the torque that the four motors
+      of its car drive with.
+    - Of a motor's torque its gear takes ``gear_loss`` while the motor drives, and adds as much while it brakes.
     - In its backlash a gear passes nothing on, friction neither. Its motor then turns as commanded, less what the
       gear's friction makes of that, and takes up the play.
 
-    Torques and speeds are those as the last physics step began; grip, of the reduced drive, takes up what a motor has
-    left once in a control period. Of the backlash is left out that the rotor turns by itself: its inertia stays with
-    the wheel, so teeth meet without an impact, and a play ends with a physics step. MuJoCo's DC motor has a
-    torque-speed line of its own, but takes a voltage; the wheels' servos take a speed.
+    Torques and speeds are those as the last physics step began; grip takes up what a motor has left once in a control
+    period. Left out is that the rotor turns by itself: teeth meet without an impact, and a play ends with a physics
+    step. MuJoCo's DC motor has a torque-speed line of its own, but takes a voltage; the wheels' servos take a speed.
     """
 
     def __init__(self, world: PhysicsWorld, wheels: Records, drivetrain: Drivetrain) -> None:
-        """Take motors and gears from the world's baseline."""
         model, data, reduced = world.model, world.data, world.machines.drive == "reduced"
         losses = records(1, _LOSSES)
         for name in ("torque_slope", "gear_loss", "backlash_rad", "sag"):

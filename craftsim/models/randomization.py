@@ -103,8 +103,8 @@ Draw = Callable[[str, str], np.random.Generator]
 def by_name(rng: np.random.Generator) -> Draw:
     """Return generators for figures of machines, such as ``("car0", "mass")``.
 
-    The seed that ``rng`` draws and the two names decide alone what one of them gives. So nothing that is added to a
-    world, or taken out of it, changes what is drawn of the rest, and both drives have the same masses and friction.
+    The seed that ``rng`` draws and the two names decide alone what one gives: nothing that is added to a world, or
+    taken out of it, changes what is drawn of the rest, and both drives have the same masses and friction.
     """
     seed = rng.integers(0, 2**32, 4).tolist()
 

@@ -103,8 +103,7 @@ class PhysicsWorld:
     """A compiled world with typed handles of its parts.
 
     ``cars`` are in the order of car ids; ``blocks``, ``flags`` and ``slopes`` in the order of :func:`placements`.
-    ``model`` and ``data`` are MuJoCo's own, to look at; commands go through :meth:`drive`, :meth:`move_board` and
-    :meth:`turn_hinge`.
+    ``model`` and ``data`` are MuJoCo's own, to look at.
 
     Example:
         >>> import craftsim

@@ -1,16 +1,9 @@
 """What cars estimate: their poses, the delay of localisations and motors, and whether their floor is uneven.
 
-Odometry is prompt and smooth, so a car is controlled by it. One Kalman filter a car estimates the errors of odometry in
-x, y and heading, and the biases of its localisations. Uncertainty grows with the way travelled; on an uneven floor the
-velocity of sideways slip is a state, too.
-
-- A localisation is compared with where the car believed to be when it was taken. While its delay is uncertain, it has a
-  large variance in motion: a delay that is not known yet cannot make a car oscillate.
-- Below a block or a slope, line sensors see a marker in the middle of its cell: the car's position, at once and without
-  bias, unless a car has set it down there. A bias is corrected only while such a marker is seen.
-- A delay, of localisations behind odometry or of wheels behind commands, is found from the ways over a short window:
-  each candidate has a squared mismatch; the vertex of a parabola at its minimum is the delay, its width the variance.
-  The prior is one more parabola.
+Cars are controlled by odometry. One Kalman filter a car estimates its errors, and the biases of localisations. A
+localisation is compared with where the car believed to be when it was taken. Line sensors below a block or a slope see
+a marker in the middle of its cell; a bias is corrected only while one is seen that no car has set down. A delay is
+found from the ways over a short window: the vertex of a parabola at the least mismatch, its width the variance.
 """
 
 from __future__ import annotations

@@ -172,9 +172,8 @@ _MAY_PASS: Final = (Reason.BLOCKED, Reason.SLIPPED, Reason.MISALIGNED, Reason.TI
 class Tries:
     """An action of one car, tried once or more often.
 
-    After a failure that may be temporary the car goes back, and tries again: it drives back to the pose at which a move
-    or a turn began, lowers a raised board, unfolds a folded slope, and the other way round. It then drives as under or
-    beside something on an uneven floor.
+    After a failure that may be temporary the car goes back to where a move or a turn began, or undoes what it did with
+    board or hinge, and tries again, driving as under or beside something on an uneven floor.
     """
 
     action: Action

@@ -265,7 +265,6 @@ class Skill(ABC):
     """Simulated time after which it has failed."""
 
     def __init__(self, setup: SkillSetup) -> None:
-        """Prepare for this car, world and tuning."""
         self.setup = setup
         self.outcome: Outcome | None = None
         """How it has ended; None before. Commands from then on are ignored."""
@@ -293,7 +292,6 @@ class LawSkill(Skill):
     """A compiled law as a part of a user-defined skill: ``LawSkill(setup, begin_lift)``."""
 
     def __init__(self, setup: SkillSetup, begin: Begin) -> None:
-        """Prepare for the task that a function sets up."""
         super().__init__(setup)
         self._begin = begin
         self._cars, self._angles = records(1, CAR), np.zeros((1, n_angles(setup.gains, setup.period_s)))

@@ -1,6 +1,7 @@
-"""MJCF and meshes follow the parameters, nominal or not, and every figure is read and says where it comes from."""
+"""MJCF and meshes follow the parameters, nominal or from a file, and every figure says where it comes from."""
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import lru_cache
@@ -19,11 +20,14 @@ from craftsim.mjcf.parameters import (
     Machines,
     SlopeParameters,
     SmartcarParameters,
+    load_machines,
 )
 from craftsim.models.composition import MACHINES, machine_spec
 from craftsim.models.exporting import machine_texts, text_of
 
 SMARTCAR, BLOCK, SLOPE = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope
+
+
 OTHER = Machines(
     cars=(
         SmartcarParameters(
@@ -61,7 +65,10 @@ OTHER = Machines(
         hinge_friction_nm=0.03,
     ),
 )
+
+
 """Machines whose figures differ from the nominal ones."""
+
 
 Figures = dict[str, Callable[[mujoco.MjModel], float]]
 
@@ -153,6 +160,7 @@ SMARTCAR_FIGURES: Figures = {
     "camera_fovy_rad": lambda m: math.radians(m.camera("front").fovy[0]),
 }
 
+
 BLOCK_FIGURES: Figures = {
     "side_m": lambda m: extent(m, 0, "deck", "leg_fl", "leg_rl"),
     "height_m": lambda m: level(m, "deck", np.max) - (m.geom("foot_fl").pos[2] - m.geom("foot_fl").size[0]),
@@ -186,6 +194,7 @@ SLOPE_FIGURES: Figures = {
     "boss_play_m": lambda m: level(m, "pad_left", np.min, axis=1) - SMARTCAR.boss_side_m / 2,
     "hinge_range_rad": lambda m: m.joint("hinge").range[1],
 }
+
 
 TABLES = {
     "smartcar": SMARTCAR_FIGURES,
@@ -226,6 +235,8 @@ def with_parameters(parameters) -> Machines:
 
 
 READ_BY_SENSORS = {"docking_range_m", "line_reach_m"}
+
+
 KINDS = (SmartcarParameters, BlockParameters, SlopeParameters, ContactParameters)
 
 
@@ -265,6 +276,8 @@ def test_the_digest_tells_figures_apart():
 
 
 CAR = SmartcarParameters
+
+
 REFUSED = (
     (CAR, {"wheel_mass_kg": -1.0}, "wheel_mass_kg: -1.0 is out of range, allowed: above 0"),
     (CAR, {"wheel_torque_nm": math.nan}, "wheel_torque_nm: must be a finite number above 0"),
@@ -276,11 +289,15 @@ REFUSED = (
     (CAR, {"roller_mass_kg": 0.2}, "wheel_mass_kg must be above 4"),
     (SlopeParameters, {"hinge_speed_rad_s": 50.0}, "50.0 is out of range, allowed: above 0 and at most 3"),
 )
+
+
 REFUSED_TOGETHER = (
     ({"board_travel_m": 0.02}, "from 0.0309 to 0.0509 lifts"),
     ({"board_top_m": 0.0535}, "at most 0.1027 drives under a slope"),
     ({"wheel_y_m": 0.11}, "passes between a block's legs"),
 )
+
+
 """Of cars that can be by themselves, and not with blocks and slopes."""
 
 
@@ -316,3 +333,78 @@ def test_the_flap_continues_the_incline_and_folds_to_a_level_top(open_part):
         over_hinge = edge[2] - math.tan(SLOPE.incline_rad) * (SLOPE.hinge_x_m - edge[0])
         assert over_hinge == pytest.approx(SLOPE.hinge_z_m, abs=2e-6)
     assert 2 * SLOPE.hinge_z_m == pytest.approx(SLOPE.height_m)
+
+
+def _file(folder: Path, text: str) -> Path:
+    path = folder / "own.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_file_overrides_the_figures_that_it_gives(tmp_path):
+    text = """
+    smartcar: {chassis_mass_kg: 1.1, wheel_torque_nm: 3}
+    block: {deck_mass_kg: 0.6}
+    slope: {hinge_speed_rad_s: 1.0}
+    contact: {ground_friction: 0.5}
+    gains: {drive: {max_speed: 0.5}}
+    """
+    machines = load_machines(str(_file(tmp_path, text)))
+    assert machines.cars == (SmartcarParameters(chassis_mass_kg=1.1, wheel_torque_nm=3.0),)
+    assert machines.block == BlockParameters(deck_mass_kg=0.6)
+    assert machines.slope == SlopeParameters(hinge_speed_rad_s=1.0)
+    assert machines.contact.ground_friction == 0.5
+    assert load_machines(_file(tmp_path, text)).digest == machines.digest != NOMINAL.digest
+
+
+def test_the_example_of_the_documentation_is_such_a_file(tmp_path):
+    docs = Path(__file__).parents[2] / "docs" / "reference" / "parameters.md"
+    (text,) = re.findall(r"```yaml\n(.*?)```", docs.read_text(encoding="utf-8"), re.DOTALL)
+    machines = load_machines(_file(tmp_path, text))
+    assert machines.car(1).chassis_mass_kg == 2.0
+    assert machines.slope.hinge_speed_rad_s == 1.0
+
+
+def test_single_cars_differ_from_the_others(tmp_path):
+    text = "smartcar: {chassis_mass_kg: 1.1}\ncars: [{}, {wheel_torque_nm: 3.0, chassis_mass_kg: 1.2}]\n"
+    machines = load_machines(_file(tmp_path, text))
+    assert machines.car(0) == SmartcarParameters(chassis_mass_kg=1.1)
+    assert machines.car(1) == SmartcarParameters(chassis_mass_kg=1.2, wheel_torque_nm=3.0)
+
+
+def test_a_wrong_file_is_refused_by_file_line_and_figure(tmp_path):
+    for text, message in (
+        ("smartcat: {}", ":1: unknown key 'smartcat'; did you mean 'smartcar'?"),
+        ("\nsmartcar: {wheel_mas_kg: 1}", ":2: unknown key 'wheel_mas_kg'; did you mean 'wheel_mass_kg'?"),
+        (
+            "smartcar: {wheel_mass_kg: -1}",
+            ":1: key 'smartcar.wheel_mass_kg': -1 is out of range, allowed: above 0",
+        ),
+        (
+            "smartcar: {mass_kg: 11}",
+            ":1: key 'smartcar.mass_kg': is not given but follows from other parameters",
+        ),
+        (
+            "smartcar: {boss_side_m: 0.1}",
+            ":1: key 'smartcar.boss_side_m': cannot be changed from 0.11: the pockets",
+        ),
+        (
+            "smartcar: {wheel_radius_m: 0.04}",
+            ":1: key 'smartcar': wheel_radius_m is 0.04: the chassis would ground",
+        ),
+        ("cars: [{}, {board_travel_m: 0.02}]", ": Machines: board_travel_m is 0.02; from 0.0309 to 0.0509"),
+    ):
+        path = _file(tmp_path, text)
+        with pytest.raises(InputError) as caught:
+            load_machines(path)
+        assert str(caught.value).startswith(f"{path}{message}")
+
+
+def test_all_mistakes_are_named_together(tmp_path):
+    path = _file(
+        tmp_path, "block: {side_m: 0.4}\nslope: {skin: 1, friction: -1}\ncars: [{}, {boss_height_m: 1}]\n"
+    )
+    with pytest.raises(InputError) as caught:
+        load_machines(path)
+    lines = [line.removeprefix(f"{path}:").partition(":")[0] for line in str(caught.value).splitlines()]
+    assert lines == ["1", "2", "2", "3"]

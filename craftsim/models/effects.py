@@ -7,7 +7,7 @@ worked out from the world's baseline and its state, and never a position, a spee
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import mujoco
 import numpy as np
@@ -141,7 +141,8 @@ class Bearings(StepEffect):
         roller[geoms] = np.arange(len(geoms))
         trees = model.dof_treeid[dofs].astype(np.intp)
         # By geom its roller, counted over all cars, or -1; by roller its joint, its car and its friction in Nm.
-        self._arrays = (roller, dofs, trees, world.baseline.dof_frictionloss[dofs])
+        own = roller, dofs, trees, world.baseline.dof_frictionloss[dofs]
+        self._follow = bound(_follow_contacts, own, world.data.tree_asleep, model.dof_frictionloss)
 
     def start(self, world: PhysicsWorld) -> None:
         """Go by the contacts of the start."""
@@ -151,19 +152,12 @@ class Bearings(StepEffect):
         """Let the bearings have friction whose rollers touched something in the last step, or were about to."""
         # A copy is laid out the same way however many contacts there are.
         geoms = np.ascontiguousarray(world.data.contact.geom)
-        _follow_contacts(geoms, world.data.tree_asleep, *self._arrays, world.model.dof_frictionloss)
+        self._follow(geoms)
 
 
 @compiled
-def _follow_contacts(
-    geoms: Ints,
-    asleep: Ints,
-    roller_of: Ints,
-    dofs: NDArray[np.intp],
-    trees: NDArray[np.intp],
-    dry: Floats,
-    friction: Floats,
-) -> None:
+def _follow_contacts(own: tuple[Any, ...], asleep: Ints, friction: Floats, geoms: Ints) -> None:
+    roller_of, dofs, trees, dry = own
     for roller in range(len(dofs)):
         friction[dofs[roller]] = dry[roller] if asleep[trees[roller]] >= 0 else 0.0
     for contact in range(len(geoms)):
@@ -206,8 +200,8 @@ class Grip(StepEffect):
         """Limit all motors for what their wheels carry now."""
         contact = world.data.contact
         # Copies are laid out the same way however many contacts there are.
-        geoms, addresses = np.ascontiguousarray(contact.geom), np.ascontiguousarray(contact.efc_address)
-        self._limit(geoms, addresses, world.data.efc_force)
+        copies = np.ascontiguousarray(contact.geom), np.ascontiguousarray(contact.efc_address)
+        self._limit(copies, world.data.efc_force)
 
     def after_step(self, world: PhysicsWorld) -> None:
         """Do so again where wheels may come off the ground."""
@@ -216,9 +210,10 @@ class Grip(StepEffect):
 
 @compiled
 def _weigh(
-    wheel_of: Ints, uneven: bool, wheels: Records, geoms: Ints, addresses: Ints, forces: Floats
+    wheel_of: Ints, uneven: bool, wheels: Records, contacts: tuple[Ints, Ints], forces: Floats
 ) -> None:
     """Find what each wheel carries; ``wheel_of`` says which wheel a geom is, or -1."""
+    geoms, addresses = contacts
     for wheel in range(len(wheels)):
         wheels[wheel].load = 0.0
     for contact in range(len(geoms)):
@@ -241,12 +236,11 @@ def _limit(
     wheels: Records,
     state: tuple[Floats, Ints, Floats, Floats],
     forcerange: Floats,
-    geoms: Ints,
-    addresses: Ints,
+    contacts: tuple[Ints, Ints],
     forces: Floats,
 ) -> None:
     """Limit the motors of all wheels for what these carry, by contacts and their forces."""
-    _weigh(wheel_of, uneven[0], wheels, geoms, addresses, forces)
+    _weigh(wheel_of, uneven[0], wheels, contacts, forces)
     motor_forces, asleep, qacc, xmat = state
     for number in range(len(wheels)):
         wheel = wheels[number]
@@ -327,11 +321,14 @@ class DrivetrainLosses(StepEffect):
             losses[name] = getattr(drivetrain, name)
         losses["reduced"] = reduced
         self._losses, self._wheels, self._last_s = losses, wheels, 0.0
-        self._arrays = (
-            *(data.ctrl, data.actuator_force, data.actuator_velocity, data.tree_asleep, losses, wheels),
-            *(model.actuator_forcerange, model.actuator_gainprm, model.actuator_biasprm),
+        state = data.ctrl, data.actuator_force, data.actuator_velocity
+        changed = (
+            model.actuator_forcerange,
+            model.actuator_gainprm,
+            model.actuator_biasprm,
             model.dof_frictionloss,
         )
+        self._lose = bound(_lose, state, changed, data.tree_asleep, losses, wheels)
 
     @property
     def state(self) -> Floats:
@@ -350,22 +347,15 @@ class DrivetrainLosses(StepEffect):
     def after_step(self, world: PhysicsWorld) -> None:
         """Let motors and gears be as the state leaves them; plays go on for the time since the last call."""
         self._losses["elapsed_s"], self._last_s = world.data.time - self._last_s, world.data.time
-        _lose(*self._arrays)
+        self._lose()
 
 
 @compiled
 def _lose(
-    ctrl: Floats,
-    forces: Floats,
-    speeds: Floats,
-    asleep: Ints,
-    losses: Records,
-    wheels: Records,
-    limits: Floats,
-    gains: Floats,
-    biases: Floats,
-    friction: Floats,
+    state: tuple[Floats, ...], changed: tuple[Floats, ...], asleep: Ints, losses: Records, wheels: Records
 ) -> None:
+    ctrl, forces, speeds = state
+    limits, gains, biases, friction = changed
     lost = losses[0]
     voltage = 1.0
     for number in range(len(wheels)):

@@ -101,31 +101,22 @@ class CarMeasurement(NamedTuple):
 
 READING: Final = np.dtype(
     [
-        (
-            name,
-            "i8" if name in ("slope", "fresh") else "f8",
-            (4,) if name in ("wheel_speeds", "lines") else (),
-        )
+        (name, "i8" if name in ("slope", "fresh") else "f8", 4 if name in ("wheel_speeds", "lines") else ())
         for name in CarMeasurement._fields
     ],
     align=True,
 )
 """A :class:`CarMeasurement` as a record; without a slope, -1 and an angle of 0."""
 
-_WHEELS, _SLOPE, _HINGE, _FRESH, _LINES = map(
-    CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad", "fresh", "lines")
-)
-
 
 def measurement_of(reading: np.void) -> CarMeasurement:
     """Return a reading, a record of READING, as a measurement."""
-    values: list[Any] = list(reading.tolist())
-    values[_WHEELS] = tuple(values[_WHEELS].tolist())
-    values[_LINES] = tuple(values[_LINES].tolist())
-    values[_FRESH] = bool(values[_FRESH])
-    if values[_SLOPE] < 0:
-        values[_SLOPE] = values[_HINGE] = None
-    return CarMeasurement(*values)
+    values: dict[str, Any] = dict(zip(CarMeasurement._fields, reading.tolist(), strict=True))
+    for name in ("wheel_speeds", "lines"):
+        values[name] = tuple(values[name].tolist())
+    if values["slope"] < 0:
+        values["slope"] = values["hinge_rad"] = None
+    return CarMeasurement(**values | {"fresh": bool(values["fresh"])})
 
 
 def write_reading(now: CarMeasurement, reading: Records) -> None:

@@ -100,25 +100,15 @@ class SensorNoise:
     @property
     def exact_pose(self) -> bool:
         """Whether localisations are exact and in time."""
-        return not any(getattr(self, name) for name in _OF_LOCALISATIONS)
+        names = [f.name for f in fields(self)]
+        # The figures of localisations stand first.
+        return not any(getattr(self, name) for name in names[: names.index("outlier_m")])
 
     @property
     def silent(self) -> bool:
         """Whether a car measures all that it measures exactly and at once."""
         return not any(getattr(self, f.name) for f in fields(self) if f.name != "motor_lag_s")
 
-
-_OF_LOCALISATIONS: Final = (
-    *(
-        "position_m",
-        "heading_rad",
-        "position_bias_m",
-        "heading_bias_rad",
-        "position_drift_m",
-        "heading_drift_rad",
-    ),
-    *("max_delay_s", "jitter_s", "localisation_period_s", "lost_share", "outlier_share"),
-)
 
 EXACT = SensorNoise()
 """No noise, no delay, no lag."""
@@ -273,7 +263,7 @@ class Sensors:
         self._more.random(out=self._uniforms)
         _localise(
             *(true, self._own, self._past, self._n_periods, levels),
-            *(self._white, self._normals, self._uniforms, out),
+            *((self._white, self._normals, self._uniforms), out),
         )
         self._n_periods += 1
         _disturb(true, levels, self._own, self._white, self._contacts, out)
@@ -310,12 +300,11 @@ def _localise(
     past: Floats,
     n_periods: int,
     levels: Records,
-    white: Floats,
-    normals: Floats,
-    uniforms: Floats,
+    drawn: tuple[Floats, Floats, Floats],
     out: Records,
 ) -> None:
     """Take in the exact poses of a period; where nothing arrives the pose stays, and is not fresh."""
+    white, normals, uniforms = drawn
     noise = levels[0]
     oldest = min(n_periods, past.shape[1] - 1)
     for i in range(len(true)):

@@ -141,9 +141,8 @@ class ContactLog:
 
     def news(self, machines: Collection[str]) -> tuple[Contact, ...]:
         """Return the contacts of these machines that did not exist when the log began."""
-        return tuple(
-            c for c in self.contacts if not c.at_start and (c.first in machines or c.second in machines)
-        )
+        new = (c for c in self.contacts if not c.at_start)
+        return tuple(c for c in new if c.first in machines or c.second in machines)
 
     @property
     def peak_n(self) -> float:
@@ -226,10 +225,9 @@ class ContactLog:
         for car in physics.cars:
             wheels = limit[car.wheel_actuators].sum() / car.parameters.wheel_radius_m
             self._rest[at_tree[car.base.tree]] += wheels + limit[car.board.actuator]
+        lever_m = physics.machines.slope.gear_radius_m
         for slope in physics.slopes:
-            self._rest[at_tree[slope.base.tree]] += (
-                limit[slope.hinge.actuator] / physics.machines.slope.gear_radius_m
-            )
+            self._rest[at_tree[slope.base.tree]] += limit[slope.hinge.actuator] / lever_m
 
     def _possible_n(self, machines: Sequence[int]) -> float:
         """Return the largest possible force between machines in the last step, given weights, motors and motion.
@@ -255,10 +253,10 @@ def impact_limit_n(machines: Machines = NOMINAL) -> float:
     The heaviest loaded car weighs W = 112 N, and its wheel motors push with F = 202 N at most, at right angles to the
     weight: sqrt(W^2 + F^2) = 231 N. Applied at once, it loads a stiff contact up to twice as much as at rest: 461 N.
     """
-    load = max(machines.block.mass_kg, machines.slope.mass_kg)
+    load, cars = max(machines.block.mass_kg, machines.slope.mass_kg), machines.cars
+    pushes = [4 * car.wheel_torque_nm / car.wheel_radius_m for car in cars]
     return max(
-        2 * math.hypot((car.mass_kg + load) * GRAVITY, 4 * car.wheel_torque_nm / car.wheel_radius_m)
-        for car in machines.cars
+        2 * math.hypot((car.mass_kg + load) * GRAVITY, push) for car, push in zip(cars, pushes, strict=True)
     )
 
 

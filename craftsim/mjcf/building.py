@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from craftsim.discrete.geometry import CELL_PITCH_M
-from craftsim.mjcf.parameters import ContactParameters, SmartcarParameters
-from craftsim.mjcf.solids import ClosedSolid, Interval, add_mesh, meshes
-
-Point = tuple[float, float, float]
+from craftsim.mjcf.parameters import ContactParameters
+from craftsim.mjcf.solids import ClosedSolid, Interval, Point, add_mesh, meshes
 
 TOUCHES: Final = {
     "things": {"contype": 1, "conaffinity": 7},
@@ -33,10 +31,6 @@ GROUND: Final = "ground"
 FLOOR_RGBA: Final = [0.80, 0.81, 0.80, 1.0]
 CORNERS: Final = {"fl": (1, 1), "fr": (1, -1), "rl": (-1, 1), "rr": (-1, -1)}
 """Of a car or a block: front or rear, left or right, and the signs of x and y."""
-SEAT: Final = SmartcarParameters()
-"""Board and boss of every car, for which blocks and slopes are made: these parameters cannot be changed."""
-BEVEL: Final = (SEAT.boss_side_m - SEAT.boss_top_side_m) / 2 / SEAT.boss_height_m
-"""By how much a boss narrows on each side per metre of its height."""
 
 
 Pose = tuple[ArrayLike, ArrayLike]
@@ -66,10 +60,8 @@ def friction(contact: ContactParameters, sliding: float) -> list[float]:
 def surface(contact: ContactParameters, sliding: float, stiffness: float = 1.0) -> dict[str, Any]:
     """Return the attributes of a geom with a sliding friction; ``stiffness`` is over that of other contacts."""
     # A contact of impedance d is as stiff as d / (1 - d).
-    low, high = (
-        round(stiffness * d / (1 - d + stiffness * d), 4)
-        for d in (contact.impedance_min, contact.impedance_max)
-    )
+    ends = contact.impedance_min, contact.impedance_max
+    low, high = (round(stiffness * d / (1 - d + stiffness * d), 4) for d in ends)
     return {
         "friction": friction(contact, sliding),
         "solref": [contact.time_constant_s, contact.damping_ratio],
@@ -125,7 +117,7 @@ class MachineBuilder:
         the machine's parameters; ``solid`` are attributes of the geoms that touch.
         """
         self.spec, self.prefix, self.visual = spec, prefix, visual
-        self._kind, self._looks, self._parameters = kind, looks, parameters
+        self._kind, self._looks, self.parameters = kind, looks, parameters
         # Cars differ; other machines have equal meshes and classes of geoms, which a world has once.
         self._own = prefix if kind == "smartcar" else ""
         self.solid = self.geoms("", **{"group": SOLID_GROUP} | solid)
@@ -162,14 +154,9 @@ class MachineBuilder:
         density: float,
     ) -> None:
         """Add a box over three intervals, with the mass that a density in kg/m^3 gives it."""
-        self.add(
-            body,
-            of,
-            name,
-            pos=digits((a + b) / 2 for a, b in spans),
-            size=digits((b - a) / 2 for a, b in spans),
-            mass=micro(density * volume(*spans)),
-        )
+        middle, half = ([(a + b) / 2 for a, b in spans], [(b - a) / 2 for a, b in spans])
+        mass = micro(density * volume(*spans))
+        self.add(body, of, name, pos=digits(middle), size=digits(half), mass=mass)
 
     def add_hull(
         self, body: mujoco.MjsBody, of: mujoco.MjsDefault, name: str, corners: ArrayLike, **geom: Any
@@ -187,7 +174,7 @@ class MachineBuilder:
             return
         seen = self.geoms("seen", type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
         if mesh:
-            made = meshes(self._looks, self._parameters)[mesh]
+            made = meshes(self._looks, self.parameters)[mesh]
             where["meshname"] = add_mesh(self.spec, self._own + mesh, made)
         self.add(body, seen, name, rgba=rgba, **where)
 
@@ -226,16 +213,11 @@ _SCENE: Final = f"""
 """Light, sky and floor, for what is to be seen."""
 
 
-def new_world(
-    contact: ContactParameters, size: ArrayLike, middle: ArrayLike, visual: bool = True
-) -> mujoco.MjSpec:
-    """Return the spec of a world with a floor alone.
+def new_world(contact: ContactParameters, size: ArrayLike, middle: ArrayLike, visual: bool) -> mujoco.MjSpec:
+    """Return the spec of a world with a floor alone, and with light and textures if it is ``visual``.
 
-    Args:
-        contact: how surfaces give way to each other.
-        size: (3,) metres: half-lengths of the floor as it is drawn, 0 for endless; and what MuJoCo's viewer takes.
-        middle: (3,) metres: where it is drawn.
-        visual: whether it has light and textures.
+    ``size`` are the half-lengths, (3,) metres, of the floor as it is drawn, 0 for endless, and what MuJoCo's viewer
+    takes; ``middle`` (3,) is where it is drawn.
     """
     spec = mujoco.MjSpec.from_string(_SCENE) if visual else mujoco.MjSpec()
     spec.compiler.degree = False

@@ -96,7 +96,7 @@ class SmartcarParameters(NearNominal):
     )
     roller_radius_m: Positive = assumed(0.009, "what fits ten rollers on the published wheel")
     roller_half_length_m: Positive = derived(
-        0.0302, "the roundest envelope, with 0.063 mm of ripple: found by trial"
+        0.0302, "least ripple of the envelope, 0.063 mm: found numerically"
     )
     roller_mass_kg: Positive = assumed(0.03, "a rubber barrel of this size; part of the wheel's mass")
     roller_bearing_friction_nm: Positive = assumed(0.004, "friction 0.1 under a quarter car (25 N), 3 mm pin")
@@ -270,7 +270,7 @@ class SlopeParameters(NearNominal):
     hinge_armature_kgm2: Positive = assumed(0.01, "a small motor's rotor behind its gear, as the wheels'")
     hinge_damping_nms_rad: Positive = assumed(0.02, "grease in the gear: 0.006 Nm at the published speed")
     hinge_friction_nm: Positive = assumed(0.02, "a small gear motor")
-    docking_range_m: Positive = assumed(0.04, "reach of the plug of a car below, centred by as much")
+    docking_range_m: Positive = assumed(0.04, "reach of the plug by which a car below turns the hinge")
 
     @property
     def mass_kg(self) -> float:
@@ -356,6 +356,10 @@ class Machines:
 
 NOMINAL: Final = Machines()
 """The published machines."""
+SEAT: Final = NOMINAL.cars[0]
+"""Board and boss of every car, for which blocks and slopes are made: these parameters cannot be changed."""
+BEVEL: Final = (SEAT.boss_side_m - SEAT.boss_top_side_m) / 2 / SEAT.boss_height_m
+"""By how much a boss narrows on each side per metre of its height."""
 
 
 @record(kw_only=True)

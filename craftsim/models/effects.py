@@ -30,6 +30,7 @@ _SLOW_RAD_S: Final = 0.1
 """Below this speed a gear's loss falls to 0, which it is at rest: it would otherwise turn over with the speed."""
 
 Floats = NDArray[np.float64]
+Arrays = tuple[Floats, ...]
 Ints = NDArray[np.int32]
 Records = NDArray[np.void]
 
@@ -114,10 +115,8 @@ def _wheels(world: PhysicsWorld) -> Records:
         # The gears of the reduced drive are motors without power; what they pass on is in proportion to their gear.
         names = [model.actuator(motor).name.replace("wheel", "gear") for motor in motors]
         gears = np.array([model.actuator(name).id for name in names], np.intp)
-        wheels["own_gear"], wheels["dry_nm"] = (
-            baseline.actuator_gear[motors],
-            baseline.actuator_biasprm[gears, 3],
-        )
+        wheels["own_gear"] = baseline.actuator_gear[motors]
+        wheels["dry_nm"] = baseline.actuator_biasprm[gears, 3]
     wheels["motor"], wheels["gear"] = motors, gears
     wheels["low"], wheels["high"], wheels["engaged"] = wheels["own_low"], wheels["own_high"], 1
     return wheels
@@ -209,9 +208,7 @@ class Grip(StepEffect):
 
 
 @compiled
-def _weigh(
-    wheel_of: Ints, uneven: bool, wheels: Records, contacts: tuple[Ints, Ints], forces: Floats
-) -> None:
+def _weigh(wheel_of: Ints, uneven: bool, wheels: Records, contacts: tuple[Ints, ...], forces: Floats) -> None:
     """Find what each wheel carries; ``wheel_of`` says which wheel a geom is, or -1."""
     geoms, addresses = contacts
     for wheel in range(len(wheels)):
@@ -322,12 +319,8 @@ class DrivetrainLosses(StepEffect):
         losses["reduced"] = reduced
         self._losses, self._wheels, self._last_s = losses, wheels, 0.0
         state = data.ctrl, data.actuator_force, data.actuator_velocity
-        changed = (
-            model.actuator_forcerange,
-            model.actuator_gainprm,
-            model.actuator_biasprm,
-            model.dof_frictionloss,
-        )
+        limits, friction = model.actuator_forcerange, model.dof_frictionloss
+        changed = limits, model.actuator_gainprm, model.actuator_biasprm, friction
         self._lose = bound(_lose, state, changed, data.tree_asleep, losses, wheels)
 
     @property
@@ -351,9 +344,7 @@ class DrivetrainLosses(StepEffect):
 
 
 @compiled
-def _lose(
-    state: tuple[Floats, ...], changed: tuple[Floats, ...], asleep: Ints, losses: Records, wheels: Records
-) -> None:
+def _lose(state: Arrays, changed: Arrays, asleep: Ints, losses: Records, wheels: Records) -> None:
     ctrl, forces, speeds = state
     limits, gains, biases, friction = changed
     lost = losses[0]

@@ -144,13 +144,11 @@ def wire_cars(physics: PhysicsWorld) -> Records:
 
 def wire_undersides(physics: PhysicsWorld) -> Records:
     """Return what bears a cross below, (n,) UNDERSIDE: tables, and then slopes."""
-    tables = [(body.qpos, -1, -1, -1) for body in physics.tables]
-    slopes = [
-        (slope.base.qpos, number, slope.hinge.qpos, slope.hinge.actuator)
-        for number, slope in enumerate(physics.slopes)
-    ]
-    undersides = records(len(tables) + len(slopes), UNDERSIDE)
-    undersides[:] = tables + slopes
+    rows = [(body.qpos, -1, -1, -1) for body in physics.tables]
+    for number, slope in enumerate(physics.slopes):
+        rows.append((slope.base.qpos, number, slope.hinge.qpos, slope.hinge.actuator))
+    undersides = records(len(rows), UNDERSIDE)
+    undersides[:] = rows
     return undersides
 
 

@@ -261,10 +261,8 @@ class Sensors:
             self._contacts[car] = self._rng.random()
         self._more.standard_normal(out=self._normals)
         self._more.random(out=self._uniforms)
-        _localise(
-            *(true, self._own, self._past, self._n_periods, levels),
-            *((self._white, self._normals, self._uniforms), out),
-        )
+        drawn = self._white, self._normals, self._uniforms
+        _localise(true, self._own, self._past, self._n_periods, levels, drawn, out)
         self._n_periods += 1
         _disturb(true, levels, self._own, self._white, self._contacts, out)
         self._of_lines.standard_normal(out=self._line_normals)

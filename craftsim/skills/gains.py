@@ -7,7 +7,7 @@ from dataclasses import asdict, field, fields, replace
 from functools import lru_cache
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated, Any, Final, get_type_hints
+from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator
 
@@ -267,9 +267,7 @@ class Gains:
         return digest_of({section: asdict(getattr(self, section)) for section in SECTIONS})
 
 
-SECTIONS: Final[dict[str, type]] = {
-    name: kind for name, kind in get_type_hints(Gains).items() if name != "source"
-}
+SECTIONS: Final[dict[str, type]] = {f.name: type(f.default) for f in fields(Gains) if f.name != "source"}
 """Of :class:`Gains`, by name."""
 
 
@@ -311,17 +309,14 @@ def load_gains(path: Path | str | None = None) -> Gains:
             return replace(load_gains(shipped), source="fast")
     path = Path(path)
     if not path.suffix and not os.path.exists(path):
-        known = ", ".join(PRESETS)
-        raise InputError(
-            f"unknown gains '{path}'{suggestion(str(path), PRESETS)}; there are {known}, or give a YAML file"
-        )
+        close, known = suggestion(str(path), PRESETS), ", ".join(PRESETS)
+        raise InputError(f"unknown gains '{path}'{close}; there are {known}, or give a YAML file")
     document = read_document(path)
     plain, given = document.plain, [name for name in document.plain if name in SECTIONS]
     if "gains" in plain:
         if given:
-            document.fail(
-                (given[0],), "gains stand both at the top and under 'gains'; give them in one place"
-            )
+            both = "gains stand both at the top and under 'gains'; give them in one place"
+            document.fail((given[0],), both)
         gains = document.to(_File).gains
         given = [name for name in plain["gains"] if name in SECTIONS]
     else:

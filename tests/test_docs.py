@@ -21,7 +21,7 @@ from craftsim import Action
 from craftsim.cli import former, main
 from craftsim.cli.app import bind
 from craftsim.discrete.files.blueprint import KEYS, parse_blueprint
-from craftsim.discrete.reasons import REASONS
+from craftsim.discrete.rules import REASONS
 from craftsim.envs.text import TextConstruction
 from craftsim.models.sensing import SensorNoise
 from craftsim.skills.gains import SECTIONS

@@ -170,9 +170,8 @@ class Attempt:
 
     def _repr_html_(self) -> str:
         colour = "green" if self.agrees else "firebrick"
-        fields = "".join(
-            f"<tr><th>{name}<td>{html.escape(str(value))}" for name, value in asdict(self).items()
-        )
+        shown = {name: html.escape(str(value)) for name, value in asdict(self).items()}
+        fields = "".join(f"<tr><th>{name}<td>{value}" for name, value in shown.items())
         head = html.escape(f"car {self.car} {self.action}: {self.result}")
         return f"<b style='color:{colour}'>{head}</b><table>{fields}</table>"
 

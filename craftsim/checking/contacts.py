@@ -1,4 +1,4 @@
-"""Contacts, tilt and vertical speed of machines while an action runs; and what of it is unsafe.
+"""Contacts, tilt, vertical speed and drift of machines while an action runs; and what of it is unsafe.
 
 Contacts are read after every physics step, motion after every control period, at 50 Hz: a thing that falls by 25 mm or
 more is then faster than 0.5 m/s.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Cell, Grid, Kind, cell_of
-from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.state import KIND
 from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
 from craftsim.mjcf.building import GROUND
@@ -32,7 +32,7 @@ from craftsim.storage.writing import whole
 
 TIPPED_RAD: Final = INCLINE_RAD + TILT_TOLERANCE_RAD
 """Limit of the tilt of anything: the incline and the tolerance of standing on it. What should stand still has narrower
-limits (:class:`craftsim.checking.drift.Drift`)."""
+limits (:class:`Drift`)."""
 FALL_M_S: Final = 0.5
 """Limit of the downward speed of anything: a drop of 13 mm. Descents and boards stay below 0.14 m/s."""
 
@@ -40,24 +40,12 @@ Hazard = tuple[tuple[str, ...], str]
 """An unsafe event: the names of the machines concerned, and a text with the limit."""
 Numbers = NDArray[np.integer]
 
-PAIR: Final = np.dtype(
-    [
-        *(("since_s", "f8"), ("peak_n", "f8"), ("x", "f8"), ("y", "f8"), ("z", "f8")),
-        *(("touching", "i8"), ("touched", "i8"), ("blow", "i8")),
-    ],
-    align=True,
-)
+PAIR: Final = layout(f8="since_s peak_n x y z", i8="touching touched blow")
 """Two machines a < b, record a * n_machines + b: time of the first contact (inf without one) and peak force; the net
 force while it is summed, and whether they touch. The columns ``touched`` and ``blow`` are lists of pairs."""
-MOTION: Final = np.dtype([("qpos", "i8"), ("qvel", "i8"), ("down_m_s", "f8"), ("upright", "f8")], align=True)
+MOTION: Final = layout(i8="qpos qvel", f8="down_m_s upright")
 """A machine: indices of its free joint in qpos and in qvel, its least vertical speed and cosine of tilt so far."""
-WORST: Final = np.dtype(
-    [
-        *(("n_machines", "i8"), ("limit_n", "f8"), ("hardest_n", "f8"), ("recent_n", "f8")),
-        *(("down_m_s", "f8"), ("upright", "f8")),
-    ],
-    align=True,
-)
+WORST: Final = layout(i8="n_machines", f8="limit_n hardest_n recent_n down_m_s upright")
 """Of all machines: their number, the limit of forces, the largest force since the log began and since the last control
 period, and the least of both fields of MOTION."""
 
@@ -152,9 +140,8 @@ class ContactLog:
 
     def news(self, machines: Collection[str]) -> tuple[Contact, ...]:
         """Return the contacts of these machines that did not exist when the log began."""
-        return tuple(
-            c for c in self.contacts if not c.at_start and (c.first in machines or c.second in machines)
-        )
+        new = (c for c in self.contacts if not c.at_start)
+        return tuple(c for c in new if c.first in machines or c.second in machines)
 
     @property
     def peak_n(self) -> float:
@@ -237,18 +224,16 @@ class ContactLog:
         for car in physics.cars:
             wheels = limit[car.wheel_actuators].sum() / car.parameters.wheel_radius_m
             self._rest[at_tree[car.base.tree]] += wheels + limit[car.board.actuator]
+        lever_m = physics.machines.slope.gear_radius_m
         for slope in physics.slopes:
-            self._rest[at_tree[slope.base.tree]] += (
-                limit[slope.hinge.actuator] / physics.machines.slope.gear_radius_m
-            )
+            self._rest[at_tree[slope.base.tree]] += limit[slope.hinge.actuator] / lever_m
 
     def _possible_n(self, machines: Sequence[int]) -> float:
         """Return the largest possible force between machines in the last step, given weights, motors and motion.
 
-        Touching machines pass forces on, so all of one island count. Weights, wheels, boards and hinges, the last by
-        the lever of the gear, load a contact up to twice as much when applied at once. What moves loses its momentum
-        over one physics step at least: m v / h, times :func:`stopping_ratio`. Larger forces come from a solver that has
-        not converged.
+        Touching machines pass forces on, so all of one island count. Weights, wheels, boards and hinges load a contact
+        up to twice as much when applied at once. What moves loses its momentum over one physics step at least: m v / h,
+        times :func:`stopping_ratio`. Larger forces come from a solver that has not converged.
         """
         data, step = self.physics.data, self.physics.config.timestep_s
         islands = data.tree_island[self._tree]
@@ -267,10 +252,10 @@ def impact_limit_n(machines: Machines = NOMINAL) -> float:
     The heaviest loaded car weighs W = 112 N, and its wheel motors push with F = 202 N at most, at right angles to the
     weight: sqrt(W^2 + F^2) = 231 N. Applied at once, it loads a stiff contact up to twice as much as at rest: 461 N.
     """
-    load = max(machines.block.mass_kg, machines.slope.mass_kg)
+    load, cars = max(machines.block.mass_kg, machines.slope.mass_kg), machines.cars
+    pushes = [4 * car.wheel_torque_nm / car.wheel_radius_m for car in cars]
     return max(
-        2 * math.hypot((car.mass_kg + load) * GRAVITY, 4 * car.wheel_torque_nm / car.wheel_radius_m)
-        for car in machines.cars
+        2 * math.hypot((car.mass_kg + load) * GRAVITY, push) for car, push in zip(cars, pushes, strict=True)
     )
 
 
@@ -300,8 +285,8 @@ def note_contacts(
     """Note the net force of each pair of touching machines; return the number of new peaks above the limit.
 
     Normal forces are summed as vectors: those of a boss that is wedged between pads cancel out. ``frame`` (n, 9) starts
-    with the normal, which points at ``geom2``; at ``efc_address`` is, with elliptic cones, the normal force (MuJoCo,
-    mj_contactForce). ``machine`` (n_geom,) is that of each geom. ``pairs.blow`` lists the pairs of new peaks.
+    with the normal, which points at ``geom2``; at ``efc_address`` is the normal force (MuJoCo, mj_contactForce).
+    ``machine`` (n_geom,) is that of each geom. ``pairs.blow`` lists the pairs of new peaks.
     """
     n_touched, n_machines = 0, worst[0].n_machines
     for i in range(len(geom1)):
@@ -345,6 +330,83 @@ def note_motion(qpos: Floats, qvel: Floats, motion: Record, worst: Record) -> No
         motion[i].upright = min(motion[i].upright, 1 - 2 * (tilt_x * tilt_x + tilt_y * tilt_y))
         worst[0].down_m_s = min(worst[0].down_m_s, motion[i].down_m_s)
         worst[0].upright = min(worst[0].upright, motion[i].upright)
+
+
+class Drift:
+    """The distances of cars and things from the places where they should stand, and of driving cars from their paths.
+
+    Machines are numbered as poses are: cars by id, then objects. A place is the pose at the start, or at the last call
+    of :meth:`leave`: many small movements add up. It is checked after each control period.
+    """
+
+    def __init__(self, physics: PhysicsWorld, places: NDArray[np.intp]) -> None:
+        """Take the places where everything is now; ``places`` says where their poses, (n, 7), lie in qpos."""
+        self._qpos, self._qvel, self._places = physics.data.qpos, physics.data.qvel, places
+        joints = np.searchsorted(physics.model.jnt_qposadr, places[:, 0])
+        self._speeds = physics.model.jnt_dofadr[joints].astype(np.intp)[:, None] + np.arange(3)
+        self._left, self.furthest = np.zeros((len(places), 7)), np.zeros((len(places), 2))
+        """(n, 2): the largest distance in metres, and angle in radians, of each machine from its place."""
+        n_cars = len(physics.cars)
+        self.strayed_m, self.path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
+        """(n,): each car's largest distance from its path since its action began; (n, 2): its last set point."""
+        self.leave(range(len(places)))
+
+    def speed_m_s(self) -> float:
+        """Return how fast the fastest machine moves now."""
+        velocity = self._qvel[self._speeds]
+        return float(np.sqrt((velocity * velocity).sum(axis=1).max(initial=0.0)))
+
+    def leave(self, machines: Iterable[int]) -> None:
+        """Take the present poses of these as their places."""
+        rows = list(machines)
+        self._left[rows] = self._qpos[self._places[rows]]
+        self.furthest[rows] = 0.0
+
+    def settle(self, machines: slice | list[int]) -> None:
+        """Forget earlier distances of these: only the present ones count."""
+        self.furthest[machines] = 0.0
+        self.look()
+
+    def look(self, _: PhysicsWorld | None = None) -> None:
+        """Note the distance of everything from its place; call it after each control period."""
+        _note_away(self._qpos, self._places, self._left, self.furthest)
+
+    def stray(self, paths: Floats) -> None:
+        """Note the distance of each driving car from the last segment of its path; call it after each control period.
+
+        ``paths`` (n, 3) are the set points of an executor.
+        """
+        path, start = paths[:, :2], self.path
+        at = self._qpos[self._places[: len(path), :2]]
+        way = path - start
+        length = np.maximum((way * way).sum(axis=1), 1e-12)
+        share = np.clip(((at - start) * way).sum(axis=1) / length, 0.0, 1.0)
+        beside = np.hypot(*(at - start - share[:, None] * way).T)
+        self.strayed_m = np.fmax(self.strayed_m, beside)
+        self.path = path
+
+
+@compiled
+def _note_away(qpos: Floats, places: NDArray[np.integer], left: Floats, furthest: Floats) -> None:
+    """Note the distance of each machine, its pose in qpos at ``places`` (n, 7), from its place in ``left``."""
+    for i in range(len(places)):
+        start = places[i, 0]
+        metres, radians = apart(qpos[start : start + 7], left[i])
+        furthest[i, 0], furthest[i, 1] = max(furthest[i, 0], metres), max(furthest[i, 1], radians)
+
+
+@compiled
+def apart(one: Floats, other: Floats) -> tuple[float, float]:
+    """Return the distance in metres between two poses (7,), and the angle in radians, exact for small ones."""
+    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    metres = math.sqrt(x * x + y * y + z * z)
+    a, b, c, d = one[3], one[4], one[5], one[6]
+    e, f, g, h = other[3], other[4], other[5], other[6]
+    w = a * e + b * f + c * g + d * h
+    x = a * f - b * e - c * h + d * g
+    y = a * g - c * e - d * f + b * h
+    z = a * h - d * e - b * g + c * f
+    return metres, 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
 
 def unexpected_contacts(

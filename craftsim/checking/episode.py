@@ -43,9 +43,8 @@ class Act:
 
     def __post_init__(self) -> None:
         if self.action not in (names := action_names()):
-            raise InputError(
-                f"unknown action '{self.action}'{suggestion(self.action, names)}; there are {', '.join(names)}"
-            )
+            close = suggestion(self.action, names)
+            raise InputError(f"unknown action '{self.action}'{close}; there are {', '.join(names)}")
 
 
 @dataclass(frozen=True)
@@ -74,17 +73,15 @@ class Step:
         if self.order is None and len(self.acts) != 1:
             raise InputError(f"a step without an order has one action, not {len(self.acts)}")
         if len(self.acts) > STEP_ACTIONS:
-            raise InputError(
-                f"a step of {len(self.acts)} actions; allowed: at most {STEP_ACTIONS} at one time"
-            )
+            count = len(self.acts)
+            raise InputError(f"a step of {count} actions; allowed: at most {STEP_ACTIONS} at one time")
         if any(len({act.car for act in tick}) < len(tick) for tick in self.ticks):
             raise InputError("a car acts twice in one tick; allowed: once")
         if self.order is not None and self.intended is not None:
             raise InputError("only a single action, in a step without an order, can have an intended world")
         if self.starts_s and (self.order is None or len(self.starts_s) != len(self.ticks)):
-            raise InputError(
-                f"{len(self.starts_s)} times for {len(self.ticks)} ticks; allowed: one a tick, with an order"
-            )
+            given = f"{len(self.starts_s)} times for {len(self.ticks)} ticks"
+            raise InputError(f"{given}; allowed: one a tick, with an order")
 
     @property
     def acts(self) -> tuple[Act, ...]:
@@ -275,9 +272,8 @@ def perform(
         raise InputError(f"there is no car {car}: the world has {len(physics.cars)}, counted from 0")
     if isinstance(action, str):
         action = Action[Act(car, action).action]
-    setup = Setup(
-        rules, thresholds or Thresholds(), gains=gains or nominal_gains(), skills=own_skills(skills)
-    )
+    gains, own = gains or nominal_gains(), own_skills(skills)
+    setup = Setup(rules, thresholds or Thresholds(), gains=gains, skills=own)
     return judge_on(physics, setup, sensors).perform(car, action)
 
 

@@ -20,8 +20,7 @@ from craftsim.checking.attempt import (
     capped_text,
     compare,
 )
-from craftsim.checking.contacts import ContactLog, handled, under, unexpected_contacts
-from craftsim.checking.drift import Drift, apart
+from craftsim.checking.contacts import ContactLog, Drift, apart, handled, under, unexpected_contacts
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.claims import CHANGES
 from craftsim.discrete.kernel.jit import plain
@@ -50,6 +49,7 @@ SETTLE_S: Final = 1.0
 _apart: Final = plain(apart)
 Joint = Sequence[tuple[int, Action]]
 """(car, action) in acting order."""
+Bystanders = tuple[dict[str, float], dict[str, str]]
 OnChange = Callable[[dict[int, ScheduledAction]], None]
 """Called with the running actions by car whenever one begins or ends."""
 
@@ -228,15 +228,13 @@ class Judge:
         before, steps, capped = self.grid, schedule.steps, self.physics.capped_steps
         number = {(step.tick, step.car): index for index, step in enumerate(steps)}
         waiting, found = dict(enumerate(steps)), list[Watched]()
-        self._settled = True
+        moved, self._settled = "bystander_displacement_m", True
         if steps:
             self._watch()
         while True:
             ended = (one.step for one in found if one.outcome and one.outcome.succeeded)
             done = {number[step.tick, step.car] for step in ended}
-            halted = halts and any(
-                not one.applied or one.errors["bystander_displacement_m"] > PLACE_TOLERANCE_M for one in found
-            )
+            halted = halts and any(not one.applied or one.errors[moved] > PLACE_TOLERANCE_M for one in found)
             for index, step in [] if halted else list(waiting.items()):
                 if step.waits_for <= done and step.car not in self._running:
                     self._begin(waiting.pop(index), legal)
@@ -369,10 +367,8 @@ class Judge:
     def _measure(self, one: Watched, outcome: Outcome | None, acting: set[int], swaying: set[int]) -> None:
         """Measure what an action has done, at its end."""
         step, car, log = one.step, one.step.car, self.log
-        placed, things = (
-            self.reading.cars[car],
-            [self.reading.objects[row - self._n_cars] for row in one.about],
-        )
+        placed = self.reading.cars[car]
+        things = [self.reading.objects[row - self._n_cars] for row in one.about]
         # What the car should not carry afterwards is set down, folded, unfolded or shoved.
         set_down = things[0] if things and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
         loads = [thing.offset_m for thing in things if thing.carrier is not None]
@@ -407,9 +403,7 @@ class Judge:
             return thing.height_m
         return thing.height_m - lift_m(self.poses.kinds[index], machines.car(thing.carrier), machines)
 
-    def _bystanders(
-        self, one: Watched, acting: set[int], swaying: set[int]
-    ) -> tuple[dict[str, float], dict[str, str]]:
+    def _bystanders(self, one: Watched, acting: set[int], swaying: set[int]) -> Bystanders:
         """Return the largest of each error of bystanders, and the name of the bystander, by field.
 
         What sways under a car that still drives counts for that car's action.

@@ -122,15 +122,12 @@ RANDOMIZE: Final[Mapping[Randomize, _Terms]] = {
 def widened(limits: Thresholds, randomization: DomainRandomization) -> Thresholds:
     """Return limits widened by what cars cannot know: localisation bias, floor relief, drawn masses and motors."""
     sensors, relief_m = randomization.sensors, randomization.floor.relief_m
-    lean = relief_m / _BASE_M
+    lean, aside_m = relief_m / _BASE_M, CELL_PITCH_M / 2 * sensors.heading_bias_rad
     return replace(
         limits,
         car_m=limits.car_m + sensors.position_bias_m,
         heading_rad=limits.heading_rad + sensors.heading_bias_rad,
-        placed_m=limits.placed_m
-        + sensors.position_bias_m
-        + CELL_PITCH_M / 2 * sensors.heading_bias_rad
-        + LEVEL_HEIGHT_M * lean,
+        placed_m=limits.placed_m + sensors.position_bias_m + aside_m + LEVEL_HEIGHT_M * lean,
         height_m=limits.height_m + relief_m,
         tilt_rad=limits.tilt_rad + lean,
         placed_heading_rad=limits.placed_heading_rad + sensors.heading_bias_rad,
@@ -197,9 +194,9 @@ def setup_of(
 
 def _randomization(given: Randomize | str | Path) -> _Terms:
     given = preset_of_level(given) if isinstance(given, str) else given
-    return (
-        RANDOMIZE[cast(Randomize, given)] if _is_preset(given, "randomization") else _read(given, RANDOMIZE)
-    )
+    if _is_preset(given, "randomization"):
+        return RANDOMIZE[cast(Randomize, given)]
+    return _read(given, RANDOMIZE)
 
 
 def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> SensorNoise:

@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from craftsim.discrete.kinds import CARRIED, Kind
-from craftsim.mjcf.building import BEVEL, CORNERS, TOUCHES, MachineBuilder, Pose, digits, surface, volume
-from craftsim.mjcf.parameters import BlockParameters, Machines
+from craftsim.mjcf.building import CORNERS, TOUCHES, MachineBuilder, Pose, digits, surface, volume
+from craftsim.mjcf.parameters import BEVEL, BlockParameters, Machines
 from craftsim.mjcf.solids import ClosedSolid, Interval, box, loft, square, turned
 
 
@@ -47,28 +47,21 @@ TABLE_NAMES: Final = {kind.name.lower(): kind for kind in TABLES}
 
 
 def add_block(
-    spec: mujoco.MjSpec,
-    prefix: str,
-    pose: Pose,
-    machines: Machines,
-    name: str = "block",
-    visual: bool = True,
+    spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, name: str = "block", visual: bool = True
 ) -> None:
     """Add a block, or another table, to a spec.
 
     Four legs and a deck over a frame of four bars, which leaves a pocket for a smartcar's boss; the deck's mass is
-    shared by volume. Legs end in round rubber feet at their outer corners: a foot touches in one point where a leg's
-    end would in four; it stands as wide and, with a contact stiffer by ``foot_stiffness_ratio``, as firm. The frame
-    stands on a board by its front and back bars; the other two, a little higher, add nothing to that support but
-    contacts to compute, and only stop the boss, by its bevel.
+    shared by volume. Legs end in round rubber feet at their outer corners: one point of contact each, on as wide a
+    stand and, by ``foot_stiffness_ratio``, as firm. The frame stands on a board by its front and back bars; the other
+    two, a little higher, only stop the boss, by its bevel.
 
     ``name`` is which of :data:`TABLE_NAMES`; the other arguments are as of :func:`craftsim.mjcf.car.add_car`.
     """
     block, contact, table = machines.block, machines.contact, TABLES[TABLE_NAMES[name]]
-    of_solid = {**TOUCHES["things"], **surface(contact, block.friction), "rgba": [*table.rgb, 0.4]}
-    builder = MachineBuilder(
-        spec, prefix, name, visual, looks, block, type=mujoco.mjtGeom.mjGEOM_BOX, **of_solid
-    )
+    of_solid = {"type": mujoco.mjtGeom.mjGEOM_BOX, "rgba": [*table.rgb, 0.4]}
+    of_solid |= {**TOUCHES["things"], **surface(contact, block.friction)}
+    builder = MachineBuilder(spec, prefix, name, visual, looks, block, **of_solid)
     body = builder.body(pose, free=TABLE_NAMES[name] in CARRIED)
     builder.show(body, "table_visual", "block", (*table.rgb, 1.0))
     if table.top is not None:
@@ -119,16 +112,9 @@ def _block(p: BlockParameters) -> list[ClosedSolid]:
     bottom, top, half, leg = p.underside_m, p.height_m, p.side_m / 2, p.leg_side_m
     bevel = 0.005
     pocket = p.pocket_side_m + 0.0018
-    deck = loft(
-        [
-            square(pocket, bottom + p.pocket_depth_m),
-            square(pocket, bottom),
-            square(2 * (half - bevel), bottom),
-            square(2 * half, bottom + bevel),
-            square(2 * half, top - bevel),
-            square(2 * (half - bevel), top),
-        ]
-    )
+    sides = pocket, pocket, 2 * (half - bevel), 2 * half, 2 * half, 2 * (half - bevel)
+    heights = bottom + p.pocket_depth_m, bottom, bottom, bottom + bevel, top - bevel, top
+    deck = loft([square(*level) for level in zip(sides, heights, strict=True)])
     foot = loft([square(leg - 0.006, 0.0), square(leg, 0.003), square(leg, bottom + 0.001)])
     low, high = top - 0.001, top + 0.0006
     ring = [[0.0085, low], [0.0115, low], [0.0112, high], [0.0088, high], [0.0085, low]]
@@ -139,16 +125,9 @@ def _block(p: BlockParameters) -> list[ClosedSolid]:
 
 def _block_trim(p: BlockParameters) -> list[ClosedSolid]:
     """Plates on the block's four flanks, 0.5 mm proud: a second colour over the block."""
-    parts = []
-    half = p.side_m / 2
-    for quarter in range(4):
-        panel = box(
-            (half - 0.002, half + 0.0005),
-            (0.040 - half, half - 0.040),
-            (p.underside_m + 0.0165, p.height_m - 0.017),
-        )
-        parts.append(panel.rolled(quarter * np.pi / 2))
-    return parts
+    half, across = p.side_m / 2, (0.040 - p.side_m / 2, p.side_m / 2 - 0.040)
+    panel = box((half - 0.002, half + 0.0005), across, (p.underside_m + 0.0165, p.height_m - 0.017))
+    return [panel.rolled(quarter * np.pi / 2) for quarter in range(4)]
 
 
 def _flag(p: BlockParameters) -> list[ClosedSolid]:

@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from craftsim.discrete.geometry import CELL_PITCH_M
-from craftsim.mjcf.parameters import ContactParameters, SmartcarParameters
-from craftsim.mjcf.solids import ClosedSolid, Interval, add_mesh, meshes
-
-Point = tuple[float, float, float]
+from craftsim.mjcf.parameters import ContactParameters
+from craftsim.mjcf.solids import ClosedSolid, Interval, Point, add_mesh, meshes
 
 TOUCHES: Final = {
     "things": {"contype": 1, "conaffinity": 7},
@@ -33,10 +31,6 @@ GROUND: Final = "ground"
 FLOOR_RGBA: Final = [0.80, 0.81, 0.80, 1.0]
 CORNERS: Final = {"fl": (1, 1), "fr": (1, -1), "rl": (-1, 1), "rr": (-1, -1)}
 """Of a car or a block: front or rear, left or right, and the signs of x and y."""
-SEAT: Final = SmartcarParameters()
-"""Board and boss of every car, for which blocks and slopes are made: these parameters cannot be changed."""
-BEVEL: Final = (SEAT.boss_side_m - SEAT.boss_top_side_m) / 2 / SEAT.boss_height_m
-"""By how much a boss narrows on each side per metre of its height."""
 
 
 Pose = tuple[ArrayLike, ArrayLike]
@@ -66,10 +60,8 @@ def friction(contact: ContactParameters, sliding: float) -> list[float]:
 def surface(contact: ContactParameters, sliding: float, stiffness: float = 1.0) -> dict[str, Any]:
     """Return the attributes of a geom with a sliding friction; ``stiffness`` is over that of other contacts."""
     # A contact of impedance d is as stiff as d / (1 - d).
-    low, high = (
-        round(stiffness * d / (1 - d + stiffness * d), 4)
-        for d in (contact.impedance_min, contact.impedance_max)
-    )
+    ends = contact.impedance_min, contact.impedance_max
+    low, high = (round(stiffness * d / (1 - d + stiffness * d), 4) for d in ends)
     return {
         "friction": friction(contact, sliding),
         "solref": [contact.time_constant_s, contact.damping_ratio],
@@ -119,19 +111,13 @@ class MachineBuilder:
         parameters: Any,
         **solid: Any,
     ) -> None:
-        """Begin a machine.
+        """Begin a machine of a kind, such as ``block``; ``prefix`` begins the names of all its parts.
 
-        Args:
-            spec: of the world.
-            prefix: begins the names of all its parts.
-            kind: what it is called, such as ``block``.
-            visual: whether it has what is only seen.
-            looks: the solids of meshes that are only seen, by their names and from the machine's parameters.
-            parameters: of the machine.
-            solid: attributes of the geoms that touch.
+        ``visual`` is whether it has what is only seen, ``looks`` gives the solids of that by the names of meshes, from
+        the machine's parameters; ``solid`` are attributes of the geoms that touch.
         """
         self.spec, self.prefix, self.visual = spec, prefix, visual
-        self._kind, self._looks, self._parameters = kind, looks, parameters
+        self._kind, self._looks, self.parameters = kind, looks, parameters
         # Cars differ; other machines have equal meshes and classes of geoms, which a world has once.
         self._own = prefix if kind == "smartcar" else ""
         self.solid = self.geoms("", **{"group": SOLID_GROUP} | solid)
@@ -168,14 +154,9 @@ class MachineBuilder:
         density: float,
     ) -> None:
         """Add a box over three intervals, with the mass that a density in kg/m^3 gives it."""
-        self.add(
-            body,
-            of,
-            name,
-            pos=digits((a + b) / 2 for a, b in spans),
-            size=digits((b - a) / 2 for a, b in spans),
-            mass=micro(density * volume(*spans)),
-        )
+        middle, half = ([(a + b) / 2 for a, b in spans], [(b - a) / 2 for a, b in spans])
+        mass = micro(density * volume(*spans))
+        self.add(body, of, name, pos=digits(middle), size=digits(half), mass=mass)
 
     def add_hull(
         self, body: mujoco.MjsBody, of: mujoco.MjsDefault, name: str, corners: ArrayLike, **geom: Any
@@ -193,7 +174,7 @@ class MachineBuilder:
             return
         seen = self.geoms("seen", type=mujoco.mjtGeom.mjGEOM_MESH, **SEEN)
         if mesh:
-            made = meshes(self._looks, self._parameters)[mesh]
+            made = meshes(self._looks, self.parameters)[mesh]
             where["meshname"] = add_mesh(self.spec, self._own + mesh, made)
         self.add(body, seen, name, rgba=rgba, **where)
 
@@ -205,18 +186,40 @@ class MachineBuilder:
         motor.ctrlrange, motor.forcerange, motor.actrange = both(speed), both(force), [0, travel]
 
 
-def new_world(
-    contact: ContactParameters, size: ArrayLike, middle: ArrayLike, visual: bool = True
-) -> mujoco.MjSpec:
-    """Return the spec of a world with a floor alone.
+# A tile of the texture is a grid cell: texrepeat counts tiles per two metres.
+_SCENE: Final = f"""
+<mujoco>
+  <visual>
+    <global offwidth="1920" offheight="1080" azimuth="130" elevation="-30"/>
+    <headlight ambient=".38 .38 .38" diffuse=".35 .35 .35" specular=".05 .05 .05"/>
+    <quality shadowsize="4096" offsamples="4"/>
+    <map znear=".02" zfar="60"/>
+    <rgba haze=".86 .9 .95 1"/>
+  </visual>
+  <asset>
+    <texture name="sky" type="skybox" builtin="gradient" rgb1=".93 .95 .98" rgb2=".62 .72 .84" width="256"
+             height="256"/>
+    <texture name="floor" type="2d" builtin="flat" rgb1="{" ".join(map(str, FLOOR_RGBA[:3]))}" mark="edge"
+             markrgb=".55 .57 .58" width="256" height="256"/>
+    <material name="floor" texture="floor" texuniform="true" texrepeat="{2 / CELL_PITCH_M:.7f} {2 / CELL_PITCH_M:.7f}"
+              specular=".1" shininess=".1" reflectance="0"/>
+  </asset>
+  <worldbody>
+    <light name="sun" pos="-1.5 -2.5 5" dir=".28 .42 -.86" type="directional" diffuse=".55 .54 .5"
+           specular=".15 .15 .15"/>
+  </worldbody>
+</mujoco>
+"""
+"""Light, sky and floor, for what is to be seen."""
 
-    Args:
-        contact: how surfaces give way to each other.
-        size: (3,) metres: half-lengths of the floor as it is drawn, 0 for endless; and what MuJoCo's viewer takes.
-        middle: (3,) metres: where it is drawn.
-        visual: whether it has light and textures.
+
+def new_world(contact: ContactParameters, size: ArrayLike, middle: ArrayLike, visual: bool) -> mujoco.MjSpec:
+    """Return the spec of a world with a floor alone, and with light and textures if it is ``visual``.
+
+    ``size`` are the half-lengths, (3,) metres, of the floor as it is drawn, 0 for endless, and what MuJoCo's viewer
+    takes; ``middle`` (3,) is where it is drawn.
     """
-    spec = mujoco.MjSpec()
+    spec = mujoco.MjSpec.from_string(_SCENE) if visual else mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -231,52 +234,5 @@ def new_world(
         **surface(contact, contact.ground_friction),
     )
     if visual:
-        _light(spec)
-        _paint(spec, ground)
+        ground.material = "floor"
     return spec
-
-
-def _light(spec: mujoco.MjSpec) -> None:
-    spec.worldbody.add_light(
-        name="sun",
-        pos=[-1.5, -2.5, 5],
-        dir=[0.28, 0.42, -0.86],
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        diffuse=[0.55, 0.54, 0.50],
-        specular=[0.15, 0.15, 0.15],
-    )
-    view, head = spec.visual.global_, spec.visual.headlight
-    view.offwidth, view.offheight, view.azimuth, view.elevation = 1920, 1080, 130, -30
-    head.ambient, head.diffuse, head.specular = [0.38] * 3, [0.35] * 3, [0.05] * 3
-    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 4096, 4
-    spec.visual.map.znear, spec.visual.map.zfar = 0.02, 60
-    spec.visual.rgba.haze = [0.86, 0.90, 0.95, 1]
-
-
-def _paint(spec: mujoco.MjSpec, ground: mujoco.MjsGeom) -> None:
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.93, 0.95, 0.98],
-        rgb2=[0.62, 0.72, 0.84],
-        width=256,
-        height=256,
-    )
-    spec.add_texture(
-        name="floor",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        rgb1=FLOOR_RGBA[:3],
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        markrgb=[0.55, 0.57, 0.58],
-        width=256,
-        height=256,
-    )
-    # A tile of the texture is a grid cell: texrepeat counts tiles per two metres.
-    tiles = digits(round(2 / CELL_PITCH_M, 7))
-    floor = spec.add_material(
-        name="floor", texuniform=True, texrepeat=[tiles, tiles], specular=0.1, shininess=0.1, reflectance=0
-    )
-    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
-    ground.material = "floor"

@@ -9,7 +9,7 @@ would, no harder than their grip allows (craftsim/models/effects.py).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import mujoco
@@ -21,7 +21,6 @@ from craftsim.mjcf.building import (
     SEEN_GROUP,
     TOUCHES,
     MachineBuilder,
-    Point,
     Pose,
     both,
     digits,
@@ -31,17 +30,7 @@ from craftsim.mjcf.building import (
     surface,
 )
 from craftsim.mjcf.parameters import ContactParameters, Machines, SmartcarParameters
-from craftsim.mjcf.solids import (
-    ClosedSolid,
-    Ring,
-    between,
-    box,
-    loft,
-    rectangle,
-    second_moments,
-    square,
-    turned,
-)
+from craftsim.mjcf.solids import ClosedSolid, Point, Ring, between, box, loft, rectangle, square, turned
 
 WHEELS: Final = tuple(f"wheel_{corner}" for corner in CORNERS)
 """Order of everything that is given per wheel: front left, front right, rear left, rear right."""
@@ -71,12 +60,25 @@ def _hub_inertia(car: SmartcarParameters) -> Point:
     return tumble, spin, tumble
 
 
+def _second_moments(outline: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the means of x^2 and z^2 over a polygon about its centroid (shoelace formulas)."""
+    area = sx = sz = sxx = szz = 0.0
+    for (x0, z0), (x1, z1) in zip(outline, [*outline[1:], outline[0]], strict=True):
+        cross = x0 * z1 - x1 * z0
+        area += cross / 2
+        sx += (x0 + x1) * cross / 6
+        sz += (z0 + z1) * cross / 6
+        sxx += (x0 * x0 + x0 * x1 + x1 * x1) * cross / 12
+        szz += (z0 * z0 + z0 * z1 + z1 * z1) * cross / 12
+    return sxx / area - (sx / area) ** 2, szz / area - (sz / area) ** 2
+
+
 def _chassis_inertia(car: SmartcarParameters) -> Point:
     """Return the inertia of the chassis about its centre: that of its solid hull."""
     half, cut = car.chassis_length_m / 2, car.chassis_chamfer_m
     bottom, top = car.chassis_bottom_m, car.chassis_top_m
     sides = [(-half, bottom + cut), (cut - half, bottom), (half - cut, bottom), (half, bottom + cut)]
-    xx, zz = second_moments([*sides, (half, top), (-half, top)])
+    xx, zz = _second_moments([*sides, (half, top), (-half, top)])
     yy, m = car.chassis_width_m**2 / 12, car.chassis_mass_kg
     return m * (yy + zz), m * (xx + zz), m * (xx + yy)
 
@@ -88,10 +90,8 @@ def _set_whole_inertia(body: mujoco.MjsBody, car: SmartcarParameters) -> None:
     x, y, z = _chassis_inertia(car)
     wheel = car.wheel_mass_kg
     tumble = wheel * (3 * radius**2 + car.wheel_width_m**2) / 12
-    up = (
-        car.chassis_mass_kg * (radius + car.chassis_com_m - centre_m) ** 2
-        + 4 * wheel * (radius - centre_m) ** 2
-    )
+    up = car.chassis_mass_kg * (radius + car.chassis_com_m - centre_m) ** 2
+    up += 4 * wheel * (radius - centre_m) ** 2
     along, across = 4 * wheel * car.wheel_x_m**2, 4 * wheel * car.wheel_y_m**2
     spin = 4 * car.wheel_spin_inertia_kgm2
     inertia = x + up + 4 * tumble + across, y + up + spin + along, z + 4 * tumble + along + across
@@ -138,9 +138,8 @@ def add_car(
     """
     car, contact = machines.car(number), machines.contact
     of_solid = {**TOUCHES["hulls"], **surface(contact, car.chassis_friction)}
-    builder = MachineBuilder(
-        spec, prefix, "smartcar", visual, looks, car, rgba=[0.75, 0.25, 0.25, 0.4], **of_solid
-    )
+    of_solid |= {"rgba": [0.75, 0.25, 0.25, 0.4]}
+    builder = MachineBuilder(spec, prefix, "smartcar", visual, looks, car, **of_solid)
     body = builder.body(pose)
     body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
     # Its hull has no mass of its own.
@@ -157,10 +156,10 @@ def add_car(
             fovy=digits(math.degrees(car.camera_fovy_rad)),
         )
     if machines.drive == "rollers":
-        _add_rollers(builder, body, car, contact)
+        _add_rollers(builder, body, contact)
     else:
-        _add_spheres(builder, body, car, contact)
-    _add_board(builder, body, car, contact)
+        _add_spheres(builder, body, contact)
+    _add_board(builder, body, contact)
 
 
 def _places(car: SmartcarParameters) -> Iterator[tuple[str, int, list[float]]]:
@@ -169,20 +168,17 @@ def _places(car: SmartcarParameters) -> Iterator[tuple[str, int, list[float]]]:
         yield corner, x * y, [x * car.wheel_x_m, y * car.wheel_y_m, car.wheel_radius_m]
 
 
-def _add_guard(
-    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, corner: str, **where: Any
-) -> None:
+def _add_guard(builder: MachineBuilder, body: mujoco.MjsBody, corner: str, **where: Any) -> None:
     """Add a wheel's envelope, by which cars touch each other's wheels."""
+    car, kind = builder.parameters, mujoco.mjtGeom.mjGEOM_CYLINDER
     size = [*digits((car.wheel_radius_m, car.wheel_width_m / 2)), 0]
-    kind = mujoco.mjtGeom.mjGEOM_CYLINDER
     guard = builder.geoms("guard", type=kind, size=size, mass=0, **TOUCHES["guards"])
     builder.add(body, guard, f"guard_{corner}", zaxis=[0, 1, 0], **where)
 
 
-def _add_rollers(
-    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
-) -> None:
+def _add_rollers(builder: MachineBuilder, body: mujoco.MjsBody, contact: ContactParameters) -> None:
     """Add the chassis' mass, and four wheels of free rollers with their motors."""
+    car: SmartcarParameters = builder.parameters
     # Inertia of the solid hull about its own centre, at the centre of mass.
     set_inertia(body, car.wheel_radius_m + car.chassis_com_m, car.chassis_mass_kg, _chassis_inertia(car))
     roller = builder.geoms(
@@ -212,7 +208,7 @@ def _add_rollers(
             **dry,
         )
         builder.show(wheel, f"hub_{corner}", "wheel_hub", _HUB_RGBA)
-        _add_guard(builder, wheel, car, corner)
+        _add_guard(builder, wheel, corner)
         for number in range(car.rollers_per_wheel):
             name = f"roller_{corner}{number:02}"
             spoke = wheel.add_frame(euler=[0, number * digits(math.tau / car.rollers_per_wheel), 0])
@@ -236,10 +232,9 @@ def _set_wheel_motor(motor: mujoco.MjsActuator, car: SmartcarParameters) -> None
     motor.ctrlrange, motor.forcerange = both(car.wheel_speed_rad_s), both(car.wheel_torque_nm)
 
 
-def _add_spheres(
-    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
-) -> None:
+def _add_spheres(builder: MachineBuilder, body: mujoco.MjsBody, contact: ContactParameters) -> None:
     """Add the mass of chassis and wheels, four spheres, and the motors and gears of wheels."""
+    car: SmartcarParameters = builder.parameters
     spec, prefix = builder.spec, builder.prefix
     _set_whole_inertia(body, car)
     body.add_site(name=f"{prefix}smartcar")
@@ -262,7 +257,7 @@ def _add_spheres(
     for corner, _, place in _places(car):
         builder.show(body, f"hub_{corner}", "wheel_hub", _HUB_RGBA, pos=place)
         builder.show(body, f"tyre_{corner}", "", _BLACK, pos=place, **tyre)
-        _add_guard(builder, body, car, corner, pos=place)
+        _add_guard(builder, body, corner, pos=place)
         builder.add(body, sphere, f"wheel_{corner}", pos=place)
     # A twist of the car times its gear is the speed of a wheel that rolls without slip.
     on_car = {"target": f"{prefix}smartcar", "trntype": mujoco.mjtTrn.mjTRN_SITE}
@@ -277,10 +272,9 @@ def _add_spheres(
         lock.set_to_dcmotor(motorconst=[1e-3, 1e-3], resistance=1e3, lugre=lugre)
 
 
-def _add_board(
-    builder: MachineBuilder, body: mujoco.MjsBody, car: SmartcarParameters, contact: ContactParameters
-) -> None:
+def _add_board(builder: MachineBuilder, body: mujoco.MjsBody, contact: ContactParameters) -> None:
     """Add the board, whose frame is the upper face of its plate, and its motor."""
+    car: SmartcarParameters = builder.parameters
     name = f"{builder.prefix}board"
     board = body.add_body(name=name, pos=digits((0.0, 0.0, car.board_rest_m)))
     board.add_joint(
@@ -351,10 +345,7 @@ def _chassis(car: SmartcarParameters) -> list[ClosedSolid]:
         ]
     )
     strip = half - 0.006
-    strips = [
-        box((side * strip - 0.006, side * strip + 0.006), (-0.056, 0.056), (0.004, 0.022), bumper)
-        for side in (-1, 1)
-    ]
+    strips = [box((x - 0.006, x + 0.006), (-0.056, 0.056), (0.004, 0.022), bumper) for x in (-strip, strip)]
     return [body, *strips, *_arches(car)]
 
 
@@ -370,10 +361,8 @@ def _arches(car: SmartcarParameters) -> list[ClosedSolid]:
     corner_z = np.array([0.37 * top, 0.52 * top, 0.7 * top, 0.88 * top, top])
     corner_start = axle + np.sqrt(np.maximum(well**2 - corner_z**2, 0.0))
     inside = corner_start < end + 0.001
-    for y in (
-        (-car.chassis_width_m / 2, -_well_inner_y(car)),
-        (_well_inner_y(car), car.chassis_width_m / 2),
-    ):
+    outer, inner = car.chassis_width_m / 2, _well_inner_y(car)
+    for y in ((-outer, -inner), (inner, outer)):
         parts.append(loft([rectangle((-h, h), y, z) for h, z in zip(column_half, heights, strict=True)]))
         for side in (-1, 1):
             rings = [
@@ -388,14 +377,10 @@ def _arches(car: SmartcarParameters) -> list[ClosedSolid]:
 def _chassis_trim(car: SmartcarParameters) -> list[ClosedSolid]:
     """Lamps at the front and a stripe on each flank: a second colour over the chassis."""
     front, half_y, top = car.chassis_length_m / 2, car.chassis_width_m / 2, car.chassis_top_m
-    lamps = [
-        box((front - 0.010, front - 0.0012), (y - 0.011, y + 0.011), (top - 0.022, top - 0.010), 0.002)
-        for y in (-0.042, 0.042)
-    ]
-    flanks = [
-        box((-0.036, 0.036), (y - 0.0004, y + 0.0004), (top - 0.0095, top - 0.0035))
-        for y in (-half_y, half_y)
-    ]
+    ahead, lamp = (front - 0.010, front - 0.0012), (top - 0.022, top - 0.010)
+    lamps = [box(ahead, (y - 0.011, y + 0.011), lamp, 0.002) for y in (-0.042, 0.042)]
+    stripe = top - 0.0095, top - 0.0035
+    flanks = [box((-0.036, 0.036), (y - 0.0004, y + 0.0004), stripe) for y in (-half_y, half_y)]
     return [*lamps, *flanks]
 
 
@@ -404,12 +389,8 @@ def _wheel_hub(car: SmartcarParameters) -> list[ClosedSolid]:
     half = car.wheel_width_m / 2
     rim = car.wheel_radius_m - 0.0111
     bevelled = half - 0.0015
-    parts = [
-        turned(
-            [[0, -half], [0.010, -half], [0.0115, -bevelled], [0.0115, bevelled], [0.010, half], [0, half]],
-            16,
-        )
-    ]
+    axle = [[0, -half], [0.010, -half], [0.0115, -bevelled], [0.0115, bevelled], [0.010, half], [0, half]]
+    parts = [turned(axle, 16)]
     for y in (-1, 1):
         inner, outer = between(y * (half - 0.004), y * (half - 0.0007))
         hub = rim - 0.010
@@ -431,17 +412,12 @@ def _board(car: SmartcarParameters) -> list[ClosedSolid]:
 
 def _board_pads(car: SmartcarParameters) -> list[ClosedSolid]:
     """Rubber strips along the edges of the lifting plate and across its boss, 0.6 mm proud."""
-    x_edge, y_edge, y_boss = (
-        car.board_length_m / 2 - 0.017,
-        car.board_width_m / 2 - 0.008,
-        car.boss_side_m / 2 - 0.009,
-    )
+    x_edge, y_edge = car.board_length_m / 2 - 0.017, car.board_width_m / 2 - 0.008
+    y_boss = car.boss_side_m / 2 - 0.009
     edge = [box((x - 0.009, x + 0.009), (-y_edge, y_edge), (-0.001, 0.0006)) for x in (-x_edge, x_edge)]
     height = car.boss_height_m
-    boss = [
-        box((x - 0.006, x + 0.006), (-y_boss, y_boss), (height - 0.002, height + 0.0006))
-        for x in (-0.030, 0.0, 0.030)
-    ]
+    on_top = height - 0.002, height + 0.0006
+    boss = [box((x - 0.006, x + 0.006), (-y_boss, y_boss), on_top) for x in (-0.030, 0.0, 0.030)]
     return [*edge, *boss]
 
 

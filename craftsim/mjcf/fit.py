@@ -31,36 +31,26 @@ def _require(holds: bool, message: str) -> None:
 def check_car(car: SmartcarParameters) -> None:
     """Raise ValueError, naming the parameter, for a car that does not fit together or grounds on a slope."""
     radius, bottom, top = car.wheel_radius_m, car.chassis_bottom_m, car.chassis_top_m
-    x, y = car.wheel_x_m, car.wheel_y_m
+    x, y, com = car.wheel_x_m, car.wheel_y_m, car.chassis_com_m
+    half, chamfer = car.chassis_length_m / 2, car.chassis_chamfer_m
     _require(x > radius, f"wheel_x_m must be above the wheel's radius, {radius:g}, not {x:g}")
     _require(y > car.wheel_width_m / 2, f"wheel_y_m must be above half a wheel's width, not {y:g}")
-    _require(
-        bottom < car.chassis_com_m < top,
-        f"chassis_com_m must lie between {bottom:g} and {top:g}, not at {car.chassis_com_m:g}",
-    )
-    room = min(car.chassis_length_m / 2, top - bottom)
-    _require(
-        car.chassis_chamfer_m < room,
-        f"chassis_chamfer_m must be below {room:g}, not {car.chassis_chamfer_m:g}",
-    )
+    _require(bottom < com < top, f"chassis_com_m must lie between {bottom:g} and {top:g}, not at {com:g}")
+    room = min(half, top - bottom)
+    _require(chamfer < room, f"chassis_chamfer_m must be below {room:g}, not {chamfer:g}")
     under = max(top, radius + _PLATE_GAP_M) + car.board_thickness_m
     _require(
         car.board_top_m >= under - 1e-9,
         f"board_top_m is {car.board_top_m:g}; at least {under:.4f} keeps the plate above chassis and wheels",
     )
+    most = radius / 2
+    _require(car.roller_radius_m < most, f"roller_radius_m must be below half the wheel's, {most:g}")
+    least = 2 * car.rollers_per_wheel * car.roller_mass_kg
+    _require(car.wheel_mass_kg > least, f"wheel_mass_kg must be above {least:g}, twice its rollers'")
+    torque, friction = car.wheel_torque_nm, car.gear_friction_nm
     _require(
-        car.roller_radius_m < radius / 2,
-        f"roller_radius_m must be below half the wheel's, {radius / 2:g}",
-    )
-    rollers = car.rollers_per_wheel * car.roller_mass_kg
-    _require(
-        rollers < 0.5 * car.wheel_mass_kg,
-        f"wheel_mass_kg must be above {2 * rollers:g}, twice its rollers'",
-    )
-    _require(
-        car.wheel_torque_nm > car.gear_friction_nm,
-        f"wheel_torque_nm is {car.wheel_torque_nm:g} and must be above gear_friction_nm, "
-        f"{car.gear_friction_nm:g}, to turn the wheel",
+        torque > friction,
+        f"wheel_torque_nm is {torque:g} and must be above gear_friction_nm, {friction:g}, to turn the wheel",
     )
     half_turn = INCLINE_RAD / 2
     # Astride the crest each axle's ground falls by half the incline, seen from the car.
@@ -72,7 +62,6 @@ def check_car(car: SmartcarParameters) -> None:
         f"this wheelbase and chassis_bottom_m",
     )
     # At the foot, as the front wheels touch the incline, the two lower corners of the nose are beyond it.
-    half, chamfer = car.chassis_length_m / 2, car.chassis_chamfer_m
     touch = x + radius * math.tan(half_turn)
     for along, z in ((half - chamfer, bottom), (half, bottom + chamfer)):
         ground = max(0.0, along - touch) * math.tan(INCLINE_RAD)
@@ -97,10 +86,8 @@ def check_machines(machines: Machines) -> None:
             ("wheel_x_m", car.wheel_x_m + car.wheel_radius_m, f"{beside - car.wheel_radius_m:.4f}"),
             ("wheel_y_m", car.wheel_y_m + car.wheel_width_m / 2, f"{beside - car.wheel_width_m / 2:.4f}"),
         ):
-            _require(
-                reach <= beside,
-                f"{name} is {getattr(car, name):g}; at most {most} passes between a block's legs",
-            )
+            why = f"{name} is {getattr(car, name):g}; at most {most} passes between a block's legs"
+            _require(reach <= beside, why)
         rest, travel = car.board_rest_m, car.board_travel_m
         room = min(low, bars - car.boss_height_m) - _HEAD_ROOM_M
         _require(

@@ -13,21 +13,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from craftsim.mjcf.building import (
-    BEVEL,
-    SEAT,
-    SEEN_GROUP,
-    TOUCHES,
-    MachineBuilder,
-    Point,
-    Pose,
-    digits,
-    micro,
-    surface,
-    volume,
-)
-from craftsim.mjcf.parameters import Machines, SlopeParameters
-from craftsim.mjcf.solids import ClosedSolid, Interval, Outline, Ring, between, loft, plate_xz, turned
+from craftsim.mjcf.building import SEEN_GROUP, TOUCHES, MachineBuilder, Pose, digits, micro, surface, volume
+from craftsim.mjcf.parameters import BEVEL, SEAT, Machines, SlopeParameters
+from craftsim.mjcf.solids import ClosedSolid, Interval, Outline, Point, Ring, between, loft, plate_xz, turned
 
 _LIP_M: Final = 0.001
 """Thickness of the flap's edge."""
@@ -43,10 +31,12 @@ _DARK: Final = [0.25, 0.27, 0.30, 1.0]
 def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, visual: bool = True) -> None:
     """Add a slope to a spec; the arguments are as of :func:`craftsim.mjcf.car.add_car`."""
     slope = machines.slope
-    of_solid = {**TOUCHES["things"], **surface(machines.contact, slope.friction)}
-    builder = MachineBuilder(
-        spec, prefix, "slope", visual, looks, slope, rgba=[0.35, 0.55, 0.75, 0.4], **of_solid
-    )
+    of_solid = {
+        **TOUCHES["things"],
+        **surface(machines.contact, slope.friction),
+        "rgba": [0.35, 0.55, 0.75, 0.4],
+    }
+    builder = MachineBuilder(spec, prefix, "slope", visual, looks, slope, **of_solid)
     body = builder.body(pose)
     body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED
     flap = body.add_body(name=f"{prefix}flap", pos=digits((slope.hinge_x_m, 0.0, slope.hinge_z_m)))
@@ -153,11 +143,9 @@ def _pads(p: SlopeParameters) -> dict[str, tuple[Interval, ...]]:
     }
 
 
-def _show(
-    builder: MachineBuilder, slope: SlopeParameters, base: mujoco.MjsBody, flap: mujoco.MjsBody
-) -> None:
+def _show(builder: MachineBuilder, p: SlopeParameters, base: mujoco.MjsBody, flap: mujoco.MjsBody) -> None:
     """Add what is only seen: base, flap, gears' teeth, a knuckle at the hinge, and a worm and motor under each gear."""
-    hinge_x, hinge_z = slope.hinge_x_m, slope.hinge_z_m
+    hinge_x, hinge_z = p.hinge_x_m, p.hinge_z_m
     builder.show(base, "base_visual", "slope_base", [0.36, 0.56, 0.76, 1.0])
     builder.show(flap, "flap_visual", "slope_flap", [0.52, 0.70, 0.86, 1.0])
     builder.show(
@@ -167,12 +155,12 @@ def _show(
         _DARK,
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
         pos=digits((hinge_x, 0.0, hinge_z - 0.0041)),
-        size=[0.0038, digits(_gear_y(slope) - slope.gear_width_m / 2), 0],
+        size=[0.0038, digits(_gear_y(p) - p.gear_width_m / 2), 0],
         zaxis=[0, 1, 0],
     )
-    x, y, z = worm_offset(slope)
+    x, y, z = worm_offset(p)
     for side, sign in _SIDES.items():
-        gear_y = sign * _gear_y(slope)
+        gear_y = sign * _gear_y(p)
         place = digits((hinge_x + x, gear_y + sign * y, hinge_z + z))
         builder.show(base, f"worm_{side}_visual", "worm", [0.40, 0.42, 0.45, 1.0], pos=place)
         builder.show(flap, f"gear_{side}_visual", "gear", _DARK, pos=digits((0.0, gear_y, 0.0)))
@@ -186,18 +174,13 @@ def worm_offset(p: SlopeParameters) -> Point:
     return 0.0, -0.325 * p.gear_radius_m, -(0.93 + 0.25) * p.gear_radius_m
 
 
-def looks(slope: SlopeParameters) -> dict[str, list[ClosedSolid]]:
+def looks(p: SlopeParameters) -> dict[str, list[ClosedSolid]]:
     """Return the solids of the meshes that are only seen, by name.
 
     The base has its origin on the floor, in its middle; the flap, unfolded, on the hinge's axis; gear and worm in the
     middle of their teeth and thread.
     """
-    return {
-        "slope_base": _slope_base(slope),
-        "slope_flap": _slope_flap(slope),
-        "gear": _gear(slope),
-        "worm": _worm(slope),
-    }
+    return {"slope_base": _slope_base(p), "slope_flap": _slope_flap(p), "gear": _gear(p), "worm": _worm(p)}
 
 
 def _incline(p: SlopeParameters, x: float) -> float:
@@ -254,14 +237,8 @@ def _slope_flap(p: SlopeParameters) -> list[ClosedSolid]:
             ring(notch + 0.001, half - 0.020, 0.002, sunk=0.001),
         ]
     )
-    wedge = loft(
-        [
-            ring(notch, half, 0.002),
-            ring(end - 0.02125, half, 0.002),
-            ring(lip_x, half, 0.0003),
-            ring(end, half, 0.0003),
-        ]
-    )
+    bevels = {notch: 0.002, end - 0.02125: 0.002, lip_x: 0.0003, end: 0.0003}
+    wedge = loft([ring(x, half, bevel) for x, bevel in bevels.items()])
     return [root, wedge]
 
 
@@ -277,10 +254,8 @@ def _gear(p: SlopeParameters) -> list[ClosedSolid]:
     outline = np.column_stack([np.multiply(radii, np.cos(angles)), np.multiply(radii, np.sin(angles))])
     disc = plate_xz(outline, (0.0008 - half, half - 0.0008))
     inset = half - 0.001
-    boss = turned(
-        [[0, -half], [0.0075, -half], [0.009, -inset], [0.009, inset], [0.0075, half], [0, half]], 20
-    )
-    return [disc, boss]
+    boss = [[0, -half], [0.0075, -half], [0.009, -inset], [0.009, inset], [0.0075, half], [0, half]]
+    return [disc, turned(boss, 20)]
 
 
 def _worm(p: SlopeParameters) -> list[ClosedSolid]:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Ring = NDArray[np.float64]
 """Points of a closed outline in space, shape (n, 3), in order."""
+Point = tuple[float, float, float]
 Interval = tuple[float, float]
 """Smallest and largest coordinate along an axis, in metres."""
 Mesh = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
@@ -126,11 +127,10 @@ def box(x: Interval, y: Interval, z: Interval, bevel: float = 0.0) -> ClosedSoli
     def level(inset: float, height: float) -> Ring:
         return rectangle((x[0] + inset, x[1] - inset), (y[0] + inset, y[1] - inset), height)
 
+    low, high = z
     if bevel == 0.0:
-        return loft([level(0.0, z[0]), level(0.0, z[1])])
-    return loft(
-        [level(bevel, z[0]), level(0.0, z[0] + bevel), level(0.0, z[1] - bevel), level(bevel, z[1])],
-    )
+        return loft([level(0.0, low), level(0.0, high)])
+    return loft([level(bevel, low), level(0.0, low + bevel), level(0.0, high - bevel), level(bevel, high)])
 
 
 def plate_xz(outline: ArrayLike, y: Interval) -> ClosedSolid:
@@ -141,19 +141,6 @@ def plate_xz(outline: ArrayLike, y: Interval) -> ClosedSolid:
         return np.column_stack([points[:, 0], np.full(len(points), height), points[:, 1]])
 
     return loft([at(y[0]), at(y[1])])
-
-
-def second_moments(outline: Outline) -> tuple[float, float]:
-    """Return the means of x^2 and z^2 over a polygon about its centroid (shoelace formulas)."""
-    area = sx = sz = sxx = szz = 0.0
-    for (x0, z0), (x1, z1) in zip(outline, [*outline[1:], outline[0]], strict=True):
-        cross = x0 * z1 - x1 * z0
-        area += cross / 2
-        sx += (x0 + x1) * cross / 6
-        sz += (z0 + z1) * cross / 6
-        sxx += (x0 * x0 + x0 * x1 + x1 * x1) * cross / 12
-        szz += (z0 * z0 + z0 * z1 + z1 * z1) * cross / 12
-    return sxx / area - (sx / area) ** 2, szz / area - (sz / area) ** 2
 
 
 def mesh_of(solids: Sequence[ClosedSolid]) -> Mesh:

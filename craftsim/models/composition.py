@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import mujoco
@@ -63,9 +63,8 @@ def placements(grid: Grid, machines: Machines = NOMINAL) -> list[Placement]:
         cars.append(Placement("smartcar", position, turn, machine.board_travel_m if raised else 0.0))
         if not raised:
             continue
-        up = np.array(
-            [-math.sin(pitch) * math.cos(heading), -math.sin(pitch) * math.sin(heading), math.cos(pitch)]
-        )
+        back = -math.sin(pitch)
+        up = np.array([back * math.cos(heading), back * math.sin(heading), math.cos(pitch)])
         carried = position + lift_m(load, machine, machines) * up
         if load == Kind.FSLOPE:
             # A carried slope faces away from the car's heading, so the same incline lowers its nose.
@@ -115,7 +114,7 @@ def world_spec(
     number of the physics. Raises InputError for a floor that is too fine.
     """
     middle, half = ground_pose_and_size(grid.size)
-    spec = _floor_spec("site", machines, config, (half, middle), visual)
+    spec = _floor_spec("site", machines, config, half, middle, visual)
     placed = placements(grid, machines)
     numbers: Counter[str] = Counter()
     for item in placed:
@@ -136,9 +135,8 @@ def world_spec(
         height_m = max([2, *tops, *(goal[2] for goal in goals)]) * LEVEL_HEIGHT_M
         for fitted in (overview, top):
             aim = fitted(grid.size, height_m, _PICTURE_ASPECT)
-            spec.worldbody.add_camera(
-                name=fitted.__name__, pos=aim.position, quat=aim.quaternion, fovy=aim.fovy_deg
-            )
+            place = {"pos": aim.position, "quat": aim.quaternion}
+            spec.worldbody.add_camera(name=fitted.__name__, fovy=aim.fovy_deg, **place)
     if not floor.flat:
         add_tiles(spec, floor, grid.size)
     return spec
@@ -168,8 +166,8 @@ def compile_world(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 def machine_spec(kind: str, machines: Machines, number: int = 0, visual: bool = True) -> mujoco.MjSpec:
     """Return the spec of one of MACHINES on the floor, or of the floor alone; ``number`` is of the car."""
-    config = replace(SimulationConfig(), sleep=False)
-    spec = _floor_spec(kind, machines, config, ((0.0, 0.0, 0.05), (0.0, 0.0, 0.0)), visual)
+    config = SimulationConfig(sleep=False)
+    spec = _floor_spec(kind, machines, config, (0.0, 0.0, 0.05), (0.0, 0.0, 0.0), visual)
     _add(spec, kind, "", ORIGIN, machines, number, visual)
     return spec
 
@@ -187,14 +185,10 @@ def _add(
 
 
 def _floor_spec(
-    name: str,
-    machines: Machines,
-    config: SimulationConfig,
-    floor: tuple[ArrayLike, ArrayLike],
-    visual: bool,
+    name: str, machines: Machines, config: SimulationConfig, half: ArrayLike, middle: ArrayLike, visual: bool
 ) -> mujoco.MjSpec:
     """Return the spec of a floor, drawn with half-lengths and a middle, under the settings of a simulation."""
-    spec = new_world(machines.contact, *floor, visual)
+    spec = new_world(machines.contact, half, middle, visual)
     spec.modelname = name
     # Dense, which MuJoCo chooses below 60 degrees of freedom, suits bodies without joints. A car of rollers has 49
     # alone, most of them apart from each other: it would take three times as long.

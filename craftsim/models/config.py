@@ -21,7 +21,7 @@ class SimulationConfig:
 
     Not to be set: the Newton solver with elliptic cones, and the Euler integrator. The implicit integrators damp the
     stiff wheel servos after the contact forces are solved, which then no longer fit: a car that speeds up hops on its
-    rear axle and shakes its load along the board (tests/models/test_kinematics.py, tests/models/test_load.py).
+    rear axle and shakes its load along the board (tests/models/test_driving.py, tests/models/test_load.py).
 
     Raises InputError, naming the field, for a value that cannot work.
 
@@ -50,7 +50,7 @@ class SimulationConfig:
 
     friction_impedance_ratio: Annotated[float, Range(1e-3, 1e6)] = 300.0
     """How much stiffer friction is than normal contact (MuJoCo's impratio): at 300 a loaded car parked on the slope
-    creeps by less than 0.03 mm/s, at 10 by 0.7 (tests/models/test_parking.py)."""
+    creeps by less than 0.03 mm/s, at 10 by 0.7 (tests/models/test_driving.py)."""
 
     sleep: bool = True
     """Let resting islands, idle cars included, drop out of the computation until something touches or commands them."""

@@ -7,14 +7,14 @@ worked out from the world's baseline and its state, and never a position, a spee
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.bound import bound
-from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.mjcf.building import TOUCHES
 from craftsim.models.config import Amount
 from craftsim.models.parts import WHEELS
@@ -30,26 +30,22 @@ _SLOW_RAD_S: Final = 0.1
 """Below this speed a gear's loss falls to 0, which it is at rest: it would otherwise turn over with the speed."""
 
 Floats = NDArray[np.float64]
+Arrays = tuple[Floats, ...]
 Ints = NDArray[np.int32]
 Records = NDArray[np.void]
 
-WHEEL: Final = np.dtype(
-    [
-        *((name, "i8") for name in ("motor", "gear", "tree", "dof", "body", "engaged")),
-        *((name, "f8") for name in ("slowest", "fastest", "low", "high", "own_low", "own_high", "own_gain")),
-        ("own_gear", "f8", (6,)),
-        *((name, "f8") for name in ("dry_nm", "played", "nm_per_n", "load")),
-        ("inertia", "f8", (6,)),
-    ],
-    align=True,
+WHEEL: Final = layout(
+    i8="motor gear tree dof body engaged",
+    f8="slowest fastest low high own_low own_high own_gain dry_nm played nm_per_n load",
+    f8x6="own_gear inertia",
 )
 """A wheel, its motor and its gear: where they and their car lie in MuJoCo's arrays, and the range of commanded speeds.
 
 ``low`` and ``high`` are the torques that the motor can give now; ``own_`` are parameters of the baseline, ``own_gear``
-that of the reduced drive's motors in the frame of the car. ``dry_nm`` is the gear's dry friction, ``played`` the angle
-that it has gone through its backlash, forwards, and ``engaged`` says whether it is at an end of that. ``nm_per_n`` is
-the torque that a newton of load lets the wheel pass on, ``load`` in newtons what it carries, and ``inertia`` the torque
-that an acceleration of the car, in its own frame, takes to turn wheel and motor.
+in the frame of the car. ``dry_nm`` is the gear's dry friction, ``played`` the angle gone through its backlash,
+forwards, and ``engaged`` whether it is at an end of that. ``nm_per_n`` is the torque that a newton of load lets the
+wheel pass on, ``load`` in newtons what it carries, ``inertia`` the torque per acceleration of the car to turn wheel and
+motor.
 """
 
 
@@ -119,10 +115,8 @@ def _wheels(world: PhysicsWorld) -> Records:
         # The gears of the reduced drive are motors without power; what they pass on is in proportion to their gear.
         names = [model.actuator(motor).name.replace("wheel", "gear") for motor in motors]
         gears = np.array([model.actuator(name).id for name in names], np.intp)
-        wheels["own_gear"], wheels["dry_nm"] = (
-            baseline.actuator_gear[motors],
-            baseline.actuator_biasprm[gears, 3],
-        )
+        wheels["own_gear"] = baseline.actuator_gear[motors]
+        wheels["dry_nm"] = baseline.actuator_biasprm[gears, 3]
     wheels["motor"], wheels["gear"] = motors, gears
     wheels["low"], wheels["high"], wheels["engaged"] = wheels["own_low"], wheels["own_high"], 1
     return wheels
@@ -132,16 +126,13 @@ class Bearings(StepEffect):
     """The dry friction of the rollers' bearings, in force where a roller touches something or is about to.
 
     MuJoCo solves a row for each joint with dry friction, and of a car's forty rollers four to eight touch at a time.
-    One that touches nothing has 1e-6 kg m^2 and no force to pass on: whether its bearing is dry or not, the car feels
-    nothing of it, and its grease stops it within a tenth of a second. So such a roller turns on its grease alone. The
-    friction is there before it touches: MuJoCo lists what comes within the rollers' gap of 0.2 mm as a contact without
-    force. Which rollers have it follows from the contacts of the last step, which are part of the state.
-
-    Of cars that sleep, whose contacts MuJoCo leaves out, all rollers have it.
+    One in the air, of 1e-6 kg m^2, has no force to pass on and is stopped by its grease within a tenth of a second: it
+    turns on that alone. MuJoCo lists what comes within the rollers' gap of 0.2 mm as a contact without force, so the
+    friction is there before it touches. It follows from the contacts of the last step, which are part of the state; of
+    cars that sleep, whose contacts MuJoCo leaves out, all rollers have it.
     """
 
     def __init__(self, world: PhysicsWorld) -> None:
-        """Take the friction of the bearings from a world's baseline."""
         model = world.model
         geoms = np.flatnonzero(model.geom_contype == ROLLERS)
         dofs = model.body_dofadr[model.geom_bodyid[geoms]].astype(np.intp)
@@ -149,7 +140,8 @@ class Bearings(StepEffect):
         roller[geoms] = np.arange(len(geoms))
         trees = model.dof_treeid[dofs].astype(np.intp)
         # By geom its roller, counted over all cars, or -1; by roller its joint, its car and its friction in Nm.
-        self._arrays = (roller, dofs, trees, world.baseline.dof_frictionloss[dofs])
+        own = roller, dofs, trees, world.baseline.dof_frictionloss[dofs]
+        self._follow = bound(_follow_contacts, own, world.data.tree_asleep, model.dof_frictionloss)
 
     def start(self, world: PhysicsWorld) -> None:
         """Go by the contacts of the start."""
@@ -159,19 +151,12 @@ class Bearings(StepEffect):
         """Let the bearings have friction whose rollers touched something in the last step, or were about to."""
         # A copy is laid out the same way however many contacts there are.
         geoms = np.ascontiguousarray(world.data.contact.geom)
-        _follow_contacts(geoms, world.data.tree_asleep, *self._arrays, world.model.dof_frictionloss)
+        self._follow(geoms)
 
 
 @compiled
-def _follow_contacts(
-    geoms: Ints,
-    asleep: Ints,
-    roller_of: Ints,
-    dofs: NDArray[np.intp],
-    trees: NDArray[np.intp],
-    dry: Floats,
-    friction: Floats,
-) -> None:
+def _follow_contacts(own: tuple[Any, ...], asleep: Ints, friction: Floats, geoms: Ints) -> None:
+    roller_of, dofs, trees, dry = own
     for roller in range(len(dofs)):
         friction[dofs[roller]] = dry[roller] if asleep[trees[roller]] >= 0 else 0.0
     for contact in range(len(geoms)):
@@ -184,22 +169,18 @@ def _follow_contacts(
 class Grip(StepEffect):
     """How hard the wheels of the reduced drive can push: by their grip, from the load that each of them carries.
 
-    Wheels without rollers do not touch the floor with friction; their motors push the car as if they did. A mecanum
-    wheel holds the ground along its roller's axis, at 45 degrees to its way, with a force of at most the friction
-    coefficient times its load N: no more of its motor's torque than mu N R / sqrt(2), less what the gear takes, reaches
-    the ground. The loads are those of the last physics step, and the limits hold for one control period.
-
-    Where the floor is uneven, or the wheels are not equal, they hold for one physics step, and of the four loads those
-    three parts count that equilibrium gives: their sum, and how it lies along the car and across. The fourth, how a
-    stiff car leans on one diagonal or the other, is left out: rollers, which rattle, share it out
-    (docs/explanation/imperfections.md).
+    Motors push the car as if wheels touched the floor with friction. A mecanum wheel holds the ground along its
+    roller's axis, at 45 degrees to its way, by the friction coefficient times its load N at most: no more of its
+    motor's torque than mu N R / sqrt(2), less what the gear takes, reaches the ground. Loads are those of the last
+    physics step, and limits hold for one control period; where the floor is uneven, or the wheels are not equal, for
+    one physics step. Of the four loads those three parts count there that equilibrium gives. The fourth, how a stiff
+    car leans on one diagonal or the other, is left out: rollers share it out (docs/explanation/imperfections.md).
 
     The motors of cars that sleep, the loads of which MuJoCo leaves out, have no such limits, which so depend on the
     state alone.
     """
 
     def __init__(self, world: PhysicsWorld, wheels: Records) -> None:
-        """Work out what a newton of load and an acceleration of the car mean for each wheel."""
         model, baseline = world.model, world.baseline
         names = [model.actuator(int(motor)).name for motor in wheels["motor"]]
         geoms = np.array([model.geom(name).id for name in names], np.int32)
@@ -218,8 +199,8 @@ class Grip(StepEffect):
         """Limit all motors for what their wheels carry now."""
         contact = world.data.contact
         # Copies are laid out the same way however many contacts there are.
-        geoms, addresses = np.ascontiguousarray(contact.geom), np.ascontiguousarray(contact.efc_address)
-        self._limit(geoms, addresses, world.data.efc_force)
+        copies = np.ascontiguousarray(contact.geom), np.ascontiguousarray(contact.efc_address)
+        self._limit(copies, world.data.efc_force)
 
     def after_step(self, world: PhysicsWorld) -> None:
         """Do so again where wheels may come off the ground."""
@@ -227,10 +208,9 @@ class Grip(StepEffect):
 
 
 @compiled
-def _weigh(
-    wheel_of: Ints, uneven: bool, wheels: Records, geoms: Ints, addresses: Ints, forces: Floats
-) -> None:
+def _weigh(wheel_of: Ints, uneven: bool, wheels: Records, contacts: tuple[Ints, ...], forces: Floats) -> None:
     """Find what each wheel carries; ``wheel_of`` says which wheel a geom is, or -1."""
+    geoms, addresses = contacts
     for wheel in range(len(wheels)):
         wheels[wheel].load = 0.0
     for contact in range(len(geoms)):
@@ -253,12 +233,11 @@ def _limit(
     wheels: Records,
     state: tuple[Floats, Ints, Floats, Floats],
     forcerange: Floats,
-    geoms: Ints,
-    addresses: Ints,
+    contacts: tuple[Ints, Ints],
     forces: Floats,
 ) -> None:
     """Limit the motors of all wheels for what these carry, by contacts and their forces."""
-    _weigh(wheel_of, uneven[0], wheels, geoms, addresses, forces)
+    _weigh(wheel_of, uneven[0], wheels, contacts, forces)
     motor_forces, asleep, qacc, xmat = state
     for number in range(len(wheels)):
         wheel = wheels[number]
@@ -284,7 +263,7 @@ def turned_motors(world: PhysicsWorld, wheels: Records) -> TurnedMotors:
 
     In MJCF they act on a site of the car, for which MuJoCo works out Jacobians in each step. A motor of the free joint
     pushes along the axes of the world; turned with the car before each step, it does the same without them
-    (tests/models/test_reduced.py). On rollers there are none.
+    (tests/models/test_driving.py). On rollers there are none.
     """
     model = world.model
     if world.machines.drive == "rollers":
@@ -313,46 +292,36 @@ def turn_motors(motors: TurnedMotors) -> None:
             gears[gear, k] = gears[motor, k] if wheel.engaged else 0.0
 
 
-_LOSSES: Final = np.dtype(
-    [
-        *((name, "f8") for name in ("torque_slope", "gear_loss", "backlash_rad", "sag", "elapsed_s")),
-        ("reduced", "i8"),
-    ],
-    align=True,
-)
+_LOSSES: Final = layout(f8="torque_slope gear_loss backlash_rad sag elapsed_s", i8="reduced")
 """Figures of a Drivetrain, the time since they were last taken into account, and whether it is a reduced drive's."""
 
 
 class DrivetrainLosses(StepEffect):
     """What wheel motors, gears and batteries lack.
 
-    - The most torque of a motor that drives falls in proportion to its speed, by ``torque_slope`` at its top speed (the
-      torque-speed line of a DC motor); a motor that brakes has all of its torque.
-    - A battery sags in proportion to the torque that the four motors of its car drive with: that line falls, all of it.
-    - Of a motor's torque its gear takes ``gear_loss`` while the motor drives, and adds as much while it brakes. At rest
-      the gear's dry friction alone holds.
+    - The most torque of a motor that drives falls in proportion to its speed, by ``torque_slope`` at its top speed; a
+      motor that brakes has all of its torque. A battery's ``sag`` lowers that line by the torque that the four motors
+      of its car drive with.
+    - Of a motor's torque its gear takes ``gear_loss`` while the motor drives, and adds as much while it brakes.
     - In its backlash a gear passes nothing on, friction neither. Its motor then turns as commanded, less what the
       gear's friction makes of that, and takes up the play.
 
-    Torques and speeds are those as the last physics step began; grip, of the reduced drive, takes up what a motor has
-    left once in a control period. Of the backlash is left out that the rotor turns by itself: its inertia stays with
-    the wheel, so teeth meet without an impact, and a play ends with a physics step. MuJoCo's DC motor has a
-    torque-speed line of its own, but takes a voltage; the wheels' servos take a speed.
+    Torques and speeds are those as the last physics step began; grip takes up what a motor has left once in a control
+    period. Left out is that the rotor turns by itself: teeth meet without an impact, and a play ends with a physics
+    step. MuJoCo's DC motor has a torque-speed line of its own, but takes a voltage; the wheels' servos take a speed.
     """
 
     def __init__(self, world: PhysicsWorld, wheels: Records, drivetrain: Drivetrain) -> None:
-        """Take motors and gears from the world's baseline."""
         model, data, reduced = world.model, world.data, world.machines.drive == "reduced"
         losses = records(1, _LOSSES)
         for name in ("torque_slope", "gear_loss", "backlash_rad", "sag"):
             losses[name] = getattr(drivetrain, name)
         losses["reduced"] = reduced
         self._losses, self._wheels, self._last_s = losses, wheels, 0.0
-        self._arrays = (
-            *(data.ctrl, data.actuator_force, data.actuator_velocity, data.tree_asleep, losses, wheels),
-            *(model.actuator_forcerange, model.actuator_gainprm, model.actuator_biasprm),
-            model.dof_frictionloss,
-        )
+        state = data.ctrl, data.actuator_force, data.actuator_velocity
+        limits, friction = model.actuator_forcerange, model.dof_frictionloss
+        changed = limits, model.actuator_gainprm, model.actuator_biasprm, friction
+        self._lose = bound(_lose, state, changed, data.tree_asleep, losses, wheels)
 
     @property
     def state(self) -> Floats:
@@ -371,22 +340,13 @@ class DrivetrainLosses(StepEffect):
     def after_step(self, world: PhysicsWorld) -> None:
         """Let motors and gears be as the state leaves them; plays go on for the time since the last call."""
         self._losses["elapsed_s"], self._last_s = world.data.time - self._last_s, world.data.time
-        _lose(*self._arrays)
+        self._lose()
 
 
 @compiled
-def _lose(
-    ctrl: Floats,
-    forces: Floats,
-    speeds: Floats,
-    asleep: Ints,
-    losses: Records,
-    wheels: Records,
-    limits: Floats,
-    gains: Floats,
-    biases: Floats,
-    friction: Floats,
-) -> None:
+def _lose(state: Arrays, changed: Arrays, asleep: Ints, losses: Records, wheels: Records) -> None:
+    ctrl, forces, speeds = state
+    limits, gains, biases, friction = changed
     lost = losses[0]
     voltage = 1.0
     for number in range(len(wheels)):

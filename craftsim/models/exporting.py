@@ -120,21 +120,21 @@ def _link(model: mujoco.MjModel, body: int) -> str:
 
 def _add_link(robot: Xml.Element, model: mujoco.MjModel, body: int, mesh_file: MeshFile) -> None:
     """Add a body as a link, with its shapes."""
-    link = Xml.SubElement(robot, "link", name=_link(model, body))
+    link = _add(robot, "link", name=_link(model, body))
     if model.body_mass[body]:
-        inertial = Xml.SubElement(link, "inertial")
+        inertial = _add(link, "inertial")
         _add_origin(inertial, model.body_ipos[body], model.body_iquat[body])
-        Xml.SubElement(inertial, "mass", value=_number(model.body_mass[body]))
-        x, y, z = map(_number, model.body_inertia[body])
-        Xml.SubElement(inertial, "inertia", ixx=x, iyy=y, izz=z, ixy="0", ixz="0", iyz="0")
+        _add(inertial, "mass", value=model.body_mass[body])
+        x, y, z = model.body_inertia[body]
+        _add(inertial, "inertia", ixx=x, iyy=y, izz=z, ixy=0, ixz=0, iyz=0)
     for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
-            _add_shape(Xml.SubElement(link, "collision"), model, geom, mesh_file)
+            _add_shape(_add(link, "collision"), model, geom, mesh_file)
         if model.geom_group[geom] < SOLID_GROUP:
-            visual = Xml.SubElement(link, "visual")
+            visual = _add(link, "visual")
             _add_shape(visual, model, geom, mesh_file)
-            material = Xml.SubElement(visual, "material", name=_plain(model.geom(geom).name))
-            Xml.SubElement(material, "color", rgba=_numbers(model.geom_rgba[geom]))
+            material = _add(visual, "material", name=_plain(model.geom(geom).name))
+            _add(material, "color", rgba=model.geom_rgba[geom])
 
 
 def _add_shape(parent: Xml.Element, model: mujoco.MjModel, geom: int, mesh_file: MeshFile) -> None:
@@ -142,25 +142,25 @@ def _add_shape(parent: Xml.Element, model: mujoco.MjModel, geom: int, mesh_file:
     size, kind = model.geom_size[geom], model.geom_type[geom]
     parent.set("name", _plain(model.geom(geom).name))
     _add_origin(parent, model.geom_pos[geom], model.geom_quat[geom])
-    shape = Xml.SubElement(parent, "geometry")
+    shape = _add(parent, "geometry")
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        Xml.SubElement(shape, "box", size=_numbers(2 * size))
+        _add(shape, "box", size=2 * size)
     elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        Xml.SubElement(shape, "sphere", radius=_number(size[0]))
+        _add(shape, "sphere", radius=size[0])
     elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        Xml.SubElement(shape, "cylinder", radius=_number(size[0]), length=_number(2 * size[1]))
+        _add(shape, "cylinder", radius=size[0], length=2 * size[1])
     elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
         import trimesh
 
         ball = trimesh.creation.icosphere(subdivisions=2)
         name = "_".join(["ellipsoid", *(f"{1e6 * half:.0f}" for half in size)])
-        Xml.SubElement(shape, "mesh", filename=mesh_file(name, ball.vertices * size, ball.faces))
+        _add(shape, "mesh", filename=mesh_file(name, ball.vertices * size, ball.faces))
     else:
         # Its points are in the frame of the geom that shows it.
         mesh = model.mesh(int(model.geom_dataid[geom]))
         points = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
         faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
-        Xml.SubElement(shape, "mesh", filename=mesh_file(_plain(mesh.name), points, faces))
+        _add(shape, "mesh", filename=mesh_file(_plain(mesh.name), points, faces))
 
 
 def _add_joint(robot: Xml.Element, model: mujoco.MjModel, body: int) -> None:
@@ -174,26 +174,24 @@ def _add_joint(robot: Xml.Element, model: mujoco.MjModel, body: int) -> None:
             mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
             mujoco.mjtJoint.mjJNT_HINGE: "revolute" if limited else "continuous",
         }[mujoco.mjtJoint(model.jnt_type[number])]
-    joint = Xml.SubElement(robot, "joint", name=name, type=kind)
+    joint = _add(robot, "joint", name=name, type=kind)
     _add_origin(joint, model.body_pos[body], model.body_quat[body])
-    Xml.SubElement(joint, "parent", link=_link(model, int(model.body_parentid[body])))
-    Xml.SubElement(joint, "child", link=_link(model, body))
+    _add(joint, "parent", link=_link(model, int(model.body_parentid[body])))
+    _add(joint, "child", link=_link(model, body))
     if kind in ("fixed", "floating"):
         return
-    Xml.SubElement(joint, "axis", xyz=_numbers(model.jnt_axis[number]))
+    _add(joint, "axis", xyz=model.jnt_axis[number])
     dof = model.jnt_dofadr[number]
-    grease, dry = _number(model.dof_damping[dof]), _number(model.dof_frictionloss[dof])
-    Xml.SubElement(joint, "dynamics", damping=grease, friction=dry)
+    _add(joint, "dynamics", damping=model.dof_damping[dof], friction=model.dof_frictionloss[dof])
     on_joints = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
     motors = np.flatnonzero(on_joints & (model.actuator_trnid[:, 0] == number))
     effort, velocity = (
-        _number(limits[motors[0], 1]) if len(motors) else _UNLIMITED
+        limits[motors[0], 1] if len(motors) else _UNLIMITED
         for limits in (model.actuator_forcerange, model.actuator_ctrlrange)
     )
-    limit = Xml.SubElement(joint, "limit", effort=effort, velocity=velocity)
-    if limited:
-        low, high = map(_number, model.jnt_range[number])
-        limit.attrib.update(lower=low, upper=high)
+    low, high = model.jnt_range[number]
+    ends = {"lower": low, "upper": high} if limited else {}
+    _add(joint, "limit", effort=effort, velocity=velocity, **ends)
 
 
 def _plain(name: str) -> str:
@@ -201,20 +199,21 @@ def _plain(name: str) -> str:
     return name.replace("/", "_")
 
 
-def _number(value: float) -> str:
-    return f"{value:.10g}"
+def _add(parent: Xml.Element, tag: str, **values: str | ArrayLike) -> Xml.Element:
+    """Add an element with texts, numbers, or lists of these as its attributes."""
+    plain = {name: value if isinstance(value, str) else _numbers(value) for name, value in values.items()}
+    return Xml.SubElement(parent, tag, plain)
 
 
 def _numbers(values: ArrayLike) -> str:
-    return " ".join(map(_number, np.asarray(values, float).tolist()))
+    return " ".join(f"{value:.10g}" for value in np.atleast_1d(np.asarray(values, float)).tolist())
 
 
 def _add_origin(parent: Xml.Element, position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> None:
     """Add a place: URDF turns about the fixed x, then y, then z axis."""
     from trimesh.transformations import euler_from_quaternion
 
-    turn = euler_from_quaternion(quaternion, "sxyz")
-    Xml.SubElement(parent, "origin", xyz=_numbers(position), rpy=_numbers(turn))
+    _add(parent, "origin", xyz=position, rpy=euler_from_quaternion(quaternion, "sxyz"))
 
 
 if __name__ == "__main__":

@@ -93,8 +93,8 @@ FLAT: Final = Floor()
 def _layout(floor: Floor, size: Cell) -> tuple[float, Floats, int]:
     """Return how the tiles of a floor lie under an area of ``size`` cells. Raises InputError for too many of them.
 
-    Returns the radius in metres of the circle about the middle of the area that they cover however they lie; their
-    centres, (n, 2) metres; and at how many points along each side of a tile its heights are given.
+    Returns the radius in metres of the circle that they cover however they lie; their centres, (n, 2) metres; and the
+    number of points along each side of a tile.
     """
     radius = CELL_PITCH_M * math.hypot(*(n / 2 + _MARGIN_CELLS for n in size[:2]))
     # A tile may be shifted by half of its diagonal, and reaches as far from its centre.
@@ -172,11 +172,8 @@ def lay(model: mujoco.MjModel, floor: Floor, size: Cell, rng: np.random.Generato
 def _heights(floor: Floor, layout: tuple[float, Floats, int], steps: Floats, waves: Floats) -> Floats:
     """Return (tile, row along y, column along x): heights in metres, 0 in the mean of what can be drawn.
 
-    Args:
-        floor: how uneven it is.
-        layout: of its tiles, as :func:`_layout` returns it.
-        steps: (n,): each tile's height, from -0.5 to 0.5.
-        waves: (m, 3): direction in radians, wave number as a share of the largest, phase in radians.
+    ``steps`` (n,) are the tiles' heights, from -0.5 to 0.5; ``waves`` (m, 3) have a direction in radians, a wave number
+    as a share of the largest, and a phase in radians.
     """
     radius, centres, points = layout
     along = np.linspace(-floor.half_tile_m, floor.half_tile_m, points)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from craftsim.discrete.kernel.bound import bound
-from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.models.world import PhysicsWorld
 from craftsim.storage.limits import PHYSICS_PARTS, Range
@@ -23,20 +23,16 @@ from craftsim.storage.limits import PHYSICS_PARTS, Range
 Floats = NDArray[np.float64]
 Records = NDArray[np.void]
 
-WIRING: Final = np.dtype(
-    [
-        *((name, "i8") for name in ("pose", "board", "board_dof", "board_activation", "board_motor")),
-        ("wheel_speeds", "i8", (4,)),
-        ("wheel_motors", "i8", (4,)),
-        *((name, "f8") for name in ("plug_m", "above_m", "along_m", "across_m", "line_m")),
-    ],
-    align=True,
+WIRING: Final = layout(
+    i8="pose board board_dof board_activation board_motor",
+    i8x4="wheel_speeds wheel_motors",
+    f8="plug_m above_m along_m across_m line_m",
 )
 """Where a car's joints and motors lie in MuJoCo's arrays, and its wheels' speeds in qvel or, on the reduced drive, in
 actuator_velocity; how far from its middle it feels a slope's plug, and how high something is above it; how far its line
 sensors lie before and behind its middle, and beside it, and how far to a side each sees."""
 
-UNDERSIDE: Final = np.dtype([(name, "i8") for name in ("pose", "slope", "hinge", "motor")], align=True)
+UNDERSIDE: Final = layout(i8="pose slope hinge motor")
 """What bears a cross below: where its pose lies in MjData.qpos; a slope's number, where its hinge lies there, and its
 motor in MjData.ctrl; these are -1 for other things."""
 
@@ -105,31 +101,22 @@ class CarMeasurement(NamedTuple):
 
 READING: Final = np.dtype(
     [
-        (
-            name,
-            "i8" if name in ("slope", "fresh") else "f8",
-            (4,) if name in ("wheel_speeds", "lines") else (),
-        )
+        (name, "i8" if name in ("slope", "fresh") else "f8", 4 if name in ("wheel_speeds", "lines") else ())
         for name in CarMeasurement._fields
     ],
     align=True,
 )
 """A :class:`CarMeasurement` as a record; without a slope, -1 and an angle of 0."""
 
-_WHEELS, _SLOPE, _HINGE, _FRESH, _LINES = map(
-    CarMeasurement._fields.index, ("wheel_speeds", "slope", "hinge_rad", "fresh", "lines")
-)
-
 
 def measurement_of(reading: np.void) -> CarMeasurement:
     """Return a reading, a record of READING, as a measurement."""
-    values: list[Any] = list(reading.tolist())
-    values[_WHEELS] = tuple(values[_WHEELS].tolist())
-    values[_LINES] = tuple(values[_LINES].tolist())
-    values[_FRESH] = bool(values[_FRESH])
-    if values[_SLOPE] < 0:
-        values[_SLOPE] = values[_HINGE] = None
-    return CarMeasurement(*values)
+    values: dict[str, Any] = dict(zip(CarMeasurement._fields, reading.tolist(), strict=True))
+    for name in ("wheel_speeds", "lines"):
+        values[name] = tuple(values[name].tolist())
+    if values["slope"] < 0:
+        values["slope"] = values["hinge_rad"] = None
+    return CarMeasurement(**values | {"fresh": bool(values["fresh"])})
 
 
 def write_reading(now: CarMeasurement, reading: Records) -> None:
@@ -157,13 +144,11 @@ def wire_cars(physics: PhysicsWorld) -> Records:
 
 def wire_undersides(physics: PhysicsWorld) -> Records:
     """Return what bears a cross below, (n,) UNDERSIDE: tables, and then slopes."""
-    tables = [(body.qpos, -1, -1, -1) for body in physics.tables]
-    slopes = [
-        (slope.base.qpos, number, slope.hinge.qpos, slope.hinge.actuator)
-        for number, slope in enumerate(physics.slopes)
-    ]
-    undersides = records(len(tables) + len(slopes), UNDERSIDE)
-    undersides[:] = tables + slopes
+    rows = [(body.qpos, -1, -1, -1) for body in physics.tables]
+    for number, slope in enumerate(physics.slopes):
+        rows.append((slope.base.qpos, number, slope.hinge.qpos, slope.hinge.actuator))
+    undersides = records(len(rows), UNDERSIDE)
+    undersides[:] = rows
     return undersides
 
 

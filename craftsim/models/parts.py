@@ -71,9 +71,10 @@ class Slope:
     hinge: Joint
 
 
-def parts_of(
-    model: mujoco.MjModel, machines: Machines
-) -> tuple[tuple[Car, ...], tuple[Slope, ...], dict[Kind, tuple[Joint, ...]]]:
+Parts = tuple[tuple[Car, ...], tuple[Slope, ...], dict[Kind, tuple[Joint, ...]]]
+
+
+def parts_of(model: mujoco.MjModel, machines: Machines) -> Parts:
     """Return a model's cars, slopes, and by kind blocks, flags, and what else has a block's shape and is carried."""
     bases: dict[str, list[Joint]] = {}
     for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE):
@@ -87,13 +88,11 @@ def parts_of(
         dofs = [model.joint(prefix + wheel).dofadr[0] for wheel in WHEELS] if on_axles else []
         board, wheels = (
             Joint.find(model, f"{prefix}board"),
-            (np.array(motors, np.intp), np.array(dofs, np.intp)),
+            (np.array(own, np.intp) for own in (motors, dofs)),
         )
         cars.append(Car(machines.car(number), base, board, *wheels))
-    slopes = tuple(
-        Slope(base, Joint.find(model, base.name.removesuffix("slope") + "hinge"))
-        for base in bases.get("slope", ())
-    )
+    hinges = [base.name.removesuffix("slope") + "hinge" for base in bases.get("slope", ())]
+    slopes = tuple(map(Slope, bases.get("slope", ()), (Joint.find(model, hinge) for hinge in hinges)))
     tables = {kind: tuple(bases.get(name, ())) for name, kind in TABLE_NAMES.items() if kind in CARRIED}
     return tuple(cars), slopes, tables
 
@@ -131,8 +130,6 @@ def overlaps(machines: MachineNames, data: mujoco.MjData) -> tuple[str, ...]:
     for (a, b), distance in zip(pairs.tolist(), contact.dist.tolist(), strict=True):
         if a != b and -distance > max(ALLOWED_M, deepest.get((a, b), 0.0)):
             deepest[a, b] = -distance
-    names = machines.names
-    return tuple(
-        f"{names[a]} and {names[b]} stand {1e3 * depth:.1f} mm in each other"
-        for (a, b), depth in sorted(deepest.items())
-    )
+    names, found = machines.names, sorted(deepest.items())
+    text = "{} and {} stand {:.1f} mm in each other"
+    return tuple(text.format(names[a], names[b], 1e3 * depth) for (a, b), depth in found)

@@ -11,13 +11,12 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.mjcf.car import WHEELS, wheel_gears
 from craftsim.models.config import Amount
 from craftsim.models.effects import IDEAL, Drivetrain
-from craftsim.models.floor import FLAT, Floor, lay, tiles_body
+from craftsim.models.floor import FLAT, Floats, Floor, lay, tiles_body
 from craftsim.models.parts import GROUND, Car
 from craftsim.models.sensing import EXACT, SensorNoise
 from craftsim.models.world import Baseline, PhysicsWorld
@@ -103,8 +102,8 @@ Draw = Callable[[str, str], np.random.Generator]
 def by_name(rng: np.random.Generator) -> Draw:
     """Return generators for figures of machines, such as ``("car0", "mass")``.
 
-    The seed that ``rng`` draws and the two names decide alone what one of them gives. So nothing that is added to a
-    world, or taken out of it, changes what is drawn of the rest, and both drives have the same masses and friction.
+    The seed that ``rng`` draws and the two names decide alone what one gives: nothing that is added to a world, or
+    taken out of it, changes what is drawn of the rest, and both drives have the same masses and friction.
     """
     seed = rng.integers(0, 2**32, 4).tolist()
 
@@ -144,30 +143,27 @@ def randomize(physics: PhysicsWorld, randomization: DomainRandomization, rng: np
     physics.reset()
 
 
-def _factors(width: float, names: Iterable[tuple[str, str]], draw: Draw) -> NDArray[np.float64]:
+def _factors(width: float, names: Iterable[tuple[str, str]], draw: Draw) -> Floats:
     """Return (n,): a factor about 1 for each figure of a machine."""
-    found = [
-        draw(machine, figure).uniform(1 - width, 1 + width) if width else 1.0 for machine, figure in names
-    ]
-    return np.array(found)
+    low, high = 1 - width, 1 + width
+    return np.array([draw(*name).uniform(low, high) if width else 1.0 for name in names])
 
 
 def _vary_bodies(model: mujoco.MjModel, randomization: DomainRandomization, draw: Draw) -> None:
     """Draw the mass of each machine, and the sliding friction of each of its materials."""
     roots = np.where(model.body_rootid == tiles_body(model), 0, model.body_rootid)
     present = np.unique(roots)
-    machines = {
-        root: _machine_and_part(model.body(root).name)[0] if root else GROUND for root in present.tolist()
-    }
-    mass = _factors(randomization.mass, ((name, "mass") for name in machines.values()), draw)
+    names = [_machine_and_part(model.body(root).name)[0] if root else GROUND for root in present.tolist()]
+    machines = dict(zip(present.tolist(), names, strict=True))
+    mass = _factors(randomization.mass, ((name, "mass") for name in names), draw)
     by_body = mass[np.searchsorted(present, roots)]
     model.body_mass[:] *= by_body
     model.body_inertia[:] *= by_body[:, None]
     # What has one coefficient is one material.
     surfaces = np.column_stack([roots[model.geom_bodyid], model.geom_friction[:, 0]])
     materials, material = np.unique(surfaces, axis=0, return_inverse=True)
-    names = ((machines[int(root)], f"friction where it is {value:g}") for root, value in materials.tolist())
-    model.geom_friction[:, 0] *= _factors(randomization.friction, names, draw)[material.reshape(-1)]
+    rubbing = ((machines[int(root)], f"friction where it is {value:g}") for root, value in materials.tolist())
+    model.geom_friction[:, 0] *= _factors(randomization.friction, rubbing, draw)[material.reshape(-1)]
 
 
 def _vary_motors_and_joints(model: mujoco.MjModel, randomization: DomainRandomization, draw: Draw) -> None:
@@ -193,11 +189,11 @@ def _make(physics: PhysicsWorld, making: Making, draw: Draw) -> None:
     """Draw machines a little off their drawings in a world's model: shapes that touch, no masses."""
     model = physics.model
 
-    def drawn(machine: str, figure: str, *shape: int) -> NDArray[np.float64]:
+    def drawn(machine: str, figure: str, *shape: int) -> Floats:
         width: float = getattr(making, figure)
         return np.array(width * draw(machine, figure).uniform(-1, 1, shape))
 
-    def off(machine: str) -> NDArray[np.float64]:
+    def off(machine: str) -> Floats:
         """Return (3,) metres: by how much a pocket or pads are off, forward, sideways and up."""
         return np.append(drawn(machine, "pocket_m", 2), drawn(machine, "underside_m"))
 
@@ -215,9 +211,7 @@ def _make(physics: PhysicsWorld, making: Making, draw: Draw) -> None:
         model.geom_pos[_geoms(model, machine, _PADS)] += off(machine)
 
 
-def _resize_wheels(
-    model: mujoco.MjModel, car: Car, larger: NDArray[np.float64], moved: NDArray[np.float64]
-) -> None:
+def _resize_wheels(model: mujoco.MjModel, car: Car, larger: Floats, moved: Floats) -> None:
     """Let wheels be larger by so much, (4,) metres, and stand elsewhere by so much, (4, 2)."""
     if len(car.wheel_dofs):
         for dof, more, by in zip(car.wheel_dofs, larger, moved, strict=True):

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.kernel.jit import compiled, records
+from craftsim.discrete.kernel.jit import compiled, layout, records
 from craftsim.discrete.kernel.rotation import body_axes, wrap
 from craftsim.models.config import Amount
 from craftsim.models.measuring import (
@@ -100,25 +100,15 @@ class SensorNoise:
     @property
     def exact_pose(self) -> bool:
         """Whether localisations are exact and in time."""
-        return not any(getattr(self, name) for name in _OF_LOCALISATIONS)
+        names = [f.name for f in fields(self)]
+        # The figures of localisations stand first.
+        return not any(getattr(self, name) for name in names[: names.index("outlier_m")])
 
     @property
     def silent(self) -> bool:
         """Whether a car measures all that it measures exactly and at once."""
         return not any(getattr(self, f.name) for f in fields(self) if f.name != "motor_lag_s")
 
-
-_OF_LOCALISATIONS: Final = (
-    *(
-        "position_m",
-        "heading_rad",
-        "position_bias_m",
-        "heading_bias_rad",
-        "position_drift_m",
-        "heading_drift_rad",
-    ),
-    *("max_delay_s", "jitter_s", "localisation_period_s", "lost_share", "outlier_share"),
-)
 
 EXACT = SensorNoise()
 """No noise, no delay, no lag."""
@@ -183,29 +173,15 @@ _BIASES: Final = {
 }
 """Readings whose bias has a sign that is drawn, and the figures of that bias."""
 
-_NOISE: Final = np.dtype(
-    [*((f.name, "f8") for f in fields(SensorNoise)), ("encoder_share", "f8")], align=True
-)
+_NOISE: Final = layout(f8=" ".join([*(f.name for f in fields(SensorNoise)), "encoder_share"]))
 """A SensorNoise with times in control periods, drifts as what walks in one, and the share by which a filtered speed
 approaches a new one in a period."""
 
-_OWN: Final = np.dtype(
-    [
-        *((name, "f8") for name in ("delay", "phase", "off_x", "off_y", "off_heading", *_BIASES)),
-        ("last", "i8"),
-    ],
-    align=True,
-)
+_OWN: Final = layout(f8=" ".join(["delay phase off_x off_y off_heading", *_BIASES]), i8="last")
 """A car's: delay and phase of its localisations in periods, their bias as it has drifted, the biases of its other
 readings, and the number of its last localisation."""
 
-_ENCODERS: Final = np.dtype(
-    [
-        *(("joints", "i8", (4,)), ("pose", "f8", (7,))),
-        *((name, "f8", (4,)) for name in ("before", "angles", "counts")),
-    ],
-    align=True,
-)
+_ENCODERS: Final = layout(i8x4="joints", f8x7="pose", f8x4="before angles counts")
 """A car's: where its wheels' angles lie in MjData.qpos, -1 for none; its pose a period ago; by wheel the angle before
 the first count, the angle, and its counts."""
 
@@ -285,10 +261,8 @@ class Sensors:
             self._contacts[car] = self._rng.random()
         self._more.standard_normal(out=self._normals)
         self._more.random(out=self._uniforms)
-        _localise(
-            *(true, self._own, self._past, self._n_periods, levels),
-            *(self._white, self._normals, self._uniforms, out),
-        )
+        drawn = self._white, self._normals, self._uniforms
+        _localise(true, self._own, self._past, self._n_periods, levels, drawn, out)
         self._n_periods += 1
         _disturb(true, levels, self._own, self._white, self._contacts, out)
         self._of_lines.standard_normal(out=self._line_normals)
@@ -324,12 +298,11 @@ def _localise(
     past: Floats,
     n_periods: int,
     levels: Records,
-    white: Floats,
-    normals: Floats,
-    uniforms: Floats,
+    drawn: tuple[Floats, Floats, Floats],
     out: Records,
 ) -> None:
     """Take in the exact poses of a period; where nothing arrives the pose stays, and is not fresh."""
+    white, normals, uniforms = drawn
     noise = levels[0]
     oldest = min(n_periods, past.shape[1] - 1)
     for i in range(len(true)):

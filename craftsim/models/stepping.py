@@ -79,7 +79,6 @@ class Stepping:
     """The steps of one world."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Prepare to step a world; :meth:`bind` says with what motors."""
         self._world = model, data
         if not _HAS_BATCHES:
             return

@@ -103,8 +103,7 @@ class PhysicsWorld:
     """A compiled world with typed handles of its parts.
 
     ``cars`` are in the order of car ids; ``blocks``, ``flags`` and ``slopes`` in the order of :func:`placements`.
-    ``model`` and ``data`` are MuJoCo's own, to look at; commands go through :meth:`drive`, :meth:`move_board` and
-    :meth:`turn_hinge`.
+    ``model`` and ``data`` are MuJoCo's own, to look at.
 
     Example:
         >>> import craftsim
@@ -152,7 +151,7 @@ class PhysicsWorld:
         """Physics steps since the reset in which the solver gave up, at ``config.solver_iterations``. MuJoCo keeps this
         figure of the first 20 islands that move at a time."""
         standing = (array.tobytes() for array in (grid.kind, grid.yaw, grid.cars))
-        self._start = (grid.size, *standing, tuple(goals), self.config, machines, floor)
+        self._rested = _kept((grid.size, *standing, tuple(goals), self.config, machines, floor))
         self.walls = np.argwhere(grid.kind == Kind.WALL)
         """(n, 3): cells of the fixed obstacles."""
         self.floor = floor
@@ -232,10 +231,6 @@ class PhysicsWorld:
         else:
             self.reset()
             self._rested.append((self.save(), self.overlaps))
-
-    @cached_property
-    def _rested(self) -> list[tuple[PhysicsState, tuple[str, ...]]]:
-        return _kept(self._start)
 
     @cached_property
     def _spare(self) -> mujoco.MjData:
@@ -340,14 +335,11 @@ class PhysicsWorld:
         The parameters stay as they are. Raises InputError for a state of another world, or of another kind of
         drivetrain.
         """
-        if (
-            state.data.qpos.shape != self.data.qpos.shape
-            or state.data.ctrl.shape != self.data.ctrl.shape
-            or [len(saved) for saved in state.effects] != [len(effect.state) for effect in self.effects]
-        ):
-            raise InputError(
-                "this state was saved by a PhysicsWorld with other parts; restore it on one of an equal grid"
-            )
+        own = self.data.qpos.shape, self.data.ctrl.shape, [len(effect.state) for effect in self.effects]
+        saved_shapes = state.data.qpos.shape, state.data.ctrl.shape, [len(saved) for saved in state.effects]
+        if own != saved_shapes:
+            where = "restore it on one of an equal grid"
+            raise InputError(f"this state was saved by a PhysicsWorld with other parts; {where}")
         mujoco.mj_copyData(self.data, self.model, state.data)
         for effect, saved in zip(self.effects, state.effects, strict=True):
             effect.state = saved

@@ -1,16 +1,9 @@
 """What cars estimate: their poses, the delay of localisations and motors, and whether their floor is uneven.
 
-Odometry is prompt and smooth, so a car is controlled by it. One Kalman filter a car estimates the errors of odometry in
-x, y and heading, and the biases of its localisations. Uncertainty grows with the way travelled; on an uneven floor the
-velocity of sideways slip is a state, too.
-
-- A localisation is compared with where the car believed to be when it was taken. While its delay is uncertain, it has a
-  large variance in motion: a delay that is not known yet cannot make a car oscillate.
-- Below a block or a slope, line sensors see a marker in the middle of its cell: the car's position, at once and without
-  bias, unless a car has set it down there. A bias is corrected only while such a marker is seen.
-- A delay, of localisations behind odometry or of wheels behind commands, is found from the ways over a short window:
-  each candidate has a squared mismatch; the vertex of a parabola at its minimum is the delay, its width the variance.
-  The prior is one more parabola.
+Cars are controlled by odometry. One Kalman filter a car estimates its errors, and the biases of localisations. A
+localisation is compared with where the car believed to be when it was taken. Line sensors below a block or a slope see
+a marker in the middle of its cell; a bias is corrected only while one is seen that no car has set down. A delay is
+found from the ways over a short window: the vertex of a parabola at the least mismatch, its width the variance.
 """
 
 from __future__ import annotations
@@ -24,7 +17,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.kernel.bound import bound
-from craftsim.discrete.kernel.jit import Record, compiled, records
+from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.measuring import READING, Floats, Records
@@ -75,40 +68,21 @@ _X, _Y, _HEADING, _BIAS, _MARKER, _SLIP, _N = 0, 1, 2, 3, 6, 9, 11
 """Indices in the state: the errors of odometry in x, y and heading; the biases of localisations in these; the offset of
 the visible marker from the middle of its cell in these; the velocity of slip in x and y. Last, their number."""
 
-_FILTER: Final = np.dtype(
-    [
-        ("state", "f8", (_N,)),
-        ("covariance", "f8", (_N, _N)),
-        ("slopes", "f8", (_N,)),
-        ("shares", "f8", (_N,)),
-    ],
-    align=True,
-)
+_FILTER: Final = layout(f8x11="state slopes shares", f8x11x11="covariance")
 """A state and its covariance. ``slopes`` are the derivatives of the next measurement by the state; ``shares`` is
 scratch."""
 
-_SEEN: Final = np.dtype(
-    [
-        ("reach_m", "f8", (4,)),
-        *((name, "f8") for name in ("variance", "placed", "turned")),
-        *((name, "i8") for name in ("seen", "x", "y", "raised")),
-    ],
-    align=True,
-)
+_SEEN: Final = layout(f8x4="reach_m", f8="variance placed turned", i8="seen x y raised")
 """How far a car's line sensors are before its middle, the first two, and to the left of it; the variances of a line's
 position and of a marker's place and heading; whether a marker is seen, and its cell; whether the board was raised."""
 
-_ESTIMATE: Final = np.dtype(
-    [
-        *((name, "f8") for name in ("period_s", "lever_m", "radius_m")),
-        *((name, "f8") for name in ("slip", "loose", "jitter", "counts", "delay", "delay_std")),
-        ("n_still", "i8"),
-        ("known", _FILTER),
-        ("marker", _SEEN),
-        ("drifts", "f8", (6,)),
-        *((name, "f8", (3,)) for name in ("noise", "scatter")),
-    ],
-    align=True,
+_ESTIMATE: Final = layout(
+    f8="period_s lever_m radius_m slip loose jitter counts delay delay_std",
+    i8="n_still",
+    f8x6="drifts",
+    f8x3="noise scatter",
+    known=_FILTER,
+    marker=_SEEN,
 )
 """What one car estimates. ``drifts`` are the process variances of a period at rest; ``noise`` are the variances of
 localisations, and ``scatter`` the sums from which they are computed."""

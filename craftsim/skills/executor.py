@@ -102,11 +102,9 @@ class Executor:
         self._performers = performers(own, n)
         machines = [car.parameters for car in physics.cars]
         self._setups = [SkillSetup(machine, physics.machines, self.gains, period) for machine in machines]
-        self._estimator = (
-            None
-            if assumed.exact_pose
-            else PoseEstimator(assumed, period, machines, self.gains.localisation, physics.size)
-        )
+        self._estimator = None
+        if not assumed.exact_pose:
+            self._estimator = PoseEstimator(assumed, period, machines, self.gains.localisation, physics.size)
         self._cars = records(n, CAR)
         self._cars["docked"] = -1
         for car, setup in zip(self._cars, self._setups, strict=True):

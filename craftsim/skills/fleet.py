@@ -92,10 +92,8 @@ class PhysicsFleet:
         """Measure and command with these sensors and motors: exact and prompt ones unless given."""
         self.physics = physics
         self.sensors, self.motors = sensors or Sensors(physics), motors or Motors(physics)
-        share = np.array([self.motors.share])
-        self.wires = Wires(
-            self.sensors.cars, self.sensors.plugs, self.motors.speeds, share, physics.data.ctrl
-        )
+        cars, share = self.sensors.cars, np.array([self.motors.share])
+        self.wires = Wires(cars, self.sensors.plugs, self.motors.speeds, share, physics.data.ctrl)
 
     def read(self) -> Records:
         """Return the newest readings of all cars."""
@@ -129,9 +127,8 @@ class Disturbance:
 
     def __post_init__(self) -> None:
         if not 0 <= self.start_s < math.inf:
-            raise InputError(
-                f"a disturbance begins after {self.start_s} s; allowed: a finite number from 0 on"
-            )
+            after = f"a disturbance begins after {self.start_s} s"
+            raise InputError(f"{after}; allowed: a finite number from 0 on")
 
 
 class DisturbedFleet(PhysicsFleet):

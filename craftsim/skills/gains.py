@@ -1,16 +1,14 @@
-"""The gains of all skills: frozen, validated, read from YAML that a tuner can write."""
+"""The gains of all skills: frozen, validated, and read from YAML that a tuner can write."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import asdict, field, fields, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated, Any, Final, get_type_hints
+from typing import Annotated, Any, Final
 
-import yaml
 from pydantic import BeforeValidator
 
 from craftsim.errors import InputError, suggestion
@@ -28,225 +26,222 @@ Count = Annotated[int, Range(0, above=True), BeforeValidator(_whole)]
 """A whole number, which a file may also write as 2.0."""
 
 
-class _Section(NearNominal):
-    @classmethod
-    def nominal(cls) -> Mapping[str, float]:
-        """Return the nominal gains of the section."""
-        return _nominal()[next(name for name, kind in SECTIONS.items() if kind is cls)]
-
-
 @record()
-class DriveGains(_Section):
+class DriveGains(NearNominal):
     """Gains and limits of driving; SI units unless the comment says otherwise."""
 
-    position_gain: Positive
+    position_gain: Positive = 10.0
     """1/s: speed commanded per metre of position error."""
-    heading_gain: Positive
+    heading_gain: Positive = 10.0
     """1/s: turn rate commanded per radian of heading error."""
-    integral_gain: Positive
+    integral_gain: Positive = 4.0
     """1/s^2: integral action on position and heading, once the path has ended."""
-    sideways_slip: Positive
+    sideways_slip: Positive = 1.012
     """Factor of the wheel speeds for sideways motion: rollers turn against their bearings."""
-    turn_slip: Positive
+    turn_slip: Positive = 1.018
     """Factor of the wheel speeds for turning on the spot."""
-    friction_speed: Positive
+    friction_speed: Positive = 0.03
     """rad/s: wheel speed at which the compensation of the gears' dry friction reaches tanh(1) = 76 % of it."""
-    max_speed: Positive
-    max_acceleration: Positive
-    max_slope_speed: Positive
+    max_speed: Positive = 0.84
+    max_acceleration: Positive = 3.2
+    max_slope_speed: Positive = 0.42
     """m/s: highest speed of a move from or onto a slope: the wheels meet its foot at an angle."""
-    max_slope_acceleration: Positive
+    max_slope_acceleration: Positive = 1.8
     """m/s^2: on a slope, and therefore on the things that carry it."""
-    max_tight_speed: Positive
+    max_tight_speed: Positive = 0.84
     """m/s: highest speed of a move under something, or of a load past something."""
-    max_tight_acceleration: Positive
-    max_tight_slope_acceleration: Positive
+    max_tight_acceleration: Positive = 3.2
+    max_tight_slope_acceleration: Positive = 1.2
     """m/s^2: of such a move with a load from or onto a slope. The grip must suffice to climb and to keep to the path:
     at the least friction of mild randomization, 0.68, a car can push by 4.5 m/s^2 on the incline; weight takes 2.7."""
-    rocking: Positive
+    rocking: Positive = 0.11
     """m^3/s^2: largest product of acceleration and height above the floor squared. A stack of n blocks yields by
     the car's push times its height in each of n joints, and tips in the end."""
-    max_turn_speed: Positive
-    max_turn_acceleration: Positive
-    astray: Positive
+    max_turn_speed: Positive = 5.0
+    max_turn_acceleration: Positive = 22.0
+    astray: Positive = 1.0
     """m: distance of a car from its path at which the path of a load past something waits; never on a flat floor."""
-    load_factor: Positive
+    load_factor: Positive = 0.80
     """Factor of the speed and acceleration limits of loaded cars."""
-    position_tolerance: Positive
+    position_tolerance: Positive = 0.0004
     """m: largest position error at rest at the end of a move."""
-    heading_tolerance: Positive
-    position_certainty: Positive
+    heading_tolerance: Positive = 0.0012
+    position_certainty: Positive = 0.00035
     """m: largest standard deviation of the estimated position at the end of a move."""
-    heading_certainty: Positive
+    heading_certainty: Positive = 0.0011
     """rad: largest standard deviation of the estimated heading at the end of a move."""
-    settle_allowance: Positive
+    settle_allowance: Positive = 5.0
     """s: time beyond the profile's end after which a move that is not done has failed."""
-    shake_after: Positive
+    shake_after: Positive = 10.0
     """s: time beyond the profile's end after which a car that has not arrived is shaken."""
-    shake_speed: Positive
+    shake_speed: Positive = 0.03
     """m/s: amplitude of the speed of shaking."""
-    shake_rate: Positive
+    shake_rate: Positive = 5.0
     """Hz: frequency of shaking (:func:`craftsim.skills.laws.shake`)."""
-    blocked_error: Positive
+    blocked_error: Positive = 0.04
     """m: distance behind the path that, for longer than ``blocked_time``, means an obstacle."""
-    blocked_time: Positive
+    blocked_time: Positive = 0.25
     """s."""
-    slip_ratio: Positive
+    slip_ratio: Positive = 2.0
     """A car that fell behind slips, and is not blocked, if its wheels rolled by more than this many times its way plus
     ``slip_distance``, and their push would not have moved a free car that far."""
-    slip_distance: Positive
+    slip_distance: Positive = 0.01
     """m."""
-    speed_at_rest: Positive
+    speed_at_rest: Positive = 0.0015
     """m/s: a car is at rest when its wheels together roll slower than this."""
-    wheels_at_rest: Positive
+    wheels_at_rest: Positive = 0.03
     """rad/s: a car is also at rest when three wheels turn slower than this: the fourth may slip on the spot."""
-    rest_periods: Count
+    rest_periods: Count = 2
     """Control periods of rest on the target after which a move is done."""
-    brake_periods: Count
+    brake_periods: Count = 30
     """Control periods on the target after which a car brakes: while it corrects the last tenth of a millimetre, two
     wheels on a diagonal may slip on the spot for ever."""
-    motor_share: Positive
+    motor_share: Positive = 0.9
     """Largest share of the wheel motors' torque and speed that paths use; the rest is for corrections."""
 
 
 @record()
-class UnevenGains(_Section):
+class UnevenGains(NearNominal):
     """Driving where cars find their floor uneven (:mod:`craftsim.skills.estimator`): limits besides those of
     :class:`DriveGains`. A car without springs hops there, and its lowered board clears by a millimetre what it passes
     under."""
 
-    tilt: Positive
+    tilt: Positive = 0.0008
     """rad: a floor is uneven if a car leans by more than this, in the mean over ``tilt_time``, on level ground."""
-    tilt_time: Positive
+    tilt_time: Positive = 1.0
     """s: time of that mean: sensors of pitch and roll are noisy, and rollers rattle."""
-    max_speed: Positive
-    max_acceleration: Positive
-    max_slope_speed: Positive
+    max_speed: Positive = 0.5
+    max_acceleration: Positive = 2.0
+    max_slope_speed: Positive = 0.15
     """m/s: of a move from or onto a slope."""
-    max_slope_acceleration: Positive
-    max_tight_speed: Positive
+    max_slope_acceleration: Positive = 0.2
+    max_tight_speed: Positive = 0.15
     """m/s: of a move under something, or of a load past something."""
-    max_tight_acceleration: Positive
-    max_turn_speed: Positive
-    max_turn_acceleration: Positive
-    astray: Positive
+    max_tight_acceleration: Positive = 0.15
+    max_turn_speed: Positive = 2.5
+    max_turn_acceleration: Positive = 3.0
+    astray: Positive = 0.001
     """m: of a load past something, but not on slopes. A car beside its path by half of this drives to and fro along it,
     beyond this it slows down, and at twice this it stops. Half of it is the noise of an estimate in motion, and twice
     it is less than the 2.5 mm between two loads."""
-    shake_after: Positive
+    shake_after: Positive = 0.4
     """s: on two wheels of a diagonal a car without springs only arrives if it is shaken soon."""
-    loose: Positive
+    loose: Positive = 0.5
     """Standard deviation of the speed of sideways slip as a fraction of the wheels' speed: a car on two wheels of a
     diagonal goes at 45 degrees to its path for a second or longer."""
 
 
 @record()
-class BoardGains(_Section):
+class BoardGains(NearNominal):
     """Gains of the lifting board."""
 
-    gain: Positive
+    gain: Positive = 25.0
     """1/s: board speed commanded per metre of remaining travel, up to the motor's limit."""
-    acceleration: Positive
+    acceleration: Positive = 0.5
     """m/s^2: limit of the increase of the commanded speed."""
-    reached: Positive
+    reached: Positive = 0.0012
     """m: the board has arrived when it is this close to its end, and slower than ``still``."""
-    still: Positive
+    still: Positive = 0.0015
     """m/s."""
-    allowance: Positive
+    allowance: Positive = 2.0
     """s: time beyond that of the travel at full speed after which the board has failed."""
 
 
 @record()
-class HingeGains(_Section):
+class HingeGains(NearNominal):
     """Gains of a slope's hinge."""
 
-    gain: Positive
+    gain: Positive = 6.0
     """1/s: hinge speed commanded per radian of remaining travel, up to the motor's limit."""
-    acceleration: Positive
+    acceleration: Positive = 1.0
     """rad/s^2: limit of the increase of the commanded speed."""
-    reached: Positive
+    reached: Positive = 0.01
     """rad: the flap has arrived when it is this close to its end, and slower than ``still`` over ``still_time``."""
-    still: Positive
+    still: Positive = 0.01
     """rad/s."""
-    still_time: Positive
+    still_time: Positive = 0.1
     """s: longer than a control period, because angles are noisy."""
-    undocked: Positive
+    undocked: Positive = 0.1
     """s: time without contact to the slope after which it is not there; shorter gaps come from a plug that chatters."""
-    allowance: Positive
+    allowance: Positive = 4.0
     """s: time beyond that of the travel at full speed after which the hinge has failed."""
 
 
 @record()
-class StopGains(_Section):
+class StopGains(NearNominal):
     """Limits of coming to rest."""
 
-    wheels_at_rest: Positive
+    wheels_at_rest: Positive = 0.03
     """rad/s: a car is at rest when no wheel turns faster."""
-    allowance: Positive
+    allowance: Positive = 1.0
     """s: time after which wheels that still turn have failed."""
 
 
 @record()
-class HoldGains(_Section):
+class HoldGains(NearNominal):
     """Holding a car that is parked on an incline."""
 
-    level: Positive
+    level: Positive = 0.03
     """rad: a car that leans less than this stays by itself."""
-    tipped: Positive
+    tipped: Positive = 0.4
     """rad: a car that leans more than this is not held: the incline is 0.28."""
-    gain: Positive
+    gain: Positive = 10.0
     """1/s: wheel speed commanded per radian that a wheel has turned."""
-    dead_band: Positive
+    dead_band: Positive = 0.0001
     """rad: a wheel that has turned less than this, 5 micrometres of way, is not moved."""
-    crept: Positive
+    crept: Positive = 0.001
     """m: a car further than this from where it was parked, by its estimate, goes back. Three times
     ``position_certainty``, so that noise does not trigger it, and a third of the 2.5 mm between two loads."""
-    crept_heading: Positive
+    crept_heading: Positive = 0.004
     """rad: the same for its heading; over half the length of a load, 160 mm, that is 0.6 mm."""
-    crept_time: Positive
+    crept_time: Positive = 0.5
     """s: least duration of that: creep takes seconds for a millimetre, and a passing car shakes for less."""
 
 
 @record()
-class LocalisationGains(_Section):
+class LocalisationGains(NearNominal):
     """What the pose estimate assumes of odometry; what it assumes of localisations is a SensorNoise."""
 
-    slip: Positive
+    slip: Positive = 0.06
     """Standard deviation of the odometry's error in one period as a fraction of the way; slip is one-sided and adds up,
     so it is several times what the rollers lose."""
-    position_drift: Positive
+    position_drift: Positive = 0.00002
     """m: standard deviation of the unmeasured motion of a resting car in one period."""
-    heading_drift: Positive
+    heading_drift: Positive = 0.00006
     """rad: standard deviation of its unmeasured rotation."""
-    placement: Positive
+    placement: Positive = 0.001
     """m: standard deviation of the places of blocks and slopes from the middles of their cells."""
 
 
 @record()
-class HealthGains(_Section):
+class HealthGains(NearNominal):
     """When every skill gives up."""
 
-    tipped: Positive
+    tipped: Positive = 0.45
     """rad: a car that leans further than this, in pitch or roll, has tipped."""
-    board_raised: Positive
+    board_raised: Positive = 0.015
     """m: above this height the board may carry something."""
-    load_share: Positive
+    load_share: Positive = 0.5
     """A raised board carries a load if it feels this fraction of the lightest load's weight beyond its own."""
-    load_lost: Positive
+    load_lost: Positive = 0.3
     """s: a load that is not felt for longer is lost; shorter dips come from bumps and acceleration."""
 
 
 @record()
-class RecoveryGains(_Section):
+class RecoveryGains(NearNominal):
     """What follows a failure that may be temporary."""
 
-    tries: Count
+    tries: Count = 2
     """Largest number of tries; before each further try the car goes back to where it began."""
 
 
 @record()
 class Gains:
     """The gains of all skills; hashable. Raises InputError for a gain that is not positive or far from the nominal one.
+
+    The nominal ones are for any floor: fast where it is flat, and slow where cars feel that it is not. They were chosen
+    by hand: the limits of ``uneven`` on tiles with 1 mm of lippage, its tilt between what cars feel on a flat floor
+    (docs/explanation/imperfections.md) and there.
 
     Example:
         >>> import craftsim
@@ -255,15 +250,15 @@ class Gains:
         ('robust', True)
     """
 
-    drive: DriveGains
-    uneven: UnevenGains
-    board: BoardGains
-    hinge: HingeGains
-    stop: StopGains
-    hold: HoldGains
-    localisation: LocalisationGains
-    health: HealthGains
-    recovery: RecoveryGains
+    drive: DriveGains = DriveGains()
+    uneven: UnevenGains = UnevenGains()
+    board: BoardGains = BoardGains()
+    hinge: HingeGains = HingeGains()
+    stop: StopGains = StopGains()
+    hold: HoldGains = HoldGains()
+    localisation: LocalisationGains = LocalisationGains()
+    health: HealthGains = HealthGains()
+    recovery: RecoveryGains = RecoveryGains()
     source: str = field(default="robust", compare=False)
 
     @property
@@ -272,9 +267,7 @@ class Gains:
         return digest_of({section: asdict(getattr(self, section)) for section in SECTIONS})
 
 
-SECTIONS: Final[dict[str, type]] = {
-    name: kind for name, kind in get_type_hints(Gains).items() if name != "source"
-}
+SECTIONS: Final[dict[str, type]] = {f.name: type(f.default) for f in fields(Gains) if f.name != "source"}
 """Of :class:`Gains`, by name."""
 
 
@@ -309,30 +302,26 @@ def load_gains(path: Path | str | None = None) -> Gains:
         >>> craftsim.load_gains("fast").source
         'fast'
     """
-    nominal = _nominal()
     if path is None or str(path) == "robust":
-        return Gains(**{name: kind(**nominal[name]) for name, kind in SECTIONS.items()})
+        return Gains()
     if str(path) == "fast":
         with as_file(files("craftsim.data").joinpath("gains/fast.yaml")) as shipped:
             return replace(load_gains(shipped), source="fast")
     path = Path(path)
     if not path.suffix and not os.path.exists(path):
-        known = ", ".join(PRESETS)
-        raise InputError(
-            f"unknown gains '{path}'{suggestion(str(path), PRESETS)}; there are {known}, or give a YAML file"
-        )
+        close, known = suggestion(str(path), PRESETS), ", ".join(PRESETS)
+        raise InputError(f"unknown gains '{path}'{close}; there are {known}, or give a YAML file")
     document = read_document(path)
     plain, given = document.plain, [name for name in document.plain if name in SECTIONS]
     if "gains" in plain:
         if given:
-            document.fail(
-                (given[0],), "gains stand both at the top and under 'gains'; give them in one place"
-            )
-        gains = document.over({"gains": nominal}).to(_File).gains
+            both = "gains stand both at the top and under 'gains'; give them in one place"
+            document.fail((given[0],), both)
+        gains = document.to(_File).gains
         given = [name for name in plain["gains"] if name in SECTIONS]
     else:
         own = {key: value for key, value in plain.items() if key not in MACHINE_SECTIONS}
-        gains = replace(document, plain=own).over(nominal).to(Gains)
+        gains = replace(document, plain=own).to(Gains)
     return replace(gains, source=str(path) if given else "robust")
 
 
@@ -344,10 +333,3 @@ class _File:
     block: Any = None
     slope: Any = None
     contact: Any = None
-
-
-@cache
-def _nominal() -> dict[str, dict[str, float]]:
-    shipped = files("craftsim.data").joinpath("gains/robust.yaml").read_text(encoding="utf-8")
-    nominal: dict[str, dict[str, float]] = yaml.safe_load(shipped)
-    return nominal

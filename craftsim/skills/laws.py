@@ -203,10 +203,8 @@ def _end(task: Record, status: int, detail: float, second_detail: float) -> None
 def compensate_lag(car: Record, level: bool) -> None:
     """Change the commands of wheels so that their lagging servos have these speeds after one control period.
 
-    Four zeros brake at once. The lag is that of the candidate time constants whose simulated servos are closest to the
-    measured wheel speeds (least squares, see :mod:`craftsim.skills.estimator`). The command overshoots accordingly.
-
-    ``level``: whether the car is on level ground; on a slope wheels follow their servos only as far as they have grip.
+    Four zeros brake at once. The lag is that of the candidate whose simulated servos are closest to the measured wheel
+    speeds (least squares). ``level``: on a slope wheels follow their servos only as far as they have grip.
     """
     lag, wheels, turning, known = car.lag, car.command.wheels, car.now.wheel_speeds, car.known.car
     if level:
@@ -246,8 +244,8 @@ def _servo_speed(lag: Record, wheel: int) -> float:
 def _hold_law(car: Record) -> None:
     """Command the wheels of a car that is parked on an incline, so that it stays there.
 
-    A drive at zero speed yields slowly to a torque above its gear's friction: the wheels turn back as far. A car on two
-    wheels of a diagonal also creeps along their rollers: it drives back when its pose shows that for long enough.
+    A drive at zero speed yields slowly to torque: the wheels turn back as far. A car on two wheels of a diagonal also
+    creeps along their rollers: it drives back when its pose shows that for long enough.
     """
     now, task, known = car.now, car.task, car.known
     hold, drive = known.hold, known.drive
@@ -442,8 +440,8 @@ def _command_wheels(car: Record, error: Triple) -> None:
 def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tuple[float, float]:
     """Return the velocity (m/s, world frame) that shakes a car which does not arrive, across the remaining way.
 
-    On an uneven floor a car without springs rocks on two wheels of a diagonal, which cannot push across their rollers.
-    Accelerating the other way tips it onto the other two. It shakes for two cycles out of four, and settles in between.
+    A car without springs that rocks on two wheels of a diagonal cannot push across their rollers; accelerating the
+    other way tips it onto the other two. It shakes for two cycles out of four, and settles in between.
     """
     cycles = (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate
     left_over = math.hypot(error[0], error[1])

@@ -87,9 +87,8 @@ def own_skills(given: SkillChoice | None) -> tuple[OwnSkill, ...]:
         module, _, name = given.partition(":")
         chosen = _imported(given) if module and name else None
         if not isinstance(chosen, Mapping):
-            raise InputError(
-                f"skills '{given}': allowed is module:NAME of a mapping such as {{Action.LIFT: MyLift}}"
-            )
+            allowed = "module:NAME of a mapping such as {Action.LIFT: MyLift}"
+            raise InputError(f"skills '{given}': allowed is {allowed}")
         return own_skills(chosen)
     if not isinstance(given, Mapping):
         return tuple(given)
@@ -113,9 +112,8 @@ def check_known(own: Sequence[OwnSkill]) -> None:
     """Raise InputError for skills whose modules are not imported yet: reading a file must not run code."""
     for one in own:
         if one.skill.partition(":")[0] not in sys.modules:
-            raise InputError(
-                f"it was made with a skill of one's own, {one.skill}; give its module with --skills"
-            )
+            made = f"it was made with a skill of one's own, {one.skill}"
+            raise InputError(f"{made}; give its module with --skills")
 
 
 def performers(own: Sequence[OwnSkill], n_cars: int) -> list[dict[Action, Performer]]:
@@ -158,12 +156,8 @@ def _imported(name: str) -> Any:
     return found
 
 
-_UNDO: Final[Mapping[Action, Action]] = {
-    Action.LIFT: Action.DROP,
-    Action.DROP: Action.LIFT,
-    Action.FOLD: Action.UNFOLD,
-    Action.UNFOLD: Action.FOLD,
-}
+_UNDO: Final = {Action.LIFT: Action.DROP, Action.FOLD: Action.UNFOLD}
+_UNDO.update({undo: action for action, undo in _UNDO.items()})
 _TURNS: Final = (Action.ROTATE_LEFT, Action.ROTATE_RIGHT)
 _MAY_PASS: Final = (Reason.BLOCKED, Reason.SLIPPED, Reason.MISALIGNED, Reason.TIMEOUT)
 
@@ -172,9 +166,8 @@ _MAY_PASS: Final = (Reason.BLOCKED, Reason.SLIPPED, Reason.MISALIGNED, Reason.TI
 class Tries:
     """An action of one car, tried once or more often.
 
-    After a failure that may be temporary the car goes back, and tries again: it drives back to the pose at which a move
-    or a turn began, lowers a raised board, unfolds a folded slope, and the other way round. It then drives as under or
-    beside something on an uneven floor.
+    After a failure that may be temporary the car goes back to where a move or a turn began, or undoes what it did with
+    board or hinge, and tries again, driving as under or beside something on an uneven floor.
     """
 
     action: Action

@@ -42,7 +42,6 @@ class Mecanum:
     """
 
     def __init__(self, car: SmartcarParameters) -> None:
-        """Take wheel radius and lever from a car's parameters."""
         self._car = car
         self.lever_m = car.turn_radius_m
         self.radius_m = car.wheel_radius_m

@@ -105,8 +105,12 @@ class Command:
     """rad/s of the docked slope's hinge, folding positive."""
 
 
-Begin = Callable[[SkillSetup, CarMeasurement, np.void], None]
-"""Sets up the task of a compiled law, a record of TASK, from what the car measures."""
+Task = np.void
+"""A record of TASK."""
+Goal = Triple | None
+"""Where a way ends, None for the middle of a cell."""
+Begin = Callable[[SkillSetup, CarMeasurement, Task], None]
+"""Sets up the task of a compiled law from what the car measures."""
 
 
 def cell_middle(now: CarMeasurement, yaw: int, along_x: int = 0, along_y: int = 0) -> Triple:
@@ -116,7 +120,7 @@ def cell_middle(now: CarMeasurement, yaw: int, along_x: int = 0, along_y: int = 
 
 
 def begin_move(
-    setup: SkillSetup, now: CarMeasurement, task: np.void, direction: int, target: Triple | None = None
+    setup: SkillSetup, now: CarMeasurement, task: Task, direction: int, target: Goal = None
 ) -> None:
     """Drive in a grid direction 0..3 (+x, +y, -x, -y), keeping the heading; to the neighbour cell unless to a pose."""
     gains, terrain = setup.gains.drive, setup.terrain
@@ -145,9 +149,7 @@ def begin_move(
     drive["end_rad"] = terrain.end_rad
 
 
-def begin_turn(
-    setup: SkillSetup, now: CarMeasurement, task: np.void, quarter: int, target: Triple | None = None
-) -> None:
+def begin_turn(setup: SkillSetup, now: CarMeasurement, task: Task, quarter: int, target: Goal = None) -> None:
     """Turn on the spot by a quarter: +1 is left, counter-clockwise, -1 is right; or to a pose in this cell."""
     gains, known = setup.gains.drive, setup.constants[0]["car"]
     loaded, load_kg = _load(setup, now)
@@ -164,7 +166,7 @@ def begin_turn(
 def begin_path(
     setup: SkillSetup,
     now: CarMeasurement,
-    task: np.void,
+    task: Task,
     target: Triple,
     limits: tuple[float, float],
     turning: bool = False,
@@ -190,7 +192,7 @@ def begin_path(
 
 
 def begin_board(
-    setup: SkillSetup, now: CarMeasurement, task: np.void, target_m: float, needs_load: bool = False
+    setup: SkillSetup, now: CarMeasurement, task: Task, target_m: float, needs_load: bool = False
 ) -> None:
     """Bring the board to so much above its lower stop; with ``needs_load`` it must feel a load there."""
     task["law"], board = BOARD, task["board"]
@@ -199,23 +201,23 @@ def begin_board(
     board["deadline_s"] = travel / setup.machine.board_speed_m_s + setup.gains.board.allowance
 
 
-def begin_lift(setup: SkillSetup, now: CarMeasurement, task: np.void) -> None:
+def begin_lift(setup: SkillSetup, now: CarMeasurement, task: Task) -> None:
     """Raise the board to its upper stop, where it must feel a load."""
     begin_board(setup, now, task, setup.machine.board_travel_m, needs_load=True)
 
 
-def begin_hinge(setup: SkillSetup, now: CarMeasurement, task: np.void, folds: bool) -> None:
+def begin_hinge(setup: SkillSetup, now: CarMeasurement, task: Task, folds: bool) -> None:
     """Bring the hinge of the docked slope, the first in a reading, to one end of its range."""
     task["law"], hinge = HINGE, task["hinge"]
     hinge["target_rad"], hinge["slope"] = setup.machines.slope.hinge_range_rad if folds else 0.0, -1
 
 
-def begin_stop(setup: SkillSetup, now: CarMeasurement, task: np.void) -> None:
+def begin_stop(setup: SkillSetup, now: CarMeasurement, task: Task) -> None:
     """Command all motors to zero until the wheels rest."""
     task["law"] = STOP
 
 
-def begin_task(begin: Begin, setup: SkillSetup, now: CarMeasurement, task: np.void) -> None:
+def begin_task(begin: Begin, setup: SkillSetup, now: CarMeasurement, task: Task) -> None:
     """Set up a task; it has ended already for a car that has tipped or whose readings are not finite."""
     status = _health(setup, now)
     if status == RUNNING:
@@ -265,7 +267,6 @@ class Skill(ABC):
     """Simulated time after which it has failed."""
 
     def __init__(self, setup: SkillSetup) -> None:
-        """Prepare for this car, world and tuning."""
         self.setup = setup
         self.outcome: Outcome | None = None
         """How it has ended; None before. Commands from then on are ignored."""
@@ -293,7 +294,6 @@ class LawSkill(Skill):
     """A compiled law as a part of a user-defined skill: ``LawSkill(setup, begin_lift)``."""
 
     def __init__(self, setup: SkillSetup, begin: Begin) -> None:
-        """Prepare for the task that a function sets up."""
         super().__init__(setup)
         self._begin = begin
         self._cars, self._angles = records(1, CAR), np.zeros((1, n_angles(setup.gains, setup.period_s)))
@@ -303,7 +303,7 @@ class LawSkill(Skill):
     @property
     def task(self) -> np.void:
         """Its state, a record of TASK."""
-        task: np.void = self._cars[0]["task"]
+        task: Task = self._cars[0]["task"]
         return task
 
     def start(self, now: CarMeasurement) -> None:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from craftsim.discrete.kernel.jit import records
+from craftsim.discrete.kernel.jit import layout, records
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
 from craftsim.models.measuring import READING, Records
 from craftsim.skills.gains import SECTIONS, Gains
@@ -55,77 +55,37 @@ _ENDINGS: Final[dict[int, tuple[Reason | None, str]]] = {
 """For each status that ends a task, the reason of a failure, and a text with the task's two details."""
 
 
-def _floats(*names: str) -> list[tuple[str, str]]:
-    return [(name, "f8") for name in names]
-
-
-_CAR: Final = _floats(
-    *("lever_m", "radius_m", "mass_kg", "spin_mass_kg", "turn_inertia_kgm2", "wheel_inertia_kgm2"),
-    *("wheel_x_m", "wheel_gain_nms_rad", "gear_friction_nm", "wheel_speed_rad_s", "wheel_torque_nm"),
-    *("board_speed_m_s", "hinge_speed_rad_s", "felt_load_n"),
+_CAR: Final = layout(
+    f8="lever_m radius_m mass_kg spin_mass_kg turn_inertia_kgm2 wheel_inertia_kgm2 wheel_x_m wheel_gain_nms_rad "
+    "gear_friction_nm wheel_speed_rad_s wheel_torque_nm board_speed_m_s hinge_speed_rad_s felt_load_n"
 )
-
-KNOWN: Final = np.dtype(
-    [
-        ("period_s", "f8"),
-        ("car", np.dtype(_CAR)),
-        *((name, np.dtype(_floats(*(f.name for f in fields(kind))))) for name, kind in SECTIONS.items()),
-    ],
-    align=True,
+KNOWN: Final = layout(
+    f8="period_s",
+    car=_CAR,
+    **{name: layout(f8=" ".join(f.name for f in fields(kind))) for name, kind in SECTIONS.items()},
 )
 """A car's parameters, those of the hinge that it may turn, and the gains by section."""
 
-_POSE: Final = np.dtype(_floats("x", "y", "heading"))
-_PROFILE: Final = np.dtype(_floats("cruise_speed", "ramp_s", "duration_s"))
-_BEHIND: Final = np.dtype(_floats("stuck_s", "rolled_m", "moved_m", "free_m_s", "free_m"))
-
-DRIVE_TASK: Final = np.dtype(
-    [
-        ("origin", _POSE),
-        ("delta", _POSE),
-        ("direction", _POSE),
-        ("integral", _POSE),
-        ("profile", _PROFILE),
-        *_floats("load_kg", "unloaded_s", "step_x", "step_y", "start_rad", "end_rad"),
-        *_floats("waited_s", "pace"),
-        ("before", _POSE),
-        ("wheels_before", "f8", (4,)),
-        ("commanded", "f8", (4,)),
-        ("torques", "f8", (4,)),
-        ("path", "f8", (3,)),
-        ("behind", _BEHIND),
-        *(
-            (name, "i8")
-            for name in ("loaded", "sloping", "waits", "there_periods", "rest_periods", "at_rest")
-        ),
-    ],
-    align=True,
+_POSE: Final = layout(f8="x y heading")
+DRIVE_TASK: Final = layout(
+    **dict.fromkeys(("origin", "delta", "direction", "integral", "before"), _POSE),
+    profile=layout(f8="cruise_speed ramp_s duration_s"),
+    behind=layout(f8="stuck_s rolled_m moved_m free_m_s free_m"),
+    f8="load_kg unloaded_s step_x step_y start_rad end_rad waited_s pace",
+    f8x3="path",
+    f8x4="wheels_before commanded torques",
+    i8="loaded sloping waits there_periods rest_periods at_rest",
 )
 """``path`` is the next set point: x and y in metres, and heading; nan without one. A path that ``waits`` for its car
 goes on at a ``pace`` from 0 to 1, and is late by ``waited_s``."""
-BOARD_TASK: Final = np.dtype(
-    [*_floats("target_m", "speed", "last_m", "deadline_s"), ("needs_load", "i8")], align=True
-)
-HINGE_TASK: Final = np.dtype(
-    [*_floats("target_rad", "speed", "deadline_s", "undocked_s"), ("slope", "i8"), ("n_past", "i8")],
-    align=True,
-)
-
-TASK: Final = np.dtype(
-    [
-        ("law", "i8"),
-        ("status", "i8"),
-        ("feels_load", "i8"),
-        *_floats("elapsed_s", "ended_s", "detail", "second_detail"),
-        ("turned", "f8", (4,)),
-        ("held", _POSE),
-        ("crept_s", "f8"),
-        ("returning", "i8"),
-        ("drive", DRIVE_TASK),
-        ("board", BOARD_TASK),
-        ("hinge", HINGE_TASK),
-    ],
-    align=True,
+TASK: Final = layout(
+    i8="law status feels_load returning",
+    f8="elapsed_s ended_s detail second_detail crept_s",
+    f8x4="turned",
+    held=_POSE,
+    drive=DRIVE_TASK,
+    board=layout(f8="target_m speed last_m deadline_s", i8="needs_load"),
+    hinge=layout(f8="target_rad speed deadline_s undocked_s", i8="slope n_past"),
 )
 """The task of a car: its law, its status, and the state of the law. For a parked car that is held, that is how far its
 wheels have turned, its pose when it was parked, for how long it has been away from that, and whether it returns."""
@@ -134,38 +94,20 @@ NO_TASK: Final = np.zeros((), TASK)
 """The initial task."""
 NO_TASK["drive"]["path"] = np.nan
 
-COMMAND: Final = np.dtype([("wheels", "f8", (4,)), ("board", "f8"), ("hinge", "f8")], align=True)
+COMMAND: Final = layout(f8x4="wheels", f8="board hinge")
 """A :class:`~craftsim.skills.skill.Command` as a record."""
 
 
-N_LAGS: Final = 13
-LAG: Final = np.dtype(
-    [
-        ("steps", "f8"),
-        ("mismatches", "f8", (N_LAGS,)),
-        ("servos", "f8", (N_LAGS, 4)),
-        ("shares", "f8", (N_LAGS,)),
-        ("sent", "f8", (4,)),
-    ],
-    align=True,
-)
+LAG: Final = layout(f8="steps", f8x13="mismatches shares", f8x13x4="servos", f8x4="sent")
 """The estimate of the motors' lag: the likeliest time constant, in steps between candidates; for each candidate its
 mismatch, its servo speeds, and the share by which these approach a command in a control period; the last command."""
+N_LAGS: Final[int] = LAG["mismatches"].shape[0]
 
-FLOOR: Final = np.dtype(
-    [*_floats("pitch", "roll", "variance"), *((name, "i8") for name in ("n_read", "suspected", "uneven"))],
-    align=True,
-)
+FLOOR: Final = layout(f8="pitch roll variance", i8="n_read suspected uneven")
 """The floor estimate: mean pitch and roll in radians, the variance of both together, and the number of readings;
 whether the mean is too large, but may be noise; whether it was ever significantly too large."""
 
-CAR: Final = np.dtype(
-    [
-        *(("known", KNOWN), ("now", READING), ("task", TASK), ("command", COMMAND)),
-        *(("lag", LAG), ("floor", FLOOR), ("docked", "i8")),
-    ],
-    align=True,
-)
+CAR: Final = layout(known=KNOWN, now=READING, task=TASK, command=COMMAND, lag=LAG, floor=FLOOR, i8="docked")
 """All of one car. ``now`` is its reading with the estimated pose, ``docked`` the slope that it commands or -1."""
 
 

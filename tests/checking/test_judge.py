@@ -1,14 +1,16 @@
-"""A Judge predicts, performs, reads and judges each action, and says when any of these went apart."""
+"""A Judge predicts, performs, reads and judges each action, and overlooks neither turns, leans, nor what adds up."""
 
 import gc
+import math
 import weakref
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from disturbances import push
+from disturbances import push, twist
 from drawn import draw
 
-from craftsim.checking.attempt import Verdict
+from craftsim.checking.attempt import Thresholds, Verdict
 from craftsim.checking.episode import perform
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup, set_up, setup_of
@@ -16,11 +18,17 @@ from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.config import SimulationConfig
+from craftsim.models.randomization import NONE
+from craftsim.models.sensing import SensorNoise
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.outcome import Reason
 
 SIZE = (4, 1, 2)
+
+
 RIGHT = Action.MOVE_RIGHT
+
+
 REDUCED = setup_of("none", drive="reduced")
 
 
@@ -157,3 +165,152 @@ def test_python_performs_one_action_after_the_other_as_a_judge_does():
     for car, action, message in ((2, "LIFT", "there is no car 2"), (0, "LFIT", "did you mean 'LIFT'")):
         with pytest.raises(InputError, match=message):
             perform(physics, car, action)
+
+
+LEFT = Action.ROTATE_LEFT
+
+
+def _beside(objects=(), cars=((0, 0, 1, 0),), size=(5, 1, 2), setup=None):
+    return set_up(draw(size, objects, cars), setup or REDUCED)
+
+
+def _bump(begin_s, length_s, *most):
+    """Return a way that leads to a turn and back, within a time, and then lets go."""
+
+    def way(time_s):
+        share = (time_s - begin_s) / length_s
+        return None if share > 1 else [math.sin(math.pi * max(share, 0.0)) ** 2 * value for value in most]
+
+    return way
+
+
+def _ramp(begin_s, length_s, *most):
+    """Return a way that leads to a turn, holds it for as long, and lets go."""
+
+    def way(time_s):
+        share = (time_s - begin_s) / length_s
+        return None if share > 2 else [max(0.0, min(share, 1.0)) * value for value in most]
+
+    return way
+
+
+def test_a_block_that_is_set_down_turned_by_five_degrees_is_not_as_predicted():
+    judge = _beside(cars=[(1, 0, 1, 0, Kind.BLOCK)])
+    physics, (block,) = judge.physics, judge.physics.blocks
+    stands_s = []
+
+    def way(time_s):
+        # From when it stands on its feet and the boss is out of its pocket.
+        if not stands_s and physics.data.qpos[physics.cars[0].board.qpos] > 0.02:
+            return None
+        stands_s.append(time_s)
+        return _ramp(stands_s[0], 0.1, 0, 0, math.radians(5))(time_s)
+
+    twist(judge.executor, block, way)
+    attempt = judge.perform(0, Action.DROP)
+    assert (attempt.finding, attempt.result) == ("agrees", Verdict.FAILED)
+    assert attempt.placed_error_m < 0.001
+    assert attempt.thing_heading_rad == pytest.approx(math.radians(5), abs=0.02)
+    assert attempt.reason.startswith("the thing is turned by ")
+
+
+def test_a_bystander_that_is_twisted_by_six_degrees_is_a_side_effect():
+    judge = _beside([(Kind.BLOCK, (3, 0, 1))])
+    start_s = judge.physics.time_s
+    twist(judge.executor, judge.physics.blocks[0], _ramp(start_s, 0.3, 0, 0, math.radians(6)))
+    attempt = judge.perform(0, LEFT)
+    assert (attempt.finding, attempt.result) == ("agrees", Verdict.SIDE_EFFECT)
+    assert attempt.bystander_displacement_m < 0.001
+    assert attempt.bystander_turn_rad == pytest.approx(math.radians(6), abs=0.02)
+    assert attempt.reason.startswith("block 0 was turned by ")
+
+
+def test_a_bystander_car_that_is_tipped_and_stands_again_is_a_side_effect():
+    judge = _beside(cars=[(0, 0, 1, 0), (3, 0, 1, 0)])
+    base = judge.physics.cars[1].base
+    twist(judge.executor, base, _bump(judge.physics.time_s, 1.2, 0, -math.radians(16), 0))
+    attempt = judge.perform(0, LEFT)
+    assert (attempt.finding, attempt.result) == ("agrees", Verdict.SIDE_EFFECT)
+    assert attempt.bystander_turn_rad < 0.003
+    assert attempt.drift_rad == pytest.approx(math.radians(16), abs=0.06)
+    assert "car 1 was turned " in attempt.reason
+
+
+def test_what_is_pressed_harder_than_weights_and_motors_can_is_unsafe():
+    """A car of 101 N is pressed down with 400 N more: 502 N."""
+    judge = _beside(cars=[(0, 0, 1, 0), (3, 0, 1, 0)])
+    physics, base = judge.physics, judge.physics.cars[1].base
+    judge.executor.observers.append(lambda _: physics.data.xfrc_applied.__setitem__((base.body, 2), -400.0))
+    attempt = judge.perform(0, LEFT)
+    assert 461 < attempt.peak_force_n < 627
+    assert attempt.result == Verdict.UNSAFE
+    assert attempt.reason.startswith("ground and car 1 hit each other (")
+    assert "N, allowed 461)" in attempt.reason
+
+
+def test_many_small_movements_add_up_and_are_held_against_one_action():
+    """A block creeps by half a millimetre with each action, which is allowed once and twice."""
+    judge = _beside([(Kind.BLOCK, (2, 0, 1))])
+    attempts = []
+    for _ in range(4):
+        judge.executor.observers.append(push(0, 0.0003))
+        attempts.append(judge.perform(0, LEFT))
+    assert max(attempt.bystander_displacement_m for attempt in attempts) < 0.001
+    results = [str(attempt.result) for attempt in attempts]
+    wrong = attempts[results.index("side effect")]
+    assert 0 < results.index("side effect") < 3
+    assert (
+        wrong.reason == f"block 0 was {1e3 * wrong.drift_m:.2f} mm away from where it was left (allowed 1.00)"
+    )
+
+
+def test_a_bystander_may_not_come_too_near_to_its_neighbour_however_little_it_was_moved():
+    """A block that was set down 0.8 mm off, as is allowed, is moved by half a millimetre later, as is allowed too."""
+    judge = _beside(cars=[(0, 0, 1, 0), (3, 0, 1, 0, Kind.BLOCK)], setup=Setup())
+    judge.executor.observers.append(push(0, 0.0008))
+    dropped = judge.perform(1, Action.DROP)
+    assert dropped.agrees
+    judge.executor.observers.append(push(0, 0.0004))
+    attempt = judge.perform(0, LEFT)
+    assert attempt.bystander_displacement_m < 0.001
+    assert attempt.result == Verdict.SIDE_EFFECT
+    assert attempt.reason == (
+        f"block 0 is {1e3 * attempt.bystander_reach_m:.2f} mm too near to a neighbouring cell (allowed 1.25)"
+    )
+    assert judge.perform(0, LEFT).agrees, "it is held against one action alone"
+
+
+def test_a_failure_names_its_limit_and_no_contact_of_another_car():
+    """Both cars are localised 5 mrad off: one turns by so much less or more, the other lifts its block as it should."""
+    biased = replace(NONE, sensors=SensorNoise(heading_bias_rad=0.005))
+    cars = [(0, 0, 1, 0), (3, 0, 1, 0)]
+    judge = _beside([(Kind.BLOCK, (3, 0, 1))], cars, setup=replace(REDUCED, randomization=biased))
+    turns, lifts = judge.perform_tick([(0, LEFT), (1, Action.LIFT)])
+    assert lifts.agrees
+    assert turns.heading_error_rad > 0.003
+    assert turns.reason == f"the car is turned by {1e3 * turns.heading_error_rad:.2f} mrad (allowed 3.00)"
+
+
+def test_on_an_uneven_floor_a_failure_says_how_far_the_car_was_from_its_path():
+    setup = replace(setup_of("lab_floor", drive="reduced"), thresholds=Thresholds(car_m=1e-9))
+    attempt = _beside(setup=setup).perform(0, RIGHT)
+    assert attempt.reason.startswith("the car is ")
+    assert "; the car strayed " in attempt.reason
+    assert float(attempt.reason.split("strayed ")[1].split(" mm")[0]) < 10
+    even = _beside(setup=replace(REDUCED, thresholds=Thresholds(car_m=1e-9))).perform(0, RIGHT)
+    assert "strayed" not in even.reason
+
+
+def test_two_neighbours_at_their_limits_fit_into_the_gap_between_them():
+    """Boxes of 320 mm in cells of 322.5 mm: whatever takes all of one's reach leaves it in its half of the gap."""
+    from craftsim.discrete.geometry import CELL_PITCH_M
+    from craftsim.mjcf.parameters import NOMINAL
+
+    side = NOMINAL.block.side_m
+    gap_m = CELL_PITCH_M - max(side, NOMINAL.slope.side_m)
+    assert gap_m == pytest.approx(0.0025)
+    limit_m = Thresholds().placed_m
+    for heading in np.linspace(0, limit_m / (CELL_PITCH_M / 2), 20):
+        offset = limit_m - CELL_PITCH_M / 2 * heading
+        corner = side / 2 * (math.cos(heading) + math.sin(heading))
+        assert offset + corner - side / 2 <= gap_m / 2 + 1e-9

@@ -216,7 +216,7 @@ FORMATS = {
         "smartcar: {chassis_mass_kg: 1.1, wheel_torque_nm: 3.0}\ncars: [{}, {wheel_mass_kg: 2.5}]\n"
         "slope: {hinge_speed_rad_s: 1.0}\ngains:\n  drive: {max_speed: 0.4}\n",
     ),
-    "gains": _texts("a.yaml", load_gains, _shipped("gains", "robust.yaml")),
+    "gains": _texts("a.yaml", load_gains, _shipped("gains", "fast.yaml")),
     "noise": _texts("a.yaml", load_noise, "{min_delay_s: 0.02, max_delay_s: 0.04, position_m: 0.001}\n"),
     "randomization": _texts("a.yaml", setup_of, _shipped("randomizations", "lab_floor.yaml")),
     "settings": _texts(

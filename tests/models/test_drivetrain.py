@@ -57,18 +57,15 @@ def test_on_the_reduced_drive_no_motor_passes_on_more_than_line_and_grip_leave_i
     assert weak[1][-1] < ideal[1][-1]
 
 
-def test_a_battery_sags_by_the_declared_share_of_the_torque_that_all_motors_give():
+def test_a_battery_sags_and_a_gear_takes_a_share_by_as_much_as_declared():
     _, torques = _driven(_physics(Drivetrain(sag=0.25)), TOP_RAD_S, 4)
     # All motors give T = T_most (1 - sag T / T_most).
     assert torques[4:].mean() == pytest.approx(MOST_NM / 1.25, rel=0.01)
-
-
-def test_a_gear_takes_its_share_of_a_driving_motors_torque_and_adds_it_to_a_braking_ones():
     physics = _physics(Drivetrain(gear_loss=0.2))
-    _, torques = _driven(physics, TOP_RAD_S, 20)
-    assert torques[2:10].max() == pytest.approx(0.8 * MOST_NM, rel=1e-9)
-    _, torques = _driven(physics, -TOP_RAD_S, 2)
-    assert torques.min() == pytest.approx(-1.2 * MOST_NM, rel=1e-9)
+    assert _driven(physics, TOP_RAD_S, 20)[1][2:10].max() == pytest.approx(0.8 * MOST_NM, rel=1e-9)
+    assert _driven(physics, -TOP_RAD_S, 2)[1].min() == pytest.approx(-1.2 * MOST_NM, rel=1e-9), (
+        "it brakes, too"
+    )
 
 
 @pytest.mark.parametrize("drive", DRIVES)

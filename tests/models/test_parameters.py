@@ -1,7 +1,7 @@
-"""MJCF and meshes follow the parameters, nominal or not, and every figure is read and says where it comes from."""
+"""MJCF and meshes follow the parameters, nominal or from a file, and every figure says where it comes from."""
 
 import math
-import shutil
+import re
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import lru_cache
@@ -20,11 +20,14 @@ from craftsim.mjcf.parameters import (
     Machines,
     SlopeParameters,
     SmartcarParameters,
+    load_machines,
 )
 from craftsim.models.composition import MACHINES, machine_spec
 from craftsim.models.exporting import machine_texts, text_of
 
 SMARTCAR, BLOCK, SLOPE = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope
+
+
 OTHER = Machines(
     cars=(
         SmartcarParameters(
@@ -62,7 +65,10 @@ OTHER = Machines(
         hinge_friction_nm=0.03,
     ),
 )
-"""Machines whose figures differ in whatever may be changed."""
+
+
+"""Machines whose figures differ from the nominal ones."""
+
 
 Figures = dict[str, Callable[[mujoco.MjModel], float]]
 
@@ -130,62 +136,38 @@ def looking_up(model: mujoco.MjModel, camera: str) -> float:
     return math.asin(forward[2])
 
 
+# What is written into a model as it is, such as a mass or a limit, is only tested to have an effect.
 SMARTCAR_FIGURES: Figures = {
-    "wheel_radius_m": lambda m: m.geom("guard_fl").size[0],
     "wheel_width_m": lambda m: 2 * m.geom("guard_fl").size[1],
-    "wheel_x_m": lambda m: m.body("wheel_fl").pos[0],
-    "wheel_y_m": lambda m: m.body("wheel_fl").pos[1],
     "wheel_mass_kg": lambda m: m.body("wheel_fl").subtreemass[0],
     "wheel_spin_inertia_kgm2": lambda m: spin_inertia(m, "wheel_fl"),
     "rollers_per_wheel": lambda m: len(descendants(m, "wheel_fl")) - 1,
-    "roller_radius_m": lambda m: m.geom("roller_fl00").size[0],
-    "roller_half_length_m": lambda m: m.geom("roller_fl00").size[2],
-    "roller_mass_kg": lambda m: m.body("roller_fl00").mass[0],
     "chassis_length_m": lambda m: extent(m, 0, "hull"),
     "chassis_width_m": lambda m: extent(m, 1, "hull"),
     "chassis_bottom_m": lambda m: level(m, "hull", np.min) - axle(m),
     "chassis_top_m": lambda m: level(m, "hull", np.max) - axle(m),
     "chassis_chamfer_m": lambda m: (extent(m, 0, "hull") - side_at(m, "hull", level(m, "hull", np.min))) / 2,
-    "chassis_mass_kg": lambda m: m.body("smartcar").mass[0],
     "chassis_com_m": lambda m: m.body("smartcar").ipos[2] - axle(m),
     "board_top_m": lambda m: m.body("board").pos[2] + level(m, "plate", np.max) - axle(m),
-    "board_length_m": lambda m: extent(m, 0, "plate"),
-    "board_width_m": lambda m: extent(m, 1, "plate"),
     "board_thickness_m": lambda m: extent(m, 2, "plate"),
-    "board_mass_kg": lambda m: m.body("board").mass[0],
     "board_travel_m": lambda m: np.ptp(m.joint("board").range),
-    "board_speed_m_s": lambda m: m.actuator("board").ctrlrange[1],
-    "board_force_n": lambda m: m.actuator("board").forcerange[1],
     "boss_side_m": lambda m: side_at(m, "boss", 0.0),
     "boss_top_side_m": lambda m: side_at(m, "boss", SMARTCAR.boss_height_m),
     "boss_height_m": lambda m: level(m, "boss", np.max) - level(m, "plate", np.max),
-    "wheel_torque_nm": lambda m: m.actuator("wheel_fl").forcerange[1],
-    "wheel_speed_rad_s": lambda m: m.actuator("wheel_fl").ctrlrange[1],
-    "wheel_gain_nms_rad": lambda m: m.actuator("wheel_fl").gainprm[0],
-    "wheel_armature_kgm2": lambda m: m.dof_armature[m.joint("wheel_fl").dofadr[0]],
-    "gear_friction_nm": lambda m: m.dof_frictionloss[m.joint("wheel_fl").dofadr[0]],
-    "roller_bearing_friction_nm": lambda m: m.dof_frictionloss[m.joint("roller_fl00").dofadr[0]],
-    "roller_friction": lambda m: m.geom("roller_fl00").friction[0],
-    "board_friction": lambda m: m.geom("plate").friction[0],
-    "chassis_friction": lambda m: m.geom("hull").friction[0],
     "camera_proud_m": lambda m: m.camera("front").pos[0] - level(m, "hull", np.max, axis=0),
     "camera_z_m": lambda m: m.camera("front").pos[2] - axle(m),
     "camera_pitch_rad": lambda m: looking_up(m, "front"),
     "camera_fovy_rad": lambda m: math.radians(m.camera("front").fovy[0]),
 }
 
+
 BLOCK_FIGURES: Figures = {
     "side_m": lambda m: extent(m, 0, "deck", "leg_fl", "leg_rl"),
     "height_m": lambda m: level(m, "deck", np.max) - (m.geom("foot_fl").pos[2] - m.geom("foot_fl").size[0]),
-    "leg_side_m": lambda m: extent(m, 0, "leg_fl"),
-    "leg_offset_m": lambda m: m.geom("leg_fl").pos[0],
     "underside_m": lambda m: level(m, "frame_front", np.min),
     "mass_kg": lambda m: m.body(m.geom("deck").bodyid[0]).mass[0],
     "pocket_side_m": lambda m: 2 * level(m, "frame_front", np.min, axis=0),
     "pocket_depth_m": lambda m: level(m, "deck", np.min) - level(m, "frame_front", np.min),
-    "friction": lambda m: m.geom("deck").friction[0],
-    "foot_radius_m": lambda m: m.geom("foot_rl").size[0],
-    "foot_friction": lambda m: m.geom("foot_rl").friction[0],
 }
 
 
@@ -206,20 +188,13 @@ def skin(model: mujoco.MjModel) -> float:
 SLOPE_FIGURES: Figures = {
     "side_m": lambda m: extent(m, 1, "wall_left", "wall_right"),
     "height_m": lambda m: m.body("flap").pos[2] - level(m, "flap", np.min),
-    "hinge_x_m": lambda m: m.body("flap").pos[0],
-    "hinge_z_m": lambda m: m.body("flap").pos[2],
     "incline_rad": lambda m: incline(corners(m, "incline")),
     "skin_m": skin,
     "underside_m": lambda m: level(m, "pad_left", np.min),
     "boss_play_m": lambda m: level(m, "pad_left", np.min, axis=1) - SMARTCAR.boss_side_m / 2,
-    "base_mass_kg": lambda m: m.body("slope").mass[0],
-    "flap_mass_kg": lambda m: m.body("flap").mass[0],
-    "gear_radius_m": lambda m: m.geom("gear_left").size[0],
-    "hinge_torque_nm": lambda m: m.actuator("hinge").forcerange[1],
-    "hinge_speed_rad_s": lambda m: m.actuator("hinge").ctrlrange[1],
     "hinge_range_rad": lambda m: m.joint("hinge").range[1],
-    "hinge_friction_nm": lambda m: m.dof_frictionloss[m.joint("hinge").dofadr[0]],
 }
+
 
 TABLES = {
     "smartcar": SMARTCAR_FIGURES,
@@ -260,6 +235,8 @@ def with_parameters(parameters) -> Machines:
 
 
 READ_BY_SENSORS = {"docking_range_m", "line_reach_m"}
+
+
 KINDS = (SmartcarParameters, BlockParameters, SlopeParameters, ContactParameters)
 
 
@@ -292,29 +269,6 @@ def _folder() -> Path:
     return Path(str(files("craftsim.mjcf")))
 
 
-def test_a_file_opens_alone_as_what_the_builders_make(tmp_path):
-    """Band: 5e-6 of the largest number of each array, for files have six digits."""
-    for part in MACHINES:
-        for drive in ("rollers", "reduced"):
-            if drive == "reduced" and part != "smartcar":
-                continue
-            name = "smartcar_reduced" if drive == "reduced" else part
-            copy = shutil.copy(_folder() / f"{name}.xml", tmp_path)
-            model = mujoco.MjModel.from_xml_path(str(copy))
-            built = machine_spec(part, replace(NOMINAL, drive=drive)).compile()
-            compared = [
-                field
-                for field in dir(built)
-                if field.startswith(("body_", "geom_", "jnt_", "dof_", "actuator_"))
-            ]
-            for field in [*compared, "mesh_vert", "mesh_face", "tex_data", "qpos0"]:
-                one, other = (np.asarray(getattr(m, field)) for m in (model, built))
-                if one.dtype.kind in "fiub" and "plugin" not in field:
-                    assert one.shape == other.shape, field
-                    most = max(1.0, float(np.abs(other, dtype=float).max(initial=0)))
-                    assert np.abs(one.astype(float) - other).max(initial=0) <= 5e-6 * most, field
-
-
 def test_the_digest_tells_figures_apart():
     assert Machines().digest == NOMINAL.digest != OTHER.digest
     whole, same = (Machines(cars=(SmartcarParameters(wheel_torque_nm=t),)) for t in (3, 3.0))
@@ -322,6 +276,8 @@ def test_the_digest_tells_figures_apart():
 
 
 CAR = SmartcarParameters
+
+
 REFUSED = (
     (CAR, {"wheel_mass_kg": -1.0}, "wheel_mass_kg: -1.0 is out of range, allowed: above 0"),
     (CAR, {"wheel_torque_nm": math.nan}, "wheel_torque_nm: must be a finite number above 0"),
@@ -333,11 +289,15 @@ REFUSED = (
     (CAR, {"roller_mass_kg": 0.2}, "wheel_mass_kg must be above 4"),
     (SlopeParameters, {"hinge_speed_rad_s": 50.0}, "50.0 is out of range, allowed: above 0 and at most 3"),
 )
+
+
 REFUSED_TOGETHER = (
     ({"board_travel_m": 0.02}, "from 0.0309 to 0.0509 lifts"),
     ({"board_top_m": 0.0535}, "at most 0.1027 drives under a slope"),
     ({"wheel_y_m": 0.11}, "passes between a block's legs"),
 )
+
+
 """Of cars that can be by themselves, and not with blocks and slopes."""
 
 
@@ -353,12 +313,6 @@ def test_a_figure_that_cannot_work_is_refused_by_name():
         Machines(cars=())
 
 
-def test_the_wall_has_the_blocks_shape(open_part):
-    model, block = open_part("wall"), open_part("block")
-    for geom in ("deck", "frame_front", "frame_left", "leg_fl", "leg_rr"):
-        assert np.array_equal(corners(model, geom), corners(block, geom))
-
-
 def test_every_figure_has_provenance():
     for kind in KINDS:
         for parameter in fields(kind):
@@ -366,31 +320,6 @@ def test_every_figure_has_provenance():
             assert origin in ("published", "derived", "assumed"), name
             if origin != "published":
                 assert parameter.metadata["note"], f"{name} is {origin}, from what?"
-
-
-def test_masses_are_the_published_ones(open_part):
-    """Chassis 1.0 + four wheels of 2.3 + board 0.1; deck 0.5 + four legs of 0.001; base 1.0 + flap 0.1."""
-    for part, mass in (("smartcar", 10.3), ("block", 0.504), ("flag", 0.504), ("slope", 1.1)):
-        assert open_part(part).body(part).subtreemass[0] == pytest.approx(mass, abs=1e-5)
-        assert figures_of(part, NOMINAL).mass_kg == pytest.approx(mass)
-
-
-def test_all_four_wheels_are_alike_and_their_rollers_reach_their_radius(open_part):
-    """A roller's middle is the wheel's outermost point: distance of its axis plus its own radius."""
-    model, car = open_part("smartcar"), SMARTCAR
-    for wheel in ("wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr"):
-        place = np.abs(model.body(wheel).pos) - [car.wheel_x_m, car.wheel_y_m, car.wheel_radius_m]
-        assert np.abs(place).max() < 1e-9
-        assert model.body(wheel).subtreemass[0] == pytest.approx(car.wheel_mass_kg)
-        motor, dof = model.actuator(wheel), model.joint(wheel).dofadr[0]
-        assert model.dof_frictionloss[dof] == car.gear_friction_nm
-        assert motor.forcerange.tolist() == [-car.wheel_torque_nm, car.wheel_torque_nm]
-        assert motor.ctrlrange.tolist() == [-car.wheel_speed_rad_s, car.wheel_speed_rad_s]
-        assert -motor.biasprm[2] == motor.gainprm[0] == car.wheel_gain_nms_rad
-        rollers = descendants(model, wheel)[1:]
-        assert len(rollers) == car.rollers_per_wheel
-        reach = np.hypot(model.body_pos[rollers, 0], model.body_pos[rollers, 2]) + car.roller_radius_m
-        assert reach == pytest.approx(car.wheel_radius_m, abs=1e-9)
 
 
 def test_the_flap_continues_the_incline_and_folds_to_a_level_top(open_part):
@@ -404,3 +333,78 @@ def test_the_flap_continues_the_incline_and_folds_to_a_level_top(open_part):
         over_hinge = edge[2] - math.tan(SLOPE.incline_rad) * (SLOPE.hinge_x_m - edge[0])
         assert over_hinge == pytest.approx(SLOPE.hinge_z_m, abs=2e-6)
     assert 2 * SLOPE.hinge_z_m == pytest.approx(SLOPE.height_m)
+
+
+def _file(folder: Path, text: str) -> Path:
+    path = folder / "own.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_file_overrides_the_figures_that_it_gives(tmp_path):
+    text = """
+    smartcar: {chassis_mass_kg: 1.1, wheel_torque_nm: 3}
+    block: {deck_mass_kg: 0.6}
+    slope: {hinge_speed_rad_s: 1.0}
+    contact: {ground_friction: 0.5}
+    gains: {drive: {max_speed: 0.5}}
+    """
+    machines = load_machines(str(_file(tmp_path, text)))
+    assert machines.cars == (SmartcarParameters(chassis_mass_kg=1.1, wheel_torque_nm=3.0),)
+    assert machines.block == BlockParameters(deck_mass_kg=0.6)
+    assert machines.slope == SlopeParameters(hinge_speed_rad_s=1.0)
+    assert machines.contact.ground_friction == 0.5
+    assert load_machines(_file(tmp_path, text)).digest == machines.digest != NOMINAL.digest
+
+
+def test_the_example_of_the_documentation_is_such_a_file(tmp_path):
+    docs = Path(__file__).parents[2] / "docs" / "reference" / "parameters.md"
+    (text,) = re.findall(r"```yaml\n(.*?)```", docs.read_text(encoding="utf-8"), re.DOTALL)
+    machines = load_machines(_file(tmp_path, text))
+    assert machines.car(1).chassis_mass_kg == 2.0
+    assert machines.slope.hinge_speed_rad_s == 1.0
+
+
+def test_single_cars_differ_from_the_others(tmp_path):
+    text = "smartcar: {chassis_mass_kg: 1.1}\ncars: [{}, {wheel_torque_nm: 3.0, chassis_mass_kg: 1.2}]\n"
+    machines = load_machines(_file(tmp_path, text))
+    assert machines.car(0) == SmartcarParameters(chassis_mass_kg=1.1)
+    assert machines.car(1) == SmartcarParameters(chassis_mass_kg=1.2, wheel_torque_nm=3.0)
+
+
+def test_a_wrong_file_is_refused_by_file_line_and_figure(tmp_path):
+    for text, message in (
+        ("smartcat: {}", ":1: unknown key 'smartcat'; did you mean 'smartcar'?"),
+        ("\nsmartcar: {wheel_mas_kg: 1}", ":2: unknown key 'wheel_mas_kg'; did you mean 'wheel_mass_kg'?"),
+        (
+            "smartcar: {wheel_mass_kg: -1}",
+            ":1: key 'smartcar.wheel_mass_kg': -1 is out of range, allowed: above 0",
+        ),
+        (
+            "smartcar: {mass_kg: 11}",
+            ":1: key 'smartcar.mass_kg': is not given but follows from other parameters",
+        ),
+        (
+            "smartcar: {boss_side_m: 0.1}",
+            ":1: key 'smartcar.boss_side_m': cannot be changed from 0.11: the pockets",
+        ),
+        (
+            "smartcar: {wheel_radius_m: 0.04}",
+            ":1: key 'smartcar': wheel_radius_m is 0.04: the chassis would ground",
+        ),
+        ("cars: [{}, {board_travel_m: 0.02}]", ": Machines: board_travel_m is 0.02; from 0.0309 to 0.0509"),
+    ):
+        path = _file(tmp_path, text)
+        with pytest.raises(InputError) as caught:
+            load_machines(path)
+        assert str(caught.value).startswith(f"{path}{message}")
+
+
+def test_all_mistakes_are_named_together(tmp_path):
+    path = _file(
+        tmp_path, "block: {side_m: 0.4}\nslope: {skin: 1, friction: -1}\ncars: [{}, {boss_height_m: 1}]\n"
+    )
+    with pytest.raises(InputError) as caught:
+        load_machines(path)
+    lines = [line.removeprefix(f"{path}:").partition(":")[0] for line in str(caught.value).splitlines()]
+    assert lines == ["1", "2", "2", "3"]

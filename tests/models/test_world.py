@@ -1,18 +1,26 @@
-"""A PhysicsWorld can be saved, restored and reset to the bit; its parts sleep and wake; its settings are checked."""
+"""A PhysicsWorld is saved, restored, reset and stepped to the bit; its parts sleep and wake."""
 
 import math
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from drawn import draw
 from numpy.typing import NDArray
 
+import craftsim
+from craftsim.audit.situation import Row, Situation
+from craftsim.checking.setup import Setup, set_up
+from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
+from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError, StartError
-from craftsim.mjcf.parameters import NOMINAL
+from craftsim.mjcf.parameters import DRIVES, NOMINAL, Machines
+from craftsim.models import stepping
 from craftsim.models.config import SimulationConfig
 from craftsim.models.world import PhysicsWorld
+from craftsim.validation.audit import AuditTrial, try_it
 
 BLOCK, FSLOPE, BODY = Kind.BLOCK, Kind.FSLOPE, Kind.BODY
 
@@ -117,13 +125,6 @@ def test_a_setting_that_cannot_work_is_refused_by_name():
                 SimulationConfig(**{field: value})
 
 
-def test_the_default_settings_are_the_mjcfs_own(open_part):
-    """A part opened in the viewer obeys the physics of a PhysicsWorld."""
-    option, config = open_part("smartcar").opt, SimulationConfig()
-    assert option.timestep == config.timestep_s
-    assert option.impratio == config.friction_impedance_ratio
-
-
 def test_a_world_that_is_too_large_for_physics_or_has_two_cars_in_a_cell_is_refused_at_once():
     for size, n_cars, message in (
         ((30, 30, 10), 1, "a world of 9000 cells: too large for physics; allowed: at most 8192"),
@@ -152,3 +153,85 @@ def test_warnings_of_mujoco_are_counted_but_leave_no_log_in_the_working_folder(t
     physics.advance()
     assert physics.diverged
     assert list(tmp_path.iterdir()) == []
+
+
+def _world() -> PhysicsWorld:
+    return PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1), SimulationConfig(sleep=False))
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_many_are_those_of_the_bindings_one_after_the_other(drive):
+    grid, config = Grid.empty((3, 1, 1), n_cars=1), replace(SimulationConfig(), sleep=False)
+    many, single = (PhysicsWorld(grid, config, machines=Machines(drive=drive)) for _ in range(2))
+    for world in (many, single):
+        world.drive(0, [5.0, 4.0, 5.0, 4.0])
+    many.run(200)
+    for _ in range(200):
+        single._stepping.run(0)  # turns motors as the car stands
+        mujoco.mj_step(single.model, single.data)
+        for after_step in single._step_effects:
+            after_step(single)
+    assert abs(many.data.qpos - many.model.qpos0).max() > 0.01
+    np.testing.assert_array_equal(many.data.qpos, single.data.qpos)
+    np.testing.assert_array_equal(many.data.qvel, single.data.qvel)
+
+
+def test_without_batches_the_steps_are_the_same(monkeypatch):
+    """As before MuJoCo 3.17."""
+    grid, machines = Grid.empty((3, 1, 1), n_cars=1), Machines(drive="reduced")
+    compiled = PhysicsWorld(grid, machines=machines)
+    monkeypatch.setattr(stepping, "_HAS_BATCHES", False)
+    plain = PhysicsWorld(grid, machines=machines)
+    for world in (compiled, plain):
+        world.drive(0, [5.0, 4.0, 5.0, 4.0])
+        world.run(100)
+    np.testing.assert_array_equal(compiled.data.qpos, plain.data.qpos)
+    assert compiled.capped_steps == plain.capped_steps
+
+
+def test_an_error_in_a_step_is_an_exception_and_the_world_can_go_on():
+    physics = _world()
+    integrator, physics.model.opt.integrator = physics.model.opt.integrator, 99
+    with pytest.raises(mujoco.FatalError, match="integrator"):
+        physics.run(3)
+    physics.model.opt.integrator = integrator
+    before = physics.time_s
+    physics.run(2)
+    assert physics.time_s == pytest.approx(before + 2 * physics.config.timestep_s)
+
+
+IN_THE_GEAR = draw((5, 3, 2), [(Kind.FSLOPE, (2, 1, 1), 2)], [(1, 1, 1, 0, Kind.BLOCK, 0, 0)])
+
+
+"""A carried block where a folded slope has its gear."""
+
+
+BESIDE = draw((5, 3, 2), [(Kind.FSLOPE, (2, 1, 1), 2)], [(0, 1, 1, 0, Kind.BLOCK, 0, 0)])
+
+
+def test_a_start_names_what_stands_in_what_and_how_deep():
+    (overlap,) = PhysicsWorld(IN_THE_GEAR).overlaps
+    assert overlap.startswith("block 0 and slope 0 stand ")
+    assert float(overlap.split()[6]) == pytest.approx(16, abs=1)
+    assert PhysicsWorld(BESIDE).overlaps == ()
+
+
+def test_no_judge_takes_such_a_world(tmp_path):
+    with pytest.raises(
+        StartError, match=r"block 0 and slope 0 stand 16\.\d mm in each other \(allowed 1 mm\)"
+    ):
+        set_up(IN_THE_GEAR, Setup())
+    with pytest.raises(StartError):
+        craftsim.perform(PhysicsWorld(IN_THE_GEAR), 0, "DROP")
+    world = tmp_path / "world.yaml"
+    world.write_text(blueprint_text(IN_THE_GEAR), encoding="utf-8")
+    (tmp_path / "its.actions").write_text("0 DROP\n", encoding="utf-8")
+    with pytest.raises(StartError):
+        craftsim.validate(world, actions=tmp_path / "its.actions")
+
+
+def test_an_audit_tries_nothing_there_and_says_why():
+    scene = Situation(Row("DROP", scene="in the gear"), IN_THE_GEAR, (Action.DROP,))
+    done = try_it(AuditTrial(scene, True, 0, 0, Setup()))
+    assert not done.attempts
+    assert "block 0 and slope 0 stand" in done.extra["does_not_stand"][0]

@@ -1,18 +1,35 @@
-"""Each skill, in each place where it is allowed, does in physics what the rules predict, on either drive.
+"""Each skill does what the rules predict, in each place where it is allowed, with either drive and other machines."""
 
-Bands: a car ends within 1 mm and 3 mrad of its cell, a thing is set down within 2 mm of its cell's centre, and nothing
-that the action does not concern moves more than 1 mm.
-"""
-
+import mujoco
+import numpy as np
 import pytest
+from drawn import draw
 
+from craftsim.checking.judge import Judge
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
+from craftsim.discrete.rules import Rules
+from craftsim.errors import InputError
+from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters, load_machines
+from craftsim.models.composition import world_spec
+from craftsim.models.config import SimulationConfig
+from craftsim.models.exporting import write_mjcf
+from craftsim.models.world import PhysicsWorld
+from craftsim.skills.executor import Executor
+from craftsim.skills.gains import load_gains
 
 MOVE = {direction: action for action, direction in MOVE_DIRECTION.items()}
+
+
 RIGHT, FORWARD, LEFT, BACK = (MOVE[direction] for direction in range(4))
+
+
 LIFT, DROP, FOLD, UNFOLD, STOP = Action.LIFT, Action.DROP, Action.FOLD, Action.UNFOLD, Action.STOP
+
+
 TURN, TURN_BACK = Action.ROTATE_LEFT, Action.ROTATE_RIGHT
+
+
 ROLLERS, REDUCED = "rollers", "reduced"
 
 
@@ -24,18 +41,11 @@ def _on_both(*cases):
 
 
 def _perform(judge, actions):
-    """Perform actions one by one and hold each against the bands."""
+    """Perform actions one by one; each agrees, whose limits are the bands."""
     for action in actions:
         attempt = judge.perform(0, action)
-        what = f"{action.name}: {attempt}"
-        assert attempt.legal, what
-        assert attempt.skill == "succeeded", what
-        assert attempt.agrees, what
-        assert attempt.car_error_m <= 1e-3, what
-        assert attempt.heading_error_rad <= 3e-3, what
-        assert attempt.bystander_displacement_m <= 1e-3, what
-        assert action not in (DROP, FOLD, UNFOLD) or attempt.placed_error_m is not None, what
-        assert (attempt.placed_error_m or 0.0) <= 2e-3, what
+        assert attempt.agrees, f"{action.name}: {attempt}"
+        assert action not in (DROP, FOLD, UNFOLD) or attempt.placed_error_m is not None, attempt
 
 
 def _loaded(cell, yaw, load):
@@ -106,3 +116,87 @@ def test_works_beside_neighbours_without_touching_them(make_checked):
     cells = [(x, y, 1) for x in range(3) for y in range(3) if (x, y) != (2, 1)]
     judge = make_checked((4, 3, 2), [(1, 1, 1, 0)], [(Kind.BLOCK, cell) for cell in cells])
     _perform(judge, [LIFT, RIGHT, LEFT, DROP])
+
+
+OWN = """
+smartcar:  # ten per cent heavier, with other motors
+  chassis_mass_kg: 1.1
+  wheel_mass_kg: 2.53
+  board_mass_kg: 0.11
+  wheel_torque_nm: 2.2
+slope:
+  hinge_speed_rad_s: 1.0
+gains:
+  drive: {max_speed: 0.6}
+  hinge: {acceleration: 2.0}
+"""
+
+
+HEAVY = SmartcarParameters(chassis_mass_kg=4.0, wheel_torque_nm=3.5, wheel_x_m=0.062, chassis_length_m=0.214)
+
+
+DOCKED = (5, 5, 2), [(Kind.FSLOPE, (1, 2, 1), 0)], [(1, 2, 1, 2)]
+
+
+def _durations(machines: Machines, gains, actions: list[Action]) -> list[float]:
+    checked_site = PhysicsWorld(draw(*DOCKED), machines=machines)
+    judge = Judge(Executor(checked_site, gains), Rules("physical"))
+    attempts = [judge.perform(0, action) for action in actions]
+    for attempt in attempts:
+        assert attempt.agrees, attempt
+    return [attempt.duration_s for attempt in attempts]
+
+
+def test_machines_and_gains_of_one_file_lift_carry_and_unfold_faster(tmp_path):
+    path = tmp_path / "own.yaml"
+    path.write_text(OWN, encoding="utf-8")
+    machines, gains = load_machines(path), load_gains(path)
+    assert machines.car(0).mass_kg == pytest.approx(1.1 * NOMINAL.cars[0].mass_kg)
+    plan = [Action.LIFT, Action.MOVE_RIGHT, Action.DROP, Action.UNFOLD]
+    own, nominal = _durations(machines, gains, plan), _durations(NOMINAL, None, plan)
+    assert own[1] > nominal[1], "it drives slower"
+    assert own[3] < 0.5 * nominal[3], "and unfolds faster"
+
+
+def test_two_cars_of_different_machines_drive_in_one_world():
+    grid = draw((3, 4, 2), cars=[(0, 0, 1, 0), (0, 2, 1, 0)])
+    with pytest.raises(InputError, match="figures of 3 cars are given for a world with 2"):
+        PhysicsWorld(grid, machines=Machines(cars=(SmartcarParameters(), HEAVY, HEAVY)))
+    machines = Machines(cars=(SmartcarParameters(), HEAVY))
+    physics = PhysicsWorld(grid, machines=machines)
+    light, heavy = physics.cars
+    assert (light.parameters, heavy.parameters) == machines.cars
+    model = physics.model
+    found = [model.body_subtreemass[car.base.body] for car in physics.cars]
+    assert found == pytest.approx([car.mass_kg for car in machines.cars], abs=1e-5)
+    assert model.actuator_forcerange[heavy.wheel_actuators, 1] == pytest.approx([3.5] * 4)
+    assert model.actuator_forcerange[light.wheel_actuators, 1] == pytest.approx([2.5] * 4)
+    executor = Executor(physics)
+    for action in (Action.MOVE_FORWARD, Action.ROTATE_LEFT, Action.ROTATE_RIGHT, Action.MOVE_RIGHT):
+        outcomes = executor.run({0: action, 1: action})
+        assert all(outcome.succeeded for outcome in outcomes.values()), outcomes
+    ends = [physics.free_body_state(car.base)[0][:2] for car in physics.cars]
+    np.testing.assert_allclose(ends, 0.3225 * np.array([[1.5, 1.5], [1.5, 3.5]]), atol=1e-3)
+
+
+def test_a_car_with_weak_motors_drives_slower_and_arrives():
+    """At 10 rad/s and 1.4 Nm the nominal path of 0.84 m/s is out of reach; it is laid within what the motors give."""
+    weak = Machines(cars=(SmartcarParameters(wheel_speed_rad_s=10.0, wheel_torque_nm=1.4),))
+    outcomes = [
+        Executor(PhysicsWorld(draw((2, 1, 1), cars=[(0, 0, 1, 0)]), machines=machines)).run(
+            {0: Action.MOVE_RIGHT}
+        )[0]
+        for machines in (weak, NOMINAL)
+    ]
+    assert all(outcome.succeeded for outcome in outcomes), outcomes
+    assert outcomes[0].duration_s > 1.2 * outcomes[1].duration_s
+
+
+def test_a_scene_of_other_machines_is_written_with_its_meshes_in_one_file(tmp_path):
+    grid = draw((3, 1, 2), [(Kind.BLOCK, (2, 0, 1))], [(0, 0, 1, 0), (1, 0, 1, 0)])
+    machines = Machines(cars=(SmartcarParameters(), HEAVY))
+    path = write_mjcf(tmp_path / "site.xml", world_spec(grid, SimulationConfig(), machines))
+    assert list(tmp_path.iterdir()) == [path]
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert model.nbody == PhysicsWorld(grid).model.nbody
+    assert {model.mesh(i).name for i in range(model.nmesh)} >= {"car0/chassis", "car1/chassis", "block"}

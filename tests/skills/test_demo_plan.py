@@ -36,18 +36,10 @@ def nominal():
 
 
 def _assert_in_the_bands(attempts, placed):
-    for attempt in attempts:
-        name = f"tick {attempt.tick}, car {attempt.car} {attempt.action}: {attempt.reason}"
-        assert attempt.legal, name
-        assert attempt.skill == "succeeded", name
-        assert attempt.agrees, name
-        assert attempt.read == attempt.predicted, name
-        assert attempt.car_error_m <= 1e-3, name
-        assert attempt.heading_error_rad <= 3e-3, name
-        assert attempt.bystander_displacement_m <= 1e-3, name
+    """Each agrees: a car ends within 1 mm and 3 mrad, a thing within 1.25 mm, and bystanders move by less than 1 mm."""
+    assert not [attempt for attempt in attempts if not attempt.agrees]
     found = [a for a in attempts if a.placed_error_m is not None]
     assert [(a.tick, a.action) for a in found] == placed
-    assert max(a.placed_error_m for a in found) <= 2e-3
 
 
 def test_every_action_does_what_the_rules_predict_and_the_building_matches_its_design(nominal):
@@ -58,9 +50,7 @@ def test_every_action_does_what_the_rules_predict_and_the_building_matches_its_d
     with as_file(files("craftsim.data")) as data:
         assert read_design(data / "blueprints" / "simple_two_story_goal.yaml").satisfied(judge.reading.grid)
     assert judge.reading.problems == ()
-    for placed in judge.reading.objects:
-        assert placed.offset_m <= 2e-3
-        assert abs(placed.heading_rad) <= 3e-3
+    assert all(thing.offset_m <= 2e-3 and abs(thing.heading_rad) <= 3e-3 for thing in judge.reading.objects)
 
 
 def test_what_is_done_with_stays_within_a_millimetre_for_the_rest_of_the_plan(nominal):

@@ -245,8 +245,3 @@ def test_a_validation_in_worker_processes_names_the_skill_in_its_report_and_its_
     text.write_text(text.read_text("utf-8").replace(f"{__name__}:Nod", "no_module_yet:Nod"), "utf-8")
     with pytest.raises(InputError, match="--skills"):
         read_bundle(folder)
-
-
-def test_a_skill_for_a_car_that_a_world_has_not_is_refused_before_anything_runs():
-    with pytest.raises(InputError, match="no car 7"):
-        craftsim.validate("strip", skills={7: CHOICE}, randomize="none", trials=1, order="ticks")

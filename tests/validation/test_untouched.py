@@ -1,6 +1,6 @@
 """Nothing but physics steps changes a PhysicsWorld between its reset and its end, watched in random worlds.
 
-That these are MuJoCo's own is held by tests/models/test_stepping.py.
+That these are MuJoCo's own is held by tests/models/test_world.py.
 """
 
 import numpy as np

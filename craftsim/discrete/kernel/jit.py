@@ -430,3 +430,20 @@ def records(count: int, dtype: np.dtype[np.void]) -> NDArray[np.void]:
     array = np.zeros(count, dtype)
     # Without the compiler, records need a type of their own for that; with it, that type is slow to recognise.
     return array.view(np.recarray) if config.DISABLE_JIT else array
+
+
+def layout(**fields: str | np.dtype[np.void]) -> np.dtype[np.void]:
+    """Return a type of records: by kind and shape the names of its fields, or by name a type of records.
+
+    Example:
+        >>> layout(f8="x y", i8x4="motors").names
+        ('x', 'y', 'motors')
+    """
+    found: list[Any] = []
+    for key, value in fields.items():
+        kind, *shape = key.split("x")
+        if isinstance(value, str):
+            found += [(name, kind, tuple(map(int, shape))) for name in value.split()]
+        else:
+            found.append((key, value))
+    return np.dtype(found, align=True)

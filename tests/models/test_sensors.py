@@ -1,4 +1,4 @@
-"""Noisy sensors are as noisy and as late as declared, and equal seeds give equal readings."""
+"""Sensors are as noisy and as late as declared, encoders count, motors lag; equal seeds give equal readings."""
 
 import math
 from dataclasses import fields, replace
@@ -7,16 +7,24 @@ from itertools import count
 import numpy as np
 import pytest
 
+from craftsim.checking.setup import Setup, set_up
 from craftsim.discrete.grid import Grid, Kind
-from craftsim.errors import InputError
-from craftsim.models.measuring import CarMeasurement, write_reading
-from craftsim.models.randomization import load_noise
+from craftsim.discrete.kinds import Action
+from craftsim.mjcf.parameters import NOMINAL
+from craftsim.models.measuring import CarMeasurement, Motors, write_reading
+from craftsim.models.randomization import NONE, load_noise
 from craftsim.models.sensing import EXACT, NOISY, SensorNoise, Sensors, measure
 from craftsim.models.world import PhysicsWorld
 
 PERIOD_S = 0.02
+
+
 N = 1500
+
+
 MEASURED = ("x", "y", "z", "heading", "pitch", "roll", "board_m", "board_force_n", "hinge_rad")
+
+
 DEVIATIONS = np.array(
     [
         *[NOISY.position_m] * 3,
@@ -211,10 +219,96 @@ def test_wheel_speeds_follow_a_jump_with_the_declared_time_constant(drive):
     np.testing.assert_allclose(found, np.tile(5.0 * (1 - np.exp(-times / 0.05)), (4, 1)).T, rtol=1e-12)
 
 
-def test_a_figure_that_cannot_be_is_refused_by_its_name_and_a_file_gives_some(tmp_path):
-    for name in [field.name for field in fields(SensorNoise)]:
-        for value in (-1e-9, 1.0, math.nan, math.inf):
-            with pytest.raises(InputError, match=f"SensorNoise.{name}: .*at least 0 and below 1"):
-                SensorNoise(**{name: value})
+def test_a_file_gives_some_figures(tmp_path):
     (tmp_path / "late.yaml").write_text("{min_delay_s: 0.06, max_delay_s: 0.08}")
     assert load_noise(tmp_path / "late.yaml", NOISY) == replace(NOISY, min_delay_s=0.06, max_delay_s=0.08)
+
+
+STEP_RAD = 2 * math.pi / 4096
+
+
+COUNTING = SensorNoise(encoder_step_rad=STEP_RAD)
+
+
+WHEELS = {
+    "forward": (8.0, 8.0, 8.0, 8.0),
+    "left": (-8.0, 8.0, 8.0, -8.0),
+    "turning": (-5.0, 5.0, -5.0, 5.0),
+    "in an arc": (3.0, 9.0, 3.0, 9.0),
+}
+
+
+CAR = NOMINAL.cars[0]
+
+
+def _counted(drive: str, wheels: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Drive a car for a second; return the readings of its speeds (50, 4), its way and its wheels' turning."""
+    physics = PhysicsWorld(Grid.empty((5, 5, 1), 1), machines=replace(NOMINAL, drive=drive))
+    sensors, car = Sensors(physics, COUNTING, np.random.default_rng(0)), physics.cars[0]
+    joints = physics.model.jnt_qposadr[physics.model.dof_jntid[car.wheel_dofs]]
+    speeds, poses, turned = [], [], []
+    for _ in range(51):
+        poses.append(physics.data.qpos[car.base.qpos : car.base.qpos + 7].copy())
+        turned.append(physics.data.qpos[joints].copy())
+        physics.drive(0, wheels)
+        physics.advance()
+        sensors.observe()
+        speeds.append(sensors.measure(0).wheel_speeds)
+    return np.array(speeds[:-1]), np.array(poses), np.array(turned)
+
+
+def test_the_counts_of_a_wheel_on_an_axle_add_up_to_its_turning_within_one_count():
+    for wheels in WHEELS.values():
+        speeds, _, turned = _counted("rollers", wheels)
+        counted = 0.02 * speeds.cumsum(axis=0)
+        assert abs(counted - (turned[1:] - turned[0])).max() < STEP_RAD * (1 + 1e-9)
+        counts = 0.02 * speeds / STEP_RAD
+        np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+        assert np.unique(np.round(counts[25:])).size > 1
+
+
+def test_the_wheels_of_the_reduced_drive_turn_as_far_as_the_car_rolls():
+    for motion in ("forward", "left", "turning"):
+        wheels = WHEELS[motion]
+        speeds, poses, _ = _counted("reduced", wheels)
+        # Of a wheel that rolls without slip.
+        heading = 2 * np.unwrap(np.arctan2(poses[:, 6], poses[:, 3]))
+        way = np.hypot(*(poses[-1, :2] - poses[0, :2]))
+        rolled = CAR.turn_radius_m * abs(heading[-1] - heading[0]) if motion == "turning" else way
+        expected = np.sign(wheels) * rolled / CAR.wheel_radius_m
+        np.testing.assert_allclose(
+            0.02 * speeds.sum(axis=0), expected, atol=STEP_RAD + 2e-4 * abs(expected).max()
+        )
+
+
+GRID = Grid.empty((3, 1, 1), 1)
+
+
+def _told(motors, physics, command, periods):
+    """Return the speeds that reach the servos."""
+    told = []
+    for _ in range(periods):
+        motors.drive(0, command)
+        told.append(physics.data.ctrl[physics.cars[0].wheel_actuators].copy())
+    return np.array(told)
+
+
+def test_a_commanded_speed_arrives_with_the_declared_time_constant_and_a_stop_at_once():
+    physics = PhysicsWorld(GRID)
+    motors = Motors(physics, 0.05)
+    periods = np.arange(1, 11)[:, None]
+    expected = 5.0 * (1 - np.exp(-periods * physics.config.control_period_s / 0.05))
+    np.testing.assert_allclose(_told(motors, physics, (5.0,) * 4, 10), np.tile(expected, 4), rtol=1e-12)
+    assert not _told(motors, physics, (0.0,) * 4, 1).any()
+
+
+def test_a_setups_motor_lag_reaches_the_wheels():
+    def way_m(lag_s):
+        judge = set_up(GRID, Setup(randomization=replace(NONE, sensors=SensorNoise(motor_lag_s=lag_s))))
+        judge.executor.begin(0, Action.MOVE_RIGHT)
+        for _ in range(8):
+            judge.executor.advance()
+        return judge.physics.data.qpos.item(judge.physics.cars[0].base.qpos)
+
+    assert not math.isclose(way_m(0.0), way_m(0.1), abs_tol=1e-3)
+    assert way_m(0.1) < way_m(0.0)

@@ -19,8 +19,7 @@ from craftsim.checking.setup import Seed, Setup, set_up
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.errors import InputError
-from craftsim.logs.log import Floats, Log
-from craftsim.logs.recorder import log_of
+from craftsim.logs.log import Floats, Log, log_of
 from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.measuring import READING
 from craftsim.skills.fleet import PhysicsFleet

@@ -17,7 +17,7 @@ from mcap.records import Channel, Message
 from mcap_ros2.decoder import DecoderFactory
 
 from craftsim.errors import InputError
-from craftsim.logs import bag_records, bags
+from craftsim.logs import bags
 from craftsim.logs.files import read_log
 from craftsim.logs.log import GROUPS, Log
 from craftsim.storage.limits import BAG_MESSAGE_BYTES, MIB
@@ -122,7 +122,7 @@ def test_records_and_messages_are_counted_as_they_come(bag, tmp_path, monkeypatc
     monkeypatch.setattr(bags, "BAG_MESSAGES", 19)
     with pytest.raises(InputError, match="/localisation has more than the 19 messages"):
         read_log(path)
-    monkeypatch.setattr(bag_records, "BAG_RECORDS", 20)
+    monkeypatch.setattr(bags, "BAG_RECORDS", 20)
     with pytest.raises(InputError, match="more than the 20 records"):
         read_log(path)
 
@@ -138,7 +138,7 @@ def test_many_channels_of_one_topic_share_a_decoder(bag, tmp_path, monkeypatch):
     path, made = tmp_path / "channels.mcap", []
     build = DecoderFactory.decoder_for
     monkeypatch.setattr(DecoderFactory, "decoder_for", lambda *args: made.append(args) or build(*args))
-    bag_records.decoder.cache_clear()
+    bags._decoder.cache_clear()
     path.write_bytes(flooded(bag, 1000, "/localisation"))
     assert len(read_log(path)) == 20
     assert len(made) == 2  # poses, and joints for commands and measurements

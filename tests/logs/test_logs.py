@@ -19,8 +19,7 @@ from craftsim import (
 )
 from craftsim.errors import InputError
 from craftsim.logs.files import COLUMNS, read_log, read_logs, write_commands, write_table
-from craftsim.logs.log import GROUPS, Log
-from craftsim.logs.recorder import LogRecorder
+from craftsim.logs.log import GROUPS, Log, LogRecorder
 from craftsim.models.measuring import Motors
 
 

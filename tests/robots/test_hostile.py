@@ -4,7 +4,7 @@ import math
 import re
 import threading
 from collections import deque
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 
 import msgpack
@@ -19,8 +19,8 @@ from craftsim.errors import InputError
 from craftsim.models.measuring import CarMeasurement
 from craftsim.robots.link import Link
 from craftsim.robots.messages import Ack, Bye, Commands, Hello, Measurements, Welcome, pack, unpack
-from craftsim.robots.server import Channel, Network, Server, Service
-from craftsim.robots.simulated import simulated_referee, simulated_robots
+from craftsim.robots.server import Network, Server, Service
+from craftsim.robots.simulated import simulated_robots
 from craftsim.robots.sockets import Host
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command
@@ -202,12 +202,9 @@ def serve(waits: bool, patience_s: float = 60.0):
     """Return a server of a robot, its service and its sockets."""
     fleet = set_up(draw(SIZE, (), CARS), setup_of(drive="reduced"), watch_contacts=False).executor.fleet
     wire, told = Wire(), []
-    up, down = (Channel(Network(), np.random.default_rng(0)) for _ in range(2))
+    rngs = [np.random.default_rng(0)] * 2
     service = Service(
-        *(simulated_robots(fleet), fleet.advance, (up, down), wire.send, 0.02),
-        referee=simulated_referee(fleet.physics),
-        waits=waits,
-        tell=told.append,
+        *(simulated_robots(fleet), fleet, wire.send, Network(), rngs), waits=waits, tell=told.append
     )
     return Server(service, wire, 1.0, patience_s, wire.now), service, wire, told
 
@@ -294,7 +291,7 @@ def test_what_a_driver_has_sent_before_is_none_of_the_next_ones(monkeypatch):
 def answering(answer):
     """Yield the address of robots in a thread, which answer each message by a function of it."""
     ended = threading.Event()
-    with Host("127.0.0.1", 0) as host:
+    with closing(Host("127.0.0.1", 0)) as host:
 
         def serve() -> None:
             while not ended.is_set():

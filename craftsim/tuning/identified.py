@@ -27,8 +27,7 @@ from craftsim.reports.report import (
 )
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.identification import Identification, Identified
-from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor
-from craftsim.tuning.unknowns import machines_of
+from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor, machines_of
 
 _LEAD: Final = 0.25
 """Share of a segment that a prediction is fitted to; what follows is predicted."""

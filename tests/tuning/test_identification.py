@@ -9,8 +9,7 @@ from tuning_cars import HIDDEN, NOMINAL, log_of
 from craftsim.errors import InputError
 from craftsim.models.sensing import EXACT
 from craftsim.tuning.identification import identify, unidentified_directions
-from craftsim.tuning.prediction import Predictor
-from craftsim.tuning.unknowns import UNKNOWNS, machines_of, unknowns_of
+from craftsim.tuning.prediction import UNKNOWNS, Predictor, machines_of, unknowns_of
 
 
 def test_hidden_figures_are_found(found):

@@ -213,8 +213,9 @@ class Host:
 
     def close(self) -> None:
         """Close all connections."""
-        for one in (*self._lines.values(), self._listens):
-            one.close()
+        for line in self._lines.values():
+            line.close()
+        self._listens.close()
 
     @property
     def address(self) -> str:

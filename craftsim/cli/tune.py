@@ -126,8 +126,8 @@ def serve(
     from craftsim.discrete.tasks import as_task
     from craftsim.reports.json_file import write_report
     from craftsim.robots.link import world_digest
-    from craftsim.robots.server import Network, Server
-    from craftsim.robots.simulated import serve_simulated
+    from craftsim.robots.server import Network, Server, Service
+    from craftsim.robots.simulated import simulated_robots
     from craftsim.robots.sockets import Host
     from craftsim.skills.fleet import PhysicsFleet
 
@@ -137,11 +137,12 @@ def serve(
     start, world_seed, *others = np.random.SeedSequence(physics.seed).spawn(4)
     grid, rngs = found.draw(np.random.default_rng(start)), tuple(map(np.random.default_rng, others))
     started = time.perf_counter()
-    with Host(host, port) as sockets:
+    with contextlib.closing(Host(host, port)) as sockets:
         world = set_up(grid, setup, Seed.of(world_seed), watch_contacts=False).executor.fleet
         assert isinstance(world, PhysicsFleet)
-        service = serve_simulated(
-            world, world_digest(grid), sockets.send, network, rngs, lockstep, print_error
+        robots = simulated_robots(world, network.silent)
+        service = Service(
+            robots, world, sockets.send, network, rngs, world_digest(grid), lockstep, print_error
         )
         server = Server(service, sockets, pace, timeout)
         print_safe(f"{len(service.robots)} robots of {found.name} at {sockets.address} (Ctrl-C ends it)")

@@ -375,7 +375,7 @@ def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
             KeyFigure(percent(p.rate), f"agree in {where}", interval(p.wilson_low, p.wilson_high))
             for where, p in (("the simulation", gap.trials.first), ("reality", gap.trials.second))
         ],
-        [_outcomes(gap), _verbs(gap), _errors(gap.error_shifts), _plans(gap)],
+        [_outcomes(gap), _verbs(gap), _errors(gap.error_shifts), _of_plans(gap)],
         document=document({"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}),
         exit_code=0 if gap.agrees else 1,
     )
@@ -428,7 +428,7 @@ def _least_distance(n: int, m: int) -> float:
     return min(1.0, _KS_AT_5_PERCENT * math.sqrt((n + m) / (n * m)))
 
 
-def _plans(gap: RealityGap) -> Section:
+def _of_plans(gap: RealityGap) -> Section:
     table = DataTable(
         numbers("world: plan or policy", "runs", "success: sim", "real"),
         [

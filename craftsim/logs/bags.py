@@ -1,40 +1,66 @@
-"""Logs from ROS 2 bags (.mcap), read without ROS, with a row for each command.
+"""Logs from ROS 2 bags (MCAP, https://mcap.dev/spec), read without ROS, with a row for each command.
 
-Messages count from when the bag received them, as a controller on the robot would have: a pose that was on its way for
-30 ms is 30 ms late.
+Messages count from when the bag received them: a pose that was on its way for 30 ms is 30 ms late. Every length in a
+bag is a claim, compared with what is allowed before anything is read. The texts of types that a bag brings are not
+used: a decoder built of one would do whatever work it asks for.
 """
 
 from __future__ import annotations
 
+import io
 import math
+import struct
+import zlib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import field
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import IO, Annotated, Any, Final
 
 import numpy as np
+import zstandard
+from lz4.frame import LZ4FrameDecompressor
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Schema
+from mcap.stream_reader import MAGIC_SIZE
+from mcap.writer import MCAP0_MAGIC
+from mcap_ros2.decoder import DecoderFactory
 from pydantic import AfterValidator, Field
 
 from craftsim.errors import InputError
-from craftsim.logs.bag_records import JOINTS, NUMBERS, ODOMETRY, POSE, BagChannel, BagFile, decoder
 from craftsim.logs.log import GROUPS, LONGEST_GAP, TIME, Floats, Log, interpolated
 from craftsim.mjcf.car import WHEELS
-from craftsim.storage.limits import BAG, BAG_MESSAGES
+from craftsim.storage.limits import (
+    BAG,
+    BAG_CHUNK_BYTES,
+    BAG_MESSAGE_BYTES,
+    BAG_MESSAGES,
+    BAG_RECORDS,
+    MIB,
+    size_text,
+)
 from craftsim.storage.reading import open_file
 from craftsim.storage.records import record, unknown_words
 from craftsim.storage.yaml import read_document
 
-Series = dict[str, "array[float]"]
-"""Times and values by column of a log, alternating."""
-Values = Iterable[tuple[str, float]]
-"""Values by column of a log."""
+_RECORD: Final = struct.Struct("<BQ")
+"""Header of a record: opcode and length."""
+_FOOTER_HEAD: Final = _RECORD.pack(Opcode.FOOTER, 20)
+_FOOTER_BYTES: Final = len(_FOOTER_HEAD) + 20 + MAGIC_SIZE
+_MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
+"""Head of a message: channel, number, time of receipt, and time of sending."""
+_DESCRIPTION_BYTES: Final = MIB
+"""Size of a schema or a channel."""
+_NAME_LENGTH: Final = 256
+"""Longest name of a topic, type or encoding."""
 _SHOWN_TOPICS: Final = 10
 """Topics listed in an error message."""
 
-_Name = Annotated[str, Field(min_length=1)]
 _JOINTS: Final = (*WHEELS, "board", "hinge")
+_Name = Annotated[str, Field(min_length=1)]
 
 
 def _known(names: dict[str, str]) -> dict[str, str]:
@@ -60,12 +86,6 @@ class Topics:
     """Names of the joints in the bag."""
 
 
-Take = Callable[[Any, Topics], Values]
-"""Takes the content of a message."""
-Takers = dict[str, Take]
-"""By the message's type."""
-
-
 def read_topics(path: Path) -> Topics:
     """Return the topics of a YAML file. Raises InputError with file and line for an invalid file."""
     return read_document(path).over({"joint_names": Topics().joint_names}).to(Topics)
@@ -74,50 +94,122 @@ def read_topics(path: Path) -> Topics:
 def read_bag(path: Path, topics: Path | None = None) -> Log:
     """Return the log in a bag: a row for each command, with what was measured interpolated to its time.
 
-    Raises InputError, naming the file, for what is no bag, has no commands on the expected topic, or says nothing else;
-    and where the extra ``ros2`` is not installed.
+    Raises InputError, naming the file, for what is no bag, has no commands on the expected topic, or says nothing else.
     """
     names = Topics() if topics is None else read_topics(topics)
     with open_file(path, BAG) as file:
         try:
-            return _log(_collect(BagFile(file), names), names)
+            return _log(_collect(_Bag(file), names), names)
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
         except Exception as error:  # what decoders and decompressors raise for damaged data is their own
             raise InputError(f"{path}: damaged or no ROS 2 bag: {error or type(error).__name__}") from error
 
 
-def _collect(bag: BagFile, names: Topics) -> Series:
-    """Return the contents of the wanted topics."""
-    series: Series = {name: array("d") for columns in GROUPS.values() for name in columns}
-    channels = bag.channels()
-    wanted = {names.pose or _pose_topic(channels): _POSES, names.joints: _MEASURED, names.commands: _COMMANDS}
-    takers: dict[int, tuple[Callable[[bytes], Any], Take]] = {}
-    for number, channel in channels.items():
-        if channel.topic in wanted:
-            takes = wanted[channel.topic]
-            if channel.type not in takes:
-                raise InputError(f"{channel.topic} holds {channel.type}; allowed: {', '.join(takes)}")
-            takers[number] = decoder(channel.type, channel.encoding), takes[channel.type]
-    n_read = Counter[str]()
-    for number, time, content in bag.messages(takers) if takers else ():
-        topic = channels[number].topic
-        n_read[topic] += 1
-        if n_read[topic] > BAG_MESSAGES:
-            raise InputError(f"{topic} has more than the {BAG_MESSAGES} messages that are allowed")
-        decode, take = takers[number]
-        for column, value in take(decode(content), names):
-            series[column].extend((time, value))
-    return series
+class _Bag:
+    """An open bag. Raises InputError, or others' errors for damaged data."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self._size = file, file.seek(0, io.SEEK_END)
+        file.seek(0)
+        if file.read(MAGIC_SIZE) != MCAP0_MAGIC:
+            raise InputError("damaged or no ROS 2 bag: it does not begin as one")
+        self._records = self._unpacked_bytes = 0
+
+    def channels(self) -> dict[int, tuple[Channel, str]]:
+        """Return the channels in the summary of the bag by number, each with the type of its messages."""
+        self._file.seek(max(0, self._size - _FOOTER_BYTES))
+        end = self._file.read(_FOOTER_BYTES)
+        start = int.from_bytes(end[len(_FOOTER_HEAD) :][:8], "little")
+        if not (end.startswith(_FOOTER_HEAD) and end.endswith(MCAP0_MAGIC) and start):
+            raise InputError("the bag has no summary at its end; was it cut off? 'mcap recover' repairs it")
+        self._file.seek(start)
+        types: dict[int, str] = {}
+        channels: dict[int, tuple[Channel, str]] = {}
+        kinds = Opcode.SCHEMA, Opcode.CHANNEL, Opcode.FOOTER
+        for kind, data in self._walk(self._file, self._size, kinds):
+            stream = ReadDataStream(io.BytesIO(data))
+            if kind == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                types[schema.id], name = schema.name, schema.name
+            else:
+                channel = Channel.read(stream)
+                channels[channel.id] = channel, types.get(channel.schema_id, "")
+                name = max(channel.topic, channel.message_encoding, key=len)
+            if len(name) > _NAME_LENGTH:
+                raise InputError(f"damaged: a name of {len(name)} characters; allowed: {_NAME_LENGTH}")
+        return channels
+
+    def messages(self, wanted: Collection[int]) -> Iterator[tuple[int, float, bytes]]:
+        """Yield channel number, seconds and content of the messages of some channels, not sorted by time."""
+        self._file.seek(MAGIC_SIZE)
+        kinds = Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END
+        for kind, data in self._walk(self._file, self._size, kinds):
+            found = self._in_chunk(data) if kind == Opcode.CHUNK else [data]
+            for one in found:
+                channel, _, received_ns, _ = _MESSAGE_HEAD.unpack_from(one)
+                if channel not in wanted:
+                    continue
+                if len(one) > BAG_MESSAGE_BYTES:
+                    raise InputError(
+                        f"a message of {size_text(len(one))} on a topic that is read; "
+                        f"allowed: {size_text(BAG_MESSAGE_BYTES)}"
+                    )
+                yield channel, received_ns * 1e-9, one[_MESSAGE_HEAD.size :]
+
+    def _walk(self, file: IO[bytes], size: int, kinds: tuple[int, ...]) -> Iterator[tuple[int, bytes]]:
+        """Yield the records of some kinds from the present position to the end of the section."""
+        place = file.tell()
+        while place < size:
+            kind, length = _RECORD.unpack(file.read(_RECORD.size))
+            place += _RECORD.size + length
+            self._records += 1
+            if place > size:
+                raise InputError("damaged: a record is longer than what is left of the bag")
+            if self._records > BAG_RECORDS:
+                raise InputError(f"more than the {BAG_RECORDS} records that are allowed")
+            if kind not in kinds:
+                file.seek(place)
+                continue
+            allowed = BAG_CHUNK_BYTES if kind in (Opcode.CHUNK, Opcode.MESSAGE) else _DESCRIPTION_BYTES
+            if length > allowed:
+                raise InputError(f"a record of {size_text(length)}; allowed: {size_text(allowed)}")
+            if kind in (Opcode.FOOTER, Opcode.DATA_END):
+                return
+            yield kind, file.read(length)
+
+    def _in_chunk(self, data: bytes) -> Iterator[bytes]:
+        """Yield the messages in a chunk. Raises InputError if it does not match its head."""
+        chunk = Chunk.read(ReadDataStream(io.BytesIO(data)))
+        claimed = chunk.uncompressed_size
+        self._unpacked_bytes += claimed
+        if claimed > BAG_CHUNK_BYTES or self._unpacked_bytes > BAG.content_bytes:
+            allowed = f"{size_text(BAG_CHUNK_BYTES)} a chunk, {size_text(BAG.content_bytes)} in all"
+            raise InputError(f"unpacks to {size_text(self._unpacked_bytes)}; allowed: {allowed}")
+        most = claimed + 1  # one byte more shows that there is more
+        match chunk.compression:
+            case "zstd":
+                with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+                    unpacked = reader.read(most)
+            case "lz4":
+                unpacked = LZ4FrameDecompressor().decompress(chunk.data, max_length=most)
+            case "":
+                unpacked = chunk.data[:most]
+            case packing:
+                raise InputError(f"a chunk is packed by '{packing[:_NAME_LENGTH]}'; allowed: zstd, lz4")
+        checksum = chunk.uncompressed_crc
+        if len(unpacked) != claimed or (checksum and zlib.crc32(unpacked) != checksum):
+            raise InputError("damaged: a chunk does not hold what it claims")
+        for _, message in self._walk(io.BytesIO(unpacked), claimed, (Opcode.MESSAGE,)):
+            yield message
 
 
-def _pose_topic(channels: dict[int, BagChannel]) -> str | None:
-    """Return the only topic with poses, if any."""
-    found = sorted({channel.topic for channel in channels.values() if channel.type in (ODOMETRY, POSE)})
-    if len(found) > 1:
-        some = ", ".join(found[:_SHOWN_TOPICS]) + ", ..." * (len(found) > _SHOWN_TOPICS)
-        raise InputError(f"several topics hold poses: {some}; name one with --topics, key 'pose'")
-    return found[0] if found else None
+Values = Iterable[tuple[str, float]]
+"""Values by column of a log."""
+Take = Callable[[Any, Topics], Values]
+"""Takes the content of a message."""
+Series = dict[str, "array[float]"]
+"""Times and values by column of a log, alternating."""
 
 
 def _numbers(content: Any, names: Topics) -> Values:
@@ -146,27 +238,54 @@ def _pose(content: Any, _: Topics) -> Values:
     return zip((*GROUPS["pose"], *GROUPS["tilt"]), (p.x, p.y, heading, pitch, roll), strict=True)
 
 
-def _odometry(content: Any, names: Topics) -> Values:
-    return _pose(content.pose, names)
-
-
 def _joints(content: Any, names: Topics) -> Values:
     place = {name: k for k, name in enumerate(content.name)}
     wheels = zip(GROUPS["wheel_speeds"], WHEELS, ["velocity"] * 4, strict=True)
-    for column, joint, what in (*wheels, *_OTHER_JOINTS):
+    others = ("board_m", "board", "position"), ("board_force_n", "board", "effort")
+    for column, joint, what in (*wheels, *others, ("hinge_rad", "hinge", "position")):
         k, values = place.get(names.joint_names[joint]), getattr(content, what)
         if k is not None and k < len(values):
             yield column, values[k]
 
 
-_OTHER_JOINTS: Final = (
-    ("board_m", "board", "position"),
-    ("board_force_n", "board", "effort"),
-    ("hinge_rad", "hinge", "position"),
-)
-_COMMANDS: Final[Takers] = {JOINTS: _named_commands, NUMBERS: _numbers}
-_MEASURED: Final[Takers] = {JOINTS: _joints}
-_POSES: Final[Takers] = {ODOMETRY: _odometry, POSE: _pose}
+_ODOMETRY: Final = "nav_msgs/msg/Odometry"
+_POSE: Final = "geometry_msgs/msg/PoseStamped"
+_JOINT_STATE: Final = "sensor_msgs/msg/JointState"
+_ARRAY: Final = "std_msgs/msg/Float64MultiArray"
+_COMMANDS: Final[dict[str, Take]] = {_JOINT_STATE: _named_commands, _ARRAY: _numbers}
+_MEASURED: Final[dict[str, Take]] = {_JOINT_STATE: _joints}
+_POSES: Final[dict[str, Take]] = {
+    _ODOMETRY: lambda content, names: _pose(content.pose, names),
+    _POSE: _pose,
+}
+
+
+def _collect(bag: _Bag, names: Topics) -> Series:
+    series: Series = {name: array("d") for columns in GROUPS.values() for name in columns}
+    channels = bag.channels()
+    poses = sorted({channel.topic for channel, kind in channels.values() if kind in _POSES})
+    if names.pose is None and len(poses) > 1:
+        some = ", ".join(poses[:_SHOWN_TOPICS]) + ", ..." * (len(poses) > _SHOWN_TOPICS)
+        raise InputError(f"several topics hold poses: {some}; name one with --topics, key 'pose'")
+    pose = names.pose or next(iter(poses), None)
+    wanted = {pose: _POSES, names.joints: _MEASURED, names.commands: _COMMANDS}
+    takers: dict[int, tuple[Callable[[bytes], Any], Take]] = {}
+    for number, (channel, kind) in channels.items():
+        if channel.topic in wanted:
+            takes = wanted[channel.topic]
+            if kind not in takes:
+                raise InputError(f"{channel.topic} holds {kind}; allowed: {', '.join(takes)}")
+            takers[number] = _decoder(kind, channel.message_encoding), takes[kind]
+    n_read = Counter[str]()
+    for number, time, content in bag.messages(takers) if takers else ():
+        topic = channels[number][0].topic
+        n_read[topic] += 1
+        if n_read[topic] > BAG_MESSAGES:
+            raise InputError(f"{topic} has more than the {BAG_MESSAGES} messages that are allowed")
+        decode, take = takers[number]
+        for column, value in take(decode(content), names):
+            series[column].extend((time, value))
+    return series
 
 
 def _log(series: Series, names: Topics) -> Log:
@@ -180,18 +299,55 @@ def _log(series: Series, names: Topics) -> Log:
     columns: dict[str, Floats] = {TIME: time - time[0]}
     columns |= {name: values[first, 1] for name, values in commands.items()}
     for name, pairs in series.items():
-        if name not in columns and pairs:
-            signal = np.frombuffer(pairs).reshape(-1, 2)
-            # Chunks, and messages within one, are in no certain order.
-            in_order = signal[np.argsort(signal[:, 0], kind="stable")]
-            columns[name] = _at(time, in_order, turns=name == "heading_rad")
+        if name in columns or not pairs:
+            continue
+        signal = np.frombuffer(pairs).reshape(-1, 2)
+        # Chunks, and messages within one, are in no certain order.
+        at, values = signal[np.argsort(signal[:, 0], kind="stable")].T
+        values = np.unwrap(values) if name == "heading_rad" else values
+        gap = float(np.median(np.diff(at))) if len(at) > 1 else 0.0
+        columns[name] = interpolated(time, at, values, LONGEST_GAP * gap)
     if len(columns) == 1 + len(commands):
         raise InputError(f"nothing was measured: no messages on {names.joints}, and no poses")
     return Log.of_columns(columns)
 
 
-def _at(time: Floats, pairs: Floats, turns: bool) -> Floats:
-    """Return a signal, given as rows of time and value, interpolated at other times."""
-    at, values = pairs[:, 0], np.unwrap(pairs[:, 1]) if turns else pairs[:, 1]
-    gap = float(np.median(np.diff(at))) if len(at) > 1 else 0.0
-    return interpolated(time, at, values, LONGEST_GAP * gap)
+_DEFINITIONS: Final = {
+    _ODOMETRY: """std_msgs/Header header
+string child_frame_id
+geometry_msgs/PoseWithCovariance pose
+geometry_msgs/TwistWithCovariance twist""",
+    _POSE: """std_msgs/Header header
+geometry_msgs/Pose pose""",
+    _JOINT_STATE: """std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort""",
+    _ARRAY: """std_msgs/MultiArrayLayout layout
+float64[] data""",
+}
+"""By type, as in https://github.com/ros2/common_interfaces."""
+_PARTS: Final = {
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "std_msgs/MultiArrayLayout": "std_msgs/MultiArrayDimension[] dim\nuint32 data_offset",
+    "std_msgs/MultiArrayDimension": "string label\nuint32 size\nuint32 stride",
+    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
+    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+}
+
+
+@cache
+def _decoder(kind: str, encoding: str) -> Callable[[bytes], Any]:
+    """Return what makes objects of messages' contents; each is built once, however many channels a bag claims."""
+    parts = [_DEFINITIONS[kind], *(f"MSG: {name}\n{text}" for name, text in _PARTS.items())]
+    definition = f"\n{'=' * 80}\n".join(parts).encode()
+    made = DecoderFactory().decoder_for(encoding, Schema(1, definition, "ros2msg", kind))
+    if made is None:
+        raise InputError(f"messages are encoded as '{encoding}'; allowed: cdr, as ROS 2 does")
+    return made

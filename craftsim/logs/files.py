@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 
 from craftsim.errors import InputError, suggestion
-from craftsim.logs.log import GROUPS, NEEDED, TIME, Floats, Log
+from craftsim.extras import need
+from craftsim.logs.log import GROUPS, NEEDED, TIME, Log
 from craftsim.storage.limits import LOG, LOGGED_CARS
 from craftsim.storage.reading import read_lines
 from craftsim.storage.writing import write_whole
@@ -38,6 +39,7 @@ def read_logs(path: str | Path, topics: str | Path | None = None) -> dict[int, L
                 raise InputError(f"{path}: a table has no topics; --topics goes with a ROS 2 bag (.mcap)")
             return _read_table(path)
         case ".mcap":
+            need("ros2", "reading ROS 2 bags needs", "mcap", "mcap_ros2")
             from craftsim.logs.bags import read_bag
 
             return {0: read_bag(path, None if topics is None else Path(topics))}
@@ -53,17 +55,12 @@ def read_log(path: str | Path, car: int = 0, topics: str | Path | None = None) -
 
 
 def _read_table(path: Path) -> dict[int, Log]:
-    """Return the logs in a CSV file by car; without a column ``car`` it is one log, of car 0.
-
-    Raises InputError, naming file, line and column, for what is no log.
-    """
+    """Return the logs in a CSV file by car; without a column ``car`` it is one log, of car 0."""
     lines = _lines(path)
     line, names = next(lines, (1, []))
     names = [name.strip() for name in names]
     _check_names(f"{path}:{line}", names)
     rows: dict[int, list[list[float]]] = {}
-    ends: dict[int, float] = {}
-    time, car_column = names.index(TIME), names.index(CAR) if CAR in names else None
     for line, cells in lines:
         if not cells:
             continue
@@ -71,27 +68,28 @@ def _read_table(path: Path) -> dict[int, Log]:
         if len(cells) != len(names):
             raise InputError(f"{where}: {len(cells)} values; the header has {len(names)} columns")
         values = [_number(where, name, cell) for name, cell in zip(names, cells, strict=True)]
-        car = 0 if car_column is None else _car(where, values[car_column])
-        now = values[time]
-        if not now > ends.get(car, -math.inf):
+        row = dict(zip(names, values, strict=True))
+        car, now = row.get(CAR, 0.0), row[TIME]
+        if not (LOGGED_CARS.low <= car <= LOGGED_CARS.high and car.is_integer()):
+            raise InputError(f"{where}: {CAR} is {car:g}; allowed: an integer, {LOGGED_CARS}")
+        own = rows.setdefault(int(car), [])
+        before = own[-1][names.index(TIME)] if own else -math.inf
+        if not now > before:
             raise InputError(
-                f"{where}: {TIME} is {now:g}; it must be a number above that of the car's row before, "
-                f"{ends.get(car, -math.inf):g}"
+                f"{where}: {TIME} is {now:g}; it must be a number above that of the car's row before, {before:g}"
             )
-        ends[car] = now
-        rows.setdefault(car, []).append(values)
+        own.append(values)
     if not rows:
         raise InputError(f"{path}: no rows; a log has a header and two rows or more")
-    return {car: _log(f"{path}: car {car}", names, np.array(rows[car])) for car in sorted(rows)}
-
-
-def _log(where: str, names: list[str], table: Floats) -> Log:
-    try:
-        return Log.of_columns(
-            {name: table[:, k].copy() for k, name in enumerate(names) if name in COLUMNS and name != CAR}
-        )
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from error
+    logs = {}
+    for car, own in sorted(rows.items()):
+        columns = dict(zip(names, np.array(own).T.copy(), strict=True))
+        columns.pop(CAR, None)
+        try:
+            logs[car] = Log.of_columns(columns)
+        except InputError as error:
+            raise InputError(f"{path}: car {car}: {error}") from error
+    return logs
 
 
 def write_table(path: str | Path, logs: Mapping[int, Log]) -> Path:
@@ -105,7 +103,6 @@ def write_commands(path: str | Path, logs: Mapping[int, Log]) -> Path:
 
 
 def _text(names: tuple[str, ...], logs: Mapping[int, Log]) -> str:
-    """Return a table with nine significant digits."""
     parts = [np.empty((0, len(names)))]
     for car, log in logs.items():
         columns = log.columns | {CAR: np.full(len(log), car)}
@@ -117,7 +114,6 @@ def _text(names: tuple[str, ...], logs: Mapping[int, Log]) -> str:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number and the cells of each line of a CSV file."""
     for number, line in read_lines(path, LOG):
         try:
             text = line.decode("utf-8-sig").strip("\r\n")
@@ -129,7 +125,6 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _check_names(where: str, names: list[str]) -> None:
-    """Raise InputError for a header that is none; columns of other names than ours may only be what is no unit slip."""
     if missing := [name for name in NEEDED if name not in names]:
         stems = {name.rsplit("_", 1)[0]: name for name in names}
         hints = [stems[stem] for name in missing if (stem := name.rsplit("_", 1)[0]) in stems]
@@ -153,9 +148,3 @@ def _number(where: str, name: str, cell: str) -> float:
     if math.isinf(value):
         raise InputError(f"{where}: {name} is infinite; leave the cell empty where nothing was measured")
     return value
-
-
-def _car(where: str, value: float) -> int:
-    if not (value == value and value == int(value) and LOGGED_CARS.low <= value <= LOGGED_CARS.high):
-        raise InputError(f"{where}: {CAR} is {value:g}; allowed: an integer, {LOGGED_CARS}")
-    return int(value)

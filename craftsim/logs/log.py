@@ -1,4 +1,4 @@
-"""A log: what one car was told and what it measured, row by row, as a robot itself could record it.
+"""A log: what one car was commanded and what it measured, row by row, and its recording.
 
 Row k holds what was measured when the command of that row was given, which then held until row k + 1. Poses are those
 that the localisation had reported by then, noisy and late. What was not measured is nan. docs/reference/reports.md
@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.mjcf.car import WHEELS
+from craftsim.models.measuring import READING
+from craftsim.models.world import PhysicsWorld
+from craftsim.skills.executor import Executor
+from craftsim.skills.state import COMMAND
 from craftsim.storage.limits import Range
 
 Floats = NDArray[np.float64]
@@ -185,21 +189,18 @@ class Log:
         n = int(self.duration_s / period_s + 1e-6) + 1
         time = np.minimum(self.time_s[0] + period_s * np.arange(n), self.time_s[-1])
         latest = np.searchsorted(self.time_s, time + 1e-9, side="right") - 1
-        groups = {"commands": self.commands[latest]}
-        for group in GROUPS:
-            if group == "docked":
-                groups[group] = self.docked[latest]
-            elif group != "commands":
-                values = getattr(self, group).copy()
-                if group == "pose":
-                    values[:, 2] = _unwrapped(values[:, 2])
-                columns = [self._interpolated(values[:, k], time) for k in range(values.shape[1])]
-                groups[group] = np.column_stack(columns)
+        groups = {"commands": self.commands[latest], "docked": self.docked[latest]}
+        for group in GROUPS.keys() - groups.keys():
+            values = getattr(self, group).copy()
+            if group == "pose":
+                known = np.isfinite(values[:, 2])
+                values[known, 2] = np.unwrap(values[known, 2])
+            signals = [(values[known, k], known) for k, known in enumerate(np.isfinite(values).T)]
+            gap_s = LONGEST_GAP * self.period_s
+            groups[group] = np.column_stack(
+                [interpolated(time, self.time_s[known], signal, gap_s) for signal, known in signals]
+            )
         return type(self)(time, **groups)
-
-    def _interpolated(self, values: Floats, time: Floats) -> Floats:
-        known = np.isfinite(values)
-        return interpolated(time, self.time_s[known], values[known], LONGEST_GAP * self.period_s)
 
 
 def interpolated(time: Floats, at: Floats, values: Floats, longest_gap_s: float) -> Floats:
@@ -212,9 +213,50 @@ def interpolated(time: Floats, at: Floats, values: Floats, longest_gap_s: float)
     return found
 
 
-def _unwrapped(angles: Floats) -> Floats:
-    """Return angles without jumps by full turns, keeping nan."""
-    known = np.isfinite(angles)
-    found = angles.copy()
-    found[known] = np.unwrap(angles[known])
-    return found
+MOST_ROWS: Final = 250_000
+"""Maximum number of rows of all cars together, as readers accept them; later rows are left out."""
+
+
+class LogRecorder:
+    """Records the measurements and commands of all cars in every control period."""
+
+    def __init__(self, executor: Executor) -> None:
+        """Start recording the cars of an executor."""
+        self._executor = executor
+        self._readings = [executor.fleet.read().tobytes()]
+        self._commands: list[bytes] = []
+        self._time = [executor.physics.time_s]
+        self._most = MOST_ROWS // max(1, len(executor.physics.cars))
+        executor.observers.append(self._look)
+
+    def _look(self, physics: PhysicsWorld) -> None:
+        # A simulation that breaks down starts its time over: what it does then is no part of the run.
+        if not self._time[-1] < physics.time_s or len(self._time) >= self._most:
+            return
+        self._commands.append(self._executor.commands.tobytes())
+        self._readings.append(self._executor.fleet.read().tobytes())
+        self._time.append(physics.time_s)
+
+    def logs(self) -> dict[int, Log]:
+        """Return the log of each car; empty if fewer than two control periods have passed."""
+        n = len(self._commands)
+        if n < 2:
+            return {}
+        read = np.frombuffer(b"".join(self._readings[:n]), READING).reshape(n, -1)
+        told = np.frombuffer(b"".join(self._commands), COMMAND).reshape(n, -1)
+        time = np.array(self._time[:n])
+        return {car: log_of(time, read[:, car], told[:, car]) for car in range(read.shape[1])}
+
+
+def log_of(time_s: np.ndarray, readings: np.ndarray, commands: np.ndarray) -> Log:
+    """Return the log of one car: times, records of READING and of COMMAND, each (n,)."""
+    docked = readings["slope"] >= 0
+    return Log(
+        time_s,
+        np.column_stack([commands["wheels"], commands["board"], commands["hinge"]]),
+        np.column_stack([readings[name] for name in ("x", "y", "heading")]),
+        np.column_stack([readings["pitch"], readings["roll"]]),
+        readings["wheel_speeds"].copy(),
+        np.column_stack([readings["board_m"], readings["board_force_n"]]),
+        np.where(docked[:, None], np.column_stack([readings["slope"], readings["hinge_rad"]]), np.nan),
+    )

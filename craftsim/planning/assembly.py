@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Collection, Iterator
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
 from functools import lru_cache
 from heapq import heappop, heappush
 from itertools import groupby
@@ -20,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph, MoveGraphs
 from craftsim.discrete.rules import Rules
@@ -65,6 +66,12 @@ def without_things(grid: Grid) -> Grid:
     bare.kind[grid.kind == Kind.WALL] = Kind.WALL
     bare.derive_marks()
     return bare
+
+
+def loads_of(grid: Grid) -> Counter[Kind]:
+    """Return how many things of each load there are in a world, those on cars included."""
+    carried = [Kind(load) for load in grid.cars[:, CarField.LOAD].tolist() if load]
+    return Counter([*(thing.load for thing in grid.pieces()), *carried])
 
 
 def rebuilt(grid: Grid, taken: Collection[Piece] = (), put: Collection[Piece] = ()) -> Grid:
@@ -164,7 +171,7 @@ class Assembly:
             if path is not None:
                 return self._without_needless(tuple(reversed(path)), fixed)
             if search.complete:
-                return None
+                break
         return None
 
     def _without_needless(self, order: Order, state: State) -> Order:
@@ -230,18 +237,12 @@ class _Deconstruction:
             if things not in seen:
                 seen.add(things)
                 branches.append((len(path), self._from_below(state)))
-            steps = None
-            while branches and steps is None:
-                n_steps, options = branches[-1]
-                steps = next(options, None)
-                if steps is None:
-                    branches.pop()
-            if steps is None:
+            while branches and (steps := next(branches[-1][1], None)) is None:
+                branches.pop()
+            if not branches or steps is None:
                 return None
-            path[n_steps:] = steps
-            state = goal
-            for step in path:
-                state = step.before(state)
+            path[branches[-1][0] :] = steps
+            state = _before(goal, path)
         self.complete = False
         return None
 
@@ -256,8 +257,7 @@ class _Deconstruction:
                 self.n_left = len(steps or ())
             if steps is None:
                 return state
-            for step in steps:
-                state = step.before(state)
+            state = _before(state, steps)
             path += steps
 
     def _from_below(self, state: State) -> Iterator[list[Placing]]:
@@ -265,10 +265,7 @@ class _Deconstruction:
         for here in self._rest(state)[1:]:
             yield from ([step] for step in self._last(state, here))
             for steps in self._ways(state, here):
-                before = state
-                for step in steps:
-                    before = step.before(before)
-                yield from ([*steps, step] for step in self._last(before, here))
+                yield from ([*steps, step] for step in self._last(_before(state, steps), here))
 
     def _rest(self, state: State) -> list[list[Piece]]:
         """Return what may be taken of a building by level, the highest first, in random order but for the ramps.
@@ -352,6 +349,13 @@ class _Deconstruction:
             graph = self.assembly.graphs.graph(grid, Kind.FSLOPE)
             goals = [node for ramp in sorted(useful[level]) for node in graph.nodes(ramp)]
         return useful
+
+
+def _before(state: State, steps: Iterable[Placing]) -> State:
+    """Return what stood before some steps, of which the last comes first."""
+    for step in steps:
+        state = step.before(state)
+    return state
 
 
 def _ramps_to(level: int, state: State) -> bool:

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from itertools import islice
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import DIRECTIONS
-from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.grid import Cell, Grid, Kind, Piece, beside
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.move_graph import UNREACHABLE, Distances, MoveGraph, cell_of_node
-from craftsim.planning.assembly import Assembly, Order, State, rebuilt
+from craftsim.planning.assembly import Assembly, Order, State, loads_of, rebuilt
 from craftsim.planning.joint_plan import FLAP_TICKS, JointPlan, Saved, Turn
 
 _FAILURES: Final = 40
@@ -82,8 +83,7 @@ class Construction:
             (x + dx, y + dy, 1) for x, y, _ in self._keep_free for dx in range(-2, 3) for dy in range(-2, 3)
         }
         """The floor up to two cells away."""
-        loads = [*(thing.load for thing in start.pieces()), *start.cars[:, CarField.LOAD].tolist()]
-        self._n_slopes = loads.count(Kind.FSLOPE)
+        self._n_slopes = loads_of(start)[Kind.FSLOPE]
         n_cars = min(start.n_cars, style.n_cars)
         self._cars = sorted(self.rng.permutation(start.n_cars)[:n_cars].tolist())
         for turn, _ in past:
@@ -151,20 +151,9 @@ class Construction:
 
     def _place(self) -> bool:
         """Make the step that is made first, by whom it is made first; return whether one could be made."""
-        tries = 0
-        safe: dict[int, bool] = {}
-        for turn in self._options():
-            assert turn.step is not None
-            if turn.step not in safe:
-                safe[turn.step] = self._bars_nothing(turn.step)
-            if not safe[turn.step]:
-                continue
-            if self._take(turn):
-                return True
-            tries += 1
-            if tries == _TRIES:
-                return False
-        return False
+        bars_nothing = cache(self._bars_nothing)
+        safe = (turn for turn in self._options() if turn.step is not None and bars_nothing(turn.step))
+        return any(map(self._take, islice(safe, _TRIES)))
 
     def _left(self) -> list[int]:
         """Return the first steps that have not been made, in order."""
@@ -178,10 +167,7 @@ class Construction:
     def _bars_nothing(self, k: int) -> bool:
         """Return whether those steps that come before one in the order can still be made after it, with the slopes."""
         state = self.order[k].after(self._standing)
-        for earlier in self._left():
-            if earlier >= k:
-                break
-            step = self.order[earlier]
+        for step in (self.order[earlier] for earlier in self._left() if earlier < k):
             if not self.assembly.possible(state, step):
                 return False
             state = step.after(state)
@@ -193,12 +179,9 @@ class Construction:
         """Return what can be taken up and does not stand in its place already, by the load that it makes."""
         found: dict[Kind, list[Piece]] = {}
         for thing in grid.pieces():
-            if thing in self._standing or (
-                thing.kind == Kind.BLOCK and thing._replace(yaw=0) in self._standing
-            ):
-                continue
+            as_asked = thing._replace(yaw=0) if thing.kind == Kind.BLOCK else thing
             action = Action.FOLD if thing.kind == Kind.BODY else Action.LIFT
-            if self.assembly.allows(grid, thing, action):
+            if self._standing.isdisjoint({thing, as_asked}) and self.assembly.allows(grid, thing, action):
                 found.setdefault(thing.load, []).append(thing)
         return found
 
@@ -222,8 +205,7 @@ class Construction:
             step = self.order[k]
             target = step.thing
             if step.taken:
-                aside = self._aside(grid, target, lambda moved: True)
-                if aside is None:
+                if (aside := self._aside(grid, target, lambda moved: True)) is None:
                     continue
                 target = aside
             load = target.load
@@ -258,7 +240,7 @@ class Construction:
         """Return (n,): how far it is from each of some things to a place; UNREACHABLE where it has no room there."""
         if target.load == Kind.FSLOPE:
             # It stands in two cells, and can only be driven out of in one direction: so exactly.
-            return np.array([self._far_exactly(grid, one, target) for one in sources])
+            return np.array([self._far_alone(rebuilt(grid, [one]), one, target) for one in sources])
         far = _onward_from(onward, grid, sources)
         room = self.assembly.has_room(grid, target)
         for i, one in enumerate(sources):
@@ -268,8 +250,8 @@ class Construction:
                 far[i] = UNREACHABLE
         return far
 
-    def _far_exactly(self, grid: Grid, source: Piece, target: Piece) -> int:
-        rest = rebuilt(grid, [source])
+    def _far_alone(self, rest: Grid, source: Piece, target: Piece) -> int:
+        """Return how far it is from a thing that has been taken from the world to its place, if it has room there."""
         graph = self.assembly.graphs.graph(rest, target.load)
         far = graph.nearest(graph.distances_to(graph.nodes(target)), source)
         return far if far < UNREACHABLE and self.assembly.has_room(rest, target) else UNREACHABLE
@@ -339,15 +321,12 @@ class Construction:
         grid = self.plan.end
         loose = [thing for things in self._loose(grid).values() for thing in things]
         nodes = [self.plan.node(car) for car in self._cars]
-        for k in self._pending():
-            target, taken = self.order[k].thing, self.order[k].taken
-            barring = [] if taken else self._barring(grid, nodes, loose, target)
+        for step in (self.order[k] for k in self._pending() if not self.order[k].taken):
+            barring = self._barring(grid, nodes, loose, step.thing)
             for thing in barring:
                 others = [other for other in barring if other != thing]
-                aside = self._aside(
-                    grid, thing, partial(self._reaches, nodes=nodes, gone=others, target=target)
-                )
-                if aside is None:
+                fits = partial(self._reaches, nodes=nodes, gone=others, target=step.thing)
+                if (aside := self._aside(grid, thing, fits)) is None:
                     continue
                 free = [car for car in self._cars if self.plan.load(car) == Kind.AIR]
                 hold = self.style.hold and len(free) > 1 and self._is_wanted(thing.load)
@@ -358,11 +337,8 @@ class Construction:
 
     def _is_wanted(self, load: Kind) -> bool:
         """Return whether more steps need such a load than there are cars that carry one."""
-        wanted = sum(
-            not step.taken and step.thing.load == load
-            for k, step in enumerate(self.order)
-            if k not in self._done
-        )
+        left = [step for k, step in enumerate(self.order) if k not in self._done and not step.taken]
+        wanted = sum(step.thing.load == load for step in left)
         return wanted > sum(self.plan.load(car) == load for car in self._cars)
 
     def _barring(self, grid: Grid, nodes: list[int], loose: list[Piece], target: Piece) -> list[Piece]:
@@ -370,9 +346,7 @@ class Construction:
         gone = list(loose)
         if not self._reaches(grid, nodes, gone, target):
             return []
-        for thing in sorted(
-            loose, key=lambda thing: -int(np.abs(np.subtract(thing.cell, target.cell)).sum())
-        ):
+        for thing in sorted(loose, key=lambda one: -sum(map(abs, np.subtract(one.cell, target.cell)))):
             fewer = [other for other in gone if other != thing]
             if self._reaches(grid, nodes, fewer, target):
                 gone = fewer
@@ -390,13 +364,13 @@ class Construction:
             if thing in self._standing or thing.load != target.load:
                 continue
             if thing in gone:
-                if _onward_from(distances, rest, [thing])[0] < UNREACHABLE:
-                    return True
+                far = int(_onward_from(distances, rest, [thing])[0])
             else:
                 carrying = graphs.graph(rebuilt(rest, [thing]), target.load)
                 far = carrying.nearest(carrying.distances_to(carrying.nodes(target)), thing)
-                if far < UNREACHABLE and graph.nearest(reached, thing) < UNREACHABLE:
-                    return True
+                far = max(far, graph.nearest(reached, thing))
+            if far < UNREACHABLE:
+                return True
         return False
 
 
@@ -422,9 +396,9 @@ def _cells_on_path(graph: MoveGraph, node: int, distances: Distances) -> set[Cel
     """Return the cells of a shortest path from a state to the goals."""
     cells = set[Cell]()
     while 0 < distances[node] < UNREACHABLE:
-        steps = graph.steps[node].tolist()
-        closer = (there for there in steps if there >= 0 and distances[there] < distances[node])
-        if (node := next(closer, -1)) < 0:
-            break
+        # There is one: the path comes from there.
+        node = next(
+            one for one in graph.steps[node].tolist() if one >= 0 and distances[one] < distances[node]
+        )
         cells.add(cell_of_node(graph.size, node))
     return cells

@@ -1,13 +1,13 @@
 """The plan of least work in a small world, or the proof that there is none: A* over whole worlds (Hart et al. 1968).
 
 One car's action is one step, and costs what the table of durations says. The heuristic never overestimates: each thing
-that is missing in a building costs at least the lift of some thing, its way in the plane and the drop, each another
-thing's; somebody must drive to the first of them, and what is above the floor needs a ramp. A world is kept as the
-bytes of its cells and cars; marks follow from these, so that only rules that derive them will do.
+that is missing costs at least the lift of some thing, its way in the plane and the drop; somebody must drive to the
+first of them, and what is above the floor needs a ramp. A world is kept as bytes without marks.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from heapq import heappop, heappush
 from typing import Final
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import ACTIONS
-from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.grid import Grid
 from craftsim.discrete.kernel.codes import DROP, FOLD, LIFT, UNFOLD
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
@@ -41,6 +41,7 @@ from craftsim.discrete.kernel.state import (
 from craftsim.discrete.kinds import Action, Correction
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import nominal_durations
+from craftsim.planning.assembly import loads_of
 from craftsim.planning.planned import BuildingGoal
 
 MOST_WORLDS: Final = 400_000
@@ -64,11 +65,10 @@ Steps = tuple[tuple[int, Action], ...]
 
 def is_small(start: Grid, rules: Rules) -> bool:
     """Return whether a world is small enough for :func:`least_work` to find a building's plan as a rule."""
-    n_things = sum(1 for _ in start.pieces()) + int((start.cars[:, CarField.LOAD] != Kind.AIR).sum())
     return (
         Correction.derived_marks in rules.corrections
         and int(np.prod(start.size)) <= _MOST_CELLS
-        and n_things <= _MOST_THINGS
+        and loads_of(start).total() <= _MOST_THINGS
         and start.n_cars <= _MOST_CARS
     )
 
@@ -79,15 +79,10 @@ def least_work(
     """Search for a plan whose actions take the least time in sum.
 
     Returns the (car, action) pairs of one, None where none was found; how many worlds were met; and whether the search
-    finished, so that there is no plan where none was found.
+    finished, so that there is no plan where none was found. With a building as the goal the search is guided. It ends
+    when it has met so many worlds, or fewer where worlds are large.
 
-    Args:
-        start: any world; the rules must be of those that derive the marks, as ``physical`` does.
-        goal: what is to be reached; with a building the search is guided, else it goes through all that is cheaper.
-        rules: that hold.
-        most_worlds: the search ends when it has met so many worlds, or fewer where worlds are large.
-
-    Raises ValueError for rules whose marks do not follow from what is there.
+    Raises ValueError for rules whose marks do not follow from what is there, as those of ``physical`` do.
     """
     if Correction.derived_marks not in rules.corrections:
         raise ValueError(
@@ -130,10 +125,7 @@ class _Worlds:
         actions = [action for action in Action if ACTIONS[action].performed and action != Action.STOP]
         self._actions = np.array(actions, np.int64)
         self._costs = np.rint(nominal_durations() * 1000).astype(np.int64)
-        things = list(start.pieces())
-        carried = int((start.cars[:, CarField.LOAD] != Kind.AIR).sum())
-        sortable = goal.building is not None and len(things) + carried <= _MOST_SORTED
-        targets = sorted(goal.building or ()) if sortable else []
+        targets = sorted(goal.building or ()) if loads_of(start).total() <= _MOST_SORTED else []
         self._targets = np.array([(t.kind, *t.cell) for t in targets], np.int64).reshape(-1, 4)
         self._best = np.zeros((2, 1 << _MOST_SORTED), np.int64)
         self._things = np.zeros((_MOST_SORTED + start.n_cars, 5), np.int64)
@@ -153,13 +145,11 @@ class _Worlds:
         grid.derive_marks()
         return grid
 
-    def after(self, world: bytes) -> list[tuple[bytes, int, int, int]]:
-        """Return what can be made of a world: it as bytes, the cost, the least work that is left, and the step."""
+    def after(self, world: bytes) -> Iterator[tuple[bytes, int, int, int]]:
+        """Yield what can be made of a world: it as bytes, the cost, the least work that is left, and the step."""
         count = self._expand(world, self._actions)
-        rows, steps = self._rows[:count], self._steps[:count].tolist()
-        return [
-            (row.tobytes(), cost, rest, step) for row, (cost, rest, step) in zip(rows, steps, strict=True)
-        ]
+        for row, (cost, rest, step) in zip(self._rows, self._steps[:count].tolist(), strict=False):
+            yield row.tobytes(), cost, rest, step
 
     def _expand(self, world: bytes, actions: NDArray[np.int64]) -> int:
         self._rows[-1] = np.frombuffer(world, np.uint8)

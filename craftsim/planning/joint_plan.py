@@ -1,12 +1,9 @@
 """The joint plan of all cars: each makes one turn after the other, planned as a whole before the next one is.
 
 A turn's path avoids what all turns before it do. Then everything is played again by the rules: where somebody's action
-has become forbidden the new path avoids that place at that time, or the turn begins later; after all others have ended
-it disturbs nobody. What a car does after its turn, out of the others' way, is given up for its next one.
-
-The path of one car among others is found by A* over its states and ticks. A step counts as possible in a tick if the
-rules allow it both before and after what the others do in that tick, so that the order in which they act does not
-matter.
+has become forbidden the new path avoids that place at that time, or the turn begins later. What a car does after its
+turn, out of the others' way, is given up for its next one. A path is found by A* over states and ticks; a step is
+possible if the rules allow it both before and after what the others do in its tick, whatever their order.
 """
 
 from __future__ import annotations
@@ -73,9 +70,8 @@ class Turn(NamedTuple):
     @property
     def stays(self) -> bool:
         """Whether a slope is only folded or unfolded, where it stands."""
-        if self.source is None or self.source.kind == self.target.kind:
-            return False
-        return (self.source.cell, self.source.yaw) == (self.target.cell, self.target.yaw)
+        source, target = self.source, self.target
+        return source is not None and source != target and source == target._replace(kind=source.kind)
 
 
 class JointPlan:
@@ -89,16 +85,12 @@ class JointPlan:
         self.ready = [0] * grid.n_cars
         """The tick in which each car's last turn ends; what it does after that is given up for the next."""
         self._grids = Grid.stack([grid] * _FIRST_TICKS)
+        """The worlds before tick 0, 1, 2, ..."""
         self._others = self._grids.copy()
         self._n_nodes = node_number(grid.size, (grid.size[0], 0, 0), 0)
         self._searches = 0
         self._heads = np.empty(2 * _MAX_TICKS + 2, np.int32)
         self._make_states(0)
-
-    @property
-    def worlds(self) -> World:
-        """Those before tick 0, 1, 2, ...; arrays have a leading dimension over ticks."""
-        return self._grids.world(self.rules.corrections)
 
     @property
     def end(self) -> Grid:
@@ -149,7 +141,8 @@ class JointPlan:
 
     def replay(self, tick: int) -> int | None:
         """Work out the worlds after a tick; return the first tick with an action that is forbidden, or None."""
-        bad = int(_replay(self.worlds, self.actions, tick, self.n_ticks, -1))
+        worlds = self._grids.world(self.rules.corrections)
+        bad = int(_replay(worlds, self.actions, tick, self.n_ticks, -1))
         return None if bad < 0 else bad
 
     def without(self, car: int, tick: int) -> World:
@@ -199,14 +192,13 @@ class JointPlan:
         grid = self.end
         graph = self._graphs.graph(grid)
         reached = graph.distances_from([self.node(car)]) < UNREACHABLE
-        others = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}
+        taken = {tuple(row[:3]) for i, row in enumerate(grid.cars.tolist()) if i != car}.union(keep_free)
         goals = [
             node
             for node in np.flatnonzero(reached).tolist()
-            if (cell := cell_of_node(self.size, node)) not in keep_free
+            if (cell := cell_of_node(self.size, node)) not in taken
             and cell[2] == 1
             and grid.kind_at(cell) in (Kind.AIR, Kind.BLOCK)
-            and cell not in others
         ]
         moved = bool(goals) and self._go(car, ready, graph.distances_to(goals)) is not None
         if moved:
@@ -314,13 +306,8 @@ class JointPlan:
     ) -> int | None:
         """Write a path to the goals and the last action; return the tick after it, or None if there is no way.
 
-        Args:
-            car: its number.
-            tick: in which it begins; it does nothing from there on as yet.
-            distances: (nodes,) to the goals, where they are 0; states with UNREACHABLE are not looked at.
-            load: that it carries.
-            last: the action that must be legal at the goal in the tick after.
-            not_before: the first tick in which that may be.
+        ``distances``, (nodes,), are 0 at the goals; states with UNREACHABLE are not looked at. There the action
+        ``last`` must be legal, not before some tick.
         """
         avoid: list[tuple[int, Cell]] = []
         for _ in range(_DETOURS):
@@ -385,7 +372,6 @@ class JointPlan:
         self._seen, self._next = np.zeros(n, np.int32), np.empty(n, np.int32)
 
     def _reserve(self, n_ticks: int) -> None:
-        """Make room for actions in the ticks before this one."""
         while len(self.actions) <= n_ticks:
             self.actions = np.concatenate([self.actions, np.full_like(self.actions, WAIT)])
         while len(self._grids) <= n_ticks + 1:

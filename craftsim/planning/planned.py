@@ -15,7 +15,7 @@ from craftsim.discrete.kinds import KINDS, NAMES, Action
 from craftsim.discrete.schedule import Schedule, nominal_durations
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
-from craftsim.planning.assembly import State
+from craftsim.planning.assembly import State, loads_of
 from craftsim.planning.joint_plan import Ticks
 
 
@@ -70,30 +70,24 @@ class BuildingGoal:
 
 def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingGoal:
     """Return the goal that a design, a task or a function of a world stands for."""
-    if isinstance(goal, Task):
-        if not goal.has_goal:
-            raise NoPlanError(
-                f"task '{goal.name}' has no goal; give it a design, or a flag and where it goes"
-            )
-        if goal.design is not None:
-            return make_goal(goal.design)
-        if goal.success == "flag_at_goal":
-            flag = Piece(Kind.FLAG, goal.layout.goal_cell)
-            return BuildingGoal(goal.succeeded, frozenset({flag}))
-        if goal.success == "one_platform":
-            return BuildingGoal(goal.succeeded, platform=goal.layout.n_blocks)
-        return BuildingGoal(goal.succeeded)
+    if isinstance(goal, Task) and not goal.has_goal:
+        raise NoPlanError(f"task '{goal.name}' has no goal; give it a design, or a flag and where it goes")
+    if isinstance(goal, Task) and goal.design is not None:
+        goal = goal.design
     if isinstance(goal, Design):
         targets = (target for target in goal.targets if target.kind != Kind.FOOT)
         return BuildingGoal(goal.satisfied, frozenset(t._replace(yaw=max(t.yaw, 0)) for t in targets))
-    return BuildingGoal(lambda grid: bool(goal(grid)))
+    if not isinstance(goal, Task):
+        return BuildingGoal(lambda grid: bool(goal(grid)))
+    if goal.success == "flag_at_goal":
+        return BuildingGoal(goal.succeeded, frozenset({Piece(Kind.FLAG, goal.layout.goal_cell)}))
+    platform = goal.layout.n_blocks if goal.success == "one_platform" else 0
+    return BuildingGoal(goal.succeeded, platform=platform)
 
 
 def check_supplies(start: Grid, building: State) -> None:
     """Raise NoPlanError where a building cannot be: too few things, outside the area, in the air or in each other."""
-    have = Counter(thing.load for thing in start.pieces())
-    have.update(Kind(int(load)) for load in start.cars[:, CarField.LOAD] if load)
-    want = Counter(thing.load for thing in building)
+    have, want = loads_of(start), Counter(thing.load for thing in building)
     for kind, count in sorted(want.items()):
         if count > have[kind]:
             what = KINDS[kind].plural
@@ -114,11 +108,9 @@ def check_supplies(start: Grid, building: State) -> None:
         if z > 1 and (below is None or below.kind != Kind.BLOCK):
             raise NoPlanError(f"no plan: what is to be at {(x, y, z)} has nothing below it that bears it")
     there = {(thing.kind, thing.cell) for thing in start.pieces()}
-    upper = [
-        thing for thing in sorted(building) if thing.cell[2] > 1 and (thing.kind, thing.cell) not in there
-    ]
-    if upper and not have[Kind.FSLOPE] and (start.cars[:, CarField.Z] == 1).all():
-        raise NoPlanError(f"no plan: {upper[0].cell} is above the floor, and there is no slope to drive up")
+    for thing in sorted(building) if not have[Kind.FSLOPE] and (start.cars[:, CarField.Z] == 1).all() else ():
+        if thing.cell[2] > 1 and (thing.kind, thing.cell) not in there:
+            raise NoPlanError(f"no plan: {thing.cell} is above the floor, and there is no slope to drive up")
 
 
 def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[State]:
@@ -136,12 +128,10 @@ def platforms(start: Grid, n_blocks: int, rng: np.random.Generator) -> Iterator[
             edge = sorted(cell for cell in around if start.inside(cell) and start.kind_at(cell) != Kind.WALL)
             if not edge:
                 break
-            scores = [
-                keep * (cell in there)
-                - pull * float(np.abs(np.array(cell[:2]) - centre[:2]).sum()) / 2
-                + rng.random()
-                for cell in edge
-            ]
+            away = np.abs(np.array(edge)[:, :2] - centre[:2]).sum(axis=1)
+            scores = (
+                keep * np.array([cell in there for cell in edge]) - pull * away / 2 + rng.random(len(edge))
+            )
             chosen.add(edge[int(np.argmax(scores))])
         if len(chosen) == n_blocks:
             yield frozenset(Piece(Kind.BLOCK, cell) for cell in chosen)
@@ -163,18 +153,12 @@ def makespan_bound(start: Grid, building: State) -> float:
         # What is carried may be above its place already.
         if thing.load in carried or any((one.kind, one.cell) == (thing.kind, thing.cell) for one in there):
             continue
-        ways = (
-            abs(one.cell[0] - thing.cell[0]) + abs(one.cell[1] - thing.cell[1])
-            for one in there
-            if one.load == thing.load
-        )
+        alike = [one for one in there if one.load == thing.load]
+        ways = [abs(np.subtract(one.cell, thing.cell)[:2]).sum() for one in alike]
         least = float(move * min(ways, default=0))
-        if thing.kind == Kind.FLAG:
-            work.append(least + lift)
-            continue
-        if thing.kind == Kind.BODY:
-            least += 0.0 if any(one.kind == Kind.BODY for one in there) else unfold
+        if thing.kind == Kind.BODY and all(one.kind != Kind.BODY for one in there):
+            least += unfold
         if least > unfold or thing.kind != Kind.BODY:
-            least += lift + drop
+            least += lift + (drop if thing.kind != Kind.FLAG else 0.0)
         work.append(least)
     return float(max(sum(work) / max(start.n_cars, 1), *work))

@@ -14,13 +14,13 @@ import numpy as np
 
 from craftsim.choices import DEFAULT_ROUNDS, DEFAULT_TIME_S, Objective
 from craftsim.discrete.files.design import Design
-from craftsim.discrete.grid import CarField, Grid, Kind, Piece
+from craftsim.discrete.grid import Grid, Kind, Piece
 from craftsim.discrete.kinds import Correction
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
-from craftsim.planning.assembly import Assembly, Order, OutOfTimeError, State, without_things
+from craftsim.planning.assembly import Assembly, Order, OutOfTimeError, State, loads_of, without_things
 from craftsim.planning.building import Construction, Style
 from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
 from craftsim.planning.joint_plan import Saved, Ticks, Turn
@@ -150,8 +150,6 @@ class _Made:
 
 
 class _Search:
-    """The attempts at one plan."""
-
     def __init__(
         self,
         start: Grid,
@@ -167,8 +165,7 @@ class _Search:
         self._standing = frozenset(
             thing._replace(yaw=thing.yaw if thing.load == Kind.FSLOPE else 0) for thing in self._things
         )
-        loads = [*(thing.load for thing in self._things), *start.cars[:, CarField.LOAD].tolist()]
-        self._n_slopes = loads.count(Kind.FSLOPE)
+        self._n_slopes = loads_of(start)[Kind.FSLOPE]
         self._buildings = self._goals()
         self._orders: list[tuple[Order, State]] = []
         self._bound = makespan_bound(start, goal.building) if goal.building else 0.0
@@ -414,10 +411,6 @@ def _change(turns: Turns, i: int, things: Sequence[Piece], n_cars: int, rng: np.
         turns[i] = None
     elif way == 5 and turn and (mine := turn.source):  # with another thing of the same kind
         others = [thing for thing in things if thing.load == mine.load and thing != mine]
-        if not others:
-            return
-        source = others[int(rng.integers(len(others)))]
-        for j, one in enumerate(turns):
-            if one and one.source == source:
-                turns[j] = one._replace(source=mine)
+        source = others[int(rng.integers(len(others)))] if others else mine
+        turns[:] = [one._replace(source=mine) if one and one.source == source else one for one in turns]
         turns[i] = turn._replace(source=source)

@@ -12,6 +12,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Final, Protocol
 
 import numpy as np
@@ -95,16 +96,10 @@ def world_digest(grid: Grid) -> str:
 def connect(
     transport: Messenger, grid: Grid, setup: Setup, goals: Sequence[Cell] = (), timeout_s: float = TIMEOUT_S
 ) -> Judge:
-    """Return the judge of robots in a world; its executor drives them until the fleet is closed.
+    """Return the judge of robots that should stand in a world; its executor drives them until the fleet is closed.
 
-    Contacts are not seen from outside.
-
-    Args:
-        transport: reaches them; it is closed with the fleet.
-        grid: the world in which they should stand.
-        setup: the parameters of machines and physics, and of skills and judge.
-        goals: cells to mark on the world that the judge sees.
-        timeout_s: without a message for so long they count as lost.
+    Contacts are not seen from outside. ``goals`` are marked on the world that the judge sees. Without a message for
+    ``timeout_s`` the robots count as lost.
 
     Raises InputError where they do not answer or refuse, or where no referee shows their world.
     """
@@ -128,8 +123,8 @@ class Mirror:
     def __init__(self, physics: PhysicsWorld) -> None:
         self.physics = physics
         self._seen: deque[TruePoses] = deque(maxlen=_KEPT)
-        handles = [*(car.base for car in physics.cars), *physics.tables]
-        self._bodies: tuple[Joint, ...] = (*handles, *(slope.base for slope in physics.slopes))
+        bases = [car.base for car in physics.cars], physics.tables, [slope.base for slope in physics.slopes]
+        self._bodies: list[Joint] = [*chain(*bases)]
 
     def take(self, poses: TruePoses) -> None:
         """Keep poses that are newer; raise MessageError for what cannot be of this world."""
@@ -138,10 +133,9 @@ class Mirror:
         there = n_cars, len(self._bodies) - n_cars, n_slopes
         if came != there:
             raise MessageError(
-                f"{came[0]} cars, {came[1]} things and {came[2]} hinges; there are {there[0]}, {there[1]} "
-                f"and {there[2]}"
+                "{} cars, {} things and {} hinges; there are {}, {} and {}".format(*came, *there)
             )
-        if not all(_is_inside(self.physics.size, pose) for pose in (*poses.cars, *poses.things)):
+        if not _inside(self.physics.size, [*poses.cars, *poses.things]):
             raise MessageError("poses outside the world")
         if not self._seen or poses.time_s > self._seen[-1].time_s + _EPSILON_S:
             self._seen.append(poses)
@@ -173,11 +167,11 @@ class Mirror:
         return ""
 
 
-def _is_inside(size: Cell, place: Sequence[float]) -> bool:
-    """Return whether a car, or what it handles, can be at (x, y, z) in metres in a world of a size in cells."""
-    pitches = CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M
-    ends = [cells * pitch for cells, pitch in zip(size, pitches, strict=True)]
-    return all(-_AROUND_M <= at <= end + _AROUND_M for at, end in zip(place[:3], ends, strict=True))
+def _inside(size: Cell, places: Sequence[Sequence[float]]) -> bool:
+    """Return whether (n, 3) in metres, or poses, are about a world of a size in cells."""
+    ends = np.array(size) * (CELL_PITCH_M, CELL_PITCH_M, LEVEL_HEIGHT_M)
+    at = np.array(places)[:, :3]
+    return bool(((at >= -_AROUND_M) & (at <= ends + _AROUND_M)).all())
 
 
 class Link(Harness):
@@ -206,10 +200,8 @@ class Link(Harness):
         """
         self._transport, self._timeout_s, self._mirror = transport, timeout_s, mirror
         self.lost, self._dead = "", False
-        self.dropped = 0
-        """Messages that were none, or said what cannot be."""
-        self._why_dropped = ""
-        """Of the last of these, in brackets."""
+        self._dropped, self._why_dropped = 0, ""
+        """Messages that were none, or said what cannot be, and why the last one, in brackets."""
         self.welcome = self._greet(n_cars, world)
         period_s = self.period_s = self.welcome.period_s
         super().__init__(n_cars, self.welcome.slopes, math.ceil(timeout_s / period_s))
@@ -315,7 +307,6 @@ class Link(Harness):
         )
 
     def _check(self, welcome: Welcome, n_cars: int) -> None:
-        """Raise InputError where the robots differ from what the driver takes them to be."""
         if welcome.cars != n_cars:
             raise InputError(f"{welcome.cars} robots answer, and there should be {n_cars}")
         if self._mirror is None:
@@ -332,7 +323,6 @@ class Link(Harness):
             raise InputError("nobody shows the world of these robots: there is no referee")
 
     def _show(self) -> None:
-        """Let the mirror show how things stood when the newest measurements were made."""
         if self._mirror is None or self.lost:
             return
         mirror, measured = self._mirror, self._newest
@@ -341,7 +331,6 @@ class Link(Harness):
             self._lose(why)
 
     def _listen_until(self, time_s: float) -> None:
-        """Take messages until there is a measurement of a time, or later, by the robots' clock; or lose them."""
         self._wait_until(
             lambda: self._newest.time_s >= time_s - _EPSILON_S, "nothing has come from the robots"
         )
@@ -359,14 +348,13 @@ class Link(Harness):
                 self._lose(f"{why} for {self._timeout_s:g} s{self._why_dropped}")
 
     def _take_all(self) -> None:
-        """Take the messages that have come already."""
         for _ in range(_AT_ONCE):
             if not self._take(0.0):
                 break
 
     def _take(self, timeout_s: float) -> bool:
         """Take the next message that comes in time; return whether there was one."""
-        before = self.dropped
+        before = self._dropped
         message = self._message(timeout_s)
         if isinstance(message, Bye):
             self._lose(f"the robots have ended{': ' if message.why else ''}{message.why}")
@@ -374,13 +362,15 @@ class Link(Harness):
             if self.welcome.waits:
                 self._owed.append(message.number)
             if message.number > self._newest.number and self._fits(message):
-                self._note(message)
+                if self._newest.cars:
+                    self._learn(message)
+                self._newest = message
         elif isinstance(message, TruePoses) and self._mirror is not None:
             try:
                 self._mirror.take(message)
             except MessageError as error:
                 self._drop(str(error))
-        return message is not None or self.dropped > before
+        return message is not None or self._dropped > before
 
     def _fits(self, message: Measurements) -> bool:
         """Return whether measurements are newer, of these cars where they can be, and of slopes that there are."""
@@ -393,20 +383,15 @@ class Link(Harness):
             place = now.x, now.y, now.z
             if now.slope is not None and now.slope >= self.welcome.slopes:
                 why = f"car {car} docked to slope {now.slope}; there are {self.welcome.slopes}"
-            elif self._mirror is not None and not _is_inside(self._mirror.physics.size, place):
+            elif self._mirror is not None and not _inside(self._mirror.physics.size, [place]):
                 why = f"car {car} at ({now.x:g}, {now.y:g}, {now.z:g}) m, outside the world"
         if why:
             self._drop(why)
         return not why
 
     def _drop(self, why: str) -> None:
-        self.dropped += 1
+        self._dropped += 1
         self._why_dropped = f" (dropped: {why})"
-
-    def _note(self, message: Measurements) -> None:
-        if self._newest.cars:
-            self._learn(message)
-        self._newest = message
 
     def _learn(self, message: Measurements) -> None:
         """Learn from measurements how long commands take, and how fast wheels turn."""
@@ -435,7 +420,6 @@ class Link(Harness):
         self.lost, self._dead = why, True
 
     def _predict(self) -> None:
-        """Let the cars read what they will measure when the next command begins."""
         now, period_s = self._newest, self.period_s
         begins_s = self._due_s + self._lead_s
         periods = max(0, round((begins_s - now.time_s) / period_s))

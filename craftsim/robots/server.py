@@ -30,6 +30,7 @@ from craftsim.robots.messages import (
     unpack,
 )
 from craftsim.robots.sockets import Host
+from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.skill import Command
 
 WATCHDOG_S: Final = 0.1
@@ -172,13 +173,11 @@ class Service:
     def __init__(
         self,
         robots: Sequence[Robot],
-        wait: Callable[[], None],
-        channels: tuple[Channel, Channel],
+        fleet: PhysicsFleet,
         send: Callable[[bytes, bytes], None],
-        period_s: float,
-        n_slopes: int = 0,
+        network: Network,
+        rngs: Sequence[np.random.Generator],
         world: str = "",
-        referee: Callable[[float], TruePoses] | None = None,
         waits: bool = False,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
@@ -186,37 +185,32 @@ class Service:
 
         Args:
             robots: in the order of their cars' ids.
-            wait: lets a control period pass.
-            channels: what commands go through, and what measurements go through.
+            fleet: of their cars.
             send: sends (to whom, what).
-            period_s: control period.
-            n_slopes: in their world.
+            network: what commands go through, and what measurements go through.
+            rngs: draw what becomes of commands, and of measurements.
             world: digest of the world, which a driver's must equal; empty for any.
-            referee: knows where everything truly is, now; it is given the time.
             waits: whether their time stands still until each measurement has been answered.
             tell: says who comes, when the robots stop, and why a message was dropped.
         """
-        self.robots, self._wait, (self._up, self._down) = tuple(robots), wait, channels
-        self._send, self._referee, self._tell = send, referee, tell
-        self.period_s, self._n_slopes, self.world, self.waits = period_s, n_slopes, world, waits
+        self.robots, self._fleet, self._send, self._tell = tuple(robots), fleet, send, tell
+        self._up, self._down = (Channel(network, rng) for rng in rngs)
+        self.period_s, self.world, self.waits = fleet.physics.config.control_period_s, world, waits
         self.inbox = Inbox()
         self.driver: bytes | None = None
         """Whose commands are obeyed."""
         self.abandoned = False
         """Whether the driver has gone without a word: the watchdog will stop the robots, and somebody else may come."""
-        self._driver_s = 0.0
-        """When it was heard last."""
+        self._driver_s = self.now_s = 0.0
+        """When it was heard last, and now."""
         self.stopped_at_s: list[float] = []
         """When the robots stopped because no command came."""
-        self.now_s = 0.0
         self.periods = self.number = 0
         """Control periods that are over, and measurements that were made."""
         self._told: deque[float] = deque(maxlen=_TOLD)
         """When something was said of what became of messages."""
-        self.malformed = 0
-        """Messages that were none, or out of place."""
-        self.farewells = 0
-        """How many have driven the robots and said goodbye, or are gone."""
+        self.malformed = self.farewells = 0
+        """Messages that were none, or out of place; drivers that said goodbye, or are gone."""
         self.unseen: set[int] = set()
         """Measurements on which robots that wait have no answer yet."""
 
@@ -268,15 +262,14 @@ class Service:
             self._mention(f"{now_s:.2f} s: {answer.kind}")
             return
         self._driver_s = now_s
-        match message:
-            case Commands():
-                self.inbox.take(message, now_s)
-            case Ack():
-                self.unseen.discard(message.number)
-            case Bye():
-                self.leave()
-                self.farewells += 1
-                self.unseen.clear()
+        if isinstance(message, Commands):
+            self.inbox.take(message, now_s)
+        elif isinstance(message, Ack):
+            self.unseen.discard(message.number)
+        else:
+            self.leave()
+            self.farewells += 1
+            self.unseen.clear()
 
     def greet(self, sender: bytes, hello: Hello, now_s: float) -> Message:
         """Return the answer to a greeting; from a Welcome on its sender is the driver."""
@@ -291,8 +284,8 @@ class Service:
         self.driver, self._driver_s = sender, now_s
         self.abandoned = False
         self.unseen.clear()
-        referee = self._referee is not None
-        return Welcome(len(self.robots), self._n_slopes, self.period_s, WATCHDOG_S, referee, self.waits)
+        n_slopes = len(self._fleet.physics.slopes)
+        return Welcome(len(self.robots), n_slopes, self.period_s, WATCHDOG_S, True, self.waits)
 
     def leave(self) -> None:
         """Let the driver go; the robots stop."""
@@ -314,21 +307,32 @@ class Service:
         else:
             self._act(now_s)
             self.periods += 1
-            self._wait()
+            self._fleet.advance()
 
     def _measure(self, now_s: float) -> None:
         self.number += 1
         inbox, cars = self.inbox, tuple(robot.measure() for robot in self.robots)
         measured = Measurements(self.number, now_s, inbox.heard, inbox.late_s, inbox.stops, cars)
         if self.driver is not None:
-            if self._referee is not None:
-                self._send(self.driver, pack(self._referee(now_s)))
+            self._send(self.driver, pack(self._true_poses(now_s)))
             for _ in range(COPIES):
                 self._down.send(now_s, measured)
             self._deliver(now_s)
 
+    def _true_poses(self, now_s: float) -> TruePoses:
+        physics = self._fleet.physics
+        poses = physics.poses()
+        cars = np.hstack([poses.car_positions, poses.car_quaternions])
+        things = np.hstack([poses.positions, poses.quaternions])
+        return TruePoses(
+            now_s,
+            tuple(map(tuple, cars.tolist())),
+            tuple(map(tuple, things.tolist())),
+            tuple(poses.hinges[len(poses.hinges) - len(physics.slopes) :].tolist()),
+            physics.capped_steps,
+        )
+
     def _act(self, now_s: float) -> None:
-        """Let the robots follow the commands of now; stop them once there are none."""
         before = self.inbox.stops
         commands = self.inbox.obey(now_s)
         if self.inbox.stops > before:
@@ -340,7 +344,7 @@ class Service:
             self.leave()
 
     def _mention(self, line: str) -> None:
-        """Say what became of a message, unless as much was said lately as is allowed."""
+        """Say a line, unless as much was said lately as is allowed."""
         if len(self._told) < _TOLD or self.now_s - self._told[0] >= _LATELY_S:
             self._told.append(self.now_s)
             self._tell(line)
@@ -364,14 +368,10 @@ class Server:
         patience_s: float = PATIENCE_S,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Serve.
+        """Serve robots over sockets.
 
-        Args:
-            service: the robots.
-            sockets: where messages come and go.
-            pace: seconds of the robots' time in a second.
-            patience_s: how long those in lock-step wait for an answer.
-            now: this machine's clock, in seconds.
+        ``pace`` is the seconds of their time in a second; those in lock-step wait ``patience_s`` for an answer, by the
+        clock ``now``.
         """
         self._service, self._sockets, self._pace, self._patience_s = service, sockets, pace, patience_s
         self._now = now
@@ -407,7 +407,6 @@ class Server:
             self._sockets.send(self._service.driver, pack(Bye("somebody has ended them")))
 
     def _pass_time(self) -> None:
-        """Wait for what happens next, and take what comes meanwhile."""
         left_s = self._wall_s(self._service.next_s) - self._now()
         if left_s > 0:
             self._take(min(left_s, _LOOK_S))
@@ -430,9 +429,8 @@ class Server:
             return False
         sender, data = found
         if data is None:
-            was_driven = sender == service.driver
             service.depart(sender)
-            if was_driven:
+            if sender == service.driver:
                 self._keep_time()
             return True
         robots_s = self._anchor[1] + (self._now() - self._anchor[0]) * self._pace
@@ -448,7 +446,6 @@ class Server:
         return self._service.waits and not self._silent and not self._service.abandoned
 
     def _keep_time(self) -> None:
-        """Let the robots' time pass from now on."""
         self._anchor = self._now(), self._service.now_s
 
     def _wall_s(self, robots_s: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -14,11 +14,9 @@ from craftsim.checking.setup import Seed, SetUp, Setup, set_up
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
 from craftsim.models.measuring import CarMeasurement
-from craftsim.models.world import PhysicsWorld
 from craftsim.robots.fleet import Robot
 from craftsim.robots.link import connect, world_digest
-from craftsim.robots.messages import TruePoses
-from craftsim.robots.server import Channel, Network, Service
+from craftsim.robots.server import Network, Service
 from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.skill import Command
 
@@ -31,8 +29,9 @@ class SimulatedRobot:
 
     def __init__(self, world: PhysicsFleet, car: int, silent_s: float = math.inf) -> None:
         """Take car number ``car`` with its sensors and motors; from ``silent_s`` of its clock on it does not answer."""
-        self._world, self._car, self._slope = world, car, -1
-        self._silent_s, self._last = silent_s, world.sensors.measure(car)
+        self._world, self._car, self._silent_s = world, car, silent_s
+        self._last = self._now
+        self._slope: int | None = None
 
     @property
     def _now(self) -> CarMeasurement:
@@ -51,13 +50,11 @@ class SimulatedRobot:
             command = Command()
         self._world.motors.drive(self._car, command.wheels)
         physics.move_board(self._car, command.board)
-        slope = self.measure().slope
-        slope = -1 if slope is None else slope
-        if self._slope not in (-1, slope):
-            physics.turn_hinge(self._slope, 0.0)
-        if slope >= 0:
-            physics.turn_hinge(slope, command.hinge)
-        self._slope = slope
+        before, self._slope = self._slope, self.measure().slope
+        if before is not None and before != self._slope:
+            physics.turn_hinge(before, 0.0)
+        if self._slope is not None:
+            physics.turn_hinge(self._slope, command.hinge)
 
 
 def simulated_robots(world: PhysicsFleet, silent: Iterable[tuple[int, float]] = ()) -> tuple[Robot, ...]:
@@ -71,61 +68,21 @@ def simulated_robots(world: PhysicsFleet, silent: Iterable[tuple[int, float]] = 
     return tuple(SimulatedRobot(world, car, since_s.get(car, math.inf)) for car in cars)
 
 
-def simulated_referee(physics: PhysicsWorld) -> Callable[[float], TruePoses]:
-    """Return what says where everything in a PhysicsWorld truly is, now, with the time that it is given."""
-    n_slopes = len(physics.slopes)
-
-    def see(time_s: float) -> TruePoses:
-        poses = physics.poses()
-        cars = np.hstack([poses.car_positions, poses.car_quaternions])
-        things = np.hstack([poses.positions, poses.quaternions])
-        return TruePoses(
-            time_s,
-            tuple(map(tuple, cars.tolist())),
-            tuple(map(tuple, things.tolist())),
-            tuple(poses.hinges[len(poses.hinges) - n_slopes :].tolist()),
-            physics.capped_steps,
-        )
-
-    return see
-
-
-def serve_simulated(
-    world: PhysicsFleet,
-    digest: str,
-    send: Callable[[bytes, bytes], None],
-    network: Network,
-    rngs: Sequence[np.random.Generator],
-    waits: bool,
-    tell: Callable[[str], None] = lambda line: None,
-) -> Service:
-    """Return the service of the cars of a PhysicsWorld, whose digest is given.
-
-    Two ``rngs`` draw what becomes of commands, and of measurements, in the network; the rest is as for Service.
-    """
-    physics, (up, down) = world.physics, rngs
-    return Service(
-        simulated_robots(world, network.silent),
-        world.advance,
-        (Channel(network, up), Channel(network, down)),
-        send,
-        physics.config.control_period_s,
-        len(physics.slopes),
-        digest,
-        simulated_referee(physics),
-        waits,
-        tell,
-    )
-
-
 class Memory:
     """A connection to simulated robots of this process: their time passes while something is awaited from them."""
 
     name: Final = b"memory"
 
-    def __init__(self, service: Service, inbox: deque[bytes]) -> None:
-        """Connect to a service that puts what it sends into an inbox."""
-        self.service, self.inbox = service, inbox
+    def __init__(
+        self, world: PhysicsFleet, digest: str, network: Network, rngs: Sequence[np.random.Generator]
+    ) -> None:
+        """Connect to the cars of a PhysicsWorld through a network, in lock-step; arguments are as for Service."""
+        self.inbox = deque[bytes]()
+        robots = simulated_robots(world, network.silent)
+        self.service = Service(robots, world, self._take, network, rngs, digest, waits=True)
+
+    def _take(self, receiver: bytes, data: bytes) -> None:
+        self.inbox.append(data)
 
     def send(self, data: bytes) -> None:
         """Send a message."""
@@ -154,10 +111,6 @@ def simulated_network(network: Network) -> SetUp:
         world = set_up(grid, setup, seed, watch_contacts=False).executor.fleet
         assert isinstance(world, PhysicsFleet)
         rngs = [np.random.default_rng(s) for s in seed.sequence().spawn(5)[3:]]  # others are those of set_up
-        inbox = deque[bytes]()
-        service = serve_simulated(
-            world, world_digest(grid), lambda name, data: inbox.append(data), network, rngs, True
-        )
-        return connect(Memory(service, inbox), grid, setup, goals)
+        return connect(Memory(world, world_digest(grid), network, rngs), grid, setup, goals)
 
     return begin

@@ -11,8 +11,8 @@ import itertools
 import selectors
 import socket
 import time
-from types import TracebackType
-from typing import Final, Self
+from collections.abc import Iterable
+from typing import Final
 
 from craftsim.errors import InputError
 from craftsim.robots import LOOPBACK, PORT
@@ -45,10 +45,9 @@ class Line:
         self.ended = False
         """Whether nothing more comes than what :meth:`take` returns."""
 
-    @property
-    def events(self) -> int:
-        """What a selector should wait for: that something comes, and that what waits can leave."""
-        return selectors.EVENT_READ | (selectors.EVENT_WRITE if self._leaving else 0)
+    def fileno(self) -> int:
+        """Return the socket's number, for a selector."""
+        return self.socket.fileno()
 
     def read(self) -> None:
         """Read what has come, up to a message and its length."""
@@ -66,14 +65,11 @@ class Line:
 
     def take(self) -> bytes | None:
         """Return the next message that has come whole, if there is one; one that is too long ends the connection."""
-        if len(self._came) < _HEAD_BYTES:
-            return None
         size = int.from_bytes(self._came[:_HEAD_BYTES], "big")
-        if size > MESSAGE_BYTES:
+        end = _HEAD_BYTES + size
+        if len(self._came) >= _HEAD_BYTES and size > MESSAGE_BYTES:
             self.ended = True
             self._came.clear()
-            return None
-        end = _HEAD_BYTES + size
         if len(self._came) < end:
             return None
         data = bytes(self._came[_HEAD_BYTES:end])
@@ -82,10 +78,9 @@ class Line:
 
     def send(self, data: bytes) -> None:
         """Send a message, or drop it where too many wait."""
-        if self.ended or len(self._leaving) > _LEAVING_BYTES:
-            return
-        self._leaving += len(data).to_bytes(_HEAD_BYTES, "big") + data
-        self.flush()
+        if not self.ended and len(self._leaving) <= _LEAVING_BYTES:
+            self._leaving += len(data).to_bytes(_HEAD_BYTES, "big") + data
+            self.flush()
 
     def flush(self) -> None:
         """Let leave what can."""
@@ -106,6 +101,22 @@ class Line:
             self.socket.shutdown(socket.SHUT_WR)
             self.socket.recv(2 * _SYSTEM_BYTES)
         self.socket.close()
+
+    @staticmethod
+    def attend(lines: Iterable[Line], timeout_s: float, listens: socket.socket | None = None) -> bool:
+        """Wait until something comes or can leave, and take part of it up; return whether somebody calls."""
+        with selectors.DefaultSelector() as selector:
+            if listens is not None:
+                selector.register(listens, selectors.EVENT_READ)
+            for line in lines:
+                leaving = selectors.EVENT_WRITE if line._leaving else 0
+                selector.register(line, selectors.EVENT_READ | leaving)
+            ready = [key.fileobj for key, _ in selector.select(timeout_s)]
+        for one in ready:
+            if isinstance(one, Line):
+                one.flush()
+                one.read()
+        return listens in ready
 
 
 class Caller:
@@ -146,9 +157,7 @@ class Caller:
         """
         deadline = time.monotonic() + timeout_s
         line = self._line or self._call(deadline)
-        if line is None:
-            return None
-        while True:
+        while line is not None:
             line.read()
             if (data := line.take()) is not None:
                 return data
@@ -156,11 +165,9 @@ class Caller:
                 raise ConnectionError("the connection was closed")
             left_s = deadline - time.monotonic()
             if left_s <= 0:
-                return None
-            with selectors.DefaultSelector() as selector:
-                selector.register(line.socket, line.events)
-                selector.select(left_s)
-            line.flush()
+                break
+            Line.attend([line], left_s)
+        return None
 
     def _call(self, deadline: float) -> Line | None:
         """Call until somebody listens, or the time is over."""
@@ -203,20 +210,12 @@ class Host:
         self._lines: dict[bytes, Line] = {}
         """By who has connected, numbers that count up; who had a turn last comes last."""
         self._names = itertools.count(1)
-        self._selector = selectors.DefaultSelector()
-        self._selector.register(self._listens, selectors.EVENT_READ)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         """Close all connections."""
         for line in self._lines.values():
             line.close()
         self._listens.close()
-        self._selector.close()
 
     @property
     def address(self) -> str:
@@ -228,7 +227,6 @@ class Host:
         """Send a message, or drop it where too many wait."""
         if (line := self._lines.get(receiver)) is not None:
             line.send(data)
-            self._selector.modify(line.socket, line.events, receiver)
 
     def receive(self, timeout_s: float, kept: bytes | None = None) -> tuple[bytes, bytes | None] | None:
         """Return (from whom, what) comes next, or None where nothing does in time.
@@ -240,30 +238,21 @@ class Host:
         left_s = 0.0
         while True:
             # What waits elsewhere is looked for before each turn, so that one who sends much starves nobody.
-            self._attend(left_s, kept)
+            if Line.attend(self._lines.values(), left_s, self._listens):
+                self._admit(kept)
             for name, line in list(self._lines.items()):
                 data = line.take()
                 if data is None and not line.ended:
                     continue
+                del self._lines[name]
                 if data is None:
-                    self._let_go(name)
+                    line.close()
                 else:
-                    self._lines[name] = self._lines.pop(name)
+                    self._lines[name] = line
                 return name, data
             left_s = deadline - time.monotonic()
             if left_s <= 0:
                 return None
-
-    def _attend(self, timeout_s: float, kept: bytes | None) -> None:
-        """Wait until something comes or can leave, and take part of it up."""
-        for key, mask in self._selector.select(timeout_s):
-            if key.fileobj is self._listens:
-                self._admit(kept)
-            elif (line := self._lines.get(key.data)) is not None:
-                if mask & selectors.EVENT_WRITE:
-                    line.flush()
-                line.read()
-                self._selector.modify(line.socket, line.events, key.data)
 
     def _admit(self, kept: bytes | None) -> None:
         for _ in range(_ADMITTED):
@@ -271,18 +260,10 @@ class Host:
                 connected, _ = self._listens.accept()
             except OSError:
                 return
-            name = str(next(self._names)).encode()
             if len(self._lines) >= ROBOT_CONNECTIONS:
-                self._let_go(min((name for name in self._lines if name != kept), key=int))
+                first = min((name for name in self._lines if name != kept), key=int)
+                self._lines.pop(first).close()
             try:
-                self._lines[name] = Line(connected)
+                self._lines[str(next(self._names)).encode()] = Line(connected)
             except OSError:  # it is closed already
                 connected.close()
-                continue
-            self._selector.register(connected, selectors.EVENT_READ, name)
-
-    def _let_go(self, name: bytes) -> None:
-        line = self._lines.pop(name)
-        with contextlib.suppress(KeyError, ValueError):
-            self._selector.unregister(line.socket)
-        line.close()

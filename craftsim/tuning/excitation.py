@@ -1,15 +1,12 @@
 """An identification drive: wheel commands that show what a car's motors, wheels and friction are, in a small free area.
 
 Each manoeuvre goes out and comes back by the same commands with the sign turned, so that the car needs no feedback to
-stay in its area. They go through directions, speeds and accelerations in turn: forward, sideways, on the spot, askew,
-along curves; slow and fast; along ramps, and on the spot in steps. Between them the car
-stands still.
+stay in its area. They go through directions, speeds and accelerations in turn; between them the car stands still.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -19,8 +16,7 @@ from craftsim.checking.setup import Seed, Setup, set_up
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.errors import InputError
-from craftsim.logs.log import Floats, Log
-from craftsim.logs.recorder import log_of
+from craftsim.logs.log import Floats, Log, log_of
 from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.measuring import READING
 from craftsim.skills.fleet import PhysicsFleet
@@ -87,12 +83,12 @@ class Area:
     def reach_m(self, direction: Triple) -> float:
         """Return how far a car may go from the centre in a direction of its own frame."""
         along, across, turn = direction
-        reach = min(self.length_m, self.width_m) / 2 - _CLEAR_M if turn else math.inf
-        if along:
-            reach = min(reach, (self.length_m / 2 - _CLEAR_M) / abs(along))
-        if across:
-            reach = min(reach, (self.width_m / 2 - _CLEAR_M) / abs(across))
-        return reach
+        ways = [
+            (self.length_m, along),
+            (self.width_m, across),
+            (min(self.length_m, self.width_m), bool(turn)),
+        ]
+        return min((side / 2 - _CLEAR_M) / abs(share) for side, share in ways if share)
 
 
 def excitation(
@@ -107,14 +103,11 @@ def excitation(
     rest = _still(_REST_S, period_s)
     rows = [_still(_STILL_S, period_s), _board(1.0, car, period_s), rest]
     if loaded:
-        directions = (_DIRECTIONS[0], _DIRECTIONS[2])
-        rows += _manoeuvres(
-            int(_LOADED_SHARE * most) - sum(map(len, rows)), directions, True, area, car, period_s
-        )
+        rows += _manoeuvres(int(_LOADED_SHARE * most) - sum(map(len, rows)), True, area, car, period_s)
     rows += [_board(-0.5, car, period_s), rest]
     if loaded:
         rows += [_straight(_DIRECTIONS[0], 0.3, 0.5, area.from_load_m, car, period_s), rest]
-    rows += _manoeuvres(most - sum(map(len, rows)), _DIRECTIONS, False, area, car, period_s)
+    rows += _manoeuvres(most - sum(map(len, rows)), False, area, car, period_s)
     commands = np.vstack([*rows, np.zeros((max(0, most - sum(map(len, rows))), 6))])
     return commands[:most]
 
@@ -131,15 +124,11 @@ def _board(share: float, car: SmartcarParameters, period_s: float) -> Floats:
 
 
 def _manoeuvres(
-    most: int,
-    directions: Sequence[Triple],
-    gentle: bool,
-    area: Area,
-    car: SmartcarParameters,
-    period_s: float,
+    most: int, loaded: bool, area: Area, car: SmartcarParameters, period_s: float
 ) -> list[Floats]:
-    """Return manoeuvres as long as they fit into ``most`` rows with rest at the end; ``gentle``: with a load."""
-    speeds = _LOADED_SPEEDS if gentle else _SPEEDS
+    """Return manoeuvres as long as they fit into ``most`` rows with rest at the end; gentle ones with a load."""
+    directions = (_DIRECTIONS[0], _DIRECTIONS[2]) if loaded else _DIRECTIONS
+    speeds = _LOADED_SPEEDS if loaded else _SPEEDS
     rest, still = _still(_REST_S, period_s), round(_STILL_S / period_s)
     rows: list[Floats] = []
     for number in range(most):
@@ -147,11 +136,11 @@ def _manoeuvres(
         direction = directions[which]
         speed = speeds[(which + round_number) % len(speeds)] * (car.wheel_speed_rad_s * car.wheel_radius_m)
         spot = direction[:2] == (0.0, 0.0)
-        accelerations = _LOADED_ACCELERATIONS if gentle else _TURNING if spot else _ACCELERATIONS
+        accelerations = _LOADED_ACCELERATIONS if loaded else _TURNING if spot else _ACCELERATIONS
         acceleration = accelerations[(which + 3 * round_number) % len(accelerations)]
         if spot and speed < _STEP_M_S:
             acceleration = math.inf
-        sign = 1.0 if gentle or number % 2 == 0 else -1.0
+        sign = 1.0 if loaded or number % 2 == 0 else -1.0
         reach = min(area.reach_m(direction), speed * (speed / acceleration + _CRUISE_S))
         out = _straight(direction, sign * speed, acceleration, reach, car, period_s)
         if sum(map(len, rows)) + 2 * (len(out) + len(rest)) + still > most:
@@ -161,23 +150,17 @@ def _manoeuvres(
 
 
 def _straight(
-    direction: Triple,
-    speed: float,
-    acceleration: float,
-    way: float,
-    car: SmartcarParameters,
-    period_s: float,
+    direction: Triple, speed: float, acceleration: float, way: float, car: SmartcarParameters, period_s: float
 ) -> Floats:
     """Return the wheels' commands on a trapezoid of speed over a way in metres."""
-    ramp_s = abs(speed) / acceleration
-    if way < abs(speed) * ramp_s:
+    if way < abs(speed) * (abs(speed) / acceleration):
         speed = math.copysign(math.sqrt(way * acceleration), speed)
-        ramp_s = abs(speed) / acceleration
-    cruise_s = way / abs(speed) - ramp_s
-    middle = period_s * (np.arange(math.ceil((2 * ramp_s + cruise_s) / period_s)) + 0.5)
+    ramp_s = abs(speed) / acceleration
+    whole_s = 2 * ramp_s + (way / abs(speed) - ramp_s)
+    middle = period_s * (np.arange(math.ceil(whole_s / period_s)) + 0.5)
     share = np.ones(len(middle))
     if ramp_s:
-        share = np.clip(np.minimum(middle, 2 * ramp_s + cruise_s - middle) / ramp_s, 0.0, 1.0)
+        share = np.clip(np.minimum(middle, whole_s - middle) / ramp_s, 0.0, 1.0)
     along, across, turn = direction
     kinematics = Mecanum(car)
     rows = np.zeros((len(middle), 6))

@@ -1,27 +1,22 @@
 """Identifying a car's parameters from a log: weighted nonlinear least squares over segments of it.
 
-Residuals are what :mod:`craftsim.tuning.prediction` leaves, each in terms of the noise of its channel, which is taken
-from the residuals themselves and worked out anew after each fit; values beyond six times that are left out as outliers.
-Intervals are those of the linearized problem, with the segments as independent samples (Liang and Zeger's sandwich
-estimate), never narrower than those of independent residuals with forces as assumed, where what is held may be off by
-its common error.
+Residuals are in terms of the noise of their channel, which is worked out anew after each fit; outliers are left out.
+Intervals are of the linearized problem with segments as independent samples (Liang and Zeger's sandwich estimate),
+never narrower than of independent residuals with forces as assumed, where what is held may be off by its common error.
 
-Which unknowns a log identifies the singular values of the residuals' Jacobian say. With every unknown in terms of how
-far it commonly is from what is assumed, a direction of the unknowns with the singular value s is known to 1 / s of
-that. Where this is not well below 1 the log says little about the direction beyond what was known before. The unknown
-in it that is easiest to measure otherwise is then held at its start, and the rest is looked at again. One direction is
-known beforehand: motion says forces by the masses that they move and nothing else. A simulated log would say a little
-of it, since contacts and simulated dry friction have a stiffness of their own; no car's log should be taken to, so the
-direction is taken out of the Jacobian.
+A direction of the unknowns, each in terms of its common error, with the singular value s of the residuals' Jacobian is
+known to 1 / s. Where this is not well below 1 the unknown in it that is easiest to measure otherwise is held at its
+start. Motion says forces only in proportion to masses: contacts and dry friction of a simulation have a stiffness that
+would tell a little more, so that this direction is taken out of the Jacobian.
 
-MuJoCo's own ``mujoco.sysid`` is not used: it compares one rollout with the whole of a recording, from a state that is
-given, needs five more packages, and its intervals are of independent residuals.
+``mujoco.sysid`` compares one rollout with all of a recording from a given state, and has intervals of independent
+residuals only.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -29,28 +24,20 @@ import numpy as np
 from craftsim.errors import InputError
 from craftsim.logs.log import Floats, Log
 from craftsim.mjcf.parameters import Machines
-from craftsim.tuning.prediction import CHANNELS, N_COLUMNS, Predictor
-from craftsim.tuning.unknowns import Unknown, machines_of, unknowns_of
+from craftsim.tuning.prediction import CHANNELS, N_COLUMNS, Predictor, Unknown, machines_of, unknowns_of
 
 _ROUNDS: Final = (1e-2, 1e-3, 1e-5)
 """Fits, each with the noise that the one before has left: the share of its cost by which a last step lowers it."""
 _EVALUATIONS: Final = 10
 """Of the residuals in a fit, at most."""
-_FIRST_NOISE: Final = {
-    "position": 0.003,
-    "heading": 0.006,
-    "wheel speeds": 0.2,
-    "board": 2e-4,
-    "board force": 0.5,
+_NOISE: Final = {
+    "position": (0.003, 1e-4),
+    "heading": (0.006, 1e-4),
+    "wheel speeds": (0.2, 0.05),
+    "board": (2e-4, 2e-6),
+    "board force": (0.5, 0.02),
 }
-_LEAST_NOISE: Final = {
-    "position": 1e-4,
-    "heading": 1e-4,
-    "wheel speeds": 0.05,
-    "board": 2e-6,
-    "board force": 0.02,
-}
-"""No model is better than this."""
+"""Noise with which the first fit begins, and what no model is better than, by channel."""
 _OUTLIER: Final = 6.0
 CONFIDENCE: Final = 0.95
 
@@ -93,20 +80,16 @@ def unidentified_directions(jacobian: Floats, unknowns: Sequence[Unknown]) -> li
         members = [free[k] for k in np.argsort(-direction) if direction[k] > _MEMBER * direction.max()]
         # The largest part first where none is easier to measure.
         held = max(members, key=lambda k: unknowns[k].weighed)
+        *first, last = (unknowns[k].words for k in members)
+        ratio = all(unknowns[k].of_machine for k in members)
+        what = "only as ratios to each other" if ratio else "only together"
+        text = f"{', '.join(first)} and {last}: {what}; {unknowns[held].words} is held"
+        if not first:
+            text = f"{last}: the log does not tell it; it is held"
         keys = tuple(unknowns[k].key for k in members)
-        found.append(Unidentified(unknowns[held].key, keys, _words(unknowns, held, members)))
+        found.append(Unidentified(unknowns[held].key, keys, text))
         free.remove(held)
     return found
-
-
-def _words(unknowns: Sequence[Unknown], held: int, members: Sequence[int]) -> str:
-    """Return what is said of a direction with these members."""
-    names, kept = [unknowns[k].words for k in members], unknowns[held].words
-    if len(members) == 1:
-        return f"{kept}: the log does not tell it; it is held"
-    ratio = all(unknowns[k].of_machine for k in members)
-    what = "only as ratios to each other" if ratio else "only together"
-    return f"{', '.join(names[:-1])} and {names[-1]}: {what}; {kept} is held"
 
 
 @dataclass(frozen=True)
@@ -148,7 +131,6 @@ class Identification:
         return {one.unknown.key: one.value for one in self.estimates}
 
     def __getitem__(self, key: str) -> Identified:
-        """Return the estimate of a key."""
         return next(one for one in self.estimates if one.unknown.key == key)
 
 
@@ -186,20 +168,16 @@ class _Fit:
     ) -> None:
         self.predictor, self.machines, self.unknowns, self.tell = predictor, machines, unknowns, tell
         self.starts = [one.start(machines) for one in unknowns]
-        self.low, self.high = np.array(
-            [one.bounds(start) for one, start in zip(unknowns, self.starts, strict=True)]
-        ).T
+        self.low, self.high = np.array([*map(Unknown.bounds, unknowns, self.starts)]).T
         self.vector = np.zeros(len(unknowns))
         self.noise = np.empty(N_COLUMNS)
         for name, (_, columns) in CHANNELS.items():
-            self.noise[columns] = _FIRST_NOISE[name]
+            self.noise[columns] = _NOISE[name][0]
         self.kept = np.isfinite(self._errors(self.vector))
         """Which values count."""
         self.unidentified: list[Unidentified] = []
 
     def run(self) -> Identification:
-        from scipy.optimize import least_squares
-
         outliers = 0
         for number, tolerance in enumerate(_ROUNDS):
             self.tell(number + 1, len(_ROUNDS))
@@ -211,28 +189,32 @@ class _Fit:
             free = [k for k, one in enumerate(self.unknowns) if one.key not in held]
             if not free:
                 break
-            low, high = self.low[free], self.high[free]
-
-            def put(numbers: Floats, free: list[int] = free) -> Floats:
-                vector = self.vector.copy()
-                vector[free] = numbers
-                return vector
-
-            found = least_squares(
-                lambda numbers: self._residuals(put(numbers)),
-                np.clip(self.vector[free], low + 1e-6, high - 1e-6),
-                jac=lambda numbers, free=free: self._jacobian(put(numbers), free),
-                bounds=(low, high),
-                loss="huber",
-                f_scale=3.0,
-                x_scale="jac",
-                max_nfev=_EVALUATIONS,
-                xtol=1e-6,
-                ftol=tolerance,
-            )
-            self.vector = put(found.x)
+            self.vector[free] = self._fitted(free, tolerance)
             outliers += self._weigh()
         return self._result(free, outliers)
+
+    def _fitted(self, free: list[int], tolerance: float) -> Floats:
+        from scipy.optimize import least_squares
+
+        low, high, vector = self.low[free], self.high[free], self.vector.copy()
+
+        def put(numbers: Floats) -> Floats:
+            vector[free] = numbers
+            return vector
+
+        fitted: Floats = least_squares(
+            lambda numbers: self._residuals(put(numbers)),
+            np.clip(self.vector[free], low + 1e-6, high - 1e-6),
+            jac=lambda numbers: self._jacobian(put(numbers), free),
+            bounds=(low, high),
+            loss="huber",
+            f_scale=3.0,
+            x_scale="jac",
+            max_nfev=_EVALUATIONS,
+            xtol=1e-6,
+            ftol=tolerance,
+        ).x
+        return fitted
 
     def _with_assumed_forces(self) -> Floats:
         """Return where to look at what is identified: forces as assumed, all else as found.
@@ -244,9 +226,8 @@ class _Fit:
         return vector
 
     def _values(self, vector: Floats) -> dict[str, float]:
-        """Return what a vector stands for, by key."""
-        each = zip(self.unknowns, self.starts, vector.tolist(), strict=True)
-        return {one.key: one.value(start, number) for one, start, number in each}
+        values = map(Unknown.value, self.unknowns, self.starts, vector.tolist())
+        return {one.key: value for one, value in zip(self.unknowns, values, strict=True)}
 
     def _errors(self, vector: Floats) -> Floats:
         values = self._values(vector)
@@ -274,9 +255,9 @@ class _Fit:
         for name, (_, columns) in CHANNELS.items():
             left = errors[..., columns][self.kept[..., columns]]
             if left.size:
-                spread = 1.4826 * float(np.median(np.abs(left)))
-                inside = left[np.abs(left) < _OUTLIER * max(spread, _LEAST_NOISE[name])]
-                self.noise[columns] = max(float(inside.std()), _LEAST_NOISE[name])
+                spread, least = 1.4826 * float(np.median(np.abs(left))), _NOISE[name][1]
+                inside = left[np.abs(left) < _OUTLIER * max(spread, least)]
+                self.noise[columns] = max(float(inside.std()), least)
         self.kept &= np.abs(errors) < _OUTLIER * self.noise
         return was - int(self.kept.sum())
 
@@ -298,13 +279,15 @@ class _Fit:
         spread = np.sqrt(np.max([np.diag(independent), np.diag(sandwich), np.diag(known)], axis=0))
         wide = dict(zip(free, spread * t.ppf(0.5 + CONFIDENCE / 2, max(1, n_segments - 1)), strict=True))
         values = self._values(self.vector)
-        estimates = []
-        for k, one in enumerate(self.unknowns):
-            half = None
-            if k in wide:
-                half = float(wide[k] * one.usual * (values[one.key] if one.of_machine else 1.0))
-            edge = k in wide and not self.low[k] + 1e-3 < self.vector[k] < self.high[k] - 1e-3
-            estimates.append(Identified(one, self.starts[k], values[one.key], half, edge))
+        estimates = [
+            Identified(one, start, values[one.key], None)
+            for one, start in zip(self.unknowns, self.starts, strict=True)
+        ]
+        for k, width in wide.items():
+            one, value = self.unknowns[k], estimates[k].value
+            half = float(width * one.usual * (value if one.of_machine else 1.0))
+            edge = not self.low[k] + 1e-3 < self.vector[k] < self.high[k] - 1e-3
+            estimates[k] = replace(estimates[k], half_width=half, at_bound=edge)
         noise = {
             name: float(self.noise[columns][0])
             for name, (_, columns) in CHANNELS.items()

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
 from craftsim.errors import InputError
-from craftsim.logs.log import Floats, Log
+from craftsim.logs.log import Log
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.sensing import SensorNoise
 from craftsim.rendering.plots.style import DPI, ROW_IN, WIDTH_IN, paper, save
@@ -27,8 +27,7 @@ from craftsim.reports.report import (
 )
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.identification import Identification, Identified
-from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor
-from craftsim.tuning.unknowns import machines_of
+from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor, machines_of
 
 _LEAD: Final = 0.25
 """Share of a segment that a prediction is fitted to; what follows is predicted."""
@@ -92,22 +91,15 @@ def write_parameters(path: Path, found: Identification, assumed: Machines, sourc
 
     Returns what was left out because the machines would not fit together with it, with the reason.
     """
-    identified = {
-        section: {
-            one.unknown.name: one
-            for one in found.estimates
-            if one.identified and one.unknown.section == section
-        }
-        for section in ("smartcar", "block")
-    }
+    identified = {one.unknown.key: one for one in found.estimates if one.identified}
     left_out = []
-    for name, own in list(identified["smartcar"].items()):
+    for key in [key for key in identified if key.startswith("smartcar.")]:
+        name, own = identified[key].unknown.name, identified[key].value
         try:
-            kept: dict[str, Any] = {name: own.value}
-            replace(assumed, cars=(replace(assumed.car(0), **kept),))
+            replace(assumed, cars=(replace(assumed.car(0), **cast(Any, {name: own})),))
         except InputError as error:
-            del identified["smartcar"][name]
-            left_out.append(f"{name}: {own.value:.6g}; {error}".replace("\n", " "))
+            del identified[key]
+            left_out.append(f"{name}: {own:.6g}; {error}".replace("\n", " "))
     lines = [f"# Identified from {source}; intervals are of 95 %."]
     lines += [f"# Unidentifiable: {one.text}." for one in found.unidentified]
     lines += [f"# Left out: {text}" for text in left_out]
@@ -115,7 +107,7 @@ def write_parameters(path: Path, found: Identification, assumed: Machines, sourc
         rows = []
         for field in fields(record):
             value = getattr(record, field.name)
-            if (one := identified[section].get(field.name)) is not None:
+            if (one := identified.get(f"{section}.{field.name}")) is not None:
                 rows.append(
                     f"  {field.name}: {one.value:.6g}  # +- {one.half_width:.2g}, assumed {one.start:.6g}"
                 )
@@ -129,29 +121,24 @@ def write_parameters(path: Path, found: Identification, assumed: Machines, sourc
 def write_noise(path: Path, found: Identification, log: Log, source: str) -> SensorNoise:
     """Write a file for ``--noise``: delay and lags where the log tells them, and what noise is left; return it."""
     identified = {one.unknown.name: one.value for one in found.estimates if one.identified}
-    figures: dict[str, float] = {
-        n: identified[n] for n in ("encoder_lag_s", "motor_lag_s") if n in identified
-    }
+    lags = [name for name in ("encoder_lag_s", "motor_lag_s") if name in identified]
+    figures: dict[str, float] = {name: identified[name] for name in lags}
     if "delay_s" in identified:
         figures |= {"min_delay_s": identified["delay_s"], "max_delay_s": identified["delay_s"]}
     if "position" in found.noise:
         figures |= {"position_m": found.noise["position"], "heading_rad": found.noise["heading"]}
     if {"board", "board force"} <= found.noise.keys():
         figures |= {"board_m": found.noise["board"], "board_force_n": found.noise["board force"]}
-    if (tilt := _jitter(log.tilt)) is not None:
-        figures["tilt_rad"] = tilt
+    # The white noise of a signal that changes slowly, from its differences from row to row.
+    steps = np.diff(log.tilt, axis=0)
+    steps = steps[np.isfinite(steps)]
+    if steps.size > 10:
+        figures["tilt_rad"] = float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2))
     noise = SensorNoise(**{name: float(f"{value:.4g}") for name, value in figures.items()})
     lines = [f"# Identified from {source}: what its sensors and motors do to commands and measurements."]
     lines += [f"{field.name}: {value:g}" for field in fields(noise) if (value := getattr(noise, field.name))]
     write_whole(path, "\n".join(lines) + "\n")
     return noise
-
-
-def _jitter(values: Floats) -> float | None:
-    """Return the white noise of a signal that changes slowly, from its differences from row to row."""
-    steps = np.diff(values, axis=0)
-    steps = steps[np.isfinite(steps)]
-    return float(1.4826 * np.median(np.abs(steps)) / np.sqrt(2)) if steps.size > 10 else None
 
 
 _ROWS: Final = (
@@ -192,9 +179,6 @@ def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -
         return [save(figure, folder / f"prediction.{ending}") for ending in ("png", "pdf")]
 
 
-_LOGS = {"fitted_log": "the log that was fitted to", "held_out_log": "the held-out log"}
-
-
 def identified_report(
     found: Identification, log: str, document: Mapping[str, Any], files: Mapping[str, str | Path]
 ) -> Report:
@@ -207,42 +191,32 @@ def identified_report(
         files: what was written, by what it is.
     """
     figures = document["figures"]
-    identified = sum(one.identified for one in found.estimates)
-    sentence = f"{identified} of {count(len(found.estimates), 'parameter')} identified from {log}."
+    identified, n = sum(one.identified for one in found.estimates), len(found.estimates)
+    sentence = f"{identified} of {count(n, 'parameter')} identified from {log}."
     badge, tone = ("Identified", Tone.GOOD) if identified else ("Nothing identified", Tone.CAUTION)
+    logs = {"fitted_log": "the log that was fitted to", "held_out_log": "the held-out log"}
+    told = "What was assumed before, what the log says, and how sure it is."
+    predicted = "Errors of predictions over 1.5 s, with the car as assumed and as identified."
+    unidentified = [f"Unidentifiable: {text}" for text in figures["untold"]]
+    unidentified += [f"Not in parameters.yaml: {text}" for text in figures["left_out"]]
+    predictions = [_prediction(figures[key], words) for key, words in logs.items() if key in figures]
+    outliers = f"{figures['outliers']:,} outliers left out"
     return Report(
         "Identification of a car",
         log,
         Headline(badge, tone, sentence),
         [
-            KeyFigure(f"{identified}", "parameters identified", f"of {len(found.estimates)}"),
-            KeyFigure(
-                f"{figures['values']:,}", "measured values", f"{figures['outliers']:,} outliers left out"
-            ),
+            KeyFigure(f"{identified}", "parameters identified", f"of {n}"),
+            KeyFigure(f"{figures['values']:,}", "measured values", outliers),
         ],
         [
-            Section(
-                "parameters",
-                "Parameters",
-                "What was assumed before, what the log says, and how sure it is.",
-                [_estimates(found.estimates)],
-                terminal=True,
-            ),
-            Section(
-                "prediction",
-                "Prediction",
-                "Errors of predictions over 1.5 s, with the car as assumed and as identified.",
-                [_prediction(figures[key], words) for key, words in _LOGS.items() if key in figures],
-                terminal=True,
-            ),
+            Section("parameters", "Parameters", told, [_estimates(found.estimates)], terminal=True),
+            Section("prediction", "Prediction", predicted, predictions, terminal=True),
             Section(
                 "unidentified",
                 "Not identified",
                 "What the log cannot say, and why.",
-                [
-                    *(f"Unidentifiable: {text}" for text in figures["untold"]),
-                    *(f"Not in parameters.yaml: {text}" for text in figures["left_out"]),
-                ],
+                unidentified,
                 terminal=True,
             ),
         ],
@@ -253,27 +227,21 @@ def identified_report(
 
 
 def _estimates(estimates: Sequence[Identified]) -> DataTable:
-    names = ("assumed", "identified", "95 % interval")
-    rows = [(one.unknown.words, f"{one.start:.4g}", *_said(one)) for one in estimates]
-    return DataTable((Column("what"), *(Column(name, "number") for name in names)), rows, "Parameters")
-
-
-def _said(one: Identified) -> tuple[Cell, str]:
-    if one.half_width is None:
-        return Cell("held", Tone.MUTED), ""
-    width = "at the border of the search" if one.at_bound else f"+- {one.half_width:.2g}"
-    return Cell(f"{one.value:.4g}", Tone.CAUTION if one.at_bound else Tone.PLAIN), width
+    rows: list[tuple[str | Cell, ...]] = []
+    for one in estimates:
+        value, width = Cell("held", Tone.MUTED), ""
+        if one.half_width is not None:
+            value = Cell(f"{one.value:.4g}", Tone.CAUTION if one.at_bound else Tone.PLAIN)
+            width = "at the border of the search" if one.at_bound else f"+- {one.half_width:.2g}"
+        rows.append((one.unknown.words, f"{one.start:.4g}", value, width))
+    numbers = (Column(name, "number") for name in ("assumed", "identified", "95 % interval"))
+    return DataTable((Column("what"), *numbers), rows, "Parameters")
 
 
 def _prediction(errors: Mapping[str, Mapping[str, Mapping[str, Any]]], words: str) -> DataTable:
-    before, after = errors["as_assumed"], errors["as_identified"]
-    names = ("as assumed", "as identified", "95 % below")
-    rows = [
-        (
-            f"{channel}, {one['unit']}",
-            *(f"{value:.3g}" for value in (before[channel]["rms"], one["rms"], one["p95"])),
-        )
-        for channel, one in after.items()
-    ]
-    columns = (Column("channel"), *(Column(name, "number") for name in names))
-    return DataTable(columns, rows, f"RMS errors of 1.5 s predictions, {words}")
+    rows = []
+    for channel, one in errors["as_identified"].items():
+        values = errors["as_assumed"][channel]["rms"], one["rms"], one["p95"]
+        rows.append((f"{channel}, {one['unit']}", *(f"{value:.3g}" for value in values)))
+    numbers = (Column(name, "number") for name in ("as assumed", "as identified", "95 % below"))
+    return DataTable((Column("channel"), *numbers), rows, f"RMS errors of 1.5 s predictions, {words}")

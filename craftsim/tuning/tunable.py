@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from fnmatch import fnmatchcase
 from typing import Any, Final, Literal
 
 from craftsim.audit.situation import Row, shipped
@@ -24,48 +25,26 @@ GROUPS: Final[Mapping[GainGroup, tuple[str, ...]]] = {
 }
 """The sections of the gains that are tuned together."""
 
-_TOLERANCE: Final = "how exact an action must end: what is asked for, not how it is done"
-_CERTAINTY: Final = "how sure a car must be before it says that it has arrived"
-_REST: Final = "what counts as rest"
-_GIVING_UP: Final = "when a skill gives up: nothing is won by giving up later or earlier"
-_ASSUMED: Final = "what a car assumes of its odometry: a matter of identification"
-_STACKS: Final = "what a stack bears under a car: it shows on stacks that are taller than those tried here"
-_STUCK: Final = (
-    "what a car does that is stuck or has failed: an uneven floor shows it, and not the flat one here"
-)
-_UNEVEN: Final = "what a car does on an uneven floor: no effect on the flat one here"
-_PARKED: Final = "of parked cars, whose hold no objective measures"
+_WHY_FIXED: Final = {
+    "how exact an action must end: what is asked for, not how it is done": "*_tolerance *.reached",
+    "how sure a car must be before it says that it has arrived": "*_certainty",
+    "what counts as rest": "*_at_rest *.rest_periods *.brake_periods *.still* stop.*rest*",
+    "when a skill gives up: nothing is won by giving up later or earlier": (
+        "drive.settle_allowance drive.blocked_* drive.slip_* *.allowance *.undocked stop.* health.*"
+    ),
+    "what a car assumes of its odometry: a matter of identification": "localisation.*",
+    "what a stack bears under a car: it shows on stacks that are taller than those tried here": "*.rocking",
+    "what a car does that is stuck or has failed: an uneven floor shows it, and not the flat one here": (
+        "drive.shake_* recovery.*"
+    ),
+    "what a car does on an uneven floor: no effect on the flat one here": "*.astray uneven.*",
+    "of parked cars, whose hold no objective measures": "hold.*",
+}
+"""Names of gains, as patterns, by the reason; of several the first counts."""
 FIXED: Final[Mapping[str, str]] = {
-    "drive.rocking": _STACKS,
-    **{f"drive.{name}": _STUCK for name in ("shake_after", "shake_speed", "shake_rate")},
-    "recovery.tries": _STUCK,
-    "drive.astray": _UNEVEN,
-    **{f"uneven.{f.name}": _UNEVEN for f in fields(SECTIONS["uneven"])},
-    "drive.position_tolerance": _TOLERANCE,
-    "drive.heading_tolerance": _TOLERANCE,
-    "drive.position_certainty": _CERTAINTY,
-    "drive.heading_certainty": _CERTAINTY,
-    "drive.settle_allowance": _GIVING_UP,
-    "drive.blocked_error": _GIVING_UP,
-    "drive.blocked_time": _GIVING_UP,
-    "drive.slip_ratio": _GIVING_UP,
-    "drive.slip_distance": _GIVING_UP,
-    "drive.speed_at_rest": _REST,
-    "drive.wheels_at_rest": _REST,
-    "drive.rest_periods": _REST,
-    "drive.brake_periods": _REST,
-    "board.reached": _TOLERANCE,
-    "board.still": _REST,
-    "board.allowance": _GIVING_UP,
-    "hinge.reached": _TOLERANCE,
-    "hinge.still": _REST,
-    "hinge.still_time": _REST,
-    "hinge.undocked": _GIVING_UP,
-    "hinge.allowance": _GIVING_UP,
-    **{f"stop.{f.name}": _REST if "rest" in f.name else _GIVING_UP for f in fields(SECTIONS["stop"])},
-    **{f"hold.{f.name}": _PARKED for f in fields(SECTIONS["hold"])},
-    **{f"localisation.{f.name}": _ASSUMED for f in fields(SECTIONS["localisation"])},
-    **{f"health.{f.name}": _GIVING_UP for f in fields(SECTIONS["health"])},
+    name: reasons[0]
+    for name in (f"{section}.{field.name}" for section, kind in SECTIONS.items() for field in fields(kind))
+    if (reasons := [why for why, of in _WHY_FIXED.items() if any(fnmatchcase(name, p) for p in of.split())])
 }
 """The gains that are never tuned, with the reason; all others are."""
 

@@ -6,7 +6,7 @@ import math
 import operator
 import reprlib
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import product
@@ -90,16 +90,12 @@ class TriedAction:
 
 @dataclass(frozen=True)
 class _Extra:
-    """What else the record of a candidate holds."""
-
     __pydantic_config__ = STRICT
     gains: dict[str, float]
     """The tuned ones, by name."""
 
 
 FORM: Final = Form(TriedAction, _Extra)
-
-
 Job = tuple[GainGroup, Setup, int, Sequence[int]]
 """A candidate to be tried: the group, its setup with its gains, the seed, and the blocks. A block is one trial of every
 situation: its own place on the map, physics and noise."""
@@ -125,9 +121,9 @@ def _try(group: GainGroup, setup: Setup, seed: int, block: int, number: int) -> 
         judge = set_up(grid, setup, Seed((seed, block, number)), reuse=world)
     except StartError:
         return None
-    motors = [int(motor) for car in judge.physics.cars for motor in car.wheel_actuators]
-    motors += [car.board.actuator for car in judge.physics.cars]
-    motors += [slope.hinge.actuator for slope in judge.physics.slopes]
+    cars, slopes = judge.physics.cars, judge.physics.slopes
+    motors = [int(motor) for car in cars for motor in car.wheel_actuators]
+    motors += [one.actuator for one in (*(car.board for car in cars), *(slope.hinge for slope in slopes))]
     joules, period_s = 0.0, judge.physics.config.control_period_s
 
     def add_work(physics: PhysicsWorld) -> None:
@@ -137,24 +133,15 @@ def _try(group: GainGroup, setup: Setup, seed: int, block: int, number: int) -> 
 
     judge.executor.observers.append(add_work)
     attempt = judge.perform(0, action)
-    own, with_bystanders = shares(attempt, setup.thresholds)
-    return TriedAction(
-        str(situations(group)[number]),
-        block,
-        attempt.agrees,
-        attempt.duration_s,
-        own,
-        with_bystanders,
-        joules,
-        attempt.peak_force_n,
-    )
+    errors, situation = shares(attempt, setup.thresholds), str(situations(group)[number])
+    measured = attempt.agrees, attempt.duration_s, *errors, joules, attempt.peak_force_n
+    return TriedAction(situation, block, *measured)
 
 
 @lru_cache(maxsize=WORLDS_KEPT)
 def _world(
     group: GainGroup, number: int, seed: int, block: int, setup: Setup
 ) -> tuple[PhysicsWorld, Grid, Action]:
-    """Return the compiled world of a situation, its grid, and the action; gains have no part in it."""
     situation = situation_of(situations(group)[number], setup.rules, forbidden=True)
     placed = situation.placed(np.random.default_rng([seed, block, number]))
     return compile_world(placed.grid, setup), placed.grid, placed.acts[0]
@@ -162,20 +149,13 @@ def _world(
 
 def shares(attempt: Attempt, limits: Thresholds) -> tuple[float, float]:
     """Return the largest share of a limit that an action's own errors took, and that they or a bystander took."""
-    own, with_bystanders = (
-        _worst(
-            (getattr(attempt, error) or 0.0, getattr(limits, limit))
-            for error, (limit, _) in BOUNDED_ERRORS.items()
-            if of_bystanders or error not in BYSTANDER_ERRORS
-        )
-        for of_bystanders in (False, True)
-    )
-    return own, with_bystanders
-
-
-def _worst(measured: Iterable[tuple[float, float]]) -> float:
-    found = [value / limit for value, limit in measured]
-    return max(min(share, WORST) if math.isfinite(share) else WORST for share in found)
+    own, with_bystanders = [0.0], [0.0]
+    for error, (limit, _) in BOUNDED_ERRORS.items():
+        share = (getattr(attempt, error) or 0.0) / getattr(limits, limit)
+        with_bystanders.append(min(share, WORST) if math.isfinite(share) else WORST)
+        if error not in BYSTANDER_ERRORS:
+            own.append(with_bystanders[-1])
+    return max(own), max(with_bystanders)
 
 
 @dataclass(frozen=True)
@@ -210,37 +190,17 @@ def _joined(records: Sequence[TrialRecord]) -> list[dict[str, Any]]:
     return [trial for record in records for trial in record["attempts"]]
 
 
-def _held_out(
-    start: Sequence[TrialRecord], best: Sequence[TrialRecord], shipped: Sequence[TrialRecord], goal: Goal
-) -> HeldOut:
-    """Return the verdict from the records of the three, one of each for each block of trials."""
-    before, after = Score.of(_joined(start)), Score.of(_joined(best))
-    against_start = _ratio(best, start, goal.weights)
-    names = goal.objectives
-    dominated = bool((before.log_costs(names) <= after.log_costs(names)).all())
-    better = not dominated if goal.front else against_start.factor < 1
-    return HeldOut(
-        before,
-        after,
-        Score.of(_joined(shipped)),
-        against_start,
-        _ratio(best, shipped, goal.weights),
-        better and after.failed <= before.failed,
-    )
-
-
 def _ratio(
     ours: Sequence[TrialRecord], others: Sequence[TrialRecord], weights: Mapping[Objective, float]
 ) -> Ratio:
     from scipy.stats import t
 
     whole = Score.of(_joined(ours)).log_cost(weights) - Score.of(_joined(others)).log_cost(weights)
-    each = np.array(
-        [
-            Score.of(mine["attempts"]).log_cost(weights) - Score.of(other["attempts"]).log_cost(weights)
-            for mine, other in zip(ours, others, strict=True)
-        ]
+    mine, its = (
+        np.array([Score.of(record["attempts"]).log_cost(weights) for record in records])
+        for records in (ours, others)
     )
+    each = mine - its
     half = float(t.ppf(0.975, len(each) - 1) * each.std(ddof=1) / math.sqrt(len(each)))
     middle = float(each.mean())
     return Ratio(math.exp(whole), math.exp(middle - half), math.exp(middle + half))
@@ -281,7 +241,6 @@ class Tuning:
     def __init__(
         self, group: GainGroup, setup: Setup, goal: Goal, evaluations: int, trials: int, seed: int
     ) -> None:
-        """Take what :func:`tune` is given."""
         self.group, self.setup, self.goal, self.trials, self.seed = group, setup, goal, trials, seed
         self.gains = tunable_gains(group, setup.gains)
         self.start: Values = {gain.name: gain.start for gain in self.gains}
@@ -353,17 +312,27 @@ class Tuning:
 
         Returns the verdict, and each trial that failed, with the name of the gains that it was tried with.
         """
-        nominal, first = load_gains(), self.trials + FINAL_BLOCKS
-        shipped = {gain.name: gain.of(nominal) for gain in self.gains}
+        goal, nominal, first = self.goal, load_gains(), self.trials + FINAL_BLOCKS
+        usual = {gain.name: gain.of(nominal) for gain in self.gains}
         blocks = range(first, first + HELD_OUT_BLOCKS)
-        start, found, usual = (self._try_apart(own, blocks) for own in (self.start, best, shipped))
+        tried = {
+            name: self._try_apart(own, blocks)
+            for name, own in (("before", self.start), ("after", best), ("shipped", usual))
+        }
         failures: list[tuple[str, Mapping[str, Any]]] = [
             (name, trial)
-            for name, own in (("before", start), ("after", found), ("shipped", usual))
-            for trial in _joined(own)
+            for name, records in tried.items()
+            for trial in _joined(records)
             if not trial["agrees"]
         ]
-        return _held_out(start, found, usual, self.goal), failures
+        before, after, shipped = (Score.of(_joined(records)) for records in tried.values())
+        against_start, against_shipped = (
+            _ratio(tried["after"], tried[name], goal.weights) for name in ("before", "shipped")
+        )
+        dominated = bool((before.log_costs(goal.objectives) <= after.log_costs(goal.objectives)).all())
+        better = not dominated if goal.front else against_start.factor < 1
+        improved = better and after.failed <= before.failed
+        return HeldOut(before, after, shipped, against_start, against_shipped, improved), failures
 
     def sensitivity(self, values: Values) -> dict[str, tuple[float, float]]:
         """Return what moving each gain alone by :data:`SENSITIVITY_STEP` does to the goal's product, on the search's
@@ -379,7 +348,6 @@ class Tuning:
         return {gain.name: (down, up) for gain, (down, up) in zip(self.gains, factors, strict=True)}
 
     def _candidates(self, values: Sequence[Values]) -> list[Candidate]:
-        """Try gains on the search's seeds."""
         records = self._try([(own, range(self.trials)) for own in values])
         return [(own, Score.of(record["attempts"])) for own, record in zip(values, records, strict=True)]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import accumulate
 from pathlib import Path
@@ -38,8 +37,6 @@ from craftsim.tuning.tune import COMMAND, GAINS_FILE, Ratio, Tuned
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_OF_THREE = ("before", "after", "shipped")
-
 
 def tune_report(tuned: Tuned, gains: Path, command: str, workers: int) -> Report:
     """Return the report of a tuning.
@@ -50,32 +47,7 @@ def tune_report(tuned: Tuned, gains: Path, command: str, workers: int) -> Report
         command: how it can be run again.
         workers: how many it took.
     """
-    return Report(
-        "Tuning of gains",
-        f"{tuned.config['subject']}: {tuned.goal}",
-        _headline(tuned),
-        [*_key_figures(tuned)],
-        [
-            _gains(tuned),
-            _verdict(tuned),
-            _search(tuned),
-            provenance_section(command, tuned.seed, tuned.config),
-        ],
-        files={"Gains": gains},
-        document=document(
-            figures(tuned),
-            command=COMMAND,
-            seed=tuned.seed,
-            config=tuned.config,
-            wall={"total_s": tuned.wall_s, "workers": workers},
-        ),
-        exit_code=0 if tuned.verdict.improved else 1,
-    )
-
-
-def figures(tuned: Tuned) -> dict[str, Any]:
-    """Return what ``report.json`` holds of a tuning."""
-    return {
+    figures = {
         "verdict": tuned.verdict,
         "gains": {
             gain.name: {
@@ -91,12 +63,29 @@ def figures(tuned: Tuned) -> dict[str, Any]:
         "convergence": convergence(tuned),
         "kept": FIXED,
     }
+    wall = {"total_s": tuned.wall_s, "workers": workers}
+    provenance = provenance_section(command, tuned.seed, tuned.config)
+    return Report(
+        "Tuning of gains",
+        f"{tuned.config['subject']}: {tuned.goal}",
+        _headline(tuned),
+        _key_figures(tuned),
+        [_gains(tuned), _verdict(tuned), _search(tuned), provenance],
+        files={"Gains": gains},
+        document=document(figures, command=COMMAND, seed=tuned.seed, config=tuned.config, wall=wall),
+        exit_code=0 if tuned.verdict.improved else 1,
+    )
+
+
+def _factors(tuned: Tuned) -> list[float]:
+    """Return each candidate's product on the search's seeds, as a factor of the start's."""
+    costs = [score.log_cost(tuned.goal.weights) for _, score in tuned.searched]
+    return [math.exp(cost - costs[0]) for cost in costs]
 
 
 def convergence(tuned: Tuned) -> list[float]:
     """Return the best product so far after each candidate, as a factor of the start's, on the search's seeds."""
-    costs = [score.log_cost(tuned.goal.weights) for _, score in tuned.searched]
-    return [math.exp(best - costs[0]) for best in accumulate(costs, min)]
+    return [*accumulate(_factors(tuned), min)]
 
 
 def _change(factor: float) -> str:
@@ -116,85 +105,76 @@ def _headline(tuned: Tuned) -> Headline:
     verdict = tuned.verdict
     ratio, seeds = verdict.against_start, f"on {count(verdict.before.trials, 'action')} of held-out seeds"
     failed = f"{verdict.after.failed} failed, and {verdict.before.failed} before."
+    change = f"the product of the objectives changes by {_change(ratio.factor)}"
     if not verdict.improved:
         sentence = f"Nothing better than the start was found, {seeds}; gains.yaml holds the start's gains."
         return Headline("Not better", Tone.CAUTION, sentence)
     if ratio.high < 1:
-        sentence = f"The product of the objectives changes by {_change(ratio.factor)} from the start "
-        sentence += f"({_interval(ratio)}), "
-        return Headline("Better", Tone.GOOD, f"{sentence}{seeds}; {failed}")
+        sentence = f"{change.capitalize()} from the start ({_interval(ratio)}), {seeds}; {failed}"
+        return Headline("Better", Tone.GOOD, sentence)
     sentence = (
-        f"No difference from the start shows, {seeds}: the product of the objectives changes by "
-        f"{_change(ratio.factor)}, {_interval(ratio)}, and the least detectable change is {_detectable(ratio)}. "
-        f"{failed} gains.yaml holds the gains that did better here."
+        f"No difference from the start shows, {seeds}: {change}, {_interval(ratio)}, and the least detectable change "
+        f"is {_detectable(ratio)}. {failed} gains.yaml holds the gains that did better here."
     )
     return Headline("Not shown to be better", Tone.CAUTION, sentence)
 
 
-def _key_figures(tuned: Tuned) -> Iterator[KeyFigure]:
+def _key_figures(tuned: Tuned) -> list[KeyFigure]:
     verdict = tuned.verdict
-    before, after = verdict.before, verdict.after
-    for ratio, what in (
-        (verdict.against_start, "against the start"),
-        (verdict.against_shipped, "against the shipped gains"),
-    ):
-        yield KeyFigure(_change(ratio.factor), what, _interval(ratio))
-    yield KeyFigure(
-        _detectable(verdict.against_start), "least detectable change", "in four of five repetitions"
-    )
-    time, was = after.values["time"], before.values["time"]
-    yield KeyFigure(f"{time:.2f} s", "an action", f"{was:.2f} s before")
-    left, had = 100 * after.margin_left, 100 * before.margin_left
-    yield KeyFigure(f"{left:.0f} %", "margin left at the worst trial", f"{had:.0f} % before")
+    before, after, ratio = verdict.before, verdict.after, verdict.against_start
+    shipped = verdict.against_shipped
+    left, had = (f"{100 * score.margin_left:.0f} %" for score in (after, before))
+    return [
+        KeyFigure(_change(ratio.factor), "against the start", _interval(ratio)),
+        KeyFigure(_change(shipped.factor), "against the shipped gains", _interval(shipped)),
+        KeyFigure(_detectable(ratio), "least detectable change", "in four of five repetitions"),
+        KeyFigure(f"{after.values['time']:.2f} s", "an action", f"{before.values['time']:.2f} s before"),
+        KeyFigure(left, "margin left at the worst trial", f"{had} before"),
+    ]
+
+
+def _columns(first: Column, *numbers: str) -> tuple[Column, ...]:
+    return first, *(Column(name, "number") for name in numbers)
 
 
 def _verdict(tuned: Tuned) -> Section:
     verdict = tuned.verdict
     scores = (verdict.before, verdict.after, verdict.shipped)
+    against = {"the start": verdict.against_start, "the shipped gains": verdict.against_shipped}
     note = "; ".join(
         f"from {what} {_change(ratio.factor)}, {_interval(ratio)}, least detectable change {_detectable(ratio)}"
-        for what, ratio in (
-            ("the start", verdict.against_start),
-            ("the shipped gains", verdict.against_shipped),
+        for what, ratio in against.items()
+    )
+    rows: list[tuple[Any, ...]] = [
+        (f"{name}: {what}", *(f"{score.values[name]:.4g}" for score in scores))
+        for name, what in OBJECTIVES.items()
+    ]
+    failed = (Cell(f"{one.failed}", Tone.BAD if one.failed else Tone.PLAIN) for one in scores)
+    blocks: list[Block] = [
+        DataTable(
+            _columns(Column("objective"), "before", "after", "shipped"),
+            [*rows, ("failed", *failed)],
+            f"On held-out seeds, {verdict.before.trials:,} actions each",
+            f"Product of the objectives: {note}.",
         )
-    )
-    table = DataTable(
-        (Column("objective"), *(Column(name, "number") for name in _OF_THREE)),
-        [
-            *(
-                (f"{name}: {what}", *(f"{score.values[name]:.4g}" for score in scores))
-                for name, what in OBJECTIVES.items()
-            ),
-            ("failed", *(Cell(f"{one.failed}", Tone.BAD if one.failed else Tone.PLAIN) for one in scores)),
-        ],
-        f"On held-out seeds, {verdict.before.trials:,} actions each",
-        f"Product of the objectives: {note}.",
-    )
-    rows = [(name, one["situation"], str(one["block"])) for name, one in tuned.failures]
-    failures = DataTable(
-        (Column("gains"), Column("situation", "path"), Column("block", "number")),
-        rows,
-        f"Failures: {len(rows)}",
-        "A block is one trial of every situation: its own place, physics and noise, drawn by the seed.",
-    )
-    blocks: list[Block] = [table, *([failures] if rows else [])]
+    ]
+    if failures := [(name, one["situation"], str(one["block"])) for name, one in tuned.failures]:
+        columns = Column("gains"), Column("situation", "path"), Column("block", "number")
+        note = "A block is one trial of every situation: its own place, physics and noise, drawn by the seed."
+        blocks.append(DataTable(columns, failures, f"Failures: {len(failures)}", note))
     lead = "On seeds that had no part in the search or the choice; the same ones for all three."
     return Section("verdict", "Verdict", lead, blocks, terminal=True)
 
 
 def _gains(tuned: Tuned) -> Section:
     effects = [tuned.sensitivity[gain.name] for gain in tuned.tunable]
-    names = ("before", "after", "least", "most", "down", "up")
+    rows = []
+    for gain, effect in zip(tuned.tunable, effects, strict=True):
+        values = gain.start, gain.of(tuned.gains), gain.least, gain.most
+        rows.append((gain.name, *(f"{value:.4g}" for value in values), *map(_change, effect)))
     table = DataTable(
-        (Column("gain", "path"), *(Column(name, "number") for name in names)),
-        [
-            (
-                gain.name,
-                *(f"{value:.4g}" for value in (gain.start, gain.of(tuned.gains), gain.least, gain.most)),
-                *map(_change, effect),
-            )
-            for gain, effect in zip(tuned.tunable, effects, strict=True)
-        ],
+        _columns(Column("gain", "path"), "before", "after", "least", "most", "down", "up"),
+        rows,
         "Tuned",
         "down, up: change of the product of the objectives where a gain of the result is turned",
     )
@@ -221,58 +201,45 @@ def _gains(tuned: Tuned) -> Section:
 
 
 def _search(tuned: Tuned) -> Section:
+    def converging(axes: Axes) -> None:
+        best = convergence(tuned)
+        top = max(1.2, 2 - min(best))
+        shown = [min(one, top) for one in _factors(tuned)]
+        axes.plot(range(len(shown)), shown, ".", color=MUTED, ms=3, label="candidate")
+        axes.step(range(len(best)), best, where="post", color=ACCENT, lw=1.8, label="best so far")
+        axes.axhline(1.0, color=SOFT, lw=0.8)
+        axes.set_ylim(min(best) - 0.05, top + 0.02)
+        axes.set_xlabel("candidates")
+        axes.set_ylabel("product, start = 1")
+        axes.legend(loc="upper right")
+
+    first, second = (*tuned.goal.objectives, *OBJECTIVES)[:2]
+
+    def front(axes: Axes) -> None:
+        good = [score.values for _, score in tuned.searched if not score.failed]
+        finals = [(score.values[first], score.values[second]) for _, score in tuned.finalists]
+        each = [v[first] for v in good], [v[second] for v in good]
+        axes.plot(*each, ".", color=MUTED, ms=3, label="candidate")
+        ordered = zip(*sorted(finals), strict=True)
+        axes.plot(*ordered, "o-", color=ACCENT, ms=5, lw=1, label="front, fresh seeds")
+        axes.plot(*finals[0], "D", color=GOOD, ms=8, label="chosen")
+        axes.set_xlabel(OBJECTIVES[first])
+        axes.set_ylabel(OBJECTIVES[second])
+        axes.legend(loc="upper right")
+
     caption = "Each candidate's product, and the best so far."
-    blocks: list[Block] = [
-        Drawing.of_axes(lambda axes: _converging(tuned, axes), 2.9, caption, "convergence of the search")
-    ]
+    blocks: list[Block] = [Drawing.of_axes(converging, 2.9, caption, "convergence of the search")]
     if tuned.goal.front:
-        first, second = tuned.goal.objectives[:2]
         caption = "The first two objectives of candidates that never failed, and the finalists' front on fresh seeds."
-        label = f"front of {first} and {second}"
-        blocks.append(Drawing.of_axes(lambda axes: _front(tuned, axes), 3.4, caption, label))
-    blocks.append(
-        DataTable(
-            (Column("finalist"), *(Column(name, "number") for name in (*OBJECTIVES, "failed"))),
-            [
-                (str(number), *(f"{score.values[name]:.4g}" for name in OBJECTIVES), score.failed)
-                for number, (_, score) in enumerate(tuned.finalists, start=1)
-            ],
-            "Finalists on fresh seeds, the chosen one first",
-        )
-    )
+        blocks.append(Drawing.of_axes(front, 3.4, caption, f"front of {first} and {second}"))
+    rows: list[tuple[str | int, ...]] = [
+        (str(number), *(f"{score.values[name]:.4g}" for name in OBJECTIVES), score.failed)
+        for number, (_, score) in enumerate(tuned.finalists, start=1)
+    ]
+    title = "Finalists on fresh seeds, the chosen one first"
+    blocks.append(DataTable(_columns(Column("finalist"), *OBJECTIVES, "failed"), rows, title))
     lead = "Candidates on the search's seeds, as factors of the start; failures included."
     return Section("search", "Search", lead, blocks)
-
-
-def _converging(tuned: Tuned, axes: Axes) -> None:
-    """Draw what each candidate cost, and the best so far, as factors of the start."""
-    weights = tuned.goal.weights
-    costs = [score.log_cost(weights) for _, score in tuned.searched]
-    each = [math.exp(cost - costs[0]) for cost in costs]
-    best = convergence(tuned)
-    top = max(1.2, 2 - min(best))
-    shown = [min(one, top) for one in each]
-    axes.plot(range(len(each)), shown, ".", color=MUTED, ms=3, label="candidate")
-    axes.step(range(len(best)), best, where="post", color=ACCENT, lw=1.8, label="best so far")
-    axes.axhline(1.0, color=SOFT, lw=0.8)
-    axes.set_ylim(min(best) - 0.05, top + 0.02)
-    axes.set_xlabel("candidates")
-    axes.set_ylabel("product, start = 1")
-    axes.legend(loc="upper right")
-
-
-def _front(tuned: Tuned, axes: Axes) -> None:
-    """Draw the first two objectives of all candidates, and of the finalists on fresh seeds."""
-    first, second = tuned.goal.objectives[:2]
-    good = [score.values for _, score in tuned.searched if not score.failed]
-    finals = [score.values for _, score in tuned.finalists]
-    ordered = sorted((values[first], values[second]) for values in finals)
-    axes.plot([v[first] for v in good], [v[second] for v in good], ".", color=MUTED, ms=3, label="candidate")
-    axes.plot(*zip(*ordered, strict=True), "o-", color=ACCENT, ms=5, lw=1, label="front, fresh seeds")
-    axes.plot(finals[0][first], finals[0][second], "D", color=GOOD, ms=8, label="chosen")
-    axes.set_xlabel(OBJECTIVES[first])
-    axes.set_ylabel(OBJECTIVES[second])
-    axes.legend(loc="upper right")
 
 
 def write_gains(out: Path, tuned: Tuned, command: str) -> Path:
@@ -282,23 +249,22 @@ def write_gains(out: Path, tuned: Tuned, command: str) -> Path:
 
     Raises InputError where the disk does not take it.
     """
-    comments = "".join(f"# {line}\n" for line in _provenance(tuned, command))
-    sections = {name: asdict(getattr(tuned.gains, name)) for name in SECTIONS}
-    return write_whole(out / GAINS_FILE, comments + yaml.safe_dump(sections, sort_keys=False))
-
-
-def _provenance(tuned: Tuned, command: str) -> Iterator[str]:
     verdict, config = tuned.verdict, tuned.config
-    yield "Gains of the skills. Units are in craftsim/skills/gains.py."
-    yield f"Command: {json.dumps(command)}"
-    if not verdict.improved:
-        yield "Nothing better than the start was found: these are the gains that it began with."
-    yield f"Start: {json.dumps(config['setup'].gains.source)}, digest {config['digests']['gains']}"
-    yield f"Goal: {tuned.goal}; seed {tuned.seed}; {config['evaluations']} candidates"
+    before, after = verdict.before, verdict.after
+    nothing = "Nothing better than the start was found: these are the gains that it began with."
     installed = ", ".join(f"{name} {version}" for name, version in versions().items())
-    yield f"Versions: {installed}"
-    yield f"On seeds held out ({verdict.before.trials} actions each), before and after:"
-    for name in verdict.before.values:
-        yield f"  {name}: {verdict.before.values[name]:.4g}, {verdict.after.values[name]:.4g}"
-    yield f"  failed: {verdict.before.failed}, {verdict.after.failed}"
-    yield f"  product of the goal: {verdict.against_start.factor:.4f} times that of the start"
+    lines = [
+        "Gains of the skills. Units are in craftsim/skills/gains.py.",
+        f"Command: {json.dumps(command)}",
+        *([] if verdict.improved else [nothing]),
+        f"Start: {json.dumps(config['setup'].gains.source)}, digest {config['digests']['gains']}",
+        f"Goal: {tuned.goal}; seed {tuned.seed}; {config['evaluations']} candidates",
+        f"Versions: {installed}",
+        f"On seeds held out ({before.trials} actions each), before and after:",
+        *(f"  {name}: {value:.4g}, {after.values[name]:.4g}" for name, value in before.values.items()),
+        f"  failed: {before.failed}, {after.failed}",
+        f"  product of the goal: {verdict.against_start.factor:.4f} times that of the start",
+    ]
+    sections = {name: asdict(getattr(tuned.gains, name)) for name in SECTIONS}
+    comments = "".join(f"# {line}\n" for line in lines)
+    return write_whole(out / GAINS_FILE, comments + yaml.safe_dump(sections, sort_keys=False))

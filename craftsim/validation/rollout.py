@@ -26,8 +26,7 @@ from craftsim.errors import StartError
 from craftsim.experiments.bundle import write_bundle
 from craftsim.experiments.experiment import Result
 from craftsim.logs.files import LOG_SUFFIX, write_table
-from craftsim.logs.log import Log
-from craftsim.logs.recorder import LogRecorder
+from craftsim.logs.log import Log, LogRecorder
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory
 from craftsim.skills.executor import Observer
 from craftsim.storage.folders import directory_within

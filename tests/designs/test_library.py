@@ -11,71 +11,44 @@ from craftsim.discrete.grid import Kind, Piece
 from craftsim.errors import InputError
 
 
-def _text(name):
-    return "CAR 54" if name == "letters" else None
-
-
 def _cells(design):
     return sorted((target.kind, target.cell, target.yaw) for target in design.targets)
 
 
-@pytest.fixture(scope="module")
-def designs():
-    """Each building as it is unless said otherwise, and in other sizes."""
-    found = []
+def _designs():
+    """Yield each building as it is unless said otherwise, and in other sizes."""
     for name in LIBRARY:
         for size in ((), (3,), (5, 4), (4, 5, 2), (7, 3, 3)):
             if len(size) <= len(sizes_of(name)):
-                found.append(make_design(name, size, _text(name)))
-    return found
+                yield make_design(name, size, "CAR 54" if name == "letters" else None)
 
 
-def test_nothing_floats_and_no_cell_is_listed_twice(designs):
-    for design in designs:
+def test_designs_are_tight_do_not_float_and_are_written_as_what_satisfies_them(tmp_path):
+    for design in _designs():
         assert design.floating() == []
         cells = [target.cell for target in design.targets]
         assert len(set(cells)) == len(cells)
-
-
-def test_a_design_begins_at_the_corner_and_its_size_is_tight(designs):
-    for design in designs:
-        least = [min(target.cell[axis] for target in design.targets) for axis in range(3)]
-        assert least[2] == 1
-        assert least[0] == least[1] == 0
+        assert [min(axis) for axis in zip(*cells, strict=True)] == [0, 0, 1]
         design.check_fits(design.size)
         for axis in range(3):
             smaller = [side - (i == axis) for i, side in enumerate(design.size)]
             with pytest.raises(InputError, match="is outside the area"):
                 design.check_fits(tuple(smaller))
-
-
-def test_a_design_is_written_and_read_back_as_the_same_cells_and_yaws(designs, tmp_path):
-    for design in designs:
         (tmp_path / "goal.yaml").write_text(design_text(design))
-        assert _cells(read_design(tmp_path / "goal.yaml")) == _cells(design)
-
-
-def test_the_finished_world_satisfies_its_design_and_no_smaller_one_does(designs):
-    for design in designs:
         grid = design.finished()
         assert design.satisfied(grid)
-        assert _cells(design_in(grid)) == _cells(design)
+        assert _cells(read_design(tmp_path / "goal.yaml")) == _cells(design_in(grid)) == _cells(design)
         grid.kind[design.targets[-1].cell] = Kind.AIR
         assert not design.satisfied(grid)
 
 
-def test_known_counts():
+def test_known_counts_and_letters():
     assert len(make_design("pyramid").targets) == 35
     assert len(make_design("wall", (10, 2, 5)).targets) == 100
     house = make_design("house").of_kind(Kind.BLOCK)
     assert len(house) == 30
     assert not {(2, 0, 1), (2, 0, 2)} & {*house}
-    assert make_design("letters", (), "I").of_kind(Kind.BLOCK) == make_design("letters", (), "i").of_kind(
-        Kind.BLOCK
-    )
-
-
-def test_letters_and_digits_look_different():
+    assert make_design("letters", (), "I").targets == make_design("letters", (), "i").targets
     shapes = {sign: frozenset(cells_of(sign)) for sign in SIGNS}
     same = {frozenset(a + b) for a in shapes for b in shapes if a != b and shapes[a] == shapes[b]}
     assert len(SIGNS) == 37

@@ -35,59 +35,69 @@ def _counts(grid):
     return [int((grid.kind == kind).sum()) for kind in (Kind.BLOCK, Kind.FSLOPE, Kind.GEAR)]
 
 
-def test_all_things_touch_a_free_floor_in_one_piece_outside_of_the_design():
-    for seed in SEEDS:
-        for name in ("pyramid", "house", "stair", "ring"):
-            design = make_design(name)
-            start = make_start(design, 3, np.random.default_rng(seed), spare_blocks=2, spare_slopes=2)
-            grid = start.grid
-            slopes = len(design.of_kind(Kind.BODY)) + 2
-            assert _counts(grid) == [len(design.of_kind(Kind.BLOCK)) + 2, slopes, slopes]
-            own = {target.cell[:2] for target in start.design.targets}
-            things = {(int(x), int(y)) for x, y in np.argwhere(grid.kind[:, :, 1] != Kind.AIR)}
-            assert not own & things
-            free = np.ones(grid.size[:2], np.bool_)
-            free[tuple(np.array(sorted(own | things)).T)] = False
-            largest = max(_pieces(free), key=len)
-            # A court inside of the design is a piece of its own.
-            assert len(_pieces(free)) == 1 + (name == "ring")
-            for x, y, z in np.argwhere(np.isin(grid.kind, (Kind.BLOCK, Kind.FSLOPE))).tolist():
-                assert any(beside((x, y, z), d)[:2] in largest for d in range(4))
-                if grid.kind[x, y, z] == Kind.FSLOPE:
-                    assert beside((x, y, z), int(grid.yaw[x, y, z]) + 2)[:2] in largest
-            assert {tuple(car[:2]) for car in grid.cars.tolist()} <= largest
-            assert len({tuple(car[:2]) for car in grid.cars.tolist()}) == 3
+@pytest.mark.parametrize(("seed", "name"), [*enumerate(["pyramid", "house", "stair", "ring"])])
+def test_all_things_touch_a_free_floor_in_one_piece_outside_of_the_design(seed, name):
+    design = make_design(name)
+    start = make_start(design, 3, np.random.default_rng(seed), spare_blocks=2, spare_slopes=2)
+    grid, slopes = start.grid, len(design.of_kind(Kind.BODY)) + 2
+    assert _counts(grid) == [len(design.of_kind(Kind.BLOCK)) + 2, slopes, slopes]
+    own = {target.cell[:2] for target in start.design.targets}
+    things = {(int(x), int(y)) for x, y in np.argwhere(grid.kind[:, :, 1] != Kind.AIR)}
+    assert not own & things
+    free = np.ones(grid.size[:2], np.bool_)
+    free[tuple(np.array(sorted(own | things)).T)] = False
+    pieces = _pieces(free)
+    # A court inside of the design is a piece of its own.
+    assert len(pieces) == 1 + (name == "ring")
+    largest = max(pieces, key=len)
+    for thing in grid.pieces(Kind.BLOCK, Kind.FSLOPE):
+        assert any(beside(thing.cell, yaw)[:2] in largest for yaw in range(4))
+        assert thing.kind == Kind.BLOCK or beside(thing.cell, thing.yaw + 2)[:2] in largest
+    cars = {tuple(car[:2]) for car in grid.cars.tolist()}
+    assert cars <= largest
+    assert len(cars) == 3
 
 
-def test_a_cell_is_taken_only_where_the_floor_stays_in_one_piece():
-    for seed in SEEDS:
-        rng = np.random.default_rng(seed)
-        free = rng.random((7, 7)) < 0.8
-        free = np.isin(np.arange(49), [x * 7 + y for x, y in max(_pieces(free), key=len)]).reshape(7, 7)
-        floor = FreeFloor(free)
-        taken = 0
-        for x, y in rng.permutation(np.argwhere(free)).tolist():
-            taken += floor.take((x, y))
-            assert len(_pieces(floor.free)) == 1
-        assert taken == (free & ~floor.free).sum() > 5
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_cell_is_taken_only_where_the_floor_stays_in_one_piece(seed):
+    rng = np.random.default_rng(seed)
+    free = rng.random((7, 7)) < 0.8
+    free = np.isin(np.arange(49), [x * 7 + y for x, y in max(_pieces(free), key=len)]).reshape(7, 7)
+    floor, taken = FreeFloor(free), 0
+    for x, y in rng.permutation(np.argwhere(free)).tolist():
+        taken += floor.take((x, y))
+        assert len(_pieces(floor.free)) == 1
+    assert taken == (free & ~floor.free).sum() > 5
 
 
-def test_a_start_is_a_sound_world_that_a_blueprint_says_without_a_snapshot():
-    for seed in SEEDS:
-        starts = [
-            make_start(make_design("bridge"), 2, np.random.default_rng(seed), barrier=True),
-            random_start(np.random.default_rng(seed), float(seed)),
-            tiny_world(np.random.default_rng(seed)),
-        ]
-        for start in starts:
-            check_grid(start.grid)
-            text = blueprint_text(start.grid)
-            assert "snapshot" not in text
-            again = parse_blueprint(text, "again.yaml").grid(np.random.default_rng(0))
-            assert again.same_visible(start.grid)
-            assert again.same_marks(start.grid)
-            start.design.check_fits(start.grid.size)
-            assert not start.design.satisfied(start.grid)
+def _same(one, other):
+    return (
+        blueprint_text(one.grid) == blueprint_text(other.grid) and one.design.targets == other.design.targets
+    )
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda rng: make_start(make_design("bridge"), 2, rng, barrier=True),
+        lambda rng: random_start(rng, 0.4),
+        tiny_world,
+    ],
+    ids=["bridge", "random", "tiny"],
+)
+def test_a_start_is_a_sound_world_that_a_blueprint_says_and_a_seed_decides(draw):
+    first, again, other = (draw(np.random.default_rng(seed)) for seed in (5, 5, 6))
+    assert _same(first, again)
+    assert not _same(first, other)
+    for start in (first, other):
+        check_grid(start.grid)
+        text = blueprint_text(start.grid)
+        assert "snapshot" not in text
+        read = parse_blueprint(text, "again.yaml").grid(np.random.default_rng(0))
+        assert read.same_visible(start.grid)
+        assert read.same_marks(start.grid)
+        start.design.check_fits(start.grid.size)
+        assert not start.design.satisfied(start.grid)
 
 
 def test_a_barrier_leaves_a_gap_where_the_design_is_and_no_other():
@@ -111,23 +121,6 @@ def test_what_has_no_room_is_refused_with_what_would_do():
         options = {"n_cars": 2, "rng": np.random.default_rng(0), **options}
         with pytest.raises(InputError, match=message):
             make_start(make_design("pyramid"), **options)
-
-
-def _same(one, other):
-    return (
-        blueprint_text(one.grid) == blueprint_text(other.grid) and one.design.targets == other.design.targets
-    )
-
-
-def test_the_same_seed_gives_the_same_start_and_another_another():
-    for draw in (
-        lambda rng: make_start(make_design("stair"), 2, rng),
-        lambda rng: random_start(rng, 0.4),
-        tiny_world,
-    ):
-        first, again, other = (draw(np.random.default_rng(seed)) for seed in (5, 5, 6))
-        assert _same(first, again)
-        assert not _same(first, other)
 
 
 @pytest.mark.parametrize("difficulty", [0.0, 0.6])

@@ -19,8 +19,7 @@ from craftsim import (
 )
 from craftsim.errors import InputError
 from craftsim.logs.files import COLUMNS, read_log, read_logs, write_commands, write_table
-from craftsim.logs.log import GROUPS, Log
-from craftsim.logs.recorder import LogRecorder
+from craftsim.logs.log import GROUPS, Log, LogRecorder
 from craftsim.models.measuring import Motors
 
 
@@ -46,13 +45,11 @@ def test_logs_of_many_cars_are_read_as_they_were_written(tmp_path):
     assert list(read) == [0, 3]
     assert all(same(read[car], logs[car]) for car in logs)
     assert list(logs[0].columns) == [name for name in COLUMNS if name != "car"]
-
-
-def test_a_file_of_commands_alone_is_a_log_of_nothing_measured(tmp_path):
-    log = make_log()
-    read = read_log(write_commands(tmp_path / "commands.csv", {0: log}))
-    assert np.allclose(read.commands, log.commands)
-    assert all(np.isnan(getattr(read, name)).all() for name in GROUPS if name != "commands")
+    commands = read_log(write_commands(tmp_path / "commands.csv", logs), car=3)
+    assert np.allclose(commands.commands, logs[3].commands)
+    assert all(np.isnan(getattr(commands, name)).all() for name in GROUPS if name != "commands")
+    with pytest.raises(InputError, match="no car 2; there are 0, 3"):
+        read_log(tmp_path / "run.csv", car=2)
 
 
 ROWS = ["0,1,1,1,1,0", "0.02,1,1,1,1,0.01", "0.04,1,1,1,1,0.02"]
@@ -84,29 +81,23 @@ def test_a_table_that_is_no_log_is_refused_with_its_place(tmp_path):
             read_log(tmp_path / "run.csv")
 
 
-def test_a_pose_in_millimetres_or_degrees_is_told_by_how_it_moves(tmp_path):
+def test_a_pose_in_millimetres_or_degrees_is_told_by_how_it_moves():
     log = make_log(200)
-    log.pose[:, :2] *= 1000
-    table = tmp_path / "run.csv"
-    time, pose = log.time_s, np.column_stack([900 * log.time_s, 0 * log.time_s, 0 * log.time_s])
+    time, still = log.time_s, 0 * log.time_s
     with pytest.raises(InputError, match=r"900 m/s .*are x and y in metres"):
-        replace(log, pose=pose)
+        replace(log, pose=np.column_stack([900 * time, still, still]))
     with pytest.raises(InputError, match="the heading in radians"):
-        replace(log, pose=np.column_stack([0 * time, 0 * time, 57.3 * np.sin(20 * time)]))
-    table.write_bytes(b"\xff\xfe\n")
-    with pytest.raises(InputError, match="not UTF-8"):
-        read_log(table)
+        replace(log, pose=np.column_stack([still, still, 57.3 * np.sin(20 * time)]))
 
 
 def test_what_is_no_file_of_a_log_is_refused(tmp_path):
-    for name in ("log.txt", "no.csv", "no.mcap"):
-        with pytest.raises(InputError, match=name):
+    (tmp_path / "run.csv").write_bytes(b"\xff\xfe\n")
+    for name, said in (
+        ("run.csv", "not UTF-8"),
+        *((name, name) for name in ("log.txt", "no.csv", "no.mcap")),
+    ):
+        with pytest.raises(InputError, match=said):
             read_log(tmp_path / name)
-
-
-def test_a_log_has_the_cars_that_it_has(tmp_path):
-    with pytest.raises(InputError, match="no car 2; there are 0"):
-        read_log(write_table(tmp_path / "run.csv", {0: make_log()}), car=2)
 
 
 def test_resampling_holds_commands_interpolates_and_leaves_gaps_open():
@@ -140,17 +131,16 @@ def test_topics_are_found_or_named(tmp_path):
     with pytest.raises(InputError, match="several topics hold poses: /a, /b"):
         read_log(bag)
     topics = tmp_path / "topics.yaml"
-    topics.write_text("pose: /b")
-    with pytest.raises(InputError, match="no commands on the topic /wheel_commands"):
-        read_log(bag, topics=topics)
+    for text, said in (
+        ("pose: /b", "no commands on the topic /wheel_commands"),
+        ("{pose: [1]}", r"topics.yaml:1: key 'pose': must be a text, not a list"),
+        ("{poses: /b}", "unknown key 'poses'"),
+    ):
+        topics.write_text(text)
+        with pytest.raises(InputError, match=said):
+            read_log(bag, topics=topics)
     topics.write_text("{pose: /b, commands: /base/command}")
     assert len(read_log(bag, topics=topics)) == 60
-    topics.write_text("{pose: [1]}")
-    with pytest.raises(InputError, match=r"topics.yaml:1: key 'pose': must be a text, not a list"):
-        read_log(bag, topics=topics)
-    topics.write_text("{poses: /b}")
-    with pytest.raises(InputError, match="unknown key 'poses'"):
-        read_log(bag, topics=topics)
 
 
 def test_replaying_recorded_commands_repeats_the_run():

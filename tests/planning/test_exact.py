@@ -6,7 +6,7 @@ from by_force import least_work_by_force
 from tiny_worlds import tiny_world
 
 from craftsim.discrete.files.design import design_in
-from craftsim.discrete.grid import CarField, Grid, Kind
+from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.planning import NoPlanError, plan_building
@@ -36,27 +36,24 @@ def test_no_plan_takes_less_work_than_the_planner_s(seed):
     )
 
 
-def test_a_ramp_is_put_up_with_the_least_work():
-    start = corridor((Kind.FSLOPE, (2, 0, 1)), size=(4, 2, 2))
-    start.kind[3, 0, 1], start.yaw[2, 0, 1] = Kind.GEAR, 0
+@pytest.mark.parametrize(
+    ("objective", "thing", "reached"),
+    [
+        ("work", Kind.FSLOPE, lambda grid: bool((grid.kind == Kind.BODY).any())),
+        (
+            "makespan",
+            Kind.BLOCK,
+            lambda grid: bool(grid.kind[3, 0, 1] == Kind.BLOCK and grid.cars[0, CarField.X] == 0),
+        ),
+    ],
+)
+def test_a_goal_without_a_drawing_is_reached_with_the_least_work(objective, thing, reached):
+    start = Grid.empty((4, 2, 2), n_cars=1)
+    start.put(Piece(thing, (2, 0, 1)))
     start.derive_marks()
-
-    def unfolded(grid):
-        return bool((grid.kind == Kind.BODY).any())
-
-    planned = plan_building(start, unfolded, PHYSICAL, objective="work")
-    assert planned.optimal
-    assert round(1000 * planned.work_s) == least_work_by_force(start, unfolded, PHYSICAL)
-
-
-def test_a_goal_without_a_drawing_is_searched_for():
-    def beside_the_wall(grid):
-        return bool(grid.kind[2, 0, 1] == Kind.BLOCK and grid.cars[0, CarField.X] == 0)
-
-    start = corridor((Kind.BLOCK, (0, 0, 1)))
-    planned = plan_building(start, beside_the_wall, PHYSICAL)
-    assert beside_the_wall(planned.schedule.final)
-    assert round(1000 * planned.work_s) == least_work_by_force(start, beside_the_wall, PHYSICAL)
+    planned = plan_building(start, reached, PHYSICAL, objective=objective)
+    assert reached(planned.schedule.final)
+    assert round(1000 * planned.work_s) == least_work_by_force(start, reached, PHYSICAL)
 
 
 def test_what_cannot_be_is_proved_impossible():
@@ -71,20 +68,15 @@ def test_what_cannot_be_is_proved_impossible():
             plan_building(walled, design_in(beyond), PHYSICAL, objective=objective)
 
 
-def test_the_bound_of_worlds_is_held():
-    start = corridor((Kind.BLOCK, (0, 0, 1)), size=(6, 6, 1))
-    steps, n_worlds, complete = least_work(start, make_goal(lambda grid: False), PHYSICAL, 500)
-    assert steps is None
-    assert not complete
+def test_the_search_is_bounded_and_only_by_rules_whose_marks_follow_from_what_is_there():
+    start, nothing = corridor((Kind.BLOCK, (0, 0, 1)), size=(6, 6, 1)), make_goal(lambda grid: False)
+    steps, n_worlds, complete = least_work(start, nothing, PHYSICAL, 500)
+    assert (steps, complete) == (None, False)
     assert 500 < n_worlds <= 500 + 15 * start.n_cars
-
-
-def test_worlds_are_told_apart_only_where_marks_follow_from_what_is_there():
-    start = corridor((Kind.BLOCK, (0, 0, 1)))
     assert is_small(start, PHYSICAL)
     assert not is_small(start, Rules("published"))
     with pytest.raises(ValueError, match="marks"):
-        least_work(start, make_goal(lambda grid: False), Rules("published"))
+        least_work(start, nothing, Rules("published"))
 
 
 def test_the_plan_of_least_work_is_one_to_begin_with_where_the_makespan_counts():

@@ -8,7 +8,6 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import make_task
 from craftsim.planning import plan_building
 from craftsim.planning.joint_plan import Turn
-from craftsim.planning.planned import Planned
 from craftsim.planning.planner import vary
 
 RULES = Rules("physical")
@@ -20,22 +19,16 @@ def neighbours(n=300, critical=()):
     return [vary(TURNS, critical, BLOCKS, 2, np.random.default_rng(seed)) for seed in range(n)]
 
 
-def test_what_is_kept_is_the_beginning_and_what_follows_differs_from_it():
-    for n_kept, others in neighbours():
+def test_a_neighbour_keeps_the_beginning_and_brings_things_to_places_of_the_plan():
+    found = neighbours()
+    for n_kept, others in found:
         assert 0 <= n_kept <= len(TURNS)
         assert others != TURNS[n_kept:] or n_kept == len(TURNS)
-
-
-def test_each_turn_still_brings_a_thing_to_a_place_of_the_plan():
-    places = {turn.target for turn in TURNS}
-    for _, others in neighbours():
         turns = [turn for turn in others if turn]
-        assert {turn.target for turn in turns} <= places
+        assert {turn.target for turn in turns} <= {turn.target for turn in TURNS}
         assert len({turn.source for turn in turns}) == len(turns)
-
-
-def test_a_thing_that_nobody_used_may_be_used():
-    assert any(turn.source == BLOCKS[4] for _, others in neighbours() for turn in others if turn)
+    # What nobody used may be used.
+    assert any(turn.source == BLOCKS[4] for _, others in found for turn in others if turn)
 
 
 def test_what_the_makespan_depends_on_changes_more_often():
@@ -43,20 +36,11 @@ def test_what_the_makespan_depends_on_changes_more_often():
     assert np.mean(first) > np.mean([kept == 0 for kept, _ in neighbours(critical=(3,))]) + 0.2
 
 
-@pytest.fixture(scope="module")
-def planned() -> Planned:
+def test_a_search_around_plans_finds_what_the_shipped_barrier_plan_takes():
     task = make_task("breaking_barrier")
-    return plan_building(task.draw(np.random.default_rng(0)), task, RULES, rounds=4, time_s=60)
-
-
-def test_critical_actions_fill_the_makespan(planned):
+    planned = plan_building(task.draw(np.random.default_rng(0)), task, RULES, rounds=150, time_s=60)
+    assert planned.makespan_s < 15.76
     acts = planned.schedule.critical()
     steps = [i for i, step in enumerate(planned.schedule.steps) if (step.tick, step.car) in acts]
     times = planned.schedule.times()[steps]
     assert (times[:, 1] - times[:, 0]).sum() == pytest.approx(planned.makespan_s)
-
-
-def test_a_search_around_plans_finds_what_the_shipped_barrier_plan_takes():
-    task = make_task("breaking_barrier")
-    grid = task.draw(np.random.default_rng(0))
-    assert plan_building(grid, task, RULES, rounds=150, time_s=60).makespan_s < 15.76

@@ -1,6 +1,5 @@
 """Robots in lock-step in memory: the whole interface but its sockets, and no clock of this machine."""
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from craftsim.checking.setup import judge_on, set_up, setup_of
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.link import Link, Mirror
 from craftsim.robots.server import Network, Service
-from craftsim.robots.simulated import Memory, serve_simulated
+from craftsim.robots.simulated import Memory
 
 
 class Caller(Memory):
@@ -55,16 +54,12 @@ def make_robots():
     def make(size, cars, objects=(), network: Network | None = None, seed: int = 0) -> Robots:
         grid, setup = draw(size, objects, cars), setup_of(drive="reduced")
         fleet = set_up(grid, setup, watch_contacts=False).executor.fleet
-        physics, inbox = fleet.physics, deque()
         rngs = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2)]
-        service = serve_simulated(
-            *(fleet, "", lambda name, data: inbox.append(data), network or Network(), rngs, True)
-        )
-        driver = Caller(service, inbox)
+        driver = Caller(fleet, "", network or Network(), rngs)
         seen = PhysicsWorld(grid, setup.simulation, reset=False, machines=setup.machines)
         mirror = Mirror(seen)
         link = Link(driver, len(cars), setup.machines, mirror=mirror)
         judge = judge_on(seen, setup, None, False, link)
-        return Robots(physics, service, link, mirror, driver, judge)
+        return Robots(fleet.physics, driver.service, link, mirror, driver, judge)
 
     return make

@@ -2,9 +2,7 @@
 
 import math
 import re
-import threading
 from collections import deque
-from contextlib import contextmanager
 from dataclasses import replace
 
 import msgpack
@@ -13,15 +11,14 @@ import pytest
 from drawn import draw
 
 from craftsim.checking.setup import set_up, setup_of
-from craftsim.cli import main
+from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.models.measuring import CarMeasurement
-from craftsim.robots.link import Link
+from craftsim.robots.link import Link, connect
 from craftsim.robots.messages import Ack, Bye, Commands, Hello, Measurements, Welcome, pack, unpack
-from craftsim.robots.server import Channel, Network, Server, Service
-from craftsim.robots.simulated import simulated_referee, simulated_robots
-from craftsim.robots.sockets import Host
+from craftsim.robots.server import Network, Server, Service
+from craftsim.robots.simulated import simulated_robots
 from craftsim.skills.outcome import Reason
 from craftsim.skills.skill import Command
 
@@ -199,15 +196,12 @@ class Wire:
 
 
 def serve(waits: bool, patience_s: float = 60.0):
-    """Return a server of a robot, its service and its sockets."""
+    """Return a server of a robot, its service, its sockets and what is told."""
     fleet = set_up(draw(SIZE, (), CARS), setup_of(drive="reduced"), watch_contacts=False).executor.fleet
     wire, told = Wire(), []
-    up, down = (Channel(Network(), np.random.default_rng(0)) for _ in range(2))
+    rngs = [np.random.default_rng(0)] * 2
     service = Service(
-        *(simulated_robots(fleet), fleet.advance, (up, down), wire.send, 0.02),
-        referee=simulated_referee(fleet.physics),
-        waits=waits,
-        tell=told.append,
+        *(simulated_robots(fleet), fleet, wire.send, Network(), rngs), waits=waits, tell=told.append
     )
     return Server(service, wire, 1.0, patience_s, wire.now), service, wire, told
 
@@ -290,55 +284,39 @@ def test_what_a_driver_has_sent_before_is_none_of_the_next_ones(monkeypatch):
     assert service.inbox.heard == 0
 
 
-@contextmanager
-def answering(answer):
-    """Yield the address of robots in a thread, which answer each message by a function of it."""
-    ended = threading.Event()
-    with Host("127.0.0.1", 0) as host:
+class Scripted:
+    """A connection on which robots answer a greeting, and then measure the same all the time."""
 
-        def serve() -> None:
-            while not ended.is_set():
-                found = host.receive(0.02)
-                for data in () if found is None or found[1] is None else answer(found[1]):
-                    host.send(found[0], data)
+    def __init__(self, cars, clock, /, **values):
+        self.left, self.clock = [pack(replace(Welcome(2, 1, 0.02, 0.1, True), **values))], clock
+        self.left += [pack(Measurements(n, 0.02 * n, 0, 0.0, 0, cars)) for n in range(1, 60)]
 
-        thread = threading.Thread(target=serve)
-        thread.start()
-        try:
-            yield host.address
-        finally:
-            ended.set()
-            thread.join()
+    def send(self, data: bytes) -> None:
+        pass
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        self.clock[0] += 0.0 if self.left else timeout_s
+        return self.left.pop(0) if self.left else None
+
+    def close(self) -> None:
+        pass
 
 
 CAR = CarMeasurement(0.5, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0, (0.0,) * 4, 0.0, 0.0, None, None)
 
 
-def greeting(cars: tuple, **values):
-    """Return what answers a greeting, and then measures something."""
-    welcome = replace(Welcome(2, 1, 0.02, 0.1, True), **values)
-    return lambda data: [
-        pack(welcome),
-        *(pack(Measurements(n, 0.02 * n, 0, 0.0, 0, cars)) for n in range(1, 60)),
-    ]
-
-
 @pytest.mark.parametrize(
-    ("answer", "why"),
+    ("cars", "values", "why"),
     [
-        (greeting((CAR._replace(x=math.nan),) * 2), r"dropped: measurements: key 'cars\[0\].x"),
-        (greeting((CAR,)), "measurements of 1 cars; there are 2"),
-        (greeting((CAR, CAR), slopes=3), "know of 3 slopes"),
-        (greeting((CAR, CAR), period_s=0.01), "control period is 0.01 s"),
-        (greeting((CAR, CAR)), "the referee has shown nothing of use"),
-        (lambda data: [b"\xff\xfe"], "no robots answer within 0.2 s .dropped: no"),
+        ((CAR,), {}, "measurements of 1 cars; there are 2"),
+        ((CAR, CAR), {"slopes": 3}, "know of 3 slopes"),
+        ((CAR, CAR), {"period_s": 0.01}, "control period is 0.01 s"),
+        ((CAR, CAR), {"referee": False}, "there is no referee"),
+        ((CAR, CAR), {"cars": 3}, "3 robots answer, and there should be 2"),
+        ((CAR, CAR), {}, "the referee has shown nothing of use"),
     ],
 )
-def test_a_demo_with_robots_that_lie_ends_in_words(tmp_path, monkeypatch, capsys, answer, why):
-    monkeypatch.setattr("craftsim.robots.link._GREETED_S", 0.2)
-    plan = tmp_path / "short.plan"
-    plan.write_text("0 0 ROTATE_LEFT\n", encoding="utf-8")
-    with answering(answer) as address:
-        words = ["demo", "--robot", address, "--plan", str(plan), "--timeout", "0.2", "--no-video"]
-        assert main([*words, "--out", str(tmp_path / "out")]) == 2
-    assert re.search(why, capsys.readouterr().err)
+def test_robots_that_do_not_fit_are_refused_in_words(clock, cars, values, why):
+    grid = draw((3, 3, 2), [(Kind.FSLOPE, (1, 1, 1), 2)], [(0, 0, 1, 0), (2, 2, 1, 0)])
+    with pytest.raises(InputError, match=why):
+        connect(Scripted(cars, clock, **values), grid, setup_of(drive="reduced"))

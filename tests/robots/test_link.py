@@ -7,10 +7,7 @@ from drawn import draw
 from craftsim.checking.setup import set_up, setup_of
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
-from craftsim.errors import InputError
-from craftsim.mjcf.parameters import NOMINAL
 from craftsim.robots.fleet import RobotFleet
-from craftsim.robots.link import Link
 from craftsim.robots.messages import (
     Bye,
     Commands,
@@ -112,14 +109,17 @@ def test_robots_that_hear_nothing_stop_by_themselves(make_robots):
     assert fastest_m_s(robots) < 0.01
 
 
-def test_a_lost_connection_is_an_outcome_at_once(make_robots):
+@pytest.mark.parametrize("ends", [False, True])
+def test_a_lost_connection_is_an_outcome_at_once(make_robots, ends):
     robots = make_robots(SIZE, CARS, OBJECTS)
     robots.judge.executor.begin(0, Action.MOVE_RIGHT)
-    robots.judge.executor.advance()
-    robots.driver.cut = True
-    outcome = robots.judge.executor.advance()[0]
-    assert outcome.reason is Reason.DISCONNECTED
-    assert str(outcome) == "disconnected: nothing has come from the robots for 1 s"
+    if ends:
+        robots.driver.inbox.append(pack(Bye("they were told to")))
+    else:
+        robots.judge.executor.advance()
+        robots.driver.cut = True
+    why = "the robots have ended: they were told to" if ends else "nothing has come from the robots for 1 s"
+    assert str(robots.judge.executor.advance()[0]) == f"disconnected: {why}"
     assert robots.judge.executor.run({1: Action.ROTATE_LEFT})[1].reason is Reason.DISCONNECTED
 
 
@@ -137,13 +137,6 @@ def test_who_is_away_too_long_finds_the_robots_stopped_and_may_go_on(make_robots
     assert executor.run({1: Action.ROTATE_LEFT})[1].succeeded
     robots.pass_time(3.0)  # between two actions it is no loss
     assert executor.run({1: Action.ROTATE_RIGHT})[1].succeeded
-
-
-def test_robots_that_end_say_so(make_robots):
-    robots = make_robots(SIZE, CARS, OBJECTS)
-    robots.judge.executor.begin(0, Action.MOVE_RIGHT)
-    robots.driver.inbox.append(pack(Bye("they were told to")))
-    assert str(robots.judge.executor.advance()[0]) == "disconnected: the robots have ended: they were told to"
 
 
 def test_a_slope_folds_and_is_held_through_a_network(make_robots):
@@ -166,14 +159,3 @@ def test_robots_refuse_whom_they_do_not_fit_and_obey_one_at_a_time(make_robots):
     assert isinstance(ask(Hello(2, "a"), late_s), Welcome)
     with pytest.raises(MessageError, match="does not drive"):
         service.check(b"driver", Commands(1, 0.0, (Command(), Command())))
-
-
-def test_nobody_there_is_said_in_words():
-    class Nobody:
-        def send(self, data: bytes) -> None: ...
-
-        def receive(self, timeout_s: float) -> bytes:
-            return pack(Refused("the robots rest"))
-
-    with pytest.raises(InputError, match="the robots rest"):
-        Link(Nobody(), 1, NOMINAL)

@@ -66,34 +66,30 @@ def stop_of(process: subprocess.Popen) -> tuple[float, float]:
     raise AssertionError("the robots did not stop")
 
 
-def test_a_plan_is_carried_out_by_robots_in_another_process(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("options", "n_agree", "said"),
+    [(BUSY, 4, "4 of 4"), (("--silent", "1:0.5"), None, "car 1 has not answered since 0.48 s of its clock")],
+    ids=["busy", "silent"],
+)
+def test_a_plan_is_carried_out_by_robots_in_another_process(tmp_path, capsys, options, n_agree, said):
     plan = tmp_path / "short.plan"
     plan.write_text(PLAN, encoding="utf-8")
-    with served(tmp_path / "robot", "--lockstep", "--once", *BUSY) as (process, address):
+    with served(tmp_path / "robot", "--lockstep", "--once", *options) as (process, address):
         words = ["demo", "--robot", address, "--plan", str(plan), "--drive", "reduced", "--no-video"]
-        assert (
-            main([*words, "--timeout", "60", "--out", str(tmp_path / "demo")]) == 1
-        )  # the goal is not reached
+        done = main([*words, "--timeout", "60" if n_agree else "1", "--out", str(tmp_path / "demo")])
+        assert done == 1  # the goal is not reached
         assert process.wait(60) == 0
-    figures = json.loads((tmp_path / "demo/report.json").read_text())["figures"]
-    assert (figures["agree"], figures["total"]) == (4, 4)
-    assert figures["simulated_s"] > 2
-    assert (tmp_path / "demo/simple_two_story.npz").is_file()
-    served_figures = json.loads((tmp_path / "robot/report.json").read_text())["figures"]
-    assert served_figures["stopped_at_s"] == []
-
-
-def test_a_car_falls_silent_and_is_named(tmp_path, capsys):
-    plan = tmp_path / "short.plan"
-    plan.write_text(PLAN, encoding="utf-8")
-    options = ("--lockstep", "--once", "--silent", "1:0.5")
-    with served(tmp_path / "robot", *options) as (process, address):
-        words = ["demo", "--robot", address, "--plan", str(plan), "--drive", "reduced", "--no-video"]
-        assert main([*words, "--out", str(tmp_path / "demo")]) == 1
-        assert process.wait(60) == 0
-    assert "car 1 has not answered since 0.48 s of its clock" in capsys.readouterr().out
-    report = json.loads((tmp_path / "robot/report.json").read_text())
-    assert report["config"]["network"]["silent"] == [[1, 0.5]]
+    assert said in capsys.readouterr().out
+    figures, report = (
+        json.loads((tmp_path / name / "report.json").read_text()) for name in ("demo", "robot")
+    )
+    if n_agree:
+        assert figures["figures"]["agree"] == n_agree
+        assert figures["figures"]["simulated_s"] > 2
+        assert (tmp_path / "demo/simple_two_story.npz").is_file()
+        assert report["figures"]["stopped_at_s"] == []
+    else:
+        assert report["config"]["network"]["silent"] == [[1, 0.5]]
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import contextlib
 import resource
 import socket
 import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 
 import pytest
 
@@ -22,7 +22,7 @@ def framed(data: bytes) -> bytes:
 
 @pytest.fixture
 def host():
-    with Host("127.0.0.1", 0) as host:
+    with closing(Host("127.0.0.1", 0)) as host:
         yield host
 
 
@@ -63,7 +63,7 @@ def test_who_comes_first_is_waited_for():
     caller = Caller(f"127.0.0.1:{port}")
     caller.send(b"early")
     assert caller.receive(0.1) is None
-    with Host("127.0.0.1", port) as host:
+    with closing(Host("127.0.0.1", port)) as host:
         assert caller.receive(0.1) is None
         assert host.receive(WAIT_S)[1] == b"early"
     with pytest.raises(ConnectionError):

@@ -40,8 +40,7 @@ class AnalyticSession:
     """A session that needs no workers; counts what was asked for."""
 
     def __init__(self, items, lose, other):
-        self.items, self.lose, self.other = items, lose, other
-        self.jobs = {}
+        self.items, self.lose, self.other, self.jobs = items, lose, other, {}
 
     def run_some(self, jobs, on_record):
         assert not set(jobs) & set(self.jobs), "done twice"

@@ -11,19 +11,11 @@ from craftsim.tuning.excitation import Area, drive, excitation, free_area
 CAR = SmartcarParameters()
 
 
-def wheels(time_s=60.0, area=None, loaded=False):
-    return excitation(time_s, area or Area(), CAR, 0.02, loaded)
-
-
-def test_a_drive_comes_back_by_the_commands_that_it_went_out_with():
-    commands = wheels()
+def test_a_drive_comes_back_by_the_commands_that_it_went_out_with_and_begins_and_ends_at_rest():
+    commands = excitation(60.0, Area(), CAR, 0.02)
     assert commands.shape == (3000, 6)
     assert np.abs(commands[:, :4].sum(axis=0)).max() < 1e-9
     assert np.abs(commands[:, :4]).max() <= CAR.wheel_speed_rad_s
-
-
-def test_a_drive_begins_and_ends_at_rest():
-    commands = wheels()
     assert not commands[:50].any()
     assert not commands[-50:].any()
 
@@ -50,7 +42,8 @@ def test_an_area_without_room_is_refused():
 
 
 def test_a_load_is_lifted_carried_and_left_behind_the_area():
-    log = drive(free_area(Area(), True), setup_of(drive="reduced"), Seed((0,)), wheels(30.0, loaded=True))
+    commands = excitation(30.0, Area(), CAR, 0.02, True)
+    log = drive(free_area(Area(), True), setup_of(drive="reduced"), Seed((0,)), commands)
     force = log.board[:, 1]
     # Less what the screw's dry friction holds.
     assert np.median(force[110:200]) - np.median(force[-50:]) == pytest.approx(0.504 * 9.81, abs=1.0)

@@ -9,8 +9,7 @@ from tuning_cars import HIDDEN, NOMINAL, log_of
 from craftsim.errors import InputError
 from craftsim.models.sensing import EXACT
 from craftsim.tuning.identification import identify, unidentified_directions
-from craftsim.tuning.prediction import Predictor
-from craftsim.tuning.unknowns import UNKNOWNS, machines_of, unknowns_of
+from craftsim.tuning.prediction import UNKNOWNS, Predictor, machines_of, unknowns_of
 
 
 def test_hidden_figures_are_found(found):
@@ -55,48 +54,38 @@ def test_a_heading_that_is_read_askew_turns_the_way_and_not_the_motion(log):
     assert np.nanstd(predictor.errors(NOMINAL, {})[..., :2]) > 1.2 * np.nanstd(straight[..., :2])
 
 
-def test_a_log_at_another_rate_is_predicted_as_well(log):
-    fine, coarse = (Predictor(log.resampled(period), NOMINAL) for period in (0.004, 0.03))
-    assert fine.period_s == 0.005
-    assert coarse.period_s == 0.03
-    for predictor in (fine, coarse):
-        errors = predictor.errors(machines_of(NOMINAL, HIDDEN), HIDDEN)
-        assert np.nanstd(errors[..., :2]) < 0.005
+@pytest.mark.parametrize(("period_s", "stepped_s"), [(0.004, 0.005), (0.03, 0.03)])
+def test_a_log_at_another_rate_is_predicted_as_well(log, period_s, stepped_s):
+    predictor = Predictor(log.resampled(period_s), NOMINAL)
+    assert predictor.period_s == stepped_s
+    errors = predictor.errors(machines_of(NOMINAL, HIDDEN), HIDDEN)
+    assert np.nanstd(errors[..., :2]) < 0.005
 
 
-def test_forces_in_proportion_are_never_told_apart():
-    """Whatever a log says, and however surely."""
+def test_what_no_log_tells_is_held():
+    """Forces in proportion, whatever a log says, and however surely; and what it says nothing of."""
     unknowns = unknowns_of(NOMINAL, loaded=False)
     jacobian = np.random.default_rng(0).normal(size=(500, len(unknowns)))
     (one,) = unidentified_directions(jacobian, unknowns)
     assert one.held == "smartcar.wheel_mass_kg"
     assert set(one.members) == {unknown.key for unknown in unknowns if unknown.scales}
+    jacobian[:, [one.name for one in unknowns].index("screw_friction_n")] = 0.0
+    first, _ = unidentified_directions(jacobian, unknowns)
+    assert first.held == "smartcar.screw_friction_n"
+    assert "the log does not tell it" in first.text
 
 
-def test_what_a_log_says_nothing_of_is_named_alone():
-    unknowns = unknowns_of(NOMINAL, loaded=False)
-    jacobian = np.random.default_rng(0).normal(size=(500, len(unknowns)))
-    place = [one.name for one in unknowns].index("screw_friction_n")
-    jacobian[:, place] = 0.0
-    found = unidentified_directions(jacobian, unknowns)
-    assert found[0].held == "smartcar.screw_friction_n"
-    assert "the log does not tell it" in found[0].text
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
+def test_a_log_that_tells_nothing_is_refused(log):
+    for change, said in (
         ({"commands": 0.0}, "no wheel is ever commanded"),
         ({"tilt": 0.2}, "the car leans all the time"),
-        (
-            {"pose": np.nan, "wheel_speeds": np.nan},
-            "neither poses nor",
-        ),
-    ],
-)
-def test_a_log_that_tells_nothing_is_refused(log, change, said):
-    with pytest.raises(InputError, match=said):
-        identify(replace(log, **{k: np.full_like(getattr(log, k), v) for k, v in change.items()}), NOMINAL)
+        ({"pose": np.nan, "wheel_speeds": np.nan}, "neither poses nor"),
+    ):
+        changed = {name: np.full_like(getattr(log, name), value) for name, value in change.items()}
+        with pytest.raises(InputError, match=said):
+            identify(replace(log, **changed), NOMINAL)
+    with pytest.raises(InputError, match="shorter than 2 s"):
+        identify(log.between(0.0, 1.9), NOMINAL)
 
 
 def test_a_log_of_a_car_that_hardly_moves_tells_nothing(log):
@@ -109,11 +98,6 @@ def test_a_log_of_a_car_that_hardly_moves_tells_nothing(log):
     assert not any(one.identified for one in found.estimates)
     assert len(found.unidentified) == len(found.estimates)
     assert "board" not in found.noise
-
-
-def test_a_log_that_is_too_short_is_refused(log):
-    with pytest.raises(InputError, match="shorter than 2 s"):
-        identify(log.between(0.0, 1.9), NOMINAL)
 
 
 def test_every_unknown_has_its_own_name():

@@ -14,7 +14,7 @@ from craftsim.cli import main
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import RunOptions
 from craftsim.reports.html import write_html
-from craftsim.skills.gains import load_gains
+from craftsim.skills.gains import SECTIONS, load_gains
 from craftsim.tuning import tune as module
 from craftsim.tuning.goal import Goal
 from craftsim.tuning.tunable import situations
@@ -22,20 +22,16 @@ from craftsim.tuning.tune import FINAL_BLOCKS, HELD_OUT_BLOCKS
 from craftsim.tuning.tune_report import convergence, tune_report, write_gains
 
 
-def _tune(monkeypatch, folder, goal=None, lose=lambda job: False, evaluations=120):
+def _tune(monkeypatch, folder, goal=None, lose=lambda job: False, evaluations=120, other=None):
     made = []
-    monkeypatch.setattr(module, "open_session", opener(made, lose))
-    return _run(folder, goal or Goal.of(["time"]), evaluations), made[0]
-
-
-def _run(folder, goal, evaluations=10):
-    setup = setup_of("mild", drive="reduced")
+    monkeypatch.setattr(module, "open_session", opener(made, lose, other))
+    setup, goal = setup_of("mild", drive="reduced"), goal or Goal.of(["time"])
     options = {"evaluations": evaluations, "trials": 2, "seed": 4, "options": RunOptions()}
-    return module.tune("board", setup, folder, goal=goal, **options)
+    return module.tune("board", setup, folder, goal=goal, **options), made[0]
 
 
-def test_it_finds_the_best_gains(monkeypatch, tmp_path):
-    tuned, _ = _tune(monkeypatch, tmp_path)
+def test_it_finds_the_best_gains_with_seeds_of_search_finals_and_verdict_apart(monkeypatch, tmp_path):
+    tuned, rounds = _tune(monkeypatch, tmp_path)
     assert tuned.verdict.improved
     for gain in tuned.tunable:
         assert gain.of(tuned.gains) == pytest.approx(BEST[gain.name], rel=0.05)
@@ -43,14 +39,10 @@ def test_it_finds_the_best_gains(monkeypatch, tmp_path):
     found = convergence(tuned)
     assert found[0] == 1
     assert found == sorted(found, reverse=True)
-
-
-def test_seeds_of_search_finals_and_verdict_are_apart(monkeypatch, tmp_path):
-    _, rounds = _tune(monkeypatch, tmp_path, evaluations=10)
     blocks = {}
     for number, job in rounds.jobs.items():
-        phase = "finalist" if rounds.items[number].key.startswith("finalist") else "search"
-        phase = "held out" if "held out" in rounds.items[number].key else phase
+        key = rounds.items[number].key
+        phase = "finalist" if key.startswith("finalist") else "held out" if "held out" in key else "search"
         blocks.setdefault(phase, set()).update(job[-1])
     assert len(blocks["finalist"]) == FINAL_BLOCKS
     assert len(blocks["held out"]) == HELD_OUT_BLOCKS
@@ -88,17 +80,7 @@ def test_the_file_says_where_it_comes_from_and_can_be_read_by_gains(monkeypatch,
     path = write_gains(tmp_path, tuned, "craftsim tune board\n--out 'x'")
     text = path.read_text(encoding="utf-8")
     assert load_gains(path) == tuned.gains
-    assert set(yaml.safe_load(text)) == {
-        "drive",
-        "uneven",
-        "board",
-        "hinge",
-        "stop",
-        "hold",
-        "localisation",
-        "health",
-        "recovery",
-    }
+    assert yaml.safe_load(text).keys() == SECTIONS.keys()
     for part in ("seed 4", 'Command: "craftsim tune board\\n', "mujoco", "before and after", "Start:"):
         assert part in text
 
@@ -150,17 +132,14 @@ def test_a_tuning_that_was_cut_off_goes_on_and_ends_as_one_of_two_workers_does(t
 
 
 def test_evaluations_of_other_gains_are_not_taken_for_those_of_the_search(tmp_path, monkeypatch):
-    made = []
-    monkeypatch.setattr(module, "open_session", opener(made, other={"board.gain": 3.0}))
     with pytest.raises(InputError, match="tried other gains than it would now"):
-        _run(tmp_path, Goal.of())
+        _tune(monkeypatch, tmp_path, other={"board.gain": 3.0}, evaluations=10)
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["drive", "--weights", "tme=1"], "unknown objective 'tme'; did you mean 'time'?"),
-        (["drive", "--objectives", "time"], "a front has at least two objectives"),
         (["drive", "--gains", "fsat"], "unknown gains 'fsat'; did you mean 'fast'?"),
         (["drive", "--evaluations", "0"], "--evaluations is 0; allowed: 1 to 1000000"),
     ],

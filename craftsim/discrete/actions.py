@@ -202,6 +202,8 @@ def own_columns(
     mask: NDArray[np.bool_], grids: Grid, corrections: int, own: tuple[Action, ...]
 ) -> NDArray[np.bool_]:
     """Return the masks (B, n, 15) of a batch with a further column for each of some registered actions."""
+    if not own:
+        return mask
     columns = np.zeros((*mask.shape[:2], len(own)), np.bool_)
     for i, car, k in np.ndindex(columns.shape):
         columns[i, car, k] = not own_reason(grids[i], corrections, car, own[k])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Self
 
@@ -184,6 +184,15 @@ class AsynchronousEpisodes(Episodes):
 
         What the rules forbid, or what a claim stands against, becomes a wait.
         """
+        durations, turns, acts, out = self._asked(actions, order, timed)
+        events.decide(self._worlds, durations, turns, acts, 0, len(self), out)
+        return out
+
+    def _asked(self, actions: Any, order: Any, timed: bool) -> tuple[Durations, Any, Any, NDArray[np.int64]]:
+        """Return durations, turns, actions and outcomes for compiled code.
+
+        In worlds in which one asks for a registered action, which is a user's code, all cars have decided then.
+        """
         turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
         timing, out = self.timing, np.full(acts.shape, RUNS, np.int64)
         if not timed:
@@ -193,12 +202,6 @@ class AsynchronousEpisodes(Episodes):
             nominal_s = timing.nominal_s
             drawn = timing.factors(self.rng, acts.shape), timing.fails(self.rng, acts.shape)
         durations = Durations(nominal_s, *drawn, timing.wait_s)
-        self._decide_with_own(turns, acts, durations, out)
-        events.decide(self._worlds, durations, turns, acts, 0, len(self), out)
-        return out
-
-    def _decide_with_own(self, turns: Any, acts: Any, durations: Durations, out: Any) -> None:
-        """Let the cars of those worlds decide in which one asks for a registered action, which is a user's code."""
         for i in np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else ():
             for car in turns[i].tolist():
                 queued = self.depth is not None and self.queue[i, car, 0] >= 0
@@ -207,6 +210,7 @@ class AsynchronousEpisodes(Episodes):
                 else:
                     turn = np.full((len(acts), 1), car)
                     events.decide(self._worlds, durations, turn, acts, i, i + 1, out)
+        return durations, turns, acts, out
 
     def _decide_own(self, i: int, car: int, action: int, durations: Durations) -> int:
         running, before = self.running, self.grids.cars[i, car].copy()
@@ -239,13 +243,17 @@ class AsynchronousEpisodes(Episodes):
 
     def advance(self) -> Ends:
         """Let time pass in each world to its next event, for which all cars must have decided."""
+        return self._advance(events.advance)
+
+    def _advance(self, advance: Callable[..., None], *asked: Any) -> Ends:
+        """Do so with compiled code, which lets the cars decide before if it is given what they have ``asked`` for."""
         shape = self.running.action.shape
         masks = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
         ends = Ends(np.empty(len(self)), np.empty(shape, np.int64), *masks)
         # Registered actions do not end by themselves.
         own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else ()
         worlds = {i: self._marked(self.confirmed[i]) for i in own}
-        events.advance(self._worlds, ends)
+        advance(self._worlds, *asked, ends)
         for i, grid in worlds.items():
             for car in np.argsort(self.running.turn[i]).tolist():
                 if ends.ended[i, car] and not ends.failed[i, car]:
@@ -267,8 +275,8 @@ class AsynchronousEpisodes(Episodes):
         ``time_weight``.
         """
         before = self.worlds_before()
-        outcome = self.decide(actions, self.draw_order() if order is None else order)
-        ends = self.advance()
+        asked = self._asked(actions, self.draw_order() if order is None else order, True)
+        ends, outcome = self._advance(events.step, *asked), asked[-1]
         steps = self.settle(before, ends, time_weight)
         elapsed_s, earned = np.empty(outcome.shape), np.empty(outcome.shape)
         waited, deadlock = np.empty(len(self), np.bool_), np.zeros(len(self), np.bool_)

@@ -7,7 +7,7 @@ origin on the floor under its centre, z up, a slope's x downhill.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Final, NamedTuple
@@ -296,16 +296,25 @@ def _read_standing(
     return CellFit((x, y, z), offset, turned, None, height, tilt, ajar, reach), yaw, tuple(notes)
 
 
-def _stand(grid: Grid, kind: int, cell: Cell, yaw: int, hinge: float) -> list[str]:
-    """Put an object that no car carries into a world; return what is wrong with its place."""
-    notes: list[str] = []
+def _stand(grid: Grid, kind: int, cell: Cell, yaw: int, hinge: float) -> Iterator[str]:
+    """Put an object that no car carries into a world; yield what is wrong with its place."""
+    length, width = grid.cells.shape[:2]
+    parts = [(kind, cell, 0)]
     if kind == FSLOPE:
         first, second = (FSLOPE, GEAR) if hinge > math.pi / 2 else (BODY, FOOT)
-        _put(grid, cell, first, yaw, notes)
-        _put(grid, beside(cell, yaw), second, yaw, notes)
-    else:
-        _put(grid, cell, kind, 0, notes)
-    return notes
+        parts = [(first, cell, yaw), (second, beside(cell, yaw), yaw)]
+    for part, place, turn in parts:
+        if not (0 <= place[0] < length and 0 <= place[1] < width):
+            yield f"reaches outside the area, into {place}"
+            continue
+        there, shown = int(grid.cells[*place, KIND]), turn
+        if part == GEAR and there == GEAR:
+            shown = min(turn, int(grid.cells[*place, YAW]))  # the rules show this one of two gears as well
+        elif there not in (AIR, GEAR):
+            if part != GEAR:  # a gear leaves room for what stands in its cell
+                yield f"shares the cell {place} with a {Kind(there).name.lower()}"
+            continue
+        grid.cells[*place, KIND], grid.cells[*place, YAW] = part, shown
 
 
 def _reach(position: Vector, cell: Cell, turned: float, up: Vector, lifted: float, lean: Vector) -> float:
@@ -319,22 +328,6 @@ def _reach(position: Vector, cell: Cell, turned: float, up: Vector, lifted: floa
         low = position[axis] - (cell[axis] + 0.5) * CELL_PITCH_M - lifted * lean[axis]
         furthest = max(furthest, abs(low), abs(low + LEVEL_HEIGHT_M * (up[axis] - lean[axis])))
     return CELL_PITCH_M / 2 * abs(turned) + furthest
-
-
-def _put(grid: Grid, cell: Cell, kind: int, yaw: int, notes: list[str]) -> None:
-    """Put a part of an object into a cell."""
-    length, width = grid.cells.shape[:2]
-    if not (0 <= cell[0] < length and 0 <= cell[1] < width):
-        notes.append(f"reaches outside the area, into {cell}")
-        return
-    there = int(grid.cells[*cell, KIND])
-    if kind == GEAR and there == GEAR:
-        yaw = min(yaw, int(grid.cells[*cell, YAW]))  # the rules show this one of two gears as well
-    elif there not in (AIR, GEAR):
-        if kind != GEAR:  # a gear leaves room for what stands in its cell
-            notes.append(f"shares the cell {cell} with a {Kind(there).name.lower()}")
-        return
-    grid.cells[*cell, KIND], grid.cells[*cell, YAW] = kind, yaw
 
 
 def describe_differences(predicted: Grid, read: Grid) -> list[str]:

@@ -82,7 +82,7 @@ class Rules:
         """
         out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
         _masks(grid.cells[None], grid.cars[None], int(self.corrections), _NO_SPACE, NO_HELPER, out)
-        return self._with_own(out, grid)[0]
+        return own_columns(out, grid[None], self.corrections, self.own)[0]
 
     def legal(self, grid: Grid, car: int, action: int) -> bool:
         """Return whether one car could do one action now."""
@@ -142,7 +142,7 @@ class Rules:
         out = np.empty((1, grid.n_cars, N_ACTIONS), np.bool_)
         arrays = grid.cells[None], grid.cars[None], int(self.corrections)
         batch.masks(*arrays, _search_buffers(grid.size), depth, out)
-        return self._with_own(out, grid)[0]
+        return own_columns(out, grid[None], self.corrections, self.own)[0]
 
     def plan_move(
         self, grid: Grid, car: int, action: Action, depth: int = DEFAULT_DEPTH
@@ -169,10 +169,6 @@ class Rules:
         first, *rest = self.plan_move(grid, car, action, queue.shape[1] - 1) or (Action.STOP,)
         queue[car, : len(rest)] = rest
         return first
-
-    def _with_own(self, mask: NDArray[np.bool_], grid: Grid) -> NDArray[np.bool_]:
-        """Return a mask (1, n_cars, 15) with a column for each registered action that is offered."""
-        return own_columns(mask, grid[None], self.corrections, self.own) if self.own else mask
 
 
 def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:

@@ -386,6 +386,20 @@ def advance(worlds: AsynchronousWorlds, ends: Ends) -> None:
 
 
 @compiled
+def step(
+    worlds: AsynchronousWorlds,
+    durations: Durations,
+    order: NDArray[np.int64],
+    actions: NDArray[np.int64],
+    out: NDArray[np.int64],
+    ends: Ends,
+) -> None:
+    """Do both, :func:`decide` and :func:`advance`, for all worlds."""
+    decide(worlds, durations, order, actions, 0, worlds.time_s.shape[0], out)
+    advance(worlds, ends)
+
+
+@compiled
 def commit(worlds: AsynchronousWorlds, i: int, ended: Mask) -> None:
     """Make a committed world anew: the confirmed one with the effects of what runs, which has not ``ended``."""
     confirmed, committed, running = worlds.confirmed, worlds.committed, worlds.running

@@ -14,6 +14,11 @@ from craftsim.discrete.kernel.state import (
     BLOCK,
     BODY,
     CROSSING_GEAR,
+    F_LOAD,
+    F_LOAD_YAW,
+    F_X,
+    F_Y,
+    F_Z,
     FLAG,
     FOOT,
     FSLOPE,
@@ -36,6 +41,7 @@ from craftsim.discrete.kernel.state import (
     World,
     apply,
     below_leaning,
+    car_field,
     car_in,
     carried_gear_in,
     dir_x,
@@ -175,16 +181,17 @@ def why_rotate(w: World, me: int, car: Pose, turn: int) -> int:
     if car.load == FSLOPE and kind_at(w, corner_x, corner_y, car.z) not in ROOMY:
         return code.SLOPE_HITS_CORNER
     for other in range(w.cars.shape[0]):
-        there = pose_of(w, other)
-        if other == me or there.z != car.z or there.load == AIR:
+        if other == me or w.cars[other, F_Z] != car.z or w.cars[other, F_LOAD] == AIR:
             continue
-        at_corner = car.load == FSLOPE and there.x == corner_x and there.y == corner_y
-        if at_corner or abs(there.x - car.x) + abs(there.y - car.y) == 1:
+        ox, oy = car_field(w, other, F_X), car_field(w, other, F_Y)
+        if abs(ox - car.x) + abs(oy - car.y) == 1 or (
+            car.load == FSLOPE and ox == corner_x and oy == corner_y
+        ):
             return code.LOAD_HITS_LOAD | other << code.DETAIL_BITS
-        if there.load == FSLOPE:
-            dx, dy = dir_x(there.load_yaw), dir_y(there.load_yaw)
-            gx, gy = there.x + dx, there.y + dy
-            points_at_me = gx + dx == car.x and gy + dy == car.y
+        if w.cars[other, F_LOAD] == FSLOPE:
+            yaw = car_field(w, other, F_LOAD_YAW)
+            gx, gy = ox + dir_x(yaw), oy + dir_y(yaw)
+            points_at_me = gx + dir_x(yaw) == car.x and gy + dir_y(yaw) == car.y
             if abs(gx - car.x) + abs(gy - car.y) == 1 and not points_at_me:
                 return code.LOAD_HITS_GEAR | other << code.DETAIL_BITS
     # Whether the load meets a car, a load that leans or reaches in, or a wall overhead.

@@ -172,9 +172,9 @@ def derive_marks(w: World) -> None:
                 w.cells[x, y, z, OCCUPANT] = NOTHING if above in (AIR, GEAR, WALL) else OBJECT
                 w.cells[x, y, z, LANDING] = w.cells[x, y, z, KIND] == BLOCK and derived_landing(w, x, y, z)
     for car in range(w.cars.shape[0]):
-        here = pose_of(w, car)
-        if inside(w, here.x, here.y, here.z - 1):
-            w.cells[here.x, here.y, here.z - 1, OCCUPANT] = car
+        x, y, z = car_field(w, car, F_X), car_field(w, car, F_Y), car_field(w, car, F_Z)
+        if inside(w, x, y, z - 1):
+            w.cells[x, y, z - 1, OCCUPANT] = car
 
 
 # What reaches out of its cell: cars, gears, and loads that lean on a ramp or stand into the next level. Gears are found
@@ -192,9 +192,9 @@ GEAR_MM = 115
 def car_in(w: World, me: int, x: int, y: int, z: int, only_loaded: bool) -> int:
     """Return another car, or another loaded car, in a cell; -1 if there is none."""
     for other in range(w.cars.shape[0]):
-        there = pose_of(w, other)
-        here = there.x == x and there.y == y and there.z == z
-        if here and other != me and not (only_loaded and there.load == AIR):
+        if other == me or (only_loaded and w.cars[other, F_LOAD] == AIR):
+            continue
+        if w.cars[other, F_X] == x and w.cars[other, F_Y] == y and w.cars[other, F_Z] == z:
             return other
     return -1
 
@@ -203,9 +203,11 @@ def car_in(w: World, me: int, x: int, y: int, z: int, only_loaded: bool) -> int:
 def carried_gear_in(w: World, me: int, x: int, y: int, z: int, tolerated_yaw: int) -> bool:
     """Return whether another car carries a gear in a cell; ``tolerated_yaw`` (-1: none) is not seen."""
     for other in range(w.cars.shape[0]):
-        there = pose_of(w, other)
-        here = there.x + dir_x(there.load_yaw) == x and there.y + dir_y(there.load_yaw) == y and there.z == z
-        if here and other != me and there.load == FSLOPE and there.load_yaw != tolerated_yaw:
+        if other == me or w.cars[other, F_LOAD] != FSLOPE or w.cars[other, F_Z] != z:
+            continue
+        yaw = car_field(w, other, F_LOAD_YAW)
+        here = w.cars[other, F_X] + dir_x(yaw) == x and w.cars[other, F_Y] + dir_y(yaw) == y
+        if here and yaw != tolerated_yaw:
             return True
     return False
 
@@ -219,9 +221,9 @@ def gear_across(w: World, me: int, x: int, y: int, z: int, along: int) -> bool:
         if kind_at(w, sx, sy, z) == FSLOPE and yaw_at(w, sx, sy, z) == yaw:
             return True
         for other in range(w.cars.shape[0]):
-            there = pose_of(w, other)
-            here = there.x == sx and there.y == sy and there.z == z
-            if here and other != me and there.load == FSLOPE and there.load_yaw == yaw:
+            if other == me or w.cars[other, F_LOAD] != FSLOPE or w.cars[other, F_LOAD_YAW] != yaw:
+                continue
+            if w.cars[other, F_X] == sx and w.cars[other, F_Y] == sy and w.cars[other, F_Z] == z:
                 return True
     return False
 
@@ -240,13 +242,13 @@ def downhill_of(w: World, x: int, y: int, z: int, slope: int) -> int:
 def leans_into(w: World, me: int, x: int, y: int, z: int, tolerated: int) -> bool:
     """Return whether another car's load leans into a cell; the direction ``tolerated`` (-1: none) is not seen."""
     for other in range(w.cars.shape[0]):
-        there = pose_of(w, other)
-        if other == me or there.slope == 0 or there.load == AIR:
+        if other == me or w.cars[other, F_SLOPE] == 0 or w.cars[other, F_LOAD] == AIR:
             continue
-        if there.z != z or abs(there.x - x) + abs(there.y - y) != 1:
+        ox, oy, oz = car_field(w, other, F_X), car_field(w, other, F_Y), car_field(w, other, F_Z)
+        if oz != z or abs(ox - x) + abs(oy - y) != 1:
             continue
-        downhill = downhill_of(w, there.x, there.y, there.z, there.slope)
-        here = there.x + dir_x(downhill) == x and there.y + dir_y(downhill) == y
+        downhill = downhill_of(w, ox, oy, oz, car_field(w, other, F_SLOPE))
+        here = ox + dir_x(downhill) == x and oy + dir_y(downhill) == y
         if downhill >= 0 and downhill != tolerated and here:
             return True
     return False
@@ -259,10 +261,12 @@ def reaches_up(w: World, me: int, x: int, y: int, z: int, height_mm: int) -> boo
     One that leans into the cell below does so by less than 50 mm.
     """
     for other in range(w.cars.shape[0]):
-        there = pose_of(w, other)
-        below = there.x == x and there.y == y and there.z == z - 1
-        top_mm = (113 if there.slope == 1 else 32) + (10 if there.load == FSLOPE else 0)
-        if below and other != me and there.load != AIR and top_mm >= height_mm:
+        if other == me or w.cars[other, F_LOAD] == AIR:
+            continue
+        if w.cars[other, F_X] != x or w.cars[other, F_Y] != y or w.cars[other, F_Z] != z - 1:
+            continue
+        folded_slope = 10 if w.cars[other, F_LOAD] == FSLOPE else 0
+        if (113 if w.cars[other, F_SLOPE] == 1 else 32) + folded_slope >= height_mm:
             return True
     return height_mm < 50 and leans_into(w, me, x, y, z - 1, -1)
 

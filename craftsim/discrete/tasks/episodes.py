@@ -249,7 +249,7 @@ class Episodes:
     def _masks(self, depth: int) -> NDArray[np.bool_]:
         out = np.empty((len(self), self.n_cars, N_ACTIONS), np.bool_)
         batch.masks(*self.grids.world(self.corrections), self._space, depth, out)
-        return own_columns(out, self.grids, self.corrections, self.own) if self.own else out
+        return own_columns(out, self.grids, self.corrections, self.own)
 
     def offered(self) -> NDArray[np.bool_]:
         """Return (B, n, 15): what is legal, with the helper also what is reachable; never all false.

@@ -238,7 +238,7 @@ if abs(data.qpos[2] - 0.1) > 0.001:
 
 
 class Check(NamedTuple):
-    """A check: what it is for, whether it works, what was found or why not, the command that fixes it."""
+    """One thing that was tried: for what, if it works, what was found or why not, and the command that fixes it."""
 
     what: str
     works: bool

@@ -124,14 +124,12 @@ def _do_all(what: str, function: Callable[[Path], None], jobs: Sequence[Path], w
 def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Design | None = None) -> None:
     """Draw the Gantt chart of a plan by the physical rules, and, with ``film``, film it on the grid."""
     from craftsim.discrete.rules import Rules
-    from craftsim.rendering.grid_picture import wanted_of
     from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
     from craftsim.rendering.render import film_plan
 
     for ending in FORMATS:
         print_safe(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")
     if film:
-        path, frames = out / f"{name}-plan.mp4", counting("frames", bool)
-        print_safe(
-            f"film: {film_plan(path, schedule, Rules('physical'), name, wanted_of(design), progress=frames)}"
-        )
+        path, wanted = out / f"{name}-plan.mp4", () if design is None else design.targets
+        film_plan(path, schedule, Rules("physical"), name, wanted, progress=counting("frames", bool))
+        print_safe(f"film: {path}")

@@ -119,10 +119,10 @@ def _say_size(size: tuple[int, int, int], counts: Mapping[str, int]) -> None:
 
 
 def _draw(file: Path, grid: Grid, title: str, goal: Any, design: Design | None) -> None:
-    from craftsim.rendering.grid_picture import wanted_of
     from craftsim.rendering.plots.levels import draw_blueprint
 
-    print_safe(f"picture: {draw_blueprint(file, grid, title, goal, wanted_of(design))}")
+    wanted = () if design is None else design.targets
+    print_safe(f"picture: {draw_blueprint(file, grid, title, goal, wanted)}")
 
 
 def _export(spec_of: Callable[[Any], Any], files: Iterable[Path], drive: Drive) -> None:

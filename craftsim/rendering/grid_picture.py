@@ -26,7 +26,6 @@ from craftsim.discrete.drawing import (
     car_colour,
     cars_by_cell,
 )
-from craftsim.discrete.files.design import Design
 from craftsim.discrete.geometry import yaw_angle
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kinds import STANDING
@@ -59,11 +58,6 @@ class Outline(NamedTuple):
     width: float = 0.02
     """Of the line; height of a capital letter."""
     text: str = ""
-
-
-def wanted_of(design: Design | None) -> tuple[Piece, ...]:
-    """Return the cells of a design; none of None."""
-    return () if design is None else design.targets
 
 
 def levels_of(

@@ -78,9 +78,8 @@ class ActionForm:
         """Offer the registered actions ``own`` in this order."""
         self.own = tuple(own)
         self.n_actions = len(Action) + len(self.own)
-        """How many an agent chooses from."""
+        # The number of the action of each column, unless it is the same.
         self._numbers = np.array([*Action, *self.own], np.int64) if self.own else None
-        """The number of the action of each column, unless it is the same."""
 
     def masks(self, episodes: Episodes) -> Masks:
         """Return the offered actions; STOP, which does nothing, where the rules leave a car nothing."""
@@ -135,10 +134,8 @@ class ObjectChoice:
     blocks: _Count | None = None  # as many as the task has unless given
     slopes: _Count | None = None  # folded or unfolded; as many as the task has unless given
     free: _Count = 20  # cells without an object
-    radius: Annotated[int, Range(1, 256)] = 3
-    """Cells along x and y; CraftEnv's view of 7 x 7 cells unless given."""
-    floor: bool = False
-    """Whether free cells of the floor are offered, too, and not those above it alone, as in CraftEnv."""
+    radius: Annotated[int, Range(1, 256)] = 3  # cells along x and y; CraftEnv's view of 7 x 7 cells
+    floor: bool = False  # whether free cells of the floor are offered, too; in CraftEnv those above it alone
 
 
 class ChoiceForm(ActionForm):
@@ -156,19 +153,14 @@ class ChoiceForm(ActionForm):
         blocks = layout.n_blocks if choice.blocks is None else choice.blocks
         slopes = layout.n_slopes if choice.slopes is None else choice.slopes
         self.choice = choice
-        self.counts = np.array([blocks, slopes, choice.free], np.int64)
-        """Columns of blocks, slopes and free cells."""
-        self.go_on = self.n_actions
-        """The column "continue"."""
-        self.n_actions += 1 + int(self.counts.sum())
+        self.counts = np.array([blocks, slopes, choice.free], np.int64)  # columns of each
+        self.go_on = self.n_actions  # the column "continue"
+        more = 1 + int(self.counts.sum())
+        self.n_actions += more
         self._size = task.starts[0].size
         self._space = search_buffers(self._size)
-        self._numbers = np.array([*Action, *self.own], np.int64)
-        self._numbers = np.append(
-            self._numbers, np.full(self.n_actions - self.go_on, int(Action.STOP), np.int64)
-        )
-        self._cells: NDArray[np.int64]
-        """(B, n, choices, 3): the cells of the choices, 0 where there is none."""
+        self._numbers = np.array([*Action, *self.own, *[Action.STOP] * more], np.int64)
+        self._cells: NDArray[np.int64]  # (B, n, choices, 3): of the choices, 0 where there is none
 
     def masks(self, episodes: Episodes) -> Masks:
         """Return the offered actions, and find the choices of each car."""

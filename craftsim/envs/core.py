@@ -255,15 +255,11 @@ class Core:
 
     def _look(self) -> None:
         """Bring what the cars observe up to date; callers get copies, for the next tick is judged by these."""
-        self.masks: NDArray[np.int8] = self.form.masks(self.episodes)[0]
-        """(n, n_actions): what each car is offered."""
-        self.rows: NDArray[np.int32] = self.episodes.entity_rows()[0]
-        """(n_observed, 13): what is where, and what is to be built where that is shown."""
+        self.masks: NDArray[np.int8] = self.form.masks(self.episodes)[0]  # (n, n_actions): what is offered
+        self.rows: NDArray[np.int32] = self.episodes.entity_rows()[0]  # (n_observed, 13)
         seen = extras(self.episodes, self.form, self.options.local_view)
-        self.extras: Observation = {key: array[0] for key, array in seen.items()}
-        """By key, (n, ...): what each car observes beside these."""
-        self.images: Observation = self.backend.images()
-        """The images of all cameras, by kind."""
+        self.extras: Observation = {key: array[0] for key, array in seen.items()}  # (n, ...), beside the rows
+        self.images: Observation = self.backend.images()  # of all cameras, by kind
 
     def vectors(self) -> NDArray[np.int32]:
         """Return (n, length): each car's observation, its own row first."""

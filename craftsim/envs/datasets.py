@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -135,12 +135,11 @@ def _whole_folder(target: Path, name: str) -> Iterator[Path]:
             )
         remove(partial)
         partial.mkdir()
-        try:
+        with ExitStack() as undo:
+            undo.callback(shutil.rmtree, partial, ignore_errors=True)
             yield partial
             partial.rename(target / name)
-        except BaseException:
-            shutil.rmtree(partial, ignore_errors=True)
-            raise
+            undo.pop_all()
     except OSError as error:
         raise InputError(
             f"{target}: cannot be written: {error}; make room, or choose another folder"

@@ -61,9 +61,7 @@ class Options:
 
     backend: BackendName = "physics"
     rule_set: RuleSet = "physical"
-    helper_depth: Annotated[int, HELPER_DEPTH] | None = (
-        None  # search depth; None is without the action helper
-    )
+    helper_depth: Annotated[int, HELPER_DEPTH] | None = None  # search depth of the action helper
     time_weight: Annotated[float, Range(0)] = 0.0  # cost of a simulated second
     actions: Annotated[tuple[Action, ...], BeforeValidator(as_own)] = ()  # registered ones, after the 15
     object_choice: InstanceOf[ObjectChoice] | None = None  # offered after all other actions; needs the helper

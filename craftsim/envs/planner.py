@@ -5,24 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import ScheduledAction, make_schedule
-from craftsim.envs.core import Core
+from craftsim.envs.core import SingleWorld
 from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
 
 ROUNDS: Final = 60
 """Attempts at each plan; more of them take longer and find shorter ones."""
-
-
-class Playable(Protocol):
-    """Any form of the environment that runs one world."""
-
-    core: Core
 
 
 class _Carried:
@@ -51,7 +45,7 @@ class PlanPolicy:
     a tick act plays no part; the plan may take other numbers of ticks. What the rules forbid is left out.
     """
 
-    def __init__(self, env: Playable, plan: Plan) -> None:
+    def __init__(self, env: SingleWorld, plan: Plan) -> None:
         self._env, self._plan = env, plan
         self._carried: _Carried | None = None
 
@@ -80,7 +74,7 @@ class PlannerPolicy:
         True
     """
 
-    def __init__(self, env: Playable, rounds: int = ROUNDS, seed: int = 0) -> None:
+    def __init__(self, env: SingleWorld, rounds: int = ROUNDS, seed: int = 0) -> None:
         """Play in an environment, whose whole world is looked at.
 
         Args:

@@ -62,44 +62,33 @@ class TrainConfig:
     trainer needs the task itself, since a configuration may come from a file."""
     algo: AlgoName = "ippo"
     seed: Annotated[int, SEED] = 0
-    worlds: Annotated[int, BATCH] | None = None  # number of parallel worlds; default by algorithm and backend
-    width: Annotated[int, NETWORK_WIDTH] = 128  # width of the hidden layers
-    network: NetworkName = "map"
-    """Encoder: by cell of the map, or relative to each car, for any number of cars."""
-    recurrent: bool = False
-    """A GRU over each car's observations and last actions; for iql, vdn, qmix and qtran."""
-    novelty: Annotated[float, BONUS] = 0.0
-    """Exploration bonus for a new building; divided by sqrt(k) for one seen k times."""
-    n_cars: Annotated[int, CARS] | None = None
-    """Number of cars; those not listed in the task's start are placed at random."""
-    n_blocks: Annotated[int, BLOCKS] | None = None  # number of blocks
+    worlds: Annotated[int, BATCH] | None = None  # in parallel; default by algorithm and backend
+    width: Annotated[int, NETWORK_WIDTH] = 128  # of the hidden layers
+    network: NetworkName = "map"  # by cell of the map, or relative to each car, for any number of cars
+    recurrent: bool = False  # a GRU over observations and last actions, for iql, vdn, qmix and qtran
+    novelty: Annotated[float, BONUS] = 0.0  # bonus for a building, over sqrt(k) for one seen k times
+    n_cars: Annotated[int, CARS] | None = None  # those not listed in the task's start are placed at random
+    n_blocks: Annotated[int, BLOCKS] | None = None
     backend: TrainBackend = "grid"  # training and evaluation on the grid, or in contact physics
-    drive: Drive = "reduced"  # drive of the cars in physics
+    drive: Drive = "reduced"  # of the cars in physics
     randomize: str = "none"  # preset of the randomization in physics
-    rules: RuleSet = "physical"  # rule set on the grid
-    helper_depth: Annotated[int, HELPER_DEPTH] | None = None
-    """Search depth of the action helper on the grid; None: no helper."""
-    execution: Execution = "synchronous"
-    """Whether cars decide together in ticks, or each when its own action has ended (grid)."""
+    rules: RuleSet = "physical"  # on the grid
+    helper_depth: Annotated[int, HELPER_DEPTH] | None = None  # of the action helper on the grid
+    execution: Execution = "synchronous"  # cars decide in ticks, or each when its own action has ended (grid)
     explore: Annotated[int, EXPLORED_TICKS] = 0
     """Ticks of exploration on the grid before learning; half of the episodes then start from worlds that it reached."""
-    acting: Acting = "greedy"
-    """Action selection in evaluations and of the trained policy; during training actions are sampled."""
+    acting: Acting = "greedy"  # in evaluations and of the trained policy; in training actions are sampled
     imitate: Annotated[int, IMITATED_PLANS] = 0
     """Number of plans for imitation before learning; half of the episodes then start from worlds along them."""
-    shown_share: Annotated[float, SHARE] = HALF
-    """In a random task, the share of episodes that start along an imitated plan."""
+    shown_share: Annotated[float, SHARE] = HALF  # of a random task's episodes that start along such a plan
     pretrained: str = ""
     """Initial policy, by name, file or folder; with the same width and kind of network, possibly another area."""
     stages: Annotated[tuple[str, ...], Strict(False), Field(max_length=STAGES)] = ()
     """Curriculum: easier tasks of the same shape to learn on first."""
     stage_steps: Annotated[int, Range(0, TRAIN_STEPS.high)] = 0  # ticks on each of them, over all worlds
-    evaluate_every: Annotated[int, TRAIN_STEPS] | None = None
-    """Ticks between evaluations, over all worlds; default: ten rollouts."""
-    evaluation_episodes: Annotated[int, TRAIN_EPISODES] | None = None
-    """Episodes of each evaluation during training; default: 500 on the grid, 64 in physics."""
-    hyperparameters: dict[str, float] = field(default_factory=dict)
-    """Hyperparameters that differ from the defaults, see :mod:`craftsim.training.settings`."""
+    evaluate_every: Annotated[int, TRAIN_STEPS] | None = None  # ticks over all worlds; default: ten rollouts
+    evaluation_episodes: Annotated[int, TRAIN_EPISODES] | None = None  # 500 on the grid, 64 in physics
+    hyperparameters: dict[str, float] = field(default_factory=dict)  # those that differ from the defaults
 
     def __post_init__(self) -> None:
         settings_of(self.algo, self.hyperparameters)

@@ -80,7 +80,8 @@ class QLearner(Learner):
         self.online = nn.ModuleDict({"net": self.net, "team": self.team})
         self.target_net, self.target_team = deepcopy(self.net), deepcopy(self.team)
         self.target = nn.ModuleDict({"net": self.target_net, "team": self.target_team})
-        self.rewards = RewardScale()
+        self.rewards = nn.Module()  # how many there were so far, their sum, and that of their squares
+        self.rewards.register_buffer("sums", torch.zeros(3, dtype=torch.float64))
         self.modules = nn.ModuleDict(
             {"online": self.online, "target": self.target.requires_grad_(False), "rewards": self.rewards}
         )
@@ -107,7 +108,8 @@ class QLearner(Learner):
     def update(self, rollout: Rollout) -> None:
         """Remember what was played and learn from batches of what is remembered."""
         self.replay.add(rollout)
-        self.rewards.add(rollout.rewards)
+        own, sums = rollout.rewards.double(), self.rewards.get_buffer("sums")
+        sums += torch.stack([own.new_tensor(own.numel()), own.sum(), own.square().sum()])
         worlds = max(1, round(self.settings.batch / self.ticks))
         for _ in range(math.ceil(len(rollout) * self.settings.replays / (worlds * self.ticks))):
             self.minimize(self.loss(self.replay.sample(worlds)))
@@ -157,7 +159,9 @@ class QLearner(Learner):
 
     def _target(self, batch: Rollout, follows: Tensor) -> Tensor:
         if self.settings.standardize:
-            batch = replace(batch, rewards=batch.rewards / self.rewards.deviation())
+            n, total, squares = self.rewards.get_buffer("sums")
+            deviation = (squares / n - (total / n) ** 2).clamp(min=1e-4).sqrt().float()
+            batch = replace(batch, rewards=batch.rewards / deviation)
         return lambda_returns(batch, follows, self.settings.gamma, self.settings.td_lambda)
 
     def state(self) -> dict[str, Any]:
@@ -212,26 +216,6 @@ class PQNLearner(Learner):
                 met, places = torch.unique(inverse[some], return_inverse=True)
                 values = self.net(once[met]).index_select(0, places)
                 self.minimize(mse_loss(of_actions(values, actions[some]).sum(-1), target[some]))
-
-
-class RewardScale(nn.Module):
-    """The standard deviation of all rewards so far."""
-
-    sums: Tensor
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.register_buffer("sums", torch.zeros(3, dtype=torch.float64))
-
-    def add(self, rewards: Tensor) -> None:
-        """Take rewards into account."""
-        own = rewards.double()
-        self.sums += torch.stack([own.new_tensor(own.numel()), own.sum(), own.square().sum()])
-
-    def deviation(self) -> Tensor:
-        """Return it, at least 0.01."""
-        n, total, squares = self.sums
-        return (squares / n - (total / n) ** 2).clamp(min=1e-4).sqrt().float()
 
 
 def epsilon_greedy(values: Tensor, seen: Seen, epsilon: float) -> Tensor:

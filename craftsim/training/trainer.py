@@ -90,8 +90,7 @@ class Trainer:
         self.config, self.workers = config, workers
         self.task = task or _named(config.task, config)
         self.identity = TaskIdentity.of(self.task, config.rules)
-        self.starts = "" if starts is None else starts_digest(starts)
-        """Digest of the other starts; empty without."""
+        self.starts = "" if starts is None else starts_digest(starts)  # digest of the other starts
         check_guidance(config, self.task, starts)
         self._given, self._progress = starts, progress
         self._own_starts = starts is None and not config.explore and not config.imitate
@@ -108,12 +107,10 @@ class Trainer:
             # Where cars decide one by one, most events are a single car's.
             turns = self.task.layout.n_cars if config.execution == "asynchronous" else 1
             self.learner = make_learner(config, self.shape, (self.task.max_steps + 2) * turns)
-            self.pretrained = (
-                begin_as_pretrained(self.learner.net, self.shape, config) if config.pretrained else ""
-            )
-            """Digest of the policy that it began with; empty without."""
+            begun = begin_as_pretrained(self.learner.net, self.shape, config) if config.pretrained else ""
+            self.pretrained = begun  # digest of the policy that it began with
+        # How often buildings were seen, where there is a bonus for new ones.
         self.counts: NDArray[np.int32] = np.zeros(BUCKETS if config.novelty else 0, np.int32)
-        """How often buildings were seen, where there is a bonus for new ones."""
 
     @cached_property
     def guidance(self) -> Guidance:

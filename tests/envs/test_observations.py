@@ -132,18 +132,6 @@ def test_a_choice_that_is_offered_leads_a_car_there_and_nothing_but_continue_is_
     assert tried > 20
 
 
-def test_a_choice_that_is_not_offered_is_flagged_and_changes_nothing():
-    env = _env("strip", choice=ObjectChoice(free=2))
-    observations, _ = env.reset(seed=0)
-    unoffered = np.flatnonzero(observations["car_0"]["action_mask"] == 0)
-    before = env.grid
-    for action in unoffered[unoffered >= CONTINUE]:
-        env.reset(seed=0)
-        infos = env.step({"car_0": int(action), "car_1": STOP})[4]
-        assert infos["car_0"]["illegal"]
-        assert env.grid.same_visible(before)
-
-
 class Strip:
     """Builds the strip: each car in turn chooses a block, lifts it, chooses a free cell of the design, and drops it."""
 
@@ -193,6 +181,12 @@ def test_batches_offer_choices_and_views_and_show_the_last_ones_before_a_reset()
     options = {"helper_depth": 20, "object_choice": EVERYWHERE, "local_view": 1}
     envs = vector_env(make_task("simple_two_story", max_steps=3), 4, **options)
     rng, ended = np.random.default_rng(0), 0
+    observations, _ = envs.reset(seed=0)
+    masks, before = observations["action_mask"], envs.episodes.grids.copy()
+    unoffered = masks.shape[-1] - 1 - (masks == 0)[..., ::-1].argmax(-1)
+    assert (unoffered > CONTINUE).all()
+    assert envs.step(unoffered)[4]["illegal"].all()
+    np.testing.assert_array_equal(before.cars, envs.episodes.grids.cars)
     observations, _ = envs.reset(seed=0)
     for _ in range(12):
         assert envs.observation_space.contains(observations)

@@ -24,14 +24,7 @@ from craftsim.checking.contacts import ContactLog, Drift, apart, handled, under,
 from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.readback import (
-    PLACE_TOLERANCE_M,
-    Poses,
-    Reading,
-    describe_car,
-    own_differences,
-    read_grid,
-)
+from craftsim.discrete.readback import Poses, Reading, describe_car, own_differences, read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
 from craftsim.models.composition import lift_m
@@ -227,13 +220,13 @@ class Judge:
         before, steps, capped = self.grid, schedule.steps, self.physics.capped_steps
         number = {(step.tick, step.car): index for index, step in enumerate(steps)}
         waiting, found = dict(enumerate(steps)), list[Watched]()
-        moved, self._settled = "bystander_displacement_m", True
+        self._settled = True
         if steps:
             self._watch()
         while True:
             ended = (one.step for one in found if one.outcome and one.outcome.succeeded)
             done = {number[step.tick, step.car] for step in ended}
-            halted = halts and any(not one.applied or one.errors[moved] > PLACE_TOLERANCE_M for one in found)
+            halted = halts and any(one.stops_plan for one in found)
             for index, step in [] if halted else list(waiting.items()):
                 if step.waits_for <= done and step.car not in self._running:
                     self._begin(waiting.pop(index), legal)

@@ -30,7 +30,7 @@ from craftsim.mjcf.building import (
     surface,
 )
 from craftsim.mjcf.parameters import ContactParameters, Machines, SmartcarParameters
-from craftsim.mjcf.solids import ClosedSolid, Point, Ring, between, box, loft, rectangle, square, turned
+from craftsim.mjcf.solids import ClosedSolid, Point, between, box, loft, rectangle, square, turned
 
 WHEELS: Final = tuple(f"wheel_{corner}" for corner in CORNERS)
 """Order of everything that is given per wheel: front left, front right, rear left, rear right."""
@@ -307,14 +307,8 @@ def looks(car: SmartcarParameters) -> dict[str, list[ClosedSolid]]:
     The chassis and its trim have their origin on the axle line, midway; a hub in its middle; board, pads and post in
     the middle of the plate's upper face.
     """
-    return {
-        "chassis": _chassis(car),
-        "chassis_trim": _chassis_trim(car),
-        "wheel_hub": _wheel_hub(car),
-        "board": _board(car),
-        "board_pads": _board_pads(car),
-        "lift_post": _lift_post(car),
-    }
+    makers = _chassis, _chassis_trim, _wheel_hub, _board, _board_pads, _lift_post
+    return {make.__name__.removeprefix("_"): make(car) for make in makers}
 
 
 def _well_radius(car: SmartcarParameters) -> float:
@@ -332,18 +326,9 @@ def _chassis(car: SmartcarParameters) -> list[ClosedSolid]:
     half, inner_y, chamfer = car.chassis_length_m / 2, _well_inner_y(car), car.chassis_chamfer_m
     bumper, bevel = 0.002, 0.004
 
-    def level(half_x: float, half_y: float, z: float) -> Ring:
-        return rectangle((-half_x, half_x), (-half_y, half_y), z)
-
     nose = half - bumper
-    body = loft(
-        [
-            level(nose - chamfer, inner_y, bottom),
-            level(nose, inner_y, bottom + chamfer),
-            level(nose, inner_y, top - bevel),
-            level(nose - bevel, inner_y, top),
-        ]
-    )
+    side = (nose - chamfer, bottom), (nose, bottom + chamfer), (nose, top - bevel), (nose - bevel, top)
+    body = loft([rectangle((-x, x), (-inner_y, inner_y), z) for x, z in side])
     strip = half - 0.006
     strips = [box((x - 0.006, x + 0.006), (-0.056, 0.056), (0.004, 0.022), bumper) for x in (-strip, strip)]
     return [body, *strips, *_arches(car)]

@@ -141,8 +141,7 @@ class SmartcarParameters(NearNominal):
     camera_z_m: float = assumed(0.030, "between board and chamfer: it sees between the legs of a block")
     camera_pitch_rad: Pitch = assumed(-0.1, "upwards; sees floor from 0.1 m, one level up from 0.2 m")
     camera_fovy_rad: Annotated[float, Range(0.0, 2.8, above=True)] = assumed(
-        1.17,
-        "vertical field of view: the 67 degrees of a Raspberry Pi Camera Module 3 Wide",
+        1.17, "vertical field of view: the 67 degrees of a Raspberry Pi Camera Module 3 Wide"
     )
 
     def __post_init__(self) -> None:

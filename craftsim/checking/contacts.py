@@ -214,7 +214,6 @@ class ContactLog:
                 self._impossible[pair] = force, possible
 
     def _weigh(self) -> None:
-        """Read masses and motor limits of the PhysicsWorld."""
         physics, model = self.physics, self.physics.model
         self._mass = model.body_subtreemass[self._roots]
         self._dof = model.body_dofadr[self._roots].astype(np.intp)

@@ -245,7 +245,6 @@ class Judge:
         return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
 
     def _watch(self) -> None:
-        """Begin to note motion and contacts."""
         self._drift.settle(slice(None))
         if self.log is not None:
             self.log.begin()
@@ -334,7 +333,6 @@ class Judge:
         self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls)
 
     def _settle(self) -> bool:
-        """Wait for what still moves, unless it is unsafe, and return whether it has come to rest."""
         for _ in range(round(SETTLE_S / self.physics.config.control_period_s)):
             if self._drift.speed_m_s() <= SETTLED_M_S or (self.log is not None and self.log.is_unsafe()):
                 return True
@@ -357,7 +355,6 @@ class Judge:
         return ~(self.reading.bounded <= (self.thresholds.placed_m, self.thresholds.tilt_rad))
 
     def _measure(self, one: Watched, outcome: Outcome | None, acting: set[int], swaying: set[int]) -> None:
-        """Measure what an action has done, at its end."""
         step, car, log = one.step, one.step.car, self.log
         placed = self.reading.cars[car]
         things = [self.reading.objects[row - self._n_cars] for row in one.about]

@@ -84,7 +84,6 @@ def _chassis_inertia(car: SmartcarParameters) -> Point:
 
 
 def _set_whole_inertia(body: mujoco.MjsBody, car: SmartcarParameters) -> None:
-    """Give a body the mass and inertia of chassis and wheels in one."""
     mass, radius = car.chassis_mass_kg + 4 * car.wheel_mass_kg, car.wheel_radius_m
     centre_m = radius + car.chassis_mass_kg * car.chassis_com_m / mass
     x, y, z = _chassis_inertia(car)
@@ -111,7 +110,6 @@ def _levels(*rings: Point) -> list[Point]:
 
 
 def _hull(car: SmartcarParameters) -> list[Point]:
-    """Return the corners of the chassis with its chamfered lower edges, over the floor."""
     half, side, cut = car.chassis_length_m / 2, car.chassis_width_m / 2, car.chassis_chamfer_m
     bottom, top = (car.wheel_radius_m + z for z in (car.chassis_bottom_m, car.chassis_top_m))
     return _levels((half, side, bottom + cut), (half, side, top), (half - cut, side, bottom))

@@ -348,7 +348,6 @@ def _localise(
 def _disturb(
     true: Records, levels: Records, own: Records, normals: Floats, uniforms: Floats, out: Records
 ) -> None:
-    """Take in all other readings."""
     noise = levels[0]
     for i in range(len(true)):
         real, now, bias = true[i], out[i], own[i]

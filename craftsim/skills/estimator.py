@@ -175,7 +175,6 @@ class PoseEstimator:
         return self.readings
 
     def _begin(self, readings: Records) -> None:
-        """Begin with what is measured."""
         for past in (self._odometry, self._located):
             past[:] = np.stack([readings[name] for name in ("x", "y", "heading")], axis=1)[..., None]
         for estimate, mismatches in zip(self._estimates, self._delays, strict=True):
@@ -226,7 +225,6 @@ def _update(
 
 @compiled
 def _shift(past: Floats) -> None:
-    """Let what was the newest in each row be the second newest, and so on."""
     for row in range(3):
         for k in range(past.shape[1] - 1, 0, -1):
             past[row, k] = past[row, k - 1]
@@ -290,7 +288,6 @@ def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
 
 @compiled
 def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
-    """Take in a localisation."""
     delay, std, jitter, known = estimate.delay, estimate.delay_std, estimate.jitter, estimate.known
     state = known.state
     turned = now.heading - _at(rolled, _HEADING, delay) - state[_HEADING] - state[_BIAS + _HEADING]

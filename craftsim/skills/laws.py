@@ -248,7 +248,6 @@ def _hold_law(car: Record) -> None:
 
 @compiled
 def _stop_law(car: Record) -> None:
-    """Command nothing, and end the task when the wheels rest, or after an allowance."""
     task, wheels, gains = car.task, car.now.wheel_speeds, car.known.stop
     fastest = 0.0
     for wheel in range(4):
@@ -261,7 +260,6 @@ def _stop_law(car: Record) -> None:
 
 @compiled
 def _board_law(car: Record) -> None:
-    """Command the speed of a car's board towards its end, or end the task."""
     now, task, gains, period_s = car.now, car.task, car.known.board, car.known.period_s
     board = task.board
     remaining = board.target_m - now.board_m
@@ -311,7 +309,6 @@ def _hinge_law(car: Record, angles: Floats) -> None:
 
 @compiled
 def _drive_law(car: Record) -> None:
-    """Command the wheels of a car on its path, or end its task."""
     now, task, known = car.now, car.task, car.known
     drive, gains, period_s = task.drive, known.drive, known.period_s
     if drive.loaded:

@@ -197,7 +197,6 @@ class Tries:
         return replace(self.failed or last, duration_s=self.elapsed_s, tries=self.number)
 
     def _back(self) -> tuple[Performer, SkillSetup] | None:
-        """Return what undoes a failed try; None if nothing does."""
         if self.action in _UNDO:
             return self.performers[_UNDO[self.action]], self.setup
         ground = self.setup.terrain

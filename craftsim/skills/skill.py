@@ -357,5 +357,4 @@ def step_own(skill: Skill, now: CarMeasurement) -> Command:
 
 
 def _check_own(skill: Skill, now: CarMeasurement) -> None:
-    """End the skill of a car that has tipped or whose readings are not finite."""
     skill.outcome = state.ending(_health(skill.setup, now), skill.elapsed_s, now.pitch, now.roll)

@@ -284,7 +284,10 @@ class LawSkill(Skill):
     def __init__(self, setup: SkillSetup, begin: Begin) -> None:
         super().__init__(setup)
         self._begin = begin
-        self._cars, self._angles = records(1, state.CAR), np.zeros((1, n_angles(setup.gains, setup.period_s)))
+        self._cars, self._angles = (
+            records(1, state.CAR),
+            np.zeros((1, state.n_angles(setup.gains, setup.period_s))),
+        )
         self._cars["known"] = setup.constants
         self._cars["task"] = state.NO_TASK
 
@@ -309,11 +312,6 @@ class LawSkill(Skill):
         self.outcome, command = state.outcome_of(self.task), self._cars[0]["command"]
         fl, fr, rl, rr = command["wheels"].tolist()
         return Command((fl, fr, rl, rr), float(command["board"]), float(command["hinge"]))
-
-
-def n_angles(gains: Gains, period_s: float) -> int:
-    """Return the number of remembered hinge angles, one a control period: a hinge must be still over these."""
-    return round(gains.hinge.still_time / period_s) + 1
 
 
 def start_own(kind: type[Skill], setup: SkillSetup, now: CarMeasurement) -> Skill:

@@ -118,6 +118,11 @@ def constants_of(car: SmartcarParameters, machines: Machines, gains: Gains, peri
     return constants
 
 
+def n_angles(gains: Gains, period_s: float) -> int:
+    """Return the number of remembered hinge angles, one a control period: a hinge must be still over these."""
+    return round(gains.hinge.still_time / period_s) + 1
+
+
 def outcome_of(task: np.void) -> Outcome | None:
     """Return how a task has ended; None while it runs."""
     return ending(int(task["status"]), float(task["ended_s"]), task["detail"], task["second_detail"])

@@ -20,7 +20,7 @@ from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.mjcf.parameters import SmartcarParameters
-from craftsim.models.measuring import READING, Floats, Records
+from craftsim.models.measuring import READING, Arrays, Floats, Records
 from craftsim.models.sensing import SensorNoise
 from craftsim.skills.gains import LocalisationGains
 from craftsim.skills.mecanum import body_twist
@@ -161,7 +161,7 @@ class PoseEstimator:
         self._begun = np.zeros(1, np.bool_)
         """(1,): whether there was an update."""
         past = self._delays, self._odometry, self._located
-        self._update = bound(_update, self._estimates, *past, self._moved, self._begun, self.readings)
+        self._update = bound(_update, self._estimates, past, self._moved, self._begun, self.readings)
 
     def expect_loose(self, share: float) -> None:
         """From now on expect sideways slip, for a while in one direction, at this share of the speed."""
@@ -183,15 +183,9 @@ class PoseEstimator:
 
 @compiled
 def _update(
-    estimates: Records,
-    delays: Floats,
-    odometry: Floats,
-    located: Floats,
-    moved: Flags,
-    begun: Flags,
-    out: Records,
-    readings: Records,
+    estimates: Records, past: Arrays, moved: Flags, begun: Flags, out: Records, readings: Records
 ) -> None:
+    delays, odometry, located = past
     for i in range(len(readings)):
         out[i] = readings[i]
         now, estimate, rolled, seen = out[i], estimates[i], odometry[i], located[i]

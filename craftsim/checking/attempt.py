@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from craftsim.checking.contacts import Contact, Hazard
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Grid, Kind
-from craftsim.discrete.readback import Floats, Reading, changed, describe_car, describe_differences
+from craftsim.discrete.readback import (
+    PLACE_TOLERANCE_M,
+    Floats,
+    Reading,
+    changed,
+    describe_car,
+    describe_differences,
+)
 from craftsim.discrete.schedule import ScheduledAction
 from craftsim.skills.outcome import Outcome
 from craftsim.storage.records import record
@@ -282,6 +289,12 @@ class Watched:
     def applied(self) -> bool:
         """Whether the skill succeeded and the part of the world that it changes reads as predicted."""
         return not self.differences and self.outcome is not None and self.outcome.succeeded
+
+    @property
+    def stops_plan(self) -> bool:
+        """Whether a plan that stops at the first failure stops here."""
+        moved_m: float = self.errors["bystander_displacement_m"]
+        return not self.applied or moved_m > PLACE_TOLERANCE_M
 
     def exceeded(self, limits: Thresholds) -> list[str]:
         """Return the errors above their limits, or not finite."""

@@ -11,7 +11,7 @@ import math
 from collections.abc import Collection, Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -203,8 +203,8 @@ class ContactLog:
             return
         contact = data.contact
         n_blows = note_contacts(
-            *(contact.geom1, contact.geom2, contact.frame, contact.efc_address, data.efc_force, data.time),
-            *(self._machine, self._pairs, self._worst),
+            (contact.geom1, contact.geom2, contact.frame, contact.efc_address),
+            *(data.efc_force, data.time, self._machine, self._pairs, self._worst),
         )
         for pair in self._pairs["blow"][:n_blows].tolist():
             machines = [machine - 2 for machine in divmod(pair, len(self.names)) if machine >= 2]
@@ -213,7 +213,6 @@ class ContactLog:
                 self._impossible[pair] = force, possible
 
     def _weigh(self) -> None:
-        """Read masses and motor limits of the PhysicsWorld."""
         physics, model = self.physics, self.physics.model
         self._mass = model.body_subtreemass[self._roots]
         self._dof = model.body_dofadr[self._roots].astype(np.intp)
@@ -272,15 +271,7 @@ def stopping_ratio(contact: ContactParameters, timestep_s: float) -> float:
 
 @compiled
 def note_contacts(
-    geom1: Numbers,
-    geom2: Numbers,
-    frame: Floats,
-    efc_address: Numbers,
-    efc_force: Floats,
-    time_s: float,
-    machine: Numbers,
-    pairs: Record,
-    worst: Record,
+    contact: tuple[Any, ...], efc_force: Floats, time_s: float, machine: Numbers, pairs: Record, worst: Record
 ) -> int:
     """Note the net force of each pair of touching machines; return the number of new peaks above the limit.
 
@@ -288,6 +279,7 @@ def note_contacts(
     with the normal, which points at ``geom2``; at ``efc_address`` is the normal force (MuJoCo, mj_contactForce).
     ``machine`` (n_geom,) is that of each geom. ``pairs.blow`` lists the pairs of new peaks.
     """
+    geom1, geom2, frame, efc_address = contact
     n_touched, n_machines = 0, worst[0].n_machines
     for i in range(len(geom1)):
         row, one, other = efc_address[i], machine[geom1[i]], machine[geom2[i]]

@@ -199,7 +199,6 @@ def do(judge: Judge, step: Step) -> tuple[Attempt, ...]:
 
 
 def _do_at(judge: Judge, step: Step) -> tuple[Attempt, ...]:
-    """Begin the actions of each tick at its time, and run all to their ends."""
     found: list[Attempt] = []
     for tick, (joint, start_s) in enumerate(zip(step.ticks, step.starts_s, strict=True), step.number):
         while judge.physics.time_s < start_s:

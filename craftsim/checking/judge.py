@@ -25,14 +25,7 @@ from craftsim.discrete.grid import CarField, Grid, Kind
 from craftsim.discrete.kernel.claims import CHANGES
 from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.readback import (
-    PLACE_TOLERANCE_M,
-    Poses,
-    Reading,
-    describe_car,
-    own_differences,
-    read_grid,
-)
+from craftsim.discrete.readback import Poses, Reading, describe_car, own_differences, read_grid
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
 from craftsim.models.composition import lift_m
@@ -228,13 +221,13 @@ class Judge:
         before, steps, capped = self.grid, schedule.steps, self.physics.capped_steps
         number = {(step.tick, step.car): index for index, step in enumerate(steps)}
         waiting, found = dict(enumerate(steps)), list[Watched]()
-        moved, self._settled = "bystander_displacement_m", True
+        self._settled = True
         if steps:
             self._watch()
         while True:
             ended = (one.step for one in found if one.outcome and one.outcome.succeeded)
             done = {number[step.tick, step.car] for step in ended}
-            halted = halts and any(not one.applied or one.errors[moved] > PLACE_TOLERANCE_M for one in found)
+            halted = halts and any(one.stops_plan for one in found)
             for index, step in [] if halted else list(waiting.items()):
                 if step.waits_for <= done and step.car not in self._running:
                     self._begin(waiting.pop(index), legal)
@@ -253,7 +246,6 @@ class Judge:
         return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
 
     def _watch(self) -> None:
-        """Begin to note motion and contacts."""
         self._drift.settle(slice(None))
         if self.log is not None:
             self.log.begin()
@@ -342,7 +334,6 @@ class Judge:
         self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls)
 
     def _settle(self) -> bool:
-        """Wait for what still moves, unless it is unsafe, and return whether it has come to rest."""
         for _ in range(round(SETTLE_S / self.physics.config.control_period_s)):
             if self._drift.speed_m_s() <= SETTLED_M_S or (self.log is not None and self.log.is_unsafe()):
                 return True
@@ -365,7 +356,6 @@ class Judge:
         return ~(self.reading.bounded <= (self.thresholds.placed_m, self.thresholds.tilt_rad))
 
     def _measure(self, one: Watched, outcome: Outcome | None, acting: set[int], swaying: set[int]) -> None:
-        """Measure what an action has done, at its end."""
         step, car, log = one.step, one.step.car, self.log
         placed = self.reading.cars[car]
         things = [self.reading.objects[row - self._n_cars] for row in one.about]

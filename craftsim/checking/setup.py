@@ -97,7 +97,6 @@ class _File(DomainRandomization):
 
 
 def _read(file: str | Path, bases: Mapping[Randomize, _Terms]) -> _Terms:
-    """Return the randomization in a YAML file, based on a preset, with its limits."""
     document = read_document(Path(file))
     base = document.plain.get("base", "none")
     limits, randomization = next((terms for name, terms in bases.items() if name == base), bases["none"])

@@ -30,7 +30,7 @@ from craftsim.mjcf.building import (
     surface,
 )
 from craftsim.mjcf.parameters import ContactParameters, Machines, SmartcarParameters
-from craftsim.mjcf.solids import ClosedSolid, Point, Ring, between, box, loft, rectangle, square, turned
+from craftsim.mjcf.solids import ClosedSolid, Point, between, box, loft, rectangle, square, turned
 
 WHEELS: Final = tuple(f"wheel_{corner}" for corner in CORNERS)
 """Order of everything that is given per wheel: front left, front right, rear left, rear right."""
@@ -84,7 +84,6 @@ def _chassis_inertia(car: SmartcarParameters) -> Point:
 
 
 def _set_whole_inertia(body: mujoco.MjsBody, car: SmartcarParameters) -> None:
-    """Give a body the mass and inertia of chassis and wheels in one."""
     mass, radius = car.chassis_mass_kg + 4 * car.wheel_mass_kg, car.wheel_radius_m
     centre_m = radius + car.chassis_mass_kg * car.chassis_com_m / mass
     x, y, z = _chassis_inertia(car)
@@ -111,7 +110,6 @@ def _levels(*rings: Point) -> list[Point]:
 
 
 def _hull(car: SmartcarParameters) -> list[Point]:
-    """Return the corners of the chassis with its chamfered lower edges, over the floor."""
     half, side, cut = car.chassis_length_m / 2, car.chassis_width_m / 2, car.chassis_chamfer_m
     bottom, top = (car.wheel_radius_m + z for z in (car.chassis_bottom_m, car.chassis_top_m))
     return _levels((half, side, bottom + cut), (half, side, top), (half - cut, side, bottom))
@@ -307,14 +305,8 @@ def looks(car: SmartcarParameters) -> dict[str, list[ClosedSolid]]:
     The chassis and its trim have their origin on the axle line, midway; a hub in its middle; board, pads and post in
     the middle of the plate's upper face.
     """
-    return {
-        "chassis": _chassis(car),
-        "chassis_trim": _chassis_trim(car),
-        "wheel_hub": _wheel_hub(car),
-        "board": _board(car),
-        "board_pads": _board_pads(car),
-        "lift_post": _lift_post(car),
-    }
+    makers = _chassis, _chassis_trim, _wheel_hub, _board, _board_pads, _lift_post
+    return {make.__name__.removeprefix("_"): make(car) for make in makers}
 
 
 def _well_radius(car: SmartcarParameters) -> float:
@@ -332,18 +324,9 @@ def _chassis(car: SmartcarParameters) -> list[ClosedSolid]:
     half, inner_y, chamfer = car.chassis_length_m / 2, _well_inner_y(car), car.chassis_chamfer_m
     bumper, bevel = 0.002, 0.004
 
-    def level(half_x: float, half_y: float, z: float) -> Ring:
-        return rectangle((-half_x, half_x), (-half_y, half_y), z)
-
     nose = half - bumper
-    body = loft(
-        [
-            level(nose - chamfer, inner_y, bottom),
-            level(nose, inner_y, bottom + chamfer),
-            level(nose, inner_y, top - bevel),
-            level(nose - bevel, inner_y, top),
-        ]
-    )
+    side = (nose - chamfer, bottom), (nose, bottom + chamfer), (nose, top - bevel), (nose - bevel, top)
+    body = loft([rectangle((-x, x), (-inner_y, inner_y), z) for x, z in side])
     strip = half - 0.006
     strips = [box((x - 0.006, x + 0.006), (-0.056, 0.056), (0.004, 0.022), bumper) for x in (-strip, strip)]
     return [body, *strips, *_arches(car)]

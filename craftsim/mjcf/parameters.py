@@ -95,9 +95,7 @@ class SmartcarParameters(NearNominal):
         fixed="the ellipsoids of the rollers are made for ten a wheel",
     )
     roller_radius_m: Positive = assumed(0.009, "what fits ten rollers on the published wheel")
-    roller_half_length_m: Positive = derived(
-        0.0302, "least ripple of the envelope, 0.063 mm: found numerically"
-    )
+    roller_half_length_m: Positive = derived(0.0302, "of least ripple, 0.063 mm, which was found numerically")
     roller_mass_kg: Positive = assumed(0.03, "a rubber barrel of this size; part of the wheel's mass")
     roller_bearing_friction_nm: Positive = assumed(0.004, "friction 0.1 under a quarter car (25 N), 3 mm pin")
     roller_damping_nms_rad: Positive = assumed(0.00002, "grease: a thousandth of dry friction at 0.2 rad/s")
@@ -143,8 +141,7 @@ class SmartcarParameters(NearNominal):
     camera_z_m: float = assumed(0.030, "between board and chamfer: it sees between the legs of a block")
     camera_pitch_rad: Pitch = assumed(-0.1, "upwards; sees floor from 0.1 m, one level up from 0.2 m")
     camera_fovy_rad: Annotated[float, Range(0.0, 2.8, above=True)] = assumed(
-        1.17,
-        "vertical field of view: the 67 degrees of a Raspberry Pi Camera Module 3 Wide",
+        1.17, "vertical field of view: the 67 degrees of a Raspberry Pi Camera Module 3 Wide"
     )
 
     def __post_init__(self) -> None:
@@ -193,9 +190,7 @@ class BlockParameters(NearNominal):
 
     side_m: float = published(0.32, fixed=_GRID)
     height_m: float = derived(
-        LEVEL_HEIGHT_M,
-        "one level; the mesh has 0.187 and the collision box 0.1905, which do not stack at the pitch",
-        fixed=_GRID,
+        LEVEL_HEIGHT_M, "one level; the published 0.187 and 0.1905 do not stack", fixed=_GRID
     )
     leg_side_m: float = published(0.025, fixed=_SHAPE)
     leg_offset_m: float = published(0.1475, fixed=_SHAPE)
@@ -203,20 +198,12 @@ class BlockParameters(NearNominal):
     deck_mass_kg: Positive = published(0.5)
     leg_mass_kg: Positive = published(0.001)
     pocket_side_m: float = assumed(
-        0.1102,
-        "the boss' foot and 0.1 mm of play on each side: a load wanders by it; the bevel centres what is off by more",
-        fixed=_SHAPE,
+        0.1102, "0.1 mm of play on each side, by which a load wanders", fixed=_SHAPE
     )
     pocket_depth_m: float = assumed(0.006, "the boss' height and 1 mm", fixed=_SHAPE)
-    frame_relief_m: float = assumed(
-        0.0002,
-        "a block stands on a board by its front and back bars; the side bars, so much higher, only stop the boss",
-        fixed=_SHAPE,
-    )
+    frame_relief_m: float = assumed(0.0002, "the side bars, so much higher, only stop the boss", fixed=_SHAPE)
     foot_radius_m: float = assumed(
-        0.005,
-        "round feet at the legs' outer corners: one point of contact each, and as wide a stand",
-        fixed=_SHAPE,
+        0.005, "at the legs' outer corners: one point of contact each", fixed=_SHAPE
     )
     foot_proud_m: float = assumed(0.0005, "by so much the feet stand below the legs", fixed=_SHAPE)
     foot_friction: Friction = assumed(0.8, "rubber; with 0.4 a car on top shoves its block by millimetres")
@@ -241,9 +228,7 @@ class SlopeParameters(NearNominal):
     side_m: float = published(0.32, "the visual mesh; the collision meshes' 0.34 overlap", fixed=_GRID)
     hinge_x_m: float = derived(CELL_PITCH_M / 2, "on the cell's border, to cover the base", fixed=_GRID)
     hinge_z_m: float = derived(
-        LEVEL_HEIGHT_M / 2,
-        "half a level, so that the folded top is level; published 0.095 would stand 5 mm proud",
-        fixed=_GRID,
+        LEVEL_HEIGHT_M / 2, "half a level; the published 0.095 stands proud", fixed=_GRID
     )
     incline_rad: float = derived(INCLINE_RAD, "a level over two cells: 16.0 degrees", fixed=_GRID)
     wall_thickness_m: float = assumed(0.010, "side walls of the base, beside the widest car", fixed=_SHAPE)

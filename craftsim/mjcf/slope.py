@@ -59,7 +59,6 @@ def add_slope(spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, 
 
 
 def _add_hinge(builder: MachineBuilder, flap: mujoco.MjsBody, machines: Machines) -> None:
-    """Add the joint of a flap and its motor, and what the folded flap lies on."""
     slope, contact, prefix = machines.slope, machines.contact, builder.prefix
     folded = digits(round(slope.hinge_range_rad, 8))
     flap.add_joint(
@@ -119,12 +118,10 @@ def _prism(outline: Outline, ends: tuple[float, float]) -> list[Point]:
 
 
 def _gear_y(p: SlopeParameters) -> float:
-    """Return how far to the side the gears are."""
     return p.side_m / 2 - p.wall_thickness_m
 
 
 def _rise(p: SlopeParameters) -> float:
-    """Return rise over run of the incline."""
     return p.hinge_z_m / (2 * p.hinge_x_m)
 
 

@@ -236,7 +236,6 @@ def _limit(
     contacts: tuple[Ints, Ints],
     forces: Floats,
 ) -> None:
-    """Limit the motors of all wheels for what these carry, by contacts and their forces."""
     _weigh(wheel_of, uneven[0], wheels, contacts, forces)
     motor_forces, asleep, qacc, xmat = state
     for number in range(len(wheels)):

@@ -119,7 +119,6 @@ def _link(model: mujoco.MjModel, body: int) -> str:
 
 
 def _add_link(robot: Xml.Element, model: mujoco.MjModel, body: int, mesh_file: MeshFile) -> None:
-    """Add a body as a link, with its shapes."""
     link = _add(robot, "link", name=_link(model, body))
     if model.body_mass[body]:
         inertial = _add(link, "inertial")
@@ -164,7 +163,6 @@ def _add_shape(parent: Xml.Element, model: mujoco.MjModel, geom: int, mesh_file:
 
 
 def _add_joint(robot: Xml.Element, model: mujoco.MjModel, body: int) -> None:
-    """Add the joint of a body to its parent, with its range and the force and speed of its motor."""
     number, limited = int(model.body_jntadr[body]), False
     name, kind = f"{_link(model, body)}_fixed", "fixed"
     if number >= 0:

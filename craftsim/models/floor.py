@@ -123,26 +123,19 @@ def add_tiles(spec: mujoco.MjSpec, floor: Floor, size: Cell) -> None:
     ground.pos[2] = -floor.relief_m / 2 - depth_m
     body = spec.worldbody.add_body(name=NAME, pos=[*ground.pos[:2], 0.0])
     half, span = floor.half_tile_m, floor.span_m
+    alike = ("contype", "conaffinity", "friction", "solref", "solimp")
+    surface = {name: getattr(ground, name) for name in alike}
     for number, (x, y) in enumerate(centres):
-        field = spec.add_hfield(
-            name=f"tile{number}",
-            size=[half, half, span, _THICK_M],
-            nrow=count,
-            ncol=count,
-            userdata=np.zeros(count**2),
-        )
+        tile, extent, flat = f"tile{number}", [half, half, span, _THICK_M], np.zeros(count**2)
+        spec.add_hfield(name=tile, size=extent, nrow=count, ncol=count, userdata=flat)
         body.add_geom(
-            name=f"tile{number}",
+            name=tile,
             type=mujoco.mjtGeom.mjGEOM_HFIELD,
-            hfieldname=field.name,
+            hfieldname=tile,
             mass=0,
             pos=[x, y, -span / 2],
             rgba=FLOOR_RGBA,
-            contype=ground.contype,
-            conaffinity=ground.conaffinity,
-            friction=ground.friction,
-            solref=ground.solref,
-            solimp=ground.solimp,
+            **surface,
         )
 
 

@@ -22,6 +22,7 @@ from craftsim.storage.limits import PHYSICS_PARTS, Range
 
 Floats = NDArray[np.float64]
 Records = NDArray[np.void]
+Arrays = tuple[Floats, ...]
 
 WIRING: Final = layout(
     i8="pose board board_dof board_activation board_motor",
@@ -166,12 +167,7 @@ def exact_reader(physics: PhysicsWorld, cars: Records, undersides: Records) -> C
 
 @compiled
 def _read_cars(
-    state: tuple[Floats, Floats, Floats, Floats],
-    motors: tuple[Floats, Floats, Floats],
-    cars: Records,
-    undersides: Records,
-    time_s: float,
-    out: Records,
+    state: Arrays, motors: Arrays, cars: Records, undersides: Records, time_s: float, out: Records
 ) -> None:
     """Measure all cars, by positions, speeds, activations and the speeds of wheels, and by what boards' motors give."""
     qpos, qvel, act, speeds = state

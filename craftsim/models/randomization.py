@@ -150,7 +150,6 @@ def _factors(width: float, names: Iterable[tuple[str, str]], draw: Draw) -> Floa
 
 
 def _vary_bodies(model: mujoco.MjModel, randomization: DomainRandomization, draw: Draw) -> None:
-    """Draw the mass of each machine, and the sliding friction of each of its materials."""
     roots = np.where(model.body_rootid == tiles_body(model), 0, model.body_rootid)
     present = np.unique(roots)
     names = [_machine_and_part(model.body(root).name)[0] if root else GROUND for root in present.tolist()]
@@ -167,7 +166,6 @@ def _vary_bodies(model: mujoco.MjModel, randomization: DomainRandomization, draw
 
 
 def _vary_motors_and_joints(model: mujoco.MjModel, randomization: DomainRandomization, draw: Draw) -> None:
-    """Draw the strength of each motor, and the friction of each joint."""
     names = [_machine_and_part(model.actuator(i).name) for i in range(model.nu)]
     motor = _factors(randomization.motor, ((machine, f"motor {part}") for machine, part in names), draw)
     model.actuator_forcerange[:] *= motor[:, None]
@@ -212,7 +210,6 @@ def _make(physics: PhysicsWorld, making: Making, draw: Draw) -> None:
 
 
 def _resize_wheels(model: mujoco.MjModel, car: Car, larger: Floats, moved: Floats) -> None:
-    """Let wheels be larger by so much, (4,) metres, and stand elsewhere by so much, (4, 2)."""
     if len(car.wheel_dofs):
         for dof, more, by in zip(car.wheel_dofs, larger, moved, strict=True):
             wheel = model.dof_bodyid[dof]

@@ -13,6 +13,7 @@ from craftsim.discrete.kernel.rotation import body_axes, wrap
 from craftsim.models.config import Amount
 from craftsim.models.measuring import (
     READING,
+    Arrays,
     CarMeasurement,
     Floats,
     Records,
@@ -293,13 +294,7 @@ def _in_periods(noise: SensorNoise, period_s: float) -> Records:
 
 @compiled
 def _localise(
-    true: Records,
-    own: Records,
-    past: Floats,
-    n_periods: int,
-    levels: Records,
-    drawn: tuple[Floats, Floats, Floats],
-    out: Records,
+    true: Records, own: Records, past: Floats, n_periods: int, levels: Records, drawn: Arrays, out: Records
 ) -> None:
     """Take in the exact poses of a period; where nothing arrives the pose stays, and is not fresh."""
     white, normals, uniforms = drawn
@@ -348,7 +343,6 @@ def _localise(
 def _disturb(
     true: Records, levels: Records, own: Records, normals: Floats, uniforms: Floats, out: Records
 ) -> None:
-    """Take in all other readings."""
     noise = levels[0]
     for i in range(len(true)):
         real, now, bias = true[i], out[i], own[i]

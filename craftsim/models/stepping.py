@@ -116,7 +116,6 @@ class Stepping:
 def _run_in_python(
     model: mujoco.MjModel, data: mujoco.MjData, turn: Callable[[], None], most_iterations: int, n_steps: int
 ) -> int:
-    """Do what :func:`_run_steps` does, without batches."""
     n_capped = 0
     turn()
     for _ in range(n_steps):

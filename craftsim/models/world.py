@@ -75,7 +75,6 @@ class Baseline:
 
     @classmethod
     def _arrays(cls, model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
-        """Return the model's own arrays by field name."""
         return {f.name: getattr(model.opt if f.name == "gravity" else model, f.name) for f in fields(cls)}
 
 

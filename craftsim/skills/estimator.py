@@ -20,7 +20,7 @@ from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.mjcf.parameters import SmartcarParameters
-from craftsim.models.measuring import READING, Floats, Records
+from craftsim.models.measuring import READING, Arrays, Floats, Records
 from craftsim.models.sensing import SensorNoise
 from craftsim.skills.gains import LocalisationGains
 from craftsim.skills.mecanum import body_twist
@@ -161,7 +161,7 @@ class PoseEstimator:
         self._begun = np.zeros(1, np.bool_)
         """(1,): whether there was an update."""
         past = self._delays, self._odometry, self._located
-        self._update = bound(_update, self._estimates, *past, self._moved, self._begun, self.readings)
+        self._update = bound(_update, self._estimates, past, self._moved, self._begun, self.readings)
 
     def expect_loose(self, share: float) -> None:
         """From now on expect sideways slip, for a while in one direction, at this share of the speed."""
@@ -175,7 +175,6 @@ class PoseEstimator:
         return self.readings
 
     def _begin(self, readings: Records) -> None:
-        """Begin with what is measured."""
         for past in (self._odometry, self._located):
             past[:] = np.stack([readings[name] for name in ("x", "y", "heading")], axis=1)[..., None]
         for estimate, mismatches in zip(self._estimates, self._delays, strict=True):
@@ -184,15 +183,9 @@ class PoseEstimator:
 
 @compiled
 def _update(
-    estimates: Records,
-    delays: Floats,
-    odometry: Floats,
-    located: Floats,
-    moved: Flags,
-    begun: Flags,
-    out: Records,
-    readings: Records,
+    estimates: Records, past: Arrays, moved: Flags, begun: Flags, out: Records, readings: Records
 ) -> None:
+    delays, odometry, located = past
     for i in range(len(readings)):
         out[i] = readings[i]
         now, estimate, rolled, seen = out[i], estimates[i], odometry[i], located[i]
@@ -226,7 +219,6 @@ def _update(
 
 @compiled
 def _shift(past: Floats) -> None:
-    """Let what was the newest in each row be the second newest, and so on."""
     for row in range(3):
         for k in range(past.shape[1] - 1, 0, -1):
             past[row, k] = past[row, k - 1]
@@ -290,7 +282,6 @@ def _predict(now: Record, estimate: Record, rolled: Floats) -> None:
 
 @compiled
 def _localise(now: Record, estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -> None:
-    """Take in a localisation."""
     delay, std, jitter, known = estimate.delay, estimate.delay_std, estimate.jitter, estimate.known
     state = known.state
     turned = now.heading - _at(rolled, _HEADING, delay) - state[_HEADING] - state[_BIAS + _HEADING]

@@ -16,31 +16,15 @@ from craftsim.discrete.readback import nearest_yaw
 from craftsim.models.measuring import Motors, Records
 from craftsim.models.sensing import EXACT, SensorNoise, Sensors, measurement_of
 from craftsim.models.world import PhysicsWorld
+from craftsim.skills import library
 from craftsim.skills.estimator import PoseEstimator, assume_delay, likeliest_delay
 from craftsim.skills.fleet import Fleet, PhysicsFleet
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.laws import LAG_STEP_S, step_cars
-from craftsim.skills.library import (
-    Performer,
-    SkillChoice,
-    Tries,
-    begin_of,
-    check_cars,
-    own_skills,
-    performers,
-)
+from craftsim.skills.library import Performer, SkillChoice, Tries
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.skill import (
-    Skill,
-    SkillSetup,
-    Terrain,
-    begin_task,
-    cell_middle,
-    n_angles,
-    start_own,
-    step_own,
-)
-from craftsim.skills.state import CAR, COMMAND, HOLD, IDLE, N_LAGS, NO_TASK, OWN, outcome_of
+from craftsim.skills.skill import Skill, SkillSetup, Terrain, begin_task, cell_middle, start_own, step_own
+from craftsim.skills.state import CAR, COMMAND, HOLD, IDLE, N_LAGS, NO_TASK, OWN, n_angles, outcome_of
 
 _ASSUMED_LAG: Final = (1.0, 3.0)
 """Prior mean and standard deviation of a motor's lag, in steps between candidates."""
@@ -96,10 +80,10 @@ class Executor:
         """Called after every control period; True stops all cars and ends their actions."""
         self.fleet: Fleet = fleet or PhysicsFleet(physics, sensors, motors)
         n, period = len(physics.cars), physics.config.control_period_s
-        own = own_skills(skills)
+        own = library.own_skills(skills)
         if isinstance(skills, Mapping | str):
-            check_cars(own, n)
-        self._performers = performers(own, n)
+            library.check_cars(own, n)
+        self._performers = library.performers(own, n)
         machines = [car.parameters for car in physics.cars]
         self._setups = [SkillSetup(machine, physics.machines, self.gains, period) for machine in machines]
         self._estimator = None
@@ -174,7 +158,7 @@ class Executor:
         setup = self._setups[car].carefully() if uneven else self._setups[car]
         setup = setup if terrain is None else setup.on(terrain)
         performers, now = self._performers[car], measurement_of(self.readings()[car])
-        performer = performers.setdefault(action, begin_of(action))
+        performer = performers.setdefault(action, library.begin_of(action))
         self._start(car, performer, setup)
         self._tries[car] = Tries(action, setup, performers, cell_middle(now, nearest_yaw(now.heading)[0]))
 

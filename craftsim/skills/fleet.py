@@ -207,7 +207,6 @@ class DisturbedFleet(PhysicsFleet):
         return found
 
     def _push(self, block: Joint, start: Floats, end: Floats, passed_s: float) -> None:
-        """Set the force on a block for the next physics step."""
         physics, share = self.physics, min(passed_s / SHOVE_S, 1.0)
         target = start + (end - start) * 0.5 * (1 - math.cos(math.pi * share))
         position, _ = physics.free_body_state(block)

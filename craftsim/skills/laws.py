@@ -14,34 +14,10 @@ from typing import Final
 from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.models.measuring import Floats, Records, drive_wheels
+from craftsim.skills import state
 from craftsim.skills.estimator import delay_of, update_floor
 from craftsim.skills.fleet import Wires
 from craftsim.skills.mecanum import Triple, body_twist, on_wheels, wrench_of
-from craftsim.skills.state import (
-    BLOCKED,
-    BOARD,
-    BOARD_SHORT,
-    DRIVE,
-    GRAVITY,
-    HINGE,
-    HINGE_SHORT,
-    HOLD,
-    IDLE,
-    LEANS,
-    LOAD_MISSED,
-    MOVES_OFF_TARGET,
-    N_LAGS,
-    NO_LOAD,
-    NOT_FINITE,
-    OWN,
-    RESTS_OFF_TARGET,
-    RUNNING,
-    SLIPPED,
-    STOP,
-    SUCCEEDED,
-    UNDOCKED,
-    WHEELS_TURN,
-)
 
 LAG_STEP_S: Final = 0.01
 """Step between candidate time constants of the motors' lag."""
@@ -105,13 +81,13 @@ _motion_at = compiled(Profile.motion)
 
 
 def health_of(now: Record, limits: Record) -> int:
-    """Return RUNNING, or the status of a car whose readings are not finite, or that tipped by HealthGains."""
+    """Return state.RUNNING, or the status of a car whose readings are not finite, or that tipped by HealthGains."""
     # A sum is finite only if all its terms are.
     pose = now.x + now.y + now.z + now.heading + now.pitch + now.roll
     wheels = now.wheel_speeds[0] + now.wheel_speeds[1] + now.wheel_speeds[2] + now.wheel_speeds[3]
     if not math.isfinite(pose + now.board_m + now.board_force_n + now.hinge_rad + wheels):
-        return NOT_FINITE
-    return LEANS if max(abs(now.pitch), abs(now.roll)) > limits.tipped else RUNNING
+        return state.NOT_FINITE
+    return state.LEANS if max(abs(now.pitch), abs(now.roll)) > limits.tipped else state.RUNNING
 
 
 def feels_load(now: Record, limits: Record, felt_load_n: float) -> bool:
@@ -140,9 +116,9 @@ def step_cars(cars: Records, angles: Floats, wires: Wires, readings: Records) ->
         car.now = readings[i]
         level = update_floor(car)
         law, command, slope = car.task.law, car.command, car.now.slope
-        if law == IDLE:
+        if law == state.IDLE:
             continue
-        if law != OWN:
+        if law != state.OWN:
             ended += step_task(car, angles[i])
         compensate_lag(car, level)
         drive_wheels(command.wheels, wires.speeds[i], wires.share[0], wiring, ctrl)
@@ -161,25 +137,25 @@ def step_task(car: Record, angles: Floats) -> int:
     """Write the command of a car for the next control period; return 1, with a zero command, if its task has ended."""
     task = car.task
     _clear(car.command)
-    if task.law == HOLD:
+    if task.law == state.HOLD:
         _hold_law(car)
         return 0
-    if task.status == RUNNING:
+    if task.status == state.RUNNING:
         status = _health_of(car.now, car.known.health)
-        if status != RUNNING:
+        if status != state.RUNNING:
             _end(task, status, car.now.pitch, car.now.roll)
-    if task.status == RUNNING:
+    if task.status == state.RUNNING:
         task.feels_load = _feels_load(car.now, car.known.health, car.known.car.felt_load_n)
-        if task.law == DRIVE:
+        if task.law == state.DRIVE:
             _drive_law(car)
-        elif task.law == BOARD:
+        elif task.law == state.BOARD:
             _board_law(car)
-        elif task.law == HINGE:
+        elif task.law == state.HINGE:
             _hinge_law(car, angles)
-        elif task.law == STOP:
+        elif task.law == state.STOP:
             _stop_law(car)
         task.elapsed_s += car.known.period_s
-    if task.status == RUNNING:
+    if task.status == state.RUNNING:
         return 0
     _clear(car.command)
     return 1
@@ -213,7 +189,7 @@ def compensate_lag(car: Record, level: bool) -> None:
             # A wheel that is further behind its servo lacks torque or grip, which says nothing of the lag.
             most_behind = known.wheel_torque_nm / known.wheel_gain_nms_rad
             if lag.sent[wheel] != 0.0 and abs(servo - turning[wheel]) < most_behind:
-                for k in range(N_LAGS):
+                for k in range(state.N_LAGS):
                     off = turning[wheel] - lag.servos[k, wheel]
                     lag.mismatches[k] += (off / _UNSURE_RAD_S) ** 2
         lag.steps, _ = delay_of(lag.mismatches[:])
@@ -226,7 +202,7 @@ def compensate_lag(car: Record, level: bool) -> None:
         if not stopped:
             wheels[wheel] = max(-limit, min(limit, servo + (wheels[wheel] - servo) / share))
         lag.sent[wheel] = wheels[wheel]
-        for k in range(N_LAGS):
+        for k in range(state.N_LAGS):
             near = 1.0 if stopped else lag.shares[k]
             lag.servos[k, wheel] += near * (wheels[wheel] - lag.servos[k, wheel])
 
@@ -234,7 +210,7 @@ def compensate_lag(car: Record, level: bool) -> None:
 @compiled
 def _servo_speed(lag: Record, wheel: int) -> float:
     """Return the present speed of a wheel's servo, interpolated between two candidates for its lag."""
-    below = min(math.floor(lag.steps), N_LAGS - 2)
+    below = min(math.floor(lag.steps), state.N_LAGS - 2)
     part = lag.steps - below
     speed: float = lag.servos[below, wheel] * (1 - part) + lag.servos[below + 1, wheel] * part
     return speed
@@ -272,20 +248,18 @@ def _hold_law(car: Record) -> None:
 
 @compiled
 def _stop_law(car: Record) -> None:
-    """Command nothing, and end the task when the wheels rest, or after an allowance."""
     task, wheels, gains = car.task, car.now.wheel_speeds, car.known.stop
     fastest = 0.0
     for wheel in range(4):
         fastest = max(fastest, abs(wheels[wheel]))
     if task.elapsed_s > 0 and fastest < gains.wheels_at_rest:
-        _end(task, SUCCEEDED, 0.0, 0.0)
+        _end(task, state.SUCCEEDED, 0.0, 0.0)
     elif task.elapsed_s > gains.allowance:
-        _end(task, WHEELS_TURN, 0.0, 0.0)
+        _end(task, state.WHEELS_TURN, 0.0, 0.0)
 
 
 @compiled
 def _board_law(car: Record) -> None:
-    """Command the speed of a car's board towards its end, or end the task."""
     now, task, gains, period_s = car.now, car.task, car.known.board, car.known.period_s
     board = task.board
     remaining = board.target_m - now.board_m
@@ -293,9 +267,9 @@ def _board_law(car: Record) -> None:
     board.last_m = now.board_m
     if abs(remaining) < gains.reached and still and task.elapsed_s > 0:
         missing = board.needs_load and not task.feels_load
-        _end(task, NO_LOAD if missing else SUCCEEDED, now.board_force_n, 0.0)
+        _end(task, state.NO_LOAD if missing else state.SUCCEEDED, now.board_force_n, 0.0)
     elif task.elapsed_s > board.deadline_s:
-        _end(task, BOARD_SHORT, remaining * 1e3, 0.0)
+        _end(task, state.BOARD_SHORT, remaining * 1e3, 0.0)
     limit = min(car.known.car.board_speed_m_s, abs(board.speed) + gains.acceleration * period_s)
     board.speed = max(-limit, min(limit, gains.gain * remaining))
     car.command.board = board.speed
@@ -316,7 +290,7 @@ def _hinge_law(car: Record, angles: Floats) -> None:
         # A plug may chatter.
         hinge.undocked_s += period_s
         if hinge.undocked_s > gains.undocked:
-            _end(task, UNDOCKED, 0.0, 0.0)
+            _end(task, state.UNDOCKED, 0.0, 0.0)
         return
     hinge.undocked_s = 0.0
     # The angle of some periods ago stands where the one after this will be noted.
@@ -325,9 +299,9 @@ def _hinge_law(car: Record, angles: Floats) -> None:
     moved = abs(now.hinge_rad - angles[hinge.n_past % len(angles)])
     still = hinge.n_past >= len(angles) and moved < gains.still * gains.still_time
     if abs(remaining) < gains.reached and still:
-        _end(task, SUCCEEDED, 0.0, 0.0)
+        _end(task, state.SUCCEEDED, 0.0, 0.0)
     elif task.elapsed_s > hinge.deadline_s:
-        _end(task, HINGE_SHORT, remaining, 0.0)
+        _end(task, state.HINGE_SHORT, remaining, 0.0)
     limit = min(car.known.car.hinge_speed_rad_s, abs(hinge.speed) + gains.acceleration * period_s)
     hinge.speed = max(-limit, min(limit, gains.gain * remaining))
     car.command.hinge = hinge.speed
@@ -335,14 +309,13 @@ def _hinge_law(car: Record, angles: Floats) -> None:
 
 @compiled
 def _drive_law(car: Record) -> None:
-    """Command the wheels of a car on its path, or end its task."""
     now, task, known = car.now, car.task, car.known
     drive, gains, period_s = task.drive, known.drive, known.period_s
     if drive.loaded:
         # Shorter dips of what the board feels come from bumps and acceleration.
         drive.unloaded_s = 0.0 if task.feels_load else drive.unloaded_s + period_s
         if drive.unloaded_s > known.health.load_lost:
-            _end(task, LOAD_MISSED, now.board_force_n, 0.0)
+            _end(task, state.LOAD_MISSED, now.board_force_n, 0.0)
     error = drive.path[0] - now.x, drive.path[1] - now.y, wrap(drive.path[2] - now.heading)
     _check_progress(car, error)
     elapsed_s = task.elapsed_s - drive.waited_s
@@ -354,10 +327,15 @@ def _drive_law(car: Record) -> None:
         drive.there_periods = drive.there_periods + 1 if there and sure else 0
         drive.rest_periods = drive.rest_periods + 1 if drive.there_periods and drive.at_rest else 0
         if drive.rest_periods >= gains.rest_periods:
-            _end(task, SUCCEEDED, 0.0, 0.0)
+            _end(task, state.SUCCEEDED, 0.0, 0.0)
         elif elapsed_s > drive.profile.duration_s + gains.settle_allowance:
-            _end(task, RESTS_OFF_TARGET if drive.at_rest else MOVES_OFF_TARGET, offset * 1e3, turn * 1e3)
-    if task.status == RUNNING and drive.there_periods <= gains.brake_periods:
+            _end(
+                task,
+                state.RESTS_OFF_TARGET if drive.at_rest else state.MOVES_OFF_TARGET,
+                offset * 1e3,
+                turn * 1e3,
+            )
+    if task.status == state.RUNNING and drive.there_periods <= gains.brake_periods:
         _command_wheels(car, error)
     if drive.waits:
         # A car on two wheels of a diagonal drifts aside until the others touch the floor: the further it is beside the
@@ -419,9 +397,9 @@ def _command_wheels(car: Record, error: Triple) -> None:
         reach = machine.wheel_x_m * ahead * math.cos(now.pitch)
         front = 1 / math.cos((drive.end_rad if past_border + reach > 0 else drive.start_rad) - now.pitch)
         rear = 1 / math.cos((drive.end_rad if past_border - reach > 0 else drive.start_rad) - now.pitch)
-    load_kg = max(0.0, now.board_force_n) / GRAVITY if drive.loaded else 0.0
+    load_kg = max(0.0, now.board_force_n) / state.GRAVITY if drive.loaded else 0.0
     mass = machine.mass_kg + load_kg
-    weight, inertia = mass * GRAVITY, mass + machine.spin_mass_kg
+    weight, inertia = mass * state.GRAVITY, mass + machine.spin_mass_kg
     forward, left, turn = _to_body((step.x * pull, step.y * pull, step.heading * pull), now)
     quarter = radius_m / 4
     torques = on_wheels(
@@ -497,7 +475,7 @@ def _check_progress(car: Record, error: Triple) -> None:
             torques[wheel] = given - lost - spun_up
         x, y, turn = wrench_of(lever_m, radius_m, torques[0], torques[1], torques[2], torques[3])
         mass_kg = machine.mass_kg + drive.load_kg
-        weight = mass_kg * GRAVITY
+        weight = mass_kg * state.GRAVITY
         x, y = x - weight * math.sin(now.pitch), y - weight * math.sin(now.roll)
         # How a free car would speed up towards where it should be.
         turning = turn / machine.turn_inertia_kgm2 * lever_m**2
@@ -508,7 +486,7 @@ def _check_progress(car: Record, error: Triple) -> None:
             enough = gains.slip_ratio * behind.moved_m + gains.slip_distance
             slips = behind.rolled_m > enough and enough >= behind.free_m
             behind_m = math.hypot(error[0], error[1]) + lever_m * abs(error[2])
-            _end(car.task, SLIPPED if slips else BLOCKED, behind_m * 1e3, 0.0)
+            _end(car.task, state.SLIPPED if slips else state.BLOCKED, behind_m * 1e3, 0.0)
     before.x, before.y, before.heading = now.x, now.y, now.heading
     for wheel in range(4):
         drive.wheels_before[wheel] = wheels[wheel]

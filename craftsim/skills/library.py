@@ -12,33 +12,25 @@ from craftsim.discrete.actions import ACTIONS, check_complete
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.errors import InputError
 from craftsim.modules import import_own
+from craftsim.skills import skill
 from craftsim.skills.mecanum import Triple
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.skill import (
-    Begin,
-    Skill,
-    SkillSetup,
-    Terrain,
-    begin_board,
-    begin_hinge,
-    begin_lift,
-    begin_move,
-    begin_stop,
-    begin_turn,
-)
+from craftsim.skills.skill import Begin, Skill, SkillSetup, Terrain
 
 Performer = Begin | type[Skill]
 """What performs an action: a function that sets up the task of a compiled law, or a class of skills in Python."""
 
 BUILT_IN: Final[Mapping[Action, Performer]] = {
-    **{action: partial(begin_move, direction=direction) for action, direction in MOVE_DIRECTION.items()},
-    Action.ROTATE_LEFT: partial(begin_turn, quarter=+1),
-    Action.ROTATE_RIGHT: partial(begin_turn, quarter=-1),
-    Action.LIFT: begin_lift,
-    Action.DROP: partial(begin_board, target_m=0.0),
-    Action.FOLD: partial(begin_hinge, folds=True),
-    Action.UNFOLD: partial(begin_hinge, folds=False),
-    Action.STOP: begin_stop,
+    **{
+        action: partial(skill.begin_move, direction=direction) for action, direction in MOVE_DIRECTION.items()
+    },
+    Action.ROTATE_LEFT: partial(skill.begin_turn, quarter=+1),
+    Action.ROTATE_RIGHT: partial(skill.begin_turn, quarter=-1),
+    Action.LIFT: skill.begin_lift,
+    Action.DROP: partial(skill.begin_board, target_m=0.0),
+    Action.FOLD: partial(skill.begin_hinge, folds=True),
+    Action.UNFOLD: partial(skill.begin_hinge, folds=False),
+    Action.STOP: skill.begin_stop,
 }
 """What performs each of the 15 actions; the four diagonal moves are never legal, and nothing performs them."""
 check_complete(BUILT_IN, "skill", "craftsim/skills/library.py")
@@ -205,15 +197,14 @@ class Tries:
         return replace(self.failed or last, duration_s=self.elapsed_s, tries=self.number)
 
     def _back(self) -> tuple[Performer, SkillSetup] | None:
-        """Return what undoes a failed try; None if nothing does."""
         if self.action in _UNDO:
             return self.performers[_UNDO[self.action]], self.setup
         ground = self.setup.terrain
         setup = self.setup.on(Terrain(ground.end_rad, ground.start_rad, tight=True)).carefully()
         if self.action in _TURNS:
             # A path of a few millimetres that turns by a quarter is led by its turn.
-            return partial(begin_turn, quarter=0, target=self.home), setup
+            return partial(skill.begin_turn, quarter=0, target=self.home), setup
         if self.action not in MOVE_DIRECTION:
             return None
         direction = (MOVE_DIRECTION[self.action] + 2) % 4
-        return partial(begin_move, direction=direction, target=self.home), setup
+        return partial(skill.begin_move, direction=direction, target=self.home), setup

@@ -23,23 +23,11 @@ from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines, SmartcarParameters
 from craftsim.models.measuring import Records, Wheels, write_reading
 from craftsim.models.sensing import CarMeasurement
+from craftsim.skills import state
 from craftsim.skills.gains import Gains, careful
 from craftsim.skills.laws import Profile, feels_load, health_of, step_task
 from craftsim.skills.mecanum import Triple
 from craftsim.skills.outcome import Outcome, Reason
-from craftsim.skills.state import (
-    BOARD,
-    CAR,
-    DRIVE,
-    GRAVITY,
-    HINGE,
-    NO_TASK,
-    RUNNING,
-    STOP,
-    constants_of,
-    ending,
-    outcome_of,
-)
 from craftsim.storage.limits import Range
 
 
@@ -74,7 +62,7 @@ class SkillSetup:
     @cached_property
     def constants(self) -> Records:
         """(1,) KNOWN of :mod:`craftsim.skills.state`, read-only: the same for compiled laws."""
-        return constants_of(self.machine, self.machines, self.gains, self.period_s)
+        return state.constants_of(self.machine, self.machines, self.gains, self.period_s)
 
     def on(self, terrain: Terrain) -> SkillSetup:
         """Return the same for a move on other ground."""
@@ -181,7 +169,7 @@ def begin_path(
     length = abs(float(delta[2])) if turning else float(np.hypot(delta[0], delta[1]))
     profile = Profile.within(length, *limits)
     travel = profile.distance(profile.duration_s)
-    task["law"], drive = DRIVE, task["drive"]
+    task["law"], drive = state.DRIVE, task["drive"]
     drive["origin"] = now.x, now.y, now.heading
     drive["delta"] = delta
     drive["direction"] = tuple(d / travel for d in delta) if travel else (0.0, 0.0, 0.0)
@@ -195,7 +183,7 @@ def begin_board(
     setup: SkillSetup, now: CarMeasurement, task: Task, target_m: float, needs_load: bool = False
 ) -> None:
     """Bring the board to so much above its lower stop; with ``needs_load`` it must feel a load there."""
-    task["law"], board = BOARD, task["board"]
+    task["law"], board = state.BOARD, task["board"]
     board["target_m"], board["last_m"], board["needs_load"] = target_m, now.board_m, needs_load
     travel = abs(target_m - now.board_m)
     board["deadline_s"] = travel / setup.machine.board_speed_m_s + setup.gains.board.allowance
@@ -208,19 +196,19 @@ def begin_lift(setup: SkillSetup, now: CarMeasurement, task: Task) -> None:
 
 def begin_hinge(setup: SkillSetup, now: CarMeasurement, task: Task, folds: bool) -> None:
     """Bring the hinge of the docked slope, the first in a reading, to one end of its range."""
-    task["law"], hinge = HINGE, task["hinge"]
+    task["law"], hinge = state.HINGE, task["hinge"]
     hinge["target_rad"], hinge["slope"] = setup.machines.slope.hinge_range_rad if folds else 0.0, -1
 
 
 def begin_stop(setup: SkillSetup, now: CarMeasurement, task: Task) -> None:
     """Command all motors to zero until the wheels rest."""
-    task["law"] = STOP
+    task["law"] = state.STOP
 
 
 def begin_task(begin: Begin, setup: SkillSetup, now: CarMeasurement, task: Task) -> None:
     """Set up a task; it has ended already for a car that has tipped or whose readings are not finite."""
     status = _health(setup, now)
-    if status == RUNNING:
+    if status == state.RUNNING:
         begin(setup, now, task)
     else:
         begin_stop(setup, now, task)
@@ -234,14 +222,14 @@ def _health(setup: SkillSetup, now: CarMeasurement) -> int:
 def _load(setup: SkillSetup, now: CarMeasurement) -> tuple[bool, float]:
     """Return whether a car feels a load, and of how many kg."""
     loaded = feels_load(now, setup.gains.health, float(setup.constants[0]["car"]["felt_load_n"]))
-    return loaded, max(0.0, now.board_force_n) / GRAVITY if loaded else 0.0
+    return loaded, max(0.0, now.board_force_n) / state.GRAVITY if loaded else 0.0
 
 
 def _motor_limits(setup: SkillSetup, load_kg: float, incline_rad: float) -> tuple[float, float]:
     """Return the speed (m/s) and the force (N) that the wheels can give, less a reserve and gear friction."""
     car, share = setup.machine, setup.gains.drive.motor_share
     torque = share * car.wheel_torque_nm - car.gear_friction_nm
-    weight = (float(setup.constants[0]["car"]["mass_kg"]) + load_kg) * GRAVITY
+    weight = (float(setup.constants[0]["car"]["mass_kg"]) + load_kg) * state.GRAVITY
     force = 4 * torque / car.wheel_radius_m - weight * math.sin(abs(incline_rad))
     return share * car.wheel_speed_rad_s * car.wheel_radius_m, max(force, 1.0)
 
@@ -296,9 +284,12 @@ class LawSkill(Skill):
     def __init__(self, setup: SkillSetup, begin: Begin) -> None:
         super().__init__(setup)
         self._begin = begin
-        self._cars, self._angles = records(1, CAR), np.zeros((1, n_angles(setup.gains, setup.period_s)))
+        self._cars, self._angles = (
+            records(1, state.CAR),
+            np.zeros((1, state.n_angles(setup.gains, setup.period_s))),
+        )
         self._cars["known"] = setup.constants
-        self._cars["task"] = NO_TASK
+        self._cars["task"] = state.NO_TASK
 
     @property
     def task(self) -> np.void:
@@ -309,7 +300,7 @@ class LawSkill(Skill):
     def start(self, now: CarMeasurement) -> None:
         """Set up the task from a measurement."""
         begin_task(self._begin, self.setup, now, self.task)
-        self.outcome = outcome_of(self.task)
+        self.outcome = state.outcome_of(self.task)
 
     def step(self, now: CarMeasurement) -> Command:
         """Return the command for the next control period; sets the outcome when the task has ended."""
@@ -318,14 +309,9 @@ class LawSkill(Skill):
         write_reading(now, self._cars["now"])
         step_task(self._cars[0], self._angles[0])
         self.elapsed_s = float(self.task["elapsed_s"])
-        self.outcome, command = outcome_of(self.task), self._cars[0]["command"]
+        self.outcome, command = state.outcome_of(self.task), self._cars[0]["command"]
         fl, fr, rl, rr = command["wheels"].tolist()
         return Command((fl, fr, rl, rr), float(command["board"]), float(command["hinge"]))
-
-
-def n_angles(gains: Gains, period_s: float) -> int:
-    """Return the number of remembered hinge angles, one a control period: a hinge must be still over these."""
-    return round(gains.hinge.still_time / period_s) + 1
 
 
 def start_own(kind: type[Skill], setup: SkillSetup, now: CarMeasurement) -> Skill:
@@ -369,5 +355,4 @@ def step_own(skill: Skill, now: CarMeasurement) -> Command:
 
 
 def _check_own(skill: Skill, now: CarMeasurement) -> None:
-    """End the skill of a car that has tipped or whose readings are not finite."""
-    skill.outcome = ending(_health(skill.setup, now), skill.elapsed_s, now.pitch, now.roll)
+    skill.outcome = state.ending(_health(skill.setup, now), skill.elapsed_s, now.pitch, now.roll)

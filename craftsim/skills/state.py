@@ -19,22 +19,8 @@ GRAVITY: Final = 9.81
 IDLE, HOLD, OWN, DRIVE, BOARD, HINGE, STOP = range(7)
 """The law of a car: none, the hold of a parked car, a skill in Python, or a compiled law of a task."""
 
-(
-    RUNNING,
-    SUCCEEDED,
-    NOT_FINITE,
-    LEANS,
-    LOAD_MISSED,
-    BLOCKED,
-    SLIPPED,
-    RESTS_OFF_TARGET,
-    MOVES_OFF_TARGET,
-    BOARD_SHORT,
-    NO_LOAD,
-    UNDOCKED,
-    HINGE_SHORT,
-    WHEELS_TURN,
-) = range(14)
+RUNNING, SUCCEEDED, NOT_FINITE, LEANS, LOAD_MISSED, BLOCKED, SLIPPED = range(7)
+RESTS_OFF_TARGET, MOVES_OFF_TARGET, BOARD_SHORT, NO_LOAD, UNDOCKED, HINGE_SHORT, WHEELS_TURN = range(7, 14)
 """The status of a task."""
 
 _ENDINGS: Final[dict[int, tuple[Reason | None, str]]] = {
@@ -130,6 +116,11 @@ def constants_of(car: SmartcarParameters, machines: Machines, gains: Gains, peri
     constants = records(1, KNOWN)
     constants[0] = (period_s, parameters, *(astuple(getattr(gains, name)) for name in SECTIONS))
     return constants
+
+
+def n_angles(gains: Gains, period_s: float) -> int:
+    """Return the number of remembered hinge angles, one a control period: a hinge must be still over these."""
+    return round(gains.hinge.still_time / period_s) + 1
 
 
 def outcome_of(task: np.void) -> Outcome | None:

@@ -181,17 +181,6 @@ def test_what_the_rules_forbid_is_not_performed_unless_it_is_said_what_it_should
     assert judge.perform(0, Action.MOVE_RIGHT, intended).legal
 
 
-def test_many_cars_at_once_get_an_attempt_each():
-    judge = set_up(draw((4, 3, 2), (), [(0, 0, 1, 0), (0, 2, 1, 0), (3, 1, 1, 0)]), Setup())
-    judge.physics.model.actuator_forcerange[judge.physics.cars[1].wheel_actuators] = 0.0
-    acts = [(0, Action.MOVE_RIGHT), (1, Action.MOVE_RIGHT), (2, Action.LIFT)]
-    attempts = judge.perform_tick(acts, tick=4)
-    assert [(a.tick, a.car, a.legal) for a in attempts] == [(4, 0, True), (4, 1, True), (4, 2, False)]
-    assert [a.result for a in attempts] == ["as predicted", "failed", "failed"]
-    assert attempts[1].skill.startswith("blocked")
-    assert attempts[2].reason.startswith("the rules forbid it: ")
-
-
 def test_a_simulation_that_breaks_down_has_diverged():
     judge = _unfolding(False)
     physics = judge.physics

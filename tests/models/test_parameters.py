@@ -196,12 +196,7 @@ SLOPE_FIGURES: Figures = {
 }
 
 
-TABLES = {
-    "smartcar": SMARTCAR_FIGURES,
-    "block": BLOCK_FIGURES,
-    "flag": BLOCK_FIGURES,
-    "slope": SLOPE_FIGURES,
-}
+TABLES = {"smartcar": SMARTCAR_FIGURES, "block": BLOCK_FIGURES, "flag": BLOCK_FIGURES, "slope": SLOPE_FIGURES}
 
 
 def figures_of(part: str, machines: Machines):
@@ -249,10 +244,7 @@ def test_a_figure_that_is_edited_changes_the_model():
             tried = ((part, visual) for visual in (False, True) for part in (first, *MACHINES))
             assert any(
                 _made(part, machines, visual) != _made(part, NOMINAL, visual) for part, visual in tried
-            ), (
-                kind,
-                name,
-            )
+            ), (kind, name)
 
 
 @lru_cache(maxsize=len(MACHINES))

@@ -229,10 +229,7 @@ def test_limits_are_those_of_the_motors_and_the_file_says_what_it_lacks(tmp_path
 
 def test_show_writes_a_machine_or_a_world(tmp_path, capsys):
     files = ["--export", str(tmp_path / "own.xml"), str(tmp_path / "own.urdf")]
-    for words, names in (
-        (["slope"], {"slope", "flap"}),
-        (["strip"], {"car0/smartcar", "car1/board"}),
-    ):
+    for words, names in ((["slope"], {"slope", "flap"}), (["strip"], {"car0/smartcar", "car1/board"})):
         assert main(["show", *words, *files, "--drive", "reduced"]) == 0
         assert LACKS.split()[-1] in capsys.readouterr().out
         model = mujoco.MjModel.from_xml_path(str(tmp_path / "own.xml"))

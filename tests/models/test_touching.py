@@ -240,18 +240,6 @@ def test_a_block_rests_on_one_point_a_foot_that_bear_its_weight():
     assert borne == pytest.approx(BLOCK.mass_kg * GRAVITY, rel=0.01)
 
 
-def test_stacks_stay_put_level_and_at_their_height():
-    physics = PhysicsWorld(draw((3, 2, 4), STACKS, []), AWAKE)
-    start = [physics.free_body_state(block) for block in physics.blocks]
-    for _ in range(50):
-        physics.advance()
-    for (place, _), block in zip(start, physics.blocks, strict=True):
-        position, (_, qx, qy, _) = physics.free_body_state(block)
-        np.testing.assert_allclose(position, place, atol=1e-5)
-        assert abs(position[2] / LEVEL_HEIGHT_M - round(position[2] / LEVEL_HEIGHT_M)) * LEVEL_HEIGHT_M < 2e-4
-        assert 2 * np.hypot(qx, qy) < 1e-4
-
-
 def test_a_tower_of_two_under_a_loaded_car_sinks_by_less_than_a_fifth_of_a_millimetre():
     """Feet that touch in one point sink four times as far as flat ones, unless their contact is four times as stiff."""
     grid = Grid.empty((1, 1, 4), 1)

@@ -292,10 +292,7 @@ def _durations(randomization, gains):
     grid = Grid.empty((3, 2, 1), n_cars=2)
     grid.cars[:, :4] = (0, 0, 1, 0), (0, 1, 1, 0)
     setup = Setup(
-        randomization=randomization,
-        gains=load_gains(gains),
-        machines=REDUCED,
-        simulation=SimulationConfig(),
+        randomization=randomization, gains=load_gains(gains), machines=REDUCED, simulation=SimulationConfig()
     )
     executor = set_up(grid, setup, Seed((1,))).executor
     begun = executor.physics.time_s

@@ -67,6 +67,21 @@ def command(monkeypatch: pytest.MonkeyPatch):
     return register
 
 
+def test_there_are_few_options():
+    every = {tuple(words): _arguments(words) for words in EVERY}
+    listed = [
+        one
+        for words, its in every.items()
+        for one in its
+        if words == ("validate",) or _heading(one) not in REFERRED
+    ]
+    assert sum(map(len, every.values())) <= 260, "groups counted for each command that has them"
+    assert len(listed) <= 160, "groups counted once"
+    assert len({name for its in every.values() for one in its for name in one.names[:1]}) <= 98, (
+        "different ones"
+    )
+
+
 def test_help_names_every_command_under_its_heading(capsys):
     assert (cli.main([]), cli.main(["--help"])) == (2, 0)
     text = capsys.readouterr().out

@@ -80,13 +80,9 @@ def _mean_ratio(values: Iterable[float]) -> float:
 
 def undominated(costs: NDArray[np.float64]) -> list[int]:
     """Return which rows of costs (n, k) no other row is as good as in all and better than in one, in their order."""
-    found = []
-    for row, own in enumerate(costs):
-        no_worse, better = (costs <= own).all(axis=1), (costs < own).any(axis=1)
-        twin = (costs[:row] == own).all(axis=1).any()
-        if not (no_worse & better).any() and not twin:
-            found.append(row)
-    return found
+    _, first = np.unique(costs, axis=0, return_index=True)
+    no_worse = (costs[:, None] <= costs).all(axis=2) & (costs[:, None] < costs).any(axis=2)
+    return [row for row in sorted(first.tolist()) if not no_worse[:, row].any()]
 
 
 def _scaled(costs: NDArray[np.float64]) -> NDArray[np.float64]:

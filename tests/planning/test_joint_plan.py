@@ -35,20 +35,14 @@ def test_the_worlds_are_those_of_the_rules():
     assert [len(joint) for joint in plan.ticks()] == [2] * 90
 
 
-def test_what_is_forbidden_is_found():
+def test_what_is_forbidden_is_found_and_without_a_car_the_others_do_as_before():
     plan = JointPlan(start(), MoveGraphs(RULES))
-    plan.write(0, 0, [Action.MOVE_RIGHT, Action.DROP])
-    assert plan.replay(0) == 1
-
-
-def test_without_a_car_the_others_do_as_before():
-    grid = start()
-    plan = JointPlan(grid, MoveGraphs(RULES))
     plan.write(1, 0, [Action.MOVE_RIGHT, Action.LIFT])
-    plan.replay(0)
     others = plan.without(0, 0)
     assert (others.cars[2, 1] == plan.grid(2).cars[1]).all()
     assert (others.cars[2, 0, :3] < 0).all()
+    plan.write(0, 0, [Action.MOVE_RIGHT, Action.DROP])
+    assert plan.replay(0) == 1
 
 
 def test_what_bears_something_is_not_taken():

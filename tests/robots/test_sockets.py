@@ -32,13 +32,8 @@ def connected(host: Host):
         yield connection
 
 
-@contextmanager
 def calling(host: Host):
-    caller = Caller(host.address)
-    try:
-        yield caller
-    finally:
-        caller.close()
+    return closing(Caller(host.address))
 
 
 def test_messages_come_whole_and_in_order_and_the_end_is_seen(host):

@@ -200,7 +200,6 @@ def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:
 
 
 def _split(size: Size, rng: np.random.Generator) -> list[int]:
-    """Return how many blocks each level has, more on the lower one."""
     upper = [1] * (size.levels - 1)
     most = size.blocks // 3 if size.levels == 2 else 1 + (size.blocks - _BLOCKS_OF_THREE_LEVELS) // 3
     if upper:
@@ -347,7 +346,6 @@ class Growth:
         return found
 
     def _solid(self, level: int) -> Mask:
-        """Return (L, W): the cells of bodies and feet on a level."""
         found = np.zeros(self.heights.shape, np.bool_)
         for ramp in self.ramps:
             if ramp.cell[2] == level:
@@ -355,7 +353,6 @@ class Growth:
         return found
 
     def _free_floor(self) -> Mask:
-        """Return (L, W): the columns with neither a block nor a part of a ramp."""
         free: Mask = (self.heights == 0) & ~self._solid(1)
         return free
 
@@ -402,7 +399,6 @@ class Growth:
         return True
 
     def _is_air(self, cell: Cell) -> bool:
-        """Return whether a cell is in the area, and nothing in it."""
         x, y, z = cell
         length, width = self.heights.shape
         inside = 0 <= x < length and 0 <= y < width

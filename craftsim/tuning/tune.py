@@ -342,7 +342,6 @@ class Tuning:
         return [(own, Score.of(record["attempts"])) for own, record in zip(values, records, strict=True)]
 
     def _try_apart(self, values: Values, blocks: Sequence[int]) -> list[TrialRecord]:
-        """Try the same gains on several blocks, one at a time."""
         return self._try([(values, (block,)) for block in blocks])
 
     def _try(self, wanted: Sequence[tuple[Values, Sequence[int]]]) -> list[TrialRecord]:
@@ -361,12 +360,10 @@ class Tuning:
 
 
 def _cost(weights: Mapping[Objective, float]) -> Callable[[Candidate], float]:
-    """Return what gives the logarithm of a candidate's weighted product."""
     return lambda one: one[1].log_cost(weights)
 
 
 def _costs(candidates: Sequence[Candidate], goal: Goal) -> NDArray[np.float64]:
-    """Return the logarithms of a goal's objectives, (n, k)."""
     return np.array([score.log_costs(goal.objectives) for _, score in candidates])
 
 
@@ -424,8 +421,8 @@ def tune(
     started = time.perf_counter()
     tuning = Tuning(group, setup, goal, evaluations, trials, seed)
     items = tuning.items()
-    config = {"subject": group, "goal": goal, "evaluations": tuning.n_search, "trials": trials}
-    config |= {"setup": setup, "digests": setup.digests}
+    config: dict[str, Any] = {"subject": group, "goal": goal, "evaluations": tuning.n_search}
+    config |= {"trials": trials, "setup": setup, "digests": setup.digests}
     experiment = Experiment(COMMAND, seed, config, items, try_gains, FORM)
     with open_session(experiment, out, options) as session, options.progress(len(items)) as on_record:
         # Of an earlier tuning in this folder.

@@ -1,9 +1,8 @@
 """Random buildings that cars can build, with starts for them, by a difficulty.
 
-They grow block by block and ramp by ramp, each step one that a car could make just then. A building is a map of
-heights, since nothing floats, and ramps. Loads come from the floor, and the floor that stays free is in one piece all
-the time. An unloaded car also drives under blocks, so that who has set down a block, or unfolded a slope, gets away
-below what stands there.
+They grow block by block and ramp by ramp, each step one that a car could make just then: loads come from the floor, of
+which all that stays free is in one piece. An unloaded car also drives under blocks, so that who has set down a block,
+or unfolded a slope, gets away below what stands there.
 """
 
 from __future__ import annotations
@@ -107,8 +106,7 @@ def random_start(rng: np.random.Generator, difficulty: float = 0.5, n_cars: int 
         raise InputError(f"{cars} cars have no room in a random design; allowed: fewer than {_SIDE**2}")
     while True:
         for _ in range(_TRIES):
-            found = start_of(size, cars, rng)
-            if found is not None:
+            if (found := start_of(size, cars, rng)) is not None:
                 return found
         size = _easier(size, cars, rng)
 
@@ -202,7 +200,6 @@ def _easier(size: Size, n_cars: int, rng: np.random.Generator) -> Size:
 
 
 def _split(size: Size, rng: np.random.Generator) -> list[int]:
-    """Return how many blocks each level has, more on the lower one."""
     upper = [1] * (size.levels - 1)
     most = size.blocks // 3 if size.levels == 2 else 1 + (size.blocks - _BLOCKS_OF_THREE_LEVELS) // 3
     if upper:
@@ -336,31 +333,26 @@ class Growth:
 
     def approaches(self, rng: np.random.Generator) -> set[Column]:
         """Return columns of the floor to be kept free: beside each block of the floor is one to bring it from."""
-        final, built, found = self.heights > 0, np.zeros(self.heights.shape, np.bool_), set[Column]()
+        final, built, found = self.heights > 0, set[Column](), set[Column]()
         for step in self.steps:
-            if step.kind == Kind.BODY:
+            if step.kind == Kind.BODY or step.cell[2] > 1:
                 continue
-            built[step.cell[:2]] = True
-            if step.cell[2] > 1:
-                continue
+            built.add(step.cell[:2])
             around = [beside(step.cell, yaw)[:2] for yaw in range(4)]
-            free = [column for column in around if not built[column]]
+            free = [column for column in around if column not in built]
             # Those that are built on later are free of things anyway.
             if not any(final[column] or column in found for column in free):
                 found.add(free[rng.integers(len(free))])
         return found
 
     def _solid(self, level: int) -> Mask:
-        """Return (L, W): the cells of bodies and feet on a level."""
         found = np.zeros(self.heights.shape, np.bool_)
         for ramp in self.ramps:
             if ramp.cell[2] == level:
-                for column in _columns(ramp, 0, 1):
-                    found[column] = True
+                found[tuple(zip(*_columns(ramp, 0, 1), strict=True))] = True
         return found
 
     def _free_floor(self) -> Mask:
-        """Return (L, W): the columns with neither a block nor a part of a ramp."""
         free: Mask = (self.heights == 0) & ~self._solid(1)
         return free
 
@@ -377,8 +369,7 @@ class Growth:
         places = self._reach(level) & (self.heights == level - 1)
         for ramp in self.ramps:
             # The block behind a body is landed on, so that it bears none but the last of its level.
-            for column in _columns(ramp, 0, 1, 2, -1):
-                places[column] = False
+            places[tuple(zip(*_columns(ramp, 0, 1, 2, -1), strict=True))] = False
         for x, y, z in self.lanes:
             places[x, y] &= level < z
         if level == 1:
@@ -389,10 +380,12 @@ class Growth:
         """Return whether a car can bring a slope there, and no other ramp is in its way or mistaken for it."""
         level = ramp.cell[2]
         body, foot, before = _columns(ramp, 0, 1, 2)
-        for column in (body, foot, before):
-            # A gear needs no floor, but a foot, and a car before it, do.
-            if not self._is_air((*column, level)) or self.heights[column] != level - 1:
-                return False
+        # A gear needs no floor, but a foot, and a car before it, do.
+        if not all(
+            self._is_air((*column, level)) and self.heights[column] == level - 1
+            for column in (body, foot, before)
+        ):
+            return False
         if not slopes[(*ramp.cell, ramp.yaws[0])] or not self.lanes.isdisjoint(ramp.cells):
             return False
         for other in self.ramps:
@@ -406,7 +399,6 @@ class Growth:
         return True
 
     def _is_air(self, cell: Cell) -> bool:
-        """Return whether a cell is in the area, and nothing in it."""
         x, y, z = cell
         length, width = self.heights.shape
         inside = 0 <= x < length and 0 <= y < width
@@ -418,8 +410,7 @@ class Growth:
         if level == 1 and not self._floor_is_whole():
             return False
         pieces, _ = pieces_of((self.heights >= level - 1) & ~self._solid(level))
-        here = pieces[_column(ramp, -1)]
-        return bool(np.any((pieces == here) & self._reach(level)))
+        return bool(np.any((pieces == pieces[_column(ramp, -1)]) & self._reach(level)))
 
 
 def _column(ramp: Piece, steps: int) -> Column:

@@ -72,7 +72,9 @@ def make_start(
     Raises InputError, with what would do, where there is no room.
     """
     extent = design.size
-    spare_slopes = _needed(design) if spare_slopes is None else spare_slopes
+    if spare_slopes is None:
+        led_up_to = {1, *(cell[2] + 1 for cell in design.of_kind(Kind.BODY))}
+        spare_slopes = len({cell[2] for cell in design.of_kind(Kind.BLOCK)} - led_up_to)
     if size is None:
         n_blocks, n_slopes = _things(design, spare_blocks, spare_slopes)
         size = _roomy(extent, margin, n_blocks + 2 * n_slopes + n_cars)
@@ -84,7 +86,9 @@ def make_start(
             f"allowed: at least {least} with a margin of {margin}"
         )
     placed = design.moved((size[0] - extent[0]) // 2, (size[1] - extent[1]) // 2)
-    walls = _barrier(placed, size) if barrier else ()
+    columns = {target.cell[:2] for target in placed.targets}
+    x = (min(columns)[0] + max(columns)[0]) // 2
+    walls = [(x, y, 1) for y in range(size[1]) if barrier and (x, y) not in columns]
     grid = spread(placed, size, n_cars, rng, spare_blocks, spare_slopes, walls=walls)
     return DesignStart(grid, placed)
 
@@ -126,8 +130,11 @@ def spread(
     free = np.ones(size[:2], np.bool_)
     for column in [*(target.cell[:2] for target in design.targets), *taken, *(wall[:2] for wall in walls)]:
         free[column] = False
+    # The largest piece: what a court of the design holds could not come out any more.
+    pieces, _ = pieces_of(free)
+    outside = pieces == 1 + np.argmax(np.bincount(pieces.ravel(), minlength=2)[1:])
     for i in range(_TRIES):
-        grid, floor = Grid.empty(size, n_cars), FreeFloor(_outside(free))
+        grid, floor = Grid.empty(size, n_cars), FreeFloor(outside)
         for cell in walls:
             grid.kind[cell] = Kind.WALL
         for column in clear:
@@ -152,15 +159,6 @@ def pieces_of(mask: Mask) -> tuple[NDArray[np.int32], int]:
     return found
 
 
-def _outside(free: Mask) -> Mask:
-    """Return the largest piece of a free floor: what a court of the design holds could not come out any more."""
-    pieces, n = pieces_of(free)
-    if n == 0:
-        return free
-    outside: Mask = pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
-    return outside
-
-
 def _put(
     grid: Grid,
     floor: FreeFloor,
@@ -179,10 +177,10 @@ def _put(
         for index in order.tolist():
             cell = (*divmod(index, floor.free.shape[1]), 1)
             if slopes:
-                yaws = rng.permutation(4).tolist()
-                slopes -= any(_put_thing(grid, floor, cell, yaw, fits) for yaw in yaws)
+                folded = (Piece(Kind.FSLOPE, cell, yaw) for yaw in rng.permutation(4).tolist())
+                slopes -= any(_put_thing(grid, floor, one, fits) for one in folded)
             elif blocks:
-                blocks -= _put_thing(grid, floor, cell, None, fits)
+                blocks -= _put_thing(grid, floor, Piece(Kind.BLOCK, cell), fits)
         if slopes + blocks == before:
             return False
     places = rng.permutation(np.argwhere(floor.free))
@@ -193,25 +191,22 @@ def _put(
     return True
 
 
-def _put_thing(
-    grid: Grid, floor: FreeFloor, cell: Cell, yaw: int | None, fits: Callable[[Grid], bool] | None
-) -> bool:
-    """Put a block, or with a yaw a folded slope, where there is room for all of it and the car that backs into it."""
-    piece, behind = Piece(Kind.BLOCK, cell), None
-    if yaw is not None:
-        piece, behind = Piece(Kind.FSLOPE, cell, yaw), beside(cell, yaw + 2)
-        if not all(map(grid.inside, (*piece.cells, behind))):
-            return False
+def _put_thing(grid: Grid, floor: FreeFloor, piece: Piece, fits: Callable[[Grid], bool] | None) -> bool:
+    """Put a block, or a folded slope, where there is room for all of it and the car that backs into it."""
+    behind = [beside(piece.cell, piece.yaw + 2)] if piece.kind == Kind.FSLOPE else []
+    parts = [*piece.cells, *behind]
     columns = [part[:2] for part in piece.cells]
-    if (behind is not None and not floor.free[behind[:2]]) or not floor.take(*columns):
+    if not (
+        all(map(grid.inside, parts)) and all(floor.free[one[:2]] for one in behind) and floor.take(*columns)
+    ):
         return False
     grid.put(piece)
     if fits is not None and not fits(grid):
-        grid.take(cell)
+        grid.take(piece.cell)
         floor.give_back(*columns)
         return False
-    if behind is not None:
-        floor.keep(behind[:2])
+    for cell in behind:
+        floor.keep(cell[:2])
     return True
 
 
@@ -221,12 +216,6 @@ def _things(design: Design, spare_blocks: int, spare_slopes: int) -> tuple[int, 
     return len(design.of_kind(Kind.BLOCK)) + spare_blocks, n_slopes + spare_slopes
 
 
-def _needed(design: Design) -> int:
-    """Return on how many upper levels a design has blocks, but no slope of its own to them."""
-    ramps = {cell[2] + 1 for cell in design.of_kind(Kind.BODY)}
-    return len({cell[2] for cell in design.of_kind(Kind.BLOCK) if cell[2] > 1} - ramps)
-
-
 def _roomy(extent: Cell, margin: int, cells: int) -> Cell:
     """Return the size of the smallest area with a margin in which so many cells do not take too much of the floor."""
     length, width = extent[0] + 2 * margin, extent[1] + 2 * margin
@@ -234,13 +223,6 @@ def _roomy(extent: Cell, margin: int, cells: int) -> Cell:
         length, width = length + 1, width + 1
     height = min(extent[2] + 1, MAX_CELLS // (length * width))
     return length, width, max(height, extent[2])
-
-
-def _barrier(design: Design, size: Cell) -> list[Cell]:
-    """Return walls from side to side, but for the design's columns, halfway along the design."""
-    columns = {target.cell[:2] for target in design.targets}
-    x = (min(x for x, _ in columns) + max(x for x, _ in columns)) // 2
-    return [(x, y, 1) for y in range(size[1]) if (x, y) not in columns]
 
 
 class FreeFloor:
@@ -286,14 +268,10 @@ class FreeFloor:
     def take(self, *columns: Column) -> bool:
         """Take cells for one thing, the first of which a car must get at; return whether that was possible."""
         before = self._free.copy()
-        for x, y in columns:
-            if not self._can_go((x, y)):
-                break
-            self._free[x + 1, y + 1] = False
-        else:
-            if self._touched(columns[0]) and all(map(self._leaves_touched, columns)):
-                self._things[columns[0][0] + 1, columns[0][1] + 1] = True
-                return True
+        went = all(map(self._go, columns))
+        if went and self._touched(columns[0]) and all(map(self._leaves_touched, columns)):
+            self._things[columns[0][0] + 1, columns[0][1] + 1] = True
+            return True
         self._free = before
         return False
 
@@ -303,15 +281,16 @@ class FreeFloor:
             self._free[x + 1, y + 1] = True
             self._things[x + 1, y + 1] = False
 
-    def _can_go(self, column: Column) -> bool:
-        """Return whether a cell is free, not kept, and no bridge between parts of the free floor."""
+    def _go(self, column: Column) -> bool:
+        """Take a cell if it is free, not kept, and no bridge between parts of the free floor."""
         x, y = column[0] + 1, column[1] + 1
         if not self._free[x, y] or self._kept[x, y]:
             return False
         circle = [bool(self._free[x + dx, y + dy]) for dx, dy in _AROUND]
         # A free neighbour begins a new piece where the way back around the circle to the last one is not free.
         pieces = sum(circle[i] and not (circle[i - 1] and circle[i - 2]) for i in range(0, 8, 2))
-        return pieces <= 1 and any(circle[::2])
+        self._free[x, y] = pieces > 1 or not any(circle[::2])
+        return not self._free[x, y]
 
     def _leaves_touched(self, column: Column) -> bool:
         """Return whether the things beside a cell that is taken touch the free floor still."""

@@ -85,7 +85,6 @@ class DrawnDesigns:
         return Starts.of([one.grid for one in drawn], np.stack(designs))
 
     def _size(self, rng: np.random.Generator) -> Size:
-        """Draw what a design is to have."""
         difficulty = rng.uniform(*self.difficulty)
         middle = 2 + difficulty * (self.n_blocks - 2)
         blocks = int(np.clip(round(rng.uniform(middle - 1, middle + 1)), 2, self.n_blocks))

@@ -278,7 +278,6 @@ class _Deconstruction:
         return [list(here) for _, here in groupby(rest, lambda thing: thing.cell[2])] or [[]]
 
     def _last(self, state: State, things: list[Piece]) -> Iterator[Placing]:
-        """Yield the placings of some things that may have come last."""
         for thing in things:
             if self.assembly.possible(state - {thing}, step := Placing(thing)):
                 yield step
@@ -372,6 +371,5 @@ def _outside(grid: Grid, graph: MoveGraph) -> NDArray[np.int64]:
 
 
 def _landing(ramp: Piece) -> Cell:
-    """Return where a car comes to that drives up a ramp."""
     x, y, z = beside(ramp.cell, ramp.yaws[0])
     return x, y, z + 1

@@ -117,7 +117,6 @@ class Construction:
         return True
 
     def _fits(self, turn: Turn) -> bool:
-        """Return whether a turn of another attempt can still be tried."""
         k, source = turn.step, turn.source
         if k is not None and (
             k in self._done
@@ -156,12 +155,10 @@ class Construction:
         return any(map(self._take, islice(safe, _TRIES)))
 
     def _left(self) -> list[int]:
-        """Return the first steps that have not been made, in order."""
         left = [k for k in range(len(self.order)) if k not in self._done]
         return left[: len(self._cars) + _AHEAD]
 
     def _pending(self) -> list[int]:
-        """Return the steps that could be made next."""
         return [k for k in self._left() if self.assembly.possible(self._standing, self.order[k])]
 
     def _bars_nothing(self, k: int) -> bool:

@@ -367,7 +367,6 @@ class JointPlan:
         return actions[::-1]
 
     def _make_states(self, n: int) -> None:
-        """Make scratch arrays for a search through so many states, a node in a tick each."""
         self._parents, self._steps = np.empty(n, np.int32), np.empty(n, np.int8)
         self._seen, self._next = np.zeros(n, np.int32), np.empty(n, np.int32)
 

@@ -224,7 +224,6 @@ class _Search:
             )
 
     def _goals(self) -> Iterator[State]:
-        """Yield buildings that reach the goal."""
         if self.goal.platform:
             yield from platforms(self.start, self.goal.platform, self.rng)
         while self.goal.building is not None:

@@ -170,7 +170,6 @@ class Caller:
         return None
 
     def _call(self, deadline: float) -> Line | None:
-        """Call until somebody listens, or the time is over."""
         while True:
             left_s = max(_AGAIN_S, min(_CONNECTED_S, deadline - time.monotonic()))
             with contextlib.suppress(OSError):

@@ -74,19 +74,15 @@ class Score:
 
 
 def _mean_ratio(values: Iterable[float]) -> float:
-    """Return the geometric mean."""
     return math.exp(float(np.mean([math.log(max(value, _LEAST)) for value in values])))
 
 
 def undominated(costs: NDArray[np.float64]) -> list[int]:
     """Return which rows of costs (n, k) no other row is as good as in all and better than in one, in their order."""
-    found = []
-    for row, own in enumerate(costs):
-        no_worse, better = (costs <= own).all(axis=1), (costs < own).any(axis=1)
-        twin = (costs[:row] == own).all(axis=1).any()
-        if not (no_worse & better).any() and not twin:
-            found.append(row)
-    return found
+    _, first = np.unique(costs, axis=0, return_index=True)
+    each = costs[:, None]
+    beaten = np.any((each <= costs).all(axis=2) & (each < costs).any(axis=2), axis=0).tolist()
+    return [row for row in sorted(first.tolist()) if not beaten[row]]
 
 
 def _scaled(costs: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -95,17 +95,16 @@ def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:
     """Return the tuned gains of a group, in the order of the gains, around a start."""
     nominal = load_gains()
     found = []
-    for section in GROUPS[group]:
-        for f in fields(SECTIONS[section]):
-            if (name := f"{section}.{f.name}") in FIXED:
-                continue
-            value = float(getattr(getattr(start, section), f.name))
-            usual = float(getattr(getattr(nominal, section), f.name))
-            span = _SPANS.get(name, SPAN)
-            # What a file of gains may hold (craftsim.mjcf.parameters.NearNominal).
-            least, most = max(value / span, usual / REACH), min(value * span, usual * REACH)
-            most = max(value, min(most, _MOST.get(name, math.inf)))
-            found.append(TunableGain(section, f.name, value, span, least, most))
+    names = [(section, field.name) for section in GROUPS[group] for field in fields(SECTIONS[section])]
+    for section, field in names:
+        if (name := f"{section}.{field}") in FIXED:
+            continue
+        value, usual = (float(getattr(getattr(gains, section), field)) for gains in (start, nominal))
+        span = _SPANS.get(name, SPAN)
+        # What a file of gains may hold (craftsim.mjcf.parameters.NearNominal).
+        least, most = max(value / span, usual / REACH), min(value * span, usual * REACH)
+        most = max(value, min(most, _MOST.get(name, math.inf)))
+        found.append(TunableGain(section, field, value, span, least, most))
     return tuple(found)
 
 

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from itertools import product
+from itertools import count, product
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -23,15 +23,7 @@ from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.grid import Grid
 from craftsim.discrete.kinds import Action
 from craftsim.errors import CraftsimError, InputError, StartError
-from craftsim.experiments.experiment import (
-    STRICT,
-    Experiment,
-    Form,
-    Result,
-    RunOptions,
-    Trial,
-    TrialRecord,
-)
+from craftsim.experiments.experiment import STRICT, Experiment, Form, Result, RunOptions, Trial, TrialRecord
 from craftsim.experiments.session import open_session
 from craftsim.extras import need
 from craftsim.models.world import PhysicsWorld
@@ -251,8 +243,8 @@ class Tuning:
         """Candidates of the search, the start included."""
         self.run_some: Callable[[Mapping[int, Job]], list[TrialRecord]]
         """Returns the records of items, by their numbers, each with its job."""
-        self._next = 0
-        """The item that comes next: they are all done in their order."""
+        self._numbers = count()
+        """Those of the items to come: they are all done in their order."""
 
     def items(self) -> list[Trial]:
         """Return an item, without a job yet, for each evaluation."""
@@ -340,9 +332,7 @@ class Tuning:
         moved = [values]
         for gain in self.gains:
             at = gain.position(values[gain.name])
-            moved += [
-                {**values, gain.name: gain.value(at + way)} for way in (-SENSITIVITY_STEP, SENSITIVITY_STEP)
-            ]
+            moved += [{**values, gain.name: gain.value(at + k * SENSITIVITY_STEP)} for k in (-1, 1)]
         costs = np.array([*map(_cost(self.goal.weights), self._candidates(moved))])
         factors = np.exp(costs[1:] - costs[0]).reshape(-1, 2).tolist()
         return {gain.name: (down, up) for gain, (down, up) in zip(self.gains, factors, strict=True)}
@@ -352,15 +342,13 @@ class Tuning:
         return [(own, Score.of(record["attempts"])) for own, record in zip(values, records, strict=True)]
 
     def _try_apart(self, values: Values, blocks: Sequence[int]) -> list[TrialRecord]:
-        """Try the same gains on several blocks, one at a time."""
         return self._try([(values, (block,)) for block in blocks])
 
     def _try(self, wanted: Sequence[tuple[Values, Sequence[int]]]) -> list[TrialRecord]:
         jobs: dict[int, Job] = {}
         for values, blocks in wanted:
             setup = replace(self.setup, gains=with_values(self.setup.gains, self.gains, values))
-            jobs[self._next] = self.group, setup, self.seed, tuple(blocks)
-            self._next += 1
+            jobs[next(self._numbers)] = self.group, setup, self.seed, tuple(blocks)
         records = self.run_some(jobs)
         for (values, _), record in zip(wanted, records, strict=True):
             if record["extra"]["gains"] != values:
@@ -372,12 +360,10 @@ class Tuning:
 
 
 def _cost(weights: Mapping[Objective, float]) -> Callable[[Candidate], float]:
-    """Return what gives the logarithm of a candidate's weighted product."""
     return lambda one: one[1].log_cost(weights)
 
 
 def _costs(candidates: Sequence[Candidate], goal: Goal) -> NDArray[np.float64]:
-    """Return the logarithms of a goal's objectives, (n, k)."""
     return np.array([score.log_costs(goal.objectives) for _, score in candidates])
 
 
@@ -435,19 +421,10 @@ def tune(
     started = time.perf_counter()
     tuning = Tuning(group, setup, goal, evaluations, trials, seed)
     items = tuning.items()
-    config = {
-        "subject": group,
-        "goal": goal,
-        "evaluations": tuning.n_search,
-        "trials": trials,
-        "setup": setup,
-        "digests": setup.digests,
-    }
+    config: dict[str, Any] = {"subject": group, "goal": goal, "evaluations": tuning.n_search}
+    config |= {"trials": trials, "setup": setup, "digests": setup.digests}
     experiment = Experiment(COMMAND, seed, config, items, try_gains, FORM)
-    with (
-        open_session(experiment, out, options) as session,
-        options.progress(len(items)) as on_record,
-    ):
+    with open_session(experiment, out, options) as session, options.progress(len(items)) as on_record:
         # Of an earlier tuning in this folder.
         (out / GAINS_FILE).unlink(missing_ok=True)
         tuning.run_some = partial(session.run_some, on_record=on_record)
@@ -458,7 +435,5 @@ def tune(
         values = best if verdict.improved else tuning.start
         sensitivity = tuning.sensitivity(values)
     gains = with_values(setup.gains, tuning.gains, values) if verdict.improved else setup.gains
-    wall_s = time.perf_counter() - started
-    return Tuned(
-        goal, tuning.gains, gains, verdict, failures, finalists, searched, sensitivity, config, seed, wall_s
-    )
+    results = tuning.gains, gains, verdict, failures, finalists, searched, sensitivity
+    return Tuned(goal, *results, config, seed, time.perf_counter() - started)

@@ -2,13 +2,17 @@
 
 import numpy as np
 import pytest
-from designs.building import build
 
-from craftsim.designs.library import AWAY, LIBRARY, SIGNS, cells_of, make_design, sizes_of
+from craftsim.designs.library import LIBRARY, SIGNS, cells_of, make_design, sizes_of
 from craftsim.designs.starts import make_start
 from craftsim.discrete.files.design import Design, design_in, design_text, read_design
-from craftsim.discrete.grid import Kind, Piece
+from craftsim.discrete.grid import Kind
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import make_schedule
 from craftsim.errors import InputError
+from craftsim.planning import plan_building
+
+RULES = Rules("physical")
 
 
 def _cells(design):
@@ -86,41 +90,10 @@ def test_a_design_in_no_file_is_held_to_what_a_file_is():
         Design.of("mine", [], [((1, 1, 1), 1), ((3, 1, 1), 2)])
 
 
-def _block(x, y, z=1):
-    return Piece(Kind.BLOCK, (x, y, z))
-
-
-def _ramp(cell, yaw=AWAY):
-    return Piece(Kind.BODY, cell, yaw)
-
-
-BACK = [
-    *((x, 0) for x in (3, 4)),
-    *((4, y) for y in range(1, 5)),
-    (3, 4),
-    (1, 0),
-    *((0, y) for y in range(5)),
-]
-BACK += [(1, 4), (2, 4)]
-"""Of a house's walls: from both sides of the door to the middle of the back, where the ramp leads."""
-SQUARE = [(x, y) for x in (3, 2) for y in (1, 0)]
-ORDERS = {
-    "house": [*(_block(x, y) for x, y in BACK), _ramp((2, 5, 1), 1), *(_block(x, y, 2) for x, y in BACK)],
-    "bridge": [_ramp((5, 0, 1), 0), *(_block(x, 0) for x in (4, 3, 2)), _ramp((1, 0, 1))],
-    "stair": [
-        *(_block(x, y) for x in (5, 4, 3, 2) for y in (1, 0)),
-        *(_ramp((1, 0, 1)), _block(5, 1, 2), _block(5, 0, 2), _ramp((4, 0, 2))),
-    ],
-    "tower": [*(_block(x, y) for x, y in SQUARE), _ramp((1, 0, 1)), *(_block(x, y, 2) for x, y in SQUARE)],
-}
-
-
-def test_one_car_builds_it_by_the_rules_from_the_far_ends():
-    for name in ORDERS:
-        design = make_design(name)
-        start = make_start(design, 1, np.random.default_rng(0), margin=4)
-        dx, dy, _ = np.subtract(start.design.targets[0].cell, design.targets[0].cell).tolist()
-        steps = [one._replace(cell=(one.cell[0] + dx, one.cell[1] + dy, one.cell[2])) for one in ORDERS[name]]
-        grid, done = build(start.grid, tuple(steps))
-        assert done == len(steps)
-        assert start.design.satisfied(grid)
+@pytest.mark.parametrize("name", ["house", "bridge", "stair", "tower"])
+def test_one_car_builds_it_by_the_rules(name):
+    start = make_start(make_design(name), 1, np.random.default_rng(0), margin=4)
+    planned = plan_building(start.grid, start.design, RULES, rounds=1)
+    schedule = make_schedule(start.grid, planned.ticks, RULES)
+    assert not schedule.forbidden
+    assert start.design.satisfied(schedule.final)

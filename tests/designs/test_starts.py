@@ -2,15 +2,16 @@
 
 import numpy as np
 import pytest
-from designs.building import build
-from tiny_worlds import SIZE, tiny_world
+from tiny_worlds import tiny_world
 
-from craftsim.designs.drawn import Growth, random_start, random_structure
+from craftsim.designs.drawn import random_start, random_structure
 from craftsim.designs.library import make_design
 from craftsim.designs.starts import FreeFloor, make_start
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
-from craftsim.discrete.grid import CarField, Kind, Piece, beside, check_grid
+from craftsim.discrete.grid import Kind, beside, check_grid
+from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
+from craftsim.planning.assembly import Assembly, Placing, without_things
 
 SEEDS = range(2)
 
@@ -123,12 +124,15 @@ def test_what_has_no_room_is_refused_with_what_would_do():
             make_start(make_design("pyramid"), **options)
 
 
-@pytest.mark.parametrize("difficulty", [0.0, 0.6])
-def test_one_car_builds_a_random_design_in_its_own_order_by_the_rules(difficulty):
+@pytest.mark.parametrize("difficulty", [0.0, 0.3, 0.6, 1.0])
+def test_each_step_of_a_random_design_can_be_made_when_those_before_have_been(difficulty):
     start = random_start(np.random.default_rng(3), difficulty)
-    grid, done = build(start.grid, start.steps)
-    assert done == len(start.steps)
-    assert start.design.satisfied(grid)
+    assembly, state = Assembly(without_things(start.grid), Rules("physical")), frozenset()
+    for step in map(Placing, start.steps):
+        assert assembly.possible(state, step)
+        state = step.after(state)
+    blocks = {thing.cell for thing in state if thing.kind == Kind.BLOCK}
+    assert blocks == {*start.design.of_kind(Kind.BLOCK)}
 
 
 def test_random_designs_stay_within_what_difficulty_allows_and_use_it():
@@ -164,28 +168,3 @@ def test_a_difficulty_out_of_range_and_too_many_cars_are_refused():
         random_start(np.random.default_rng(0), 1.5)
     with pytest.raises(InputError, match="256 cars have no room"):
         random_start(np.random.default_rng(0), 0.5, n_cars=256)
-
-
-def test_tiny_worlds_are_tiny_and_their_goals_need_work():
-    for seed in range(12):
-        start = tiny_world(np.random.default_rng(seed))
-        grid, design = start.grid, start.design
-        assert grid.size == SIZE
-        assert 1 <= grid.n_cars <= 2
-        blocks, slopes, _ = _counts(grid)
-        assert 1 <= blocks + slopes <= 3
-        assert len(design.of_kind(Kind.BLOCK)) == blocks
-        assert len(design.of_kind(Kind.FSLOPE)) + len(design.of_kind(Kind.BODY)) == slopes
-        assert not grid.cars[:, CarField.LOAD].any()
-        assert design.floating() == []
-        assert not design.satisfied(grid)
-
-
-def test_a_loaded_car_also_drives_down_ramps():
-    growth = Growth(np.zeros((6, 5), np.int64), np.ones((6, 5), np.bool_))
-    growth.heights[1, 2] = 1
-    growth.ramps.append(Piece(Kind.BODY, (2, 2, 1), 0))
-    reached = growth.from_floor(Kind.BLOCK)
-    assert reached[1, 2, 2].all()  # on the landing it turns, ...
-    assert reached[3, 2, 1, 0]  # ... and heads down on the foot
-    assert not reached[2, 2, 1].any()

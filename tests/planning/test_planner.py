@@ -162,9 +162,6 @@ def test_the_command_writes_a_plan_that_can_be_read(tmp_path, capsys):
     assert (tmp_path / "made" / "strip-gantt.svg").exists()
     assert cli.main(["plan", "strip", "--attempts", "1", "--out", str(tmp_path / "only.plan")]) == 0
     assert [path.name for path in tmp_path.glob("*.plan")] == ["only.plan"]
-
-
-def test_the_command_refuses_what_cannot_be(tmp_path, capsys):
     goal = tmp_path / "goal.yaml"
     goal.write_text("block:\n" + "".join(f"  - {{id: {i}, x: {i}, y: 0, z: 1}}\n" for i in range(4)))
     assert cli.main(["plan", "simple_two_story", "--goal", str(goal), "--out", str(tmp_path / "x")]) == 2

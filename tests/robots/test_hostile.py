@@ -110,21 +110,6 @@ def test_robots_that_say_what_cannot_be_at_first_are_refused(make_robots, clock,
         Link(Lying(robots.driver, lie, clock), 1, setup_of(drive="reduced").machines)
 
 
-def test_a_clock_that_goes_back_costs_neither_time_nor_memory(make_robots, clock):
-    robots = make_robots(SIZE, CARS)
-    link = robots.link
-    now = [1e9]
-    lying = Lying(robots.driver, measured(lambda time_s: now[0]), clock)
-    link._transport = lying
-    link.attend()
-    now[0] = 0.0
-    for _ in range(5):
-        link.advance()
-    assert link.lost
-    assert lying.receipts < 10_000
-    assert abs(link._newest.time_s) <= 1e9
-
-
 def test_a_clock_that_leaps_makes_no_wheel_infinitely_fast(make_robots, clock):
     robots = make_robots(SIZE, CARS)
     leaps = measured(lambda time_s: time_s + 1e6, wheel_speeds=[0.0, 0.0, -1e3, 0.0])

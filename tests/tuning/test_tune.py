@@ -4,6 +4,7 @@ import json
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import yaml
 from sessions import cut_off
@@ -148,3 +149,31 @@ def test_wrong_options_end_with_status_2_before_anything_is_tried(tmp_path, caps
     assert main(["tune", *words, "--out", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_candidates_depend_on_the_generator_alone_and_stay_within_bounds():
+    def asked(seed):
+        search, found = (
+            module.cma_es([(-1.0, 1.0), (-1.0, 0.0)], [0.0, 0.0], 0.25, np.random.default_rng(seed)),
+            [],
+        )
+        for _ in range(6):
+            positions = search.ask()
+            found += [x.copy() for x in positions]
+            search.tell(positions, [float((x**2).sum()) for x in positions])
+        assert len(found) == 6 * module.population(2)
+        return np.array(found)
+
+    first = asked(5)
+    assert ((first >= -1) & (first <= [1, 0])).all()
+    np.random.seed(3)  # noqa: NPY002
+    state = np.random.get_state()[1].copy()  # noqa: NPY002
+    assert (asked(5) == first).all()
+    assert (np.random.get_state()[1] == state).all()  # noqa: NPY002
+    assert (asked(6) != first).any()
+
+
+def test_without_its_library_the_message_says_what_to_install(monkeypatch):
+    monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"tuning needs cma, not installed here; .*-m pip install 'cma>="):
+        module.need_cma()

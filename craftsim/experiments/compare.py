@@ -375,7 +375,7 @@ def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
             KeyFigure(percent(p.rate), f"agree in {where}", interval(p.wilson_low, p.wilson_high))
             for where, p in (("the simulation", gap.trials.first), ("reality", gap.trials.second))
         ],
-        [_outcomes(gap), _verbs(gap), _errors(gap.error_shifts), _of_plans(gap)],
+        [_outcomes(gap), _verb_section(gap), _error_section(gap.error_shifts), _plan_section(gap)],
         document=document({"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}),
         exit_code=0 if gap.agrees else 1,
     )
@@ -388,14 +388,14 @@ def _outcomes(gap: RealityGap) -> Section:
     return Section("outcomes", "Outcomes", lead, [text, table], True)
 
 
-def _verbs(gap: RealityGap) -> Section:
+def _verb_section(gap: RealityGap) -> Section:
     table = DataTable(
         numbers("action", "pairs", "alike (95 %)", "good: sim", "real", "durations (95 %)"),
         [
             (
-                *(verb, one["agreement"].trials, _share(one["agreement"])),
+                *(verb, one["agreement"].trials, _share_text(one["agreement"])),
                 *(f"{p.successes}/{p.trials}" for p in (one["sim"], one["real"])),
-                _estimate(one["duration_ratio"]),
+                _estimate_text(one["duration_ratio"]),
             )
             for verb, one in gap.by_verb.items()
         ],
@@ -405,7 +405,7 @@ def _verbs(gap: RealityGap) -> Section:
     return Section("verbs", "By action", "Of what the rules allow.", [table], True)
 
 
-def _errors(shifts: Mapping[str, Mapping[str, Any]]) -> Section:
+def _error_section(shifts: Mapping[str, Mapping[str, Any]]) -> Section:
     table = DataTable(
         numbers("error", "sim median", "95th", "real median", "95th", "KS distance", "detectable", "p"),
         [
@@ -428,13 +428,13 @@ def _least_distance(n: int, m: int) -> float:
     return min(1.0, _KS_AT_5_PERCENT * math.sqrt((n + m) / (n * m)))
 
 
-def _of_plans(gap: RealityGap) -> Section:
+def _plan_section(gap: RealityGap) -> Section:
     table = DataTable(
         numbers("world: plan or policy", "runs", "success: sim", "real"),
         [
             (
                 *(one["plan"], runs := one["runs"]),
-                *(_share(Proportion.of(round(rate * runs), runs)) for rate in (one["sim"], one["real"])),
+                *(_share_text(Proportion.of(round(rate * runs), runs)) for rate in (one["sim"], one["real"])),
             )
             for one in gap.plans
         ],
@@ -443,16 +443,16 @@ def _of_plans(gap: RealityGap) -> Section:
     ranks = "Ranks: at least three plans are needed."
     if gap.ranks is not None:
         ranks = (
-            f"Ranks of {gap.ranks.policies} plans: Pearson {_estimate(gap.ranks.pearson)}, Spearman "
-            f"{_estimate(gap.ranks.spearman)}, mean maximum rank violation {gap.ranks.mmrv:.3f}"
+            f"Ranks of {gap.ranks.policies} plans: Pearson {_estimate_text(gap.ranks.pearson)}, Spearman "
+            f"{_estimate_text(gap.ranks.spearman)}, mean maximum rank violation {gap.ranks.mmrv:.3f}"
         )
     blocks: list[Block] = [*([table] if gap.plans else []), ranks]
     return Section("plans", "Plans and policies", "Success, and whether both rank alike.", blocks, True)
 
 
-def _share(p: Proportion) -> str:
+def _share_text(p: Proportion) -> str:
     return "-" if p.rate is None else f"{p.rate:.2f} ({p.wilson_low:.2f} to {p.wilson_high:.2f})"
 
 
-def _estimate(one: Estimate) -> str:
+def _estimate_text(one: Estimate) -> str:
     return "not defined" if one.value is None else f"{one.value:.2f} ({bounds_text(one)})"

@@ -35,7 +35,7 @@ def _leave(mark, physics):
 
 
 def test_worlds_in_actors_are_those_of_local_processes_and_a_dead_actor_is_one_clear_error(
-    ray_cluster, tmp_path, monkeypatch
+    ray_cluster, tmp_path
 ):
     with closing(vector_env(TASK, 3, "physics", workers=1)) as envs:
         expected = _played(envs)
@@ -49,6 +49,9 @@ def test_worlds_in_actors_are_those_of_local_processes_and_a_dead_actor_is_one_c
             envs.step(np.full((3, 2), 4))
         with pytest.raises(InputError, match="closed"):
             envs.step(np.full((3, 2), 4))
+
+
+def test_a_cluster_that_nobody_runs_is_refused(monkeypatch):
     monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:9")
     with pytest.raises(
         InputError, match=r"no Ray cluster answers at 127\.0\.0\.1:9 .*make the environment anew"

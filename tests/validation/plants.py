@@ -56,7 +56,7 @@ def _without(correction: Correction) -> Plant:
 
 def _never(what: str, code: str, places: int = 1) -> Plant:
     """Return a plant in which the rules never give a reason."""
-    return Plant(what, "kernel/rules.py", never(code), "code.LEGAL", places)
+    return Plant(what, "kernel/rules.py", never(code).old, "code.LEGAL", places)
 
 
 PLANTS: Final = (

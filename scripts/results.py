@@ -372,11 +372,11 @@ def campaign_table(campaign: dict[str, Any], benchmarks: Iterable[dict[str, Any]
             {
                 "engine": engine,
                 "trials": f"{campaign['trials']:,}",
-                "lost or twice": campaign["trials"] - campaign["distinct"],
+                "lost": campaign["trials"] - campaign["distinct"],
                 "CPU of a trial": f"{1e3 * campaign['trial_s']:.1f} ms",
                 "overhead": f"{1e3 * run['overhead_s']:.1f} ms",
-                "memory of the campaign": "{:.0f} MB, {:.0f} MB".format(*run["campaign_mb"]),
-                "a million trials of the audit": f"{million_h:.0f} CPU h",
+                "memory": "{:.0f} MB, {:.0f} MB".format(*run["campaign_mb"]),
+                "million audit trials": f"{million_h:.0f} CPU h",
                 f"on {PROCESSORS} processors": f"{60 * million_h / PROCESSORS:.0f} min",
             }
         )
@@ -421,7 +421,7 @@ def structures_table(stored: dict[str, Any]) -> str:
     """Return what scripts/structures.py found of each set: planned, and built in physics on a drive."""
 
     def share(one: dict[str, Any] | None) -> str:
-        return "" if one is None else f"{_counts(one)} ({_limits(one)})"
+        return "" if one is None else _counts(one) + (f" ({_limits(one)})" if one["trials"] > 1 else "")
 
     def spread(values: list[float]) -> str:
         return "-".join(f"{value:.1f}" if value < 10 else f"{value:.0f}" for value in dict.fromkeys(values))
@@ -443,6 +443,7 @@ def structures_table(stored: dict[str, Any]) -> str:
         }
         for name, stages in stored.items()
         for drive, one in stages.items()
+        if drive != "plan" or len(stages) == 1 or one["planned"]["trials"] > 1
     )
 
 

@@ -74,7 +74,7 @@ def write_whole(path: str | Path, content: str | bytes) -> Path:
 
 
 def writable(text: str) -> str:
-    """Return a text with escapes for characters that UTF-8 cannot encode, such as undecodable bytes of a file name.
+    r"""Return a text with escapes for characters that UTF-8 cannot encode, such as undecodable bytes of a file name.
 
     Example:
         >>> writable("caf\udce9")

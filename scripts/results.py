@@ -336,7 +336,7 @@ def benchmark_tables(report: dict[str, Any]) -> str:
     parts = []
     for name, cases in functions.items():
         file, function = name.rsplit("/", 1)[-1].split("::")
-        title = f"`{file}`, {function.removeprefix('test_').replace('_', ' ')}, median in ms:"
+        title = f"`{file}`, {function.removeprefix('test_').replace('_', ' ')}:"
         parts.append(f"{title}\n\n{_benchmark(cases)}")
     return "\n".join(parts)
 

@@ -55,3 +55,15 @@ def test_commands_work_with_all_sockets_shut(tmp_path):
     assert "asked the network" not in child.stdout + child.stderr
     assert child.returncode == 0, child.stderr
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_the_shut_sockets_are_noticed(tmp_path):
+    (tmp_path / "sitecustomize.py").write_text(SHUT)
+    child = subprocess.run(
+        [sys.executable, "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:9')"],
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "asked the network" in child.stderr

@@ -119,3 +119,11 @@ def test_docstrings_can_be_encoded_without_which_python_3_13_compiles_no_module(
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
                 (ast.get_docstring(node) or "").encode()
+
+
+def test_make_installs_within_the_constraints():
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    recipe = text[text.index("$(VENV)/installed: ") :]
+    assert "$(CONSTRAINTS)" in recipe.splitlines()[0]
+    assert recipe.count("$(PIP)") == 3
+    assert "-m pip" not in recipe

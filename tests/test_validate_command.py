@@ -205,3 +205,36 @@ def test_wrong_input_is_told_and_leaves_nothing(folder, capsys):
         assert _validate(*words.split()) == 2
         assert message in capsys.readouterr().err
         assert not (folder / "out" / "session.db").exists()
+
+
+def test_policies_that_raise_or_hang_or_talk_nonsense_are_errors_and_harm_no_other(folder):
+    (folder / "own.py").write_text(
+        "import multiprocessing, time\n"
+        "first = multiprocessing.parent_process() is None  # asked before the runs begin\n"
+        "def stops(seen): return {name: 6 for name in seen}\n"
+        "def raises(seen): return stops(seen) if first else 1 / 0\n"
+        "def hangs(seen): return stops(seen) if first else time.sleep(3600)\n"
+        "def nonsense(seen): return {name: 6 if first else 99 for name in seen}\n"
+    )
+    names = ["own:stops", "own:raises", "own:hangs", "own:nonsense", "random"]
+    words = ["empty.yaml", "--policy", *names, "--trials", "1", "--timeout", "10"]
+    assert _validate(*words) == 1
+    stops, raises, hangs, nonsense, random = _records(folder / "out")
+    assert raises["error"] == "ZeroDivisionError: division by zero"
+    assert "own.py" in raises["extra"]["traceback"]
+    assert hangs["error"] == "no answer within 10 s"
+    assert "99" in nonsense["error"]
+    for record in (stops, random):
+        assert record["agrees"]
+        assert len(record["attempts"]) + record["extra"]["forbidden"] == record["extra"]["ticks"] == 20
+
+
+def test_worlds_that_each_run_draws_anew_differ_and_are_the_same_at_any_number_of_workers(folder):
+    words = ["random", "--cars", "2", "--max-steps", "3", "--trials", "2", "--randomize", "none"]
+    assert _validate(*words, out="one") == 0
+    assert _validate(*words, "--workers", "2", out="two") == 0
+    one, other = _records(folder / "one")
+    assert one["attempts"] != other["attempts"]
+    assert (one["context"], one["group"]) == ("random", "play")
+    assert _records(folder / "two") == [one, other]
+    assert _report(folder / "one") == _report(folder / "two")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from designs.building import build
 from tiny_worlds import tiny_world
 
 from craftsim.designs.drawn import random_start, random_structure
@@ -168,3 +169,11 @@ def test_a_difficulty_out_of_range_and_too_many_cars_are_refused():
         random_start(np.random.default_rng(0), 1.5)
     with pytest.raises(InputError, match="256 cars have no room"):
         random_start(np.random.default_rng(0), 0.5, n_cars=256)
+
+
+@pytest.mark.parametrize("difficulty", [0.0, 0.6])
+def test_one_car_builds_a_random_design_in_its_own_order_by_the_rules(difficulty):
+    start = random_start(np.random.default_rng(3), difficulty)
+    grid, done = build(start.grid, start.steps)
+    assert done == len(start.steps)
+    assert start.design.satisfied(grid)

@@ -141,3 +141,17 @@ def test_a_plan_leads_step_by_legal_step_to_the_cell_asked_for(seed):
                 walker, applied = PHYSICAL.tick(walker, [(car, step)])
                 assert applied[0]
             assert walker.cars[car, :2].tolist() == [grid.cars[car, 0] + dx, grid.cars[car, 1] + dy]
+
+
+@pytest.mark.parametrize("rules", [PUBLISHED, PHYSICAL], ids=["published", "physical"])
+@PLENTY
+@given(SEEDS)
+def test_the_same_actions_give_the_same_worlds_again(rules, seed):
+    rng = np.random.default_rng(seed)
+    start = random_world(rng)
+    episode = list(play(rules, start, rng, 15, eager=False))
+    grid = start
+    for joint, after in episode:
+        grid, _ = rules.tick(grid, joint)
+        assert grid.same_visible(after)
+        assert grid.same_marks(after)

@@ -1,6 +1,7 @@
 """A dataset that Minari loads holds what was played, bit for bit, and is whole or not there."""
 
 import json
+import threading
 
 import numpy as np
 import pytest
@@ -132,3 +133,22 @@ def test_without_minari_the_command_says_how_to_get_it(folder, capsys, monkeypat
     monkeypatch.setattr("craftsim.extras.find_spec", lambda name: None)
     assert main(["export", "strip", "--out", str(folder)]) == 2
     assert "-m pip install 'minari[hdf5]>=" in capsys.readouterr().err
+
+
+def test_a_second_export_of_a_name_is_refused_and_the_first_loses_nothing(folder, capsys):
+    words = ["export", "strip", "--name", NAME, "--policy", "random", "--episodes", "1", "--out", str(folder)]
+    statuses = []
+
+    def meanwhile(seed):
+        if seed == 1:
+            # As another process would: who owns a folder in this thread may own it again.
+            second = threading.Thread(target=lambda: statuses.append(main(words)))
+            second.start()
+            second.join()
+        return _random(seed)
+
+    write_dataset(parallel_env("strip", "grid"), meanwhile, folder, NAME, 3)
+    assert statuses == [2]
+    assert "is in use: another craftsim writes into it" in capsys.readouterr().err
+    assert minari.load_dataset(NAME).total_episodes == 3
+    assert [path.name for path in (folder / NAME).iterdir()] == ["data"]

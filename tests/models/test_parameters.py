@@ -400,3 +400,10 @@ def test_all_mistakes_are_named_together(tmp_path):
         load_machines(path)
     lines = [line.removeprefix(f"{path}:").partition(":")[0] for line in str(caught.value).splitlines()]
     assert lines == ["1", "2", "2", "3"]
+
+
+def test_masses_are_the_published_ones(open_part):
+    """Chassis 1.0 + four wheels of 2.3 + board 0.1; deck 0.5 + four legs of 0.001; base 1.0 + flap 0.1."""
+    for part, mass in (("smartcar", 10.3), ("block", 0.504), ("flag", 0.504), ("slope", 1.1)):
+        assert open_part(part).body(part).subtreemass[0] == pytest.approx(mass, abs=1e-5)
+        assert figures_of(part, NOMINAL).mass_kg == pytest.approx(mass)

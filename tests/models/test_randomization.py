@@ -17,7 +17,14 @@ from craftsim.models import randomization
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import Drivetrain
 from craftsim.models.floor import Floor
-from craftsim.models.randomization import NONE, DomainRandomization, Making, randomize
+from craftsim.models.randomization import (
+    NONE,
+    DomainRandomization,
+    Making,
+    _vary_bodies,
+    by_name,
+    randomize,
+)
 from craftsim.models.sensing import SensorNoise
 from craftsim.models.world import PhysicsWorld
 
@@ -348,3 +355,48 @@ def test_every_tolerance_changes_the_shapes_that_touch_and_is_taken_back(drive):
         world.reset_compiled()
         for n, array in before.items():
             np.testing.assert_array_equal(getattr(model, n), array, err_msg=n)
+
+
+def test_a_geom_less_changes_nothing_of_what_is_drawn():
+    """Friction and mass of what is left, of a car whose geom of another friction goes, and of the block after it."""
+
+    def factors(names: tuple[str, ...]) -> dict[str, float]:
+        spec = mujoco.MjSpec()
+        for machine in ("car0/smartcar", "block0/block"):
+            body = spec.worldbody.add_body(name=machine)
+            body.add_freejoint(name=machine)
+            for number, name in enumerate(names if machine.startswith("car") else ("foot", "leg")):
+                geom = body.add_geom(name=f"{machine}/{name}", size=[0.1, 0, 0])
+                geom.friction[0] = (0.4, 0.8, 0.3)[("foot", "leg", "guard").index(name)]
+                geom.pos[0] = number
+        model = spec.compile()
+        before = model.geom_friction[:, 0].copy(), model.body_mass.copy()
+        _vary_bodies(model, RANDOMIZED, by_name(np.random.default_rng(2)))
+        rubs, weighs = model.geom_friction[:, 0] / before[0], model.body_mass[1:] / before[1][1:]
+        found = {model.geom(i).name: float(rubs[i]) for i in range(model.ngeom)}
+        return found | {model.body(i + 1).name: float(weighs[i]) for i in range(2)}
+
+    every, less = factors(("guard", "foot", "leg")), factors(("foot", "leg"))
+    assert every.pop("car0/smartcar/guard")
+    assert less == pytest.approx(every, rel=1e-12)
+    assert len({round(one, 9) for one in less.values()}) == 6
+
+
+def _after_a_second(seed) -> np.ndarray:
+    varied = PhysicsWorld(_grid())
+    physics, model, data = varied, varied.model, varied.data
+    randomize(varied, RANDOMIZED, np.random.default_rng(seed))
+    assert physics.model is model
+    assert physics.data is data
+    physics.drive(0, [3.0, 3.0, 3.0, 3.0])
+    physics.drive(1, [-2.0, 2.0, -2.0, 2.0])
+    for _ in range(50):
+        physics.advance()
+    assert not data.warning.number[: mujoco.mjtWarning.mjNWARNING].any()
+    return np.concatenate([data.qpos, data.qvel, data.act])
+
+
+def test_equal_seeds_are_equal_bit_for_bit_after_a_second_and_other_seeds_are_not():
+    first, again, other = (_after_a_second(seed) for seed in (7, 7, 8))
+    np.testing.assert_array_equal(first, again)
+    assert abs(first - other).max() > 1e-5

@@ -312,3 +312,27 @@ def test_it_gives_the_accelerations_of_the_dense_one_to_a_billionth():
         assert np.abs(sparse - dense).max() < 1e-9 * scale
         # What a solver that has not converged gives is far from both.
         assert np.abs(unsolved - dense).max() > 1e-4 * scale
+
+
+def test_stacks_stay_put_level_and_at_their_height():
+    physics = PhysicsWorld(draw((3, 2, 4), STACKS, []), AWAKE)
+    start = [physics.free_body_state(block) for block in physics.blocks]
+    for _ in range(50):
+        physics.advance()
+    for (place, _), block in zip(start, physics.blocks, strict=True):
+        position, (_, qx, qy, _) = physics.free_body_state(block)
+        np.testing.assert_allclose(position, place, atol=1e-5)
+        assert abs(position[2] / LEVEL_HEIGHT_M - round(position[2] / LEVEL_HEIGHT_M)) * LEVEL_HEIGHT_M < 2e-4
+        assert 2 * np.hypot(qx, qy) < 1e-4
+
+
+def test_going_back_to_a_saved_state_brings_its_bearings_back():
+    physics = two_cars()
+    physics.drive(0, [8.0] * 4)
+    saved = physics.save()
+    before = physics.model.dof_frictionloss.copy()
+    for _ in range(3):
+        physics.advance()
+    assert (physics.model.dof_frictionloss != before).any()
+    physics.restore(saved)
+    np.testing.assert_array_equal(physics.model.dof_frictionloss, before)

@@ -1,5 +1,6 @@
 """The stage has the positions of the physics and adds what is only to be seen; the grid seen from above."""
 
+import copy
 from dataclasses import replace
 
 import mujoco
@@ -144,3 +145,10 @@ def test_levels_with_nothing_are_left_out():
     grid.kind[0, 0, 3] = Kind.BLOCK
     assert levels_of([grid], (0, 0, 2)) == (1, 2, 3)
     assert levels_of([grid], None, [Piece(Kind.BLOCK, (0, 0, 4), -1)]) == (1, 3, 4)
+
+
+def test_a_world_is_not_changed_by_its_stage(standing):
+    before = copy.copy(standing.model)
+    Stage(standing, "paper")
+    for name in ("geom_rgba", "geom_group", "geom_matid", "light_pos", "site_rgba"):
+        assert np.array_equal(getattr(standing.model, name), getattr(before, name)), name

@@ -347,3 +347,21 @@ def test_under_noise_and_randomised_physics_actions_succeed_within_three_deviati
         assert attempt.car_error_m < 3e-3
         assert attempt.heading_error_rad < 9e-3
         assert (attempt.placed_error_m or 0.0) < 5e-3
+
+
+def test_at_rest_every_localisation_counts_once_however_late_it_comes():
+    estimator = _estimator(SensorNoise(0.001, 0.003, min_delay_s=0.04, max_delay_s=0.04))
+    located = 0.001 * np.random.default_rng(0).normal(size=16)
+    for n, x in enumerate(located, 1):
+        view = _update(estimator, STILL._replace(x=x))
+        # The mean, of which the filter's unrest and what it finds of the noise make a little less.
+        assert abs(view.x - located[:n].mean()) < 0.4 * 0.001 / math.sqrt(n)
+
+
+def test_driving_makes_a_car_unsure_and_resting_makes_it_sure_again():
+    poses, twists = _truth(*DRIVE, rest_s=1.0)
+    still = np.tile(poses[0], (50, 1)), np.zeros((50, 3))
+    _, (stds,) = _feed(NOISY, np.vstack([still[0], poses]), np.vstack([still[1], twists]), 1)
+    before, after = stds[49, 0], stds[-1, 0]
+    assert stds[50:, 0].max() > 2 * before
+    assert after == pytest.approx(before, rel=0.3)

@@ -200,3 +200,17 @@ def test_a_disk_that_fills_up_stops_with_a_message_and_resume_goes_on(tmp_path):
         cheap_work.experiment(cheap_work.items(40), "cheap", batch=3), tmp_path, RunOptions(resume=True)
     )
     assert all(record["agrees"] for record in records)
+
+
+def test_a_full_file_system_stops_with_a_message(tmp_path):
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", tmp_path], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip("this user may not mount a small file system")
+    try:
+        with pytest.raises(InputError, match=r"cannot write into .* make room, then --resume"):
+            run_experiment(cheap_work.experiment(4000), tmp_path)
+        assert 0 < _finished(tmp_path) < 4000
+    finally:
+        subprocess.run(["umount", tmp_path], check=True)

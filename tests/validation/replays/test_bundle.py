@@ -20,6 +20,7 @@ from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
+from craftsim.errors import InputError
 from craftsim.experiments import bundle as replaying
 from craftsim.experiments.bundle import (
     AFTER,
@@ -197,3 +198,9 @@ def test_a_bundle_as_a_trajectory_goes_from_its_state_before_to_the_one_after(no
         trajectory.qpos[trajectory.at(recorded.bundle.end_s)], recorded.arrays[AFTER]["qpos"]
     )
     assert trajectory.story.attempts == recorded.bundle.attempts
+
+
+def test_a_pickle_in_the_place_of_an_array_is_not_opened(copy):
+    np.savez(copy / BEFORE, qpos=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(InputError, match=BEFORE):
+        read_bundle(copy)

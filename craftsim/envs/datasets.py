@@ -162,7 +162,7 @@ def _episode(env: ParallelConstruction, act: Act, seed: int) -> EpisodeBuffer:
         looks.append(look(infos))
         first = agents[0]
         done.append(([chosen[agent] for agent in agents], earned[first], ended[first], cut[first]))
-    states, masks, told = zip(*looks, strict=True)
+    states, masks, measured = zip(*looks, strict=True)
     actions, rewards, ends, cuts = (list(column) for column in zip(*done, strict=True))
     return EpisodeBuffer(
         seed=seed,
@@ -171,7 +171,7 @@ def _episode(env: ParallelConstruction, act: Act, seed: int) -> EpisodeBuffer:
         rewards=rewards,
         terminations=ends,
         truncations=cuts,
-        infos={key: np.array([one[key] for one in told]) for key in told[0]},
+        infos={key: np.array([one[key] for one in measured]) for key in measured[0]},
     )
 
 

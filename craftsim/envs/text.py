@@ -302,15 +302,15 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         self._tick += 1
         feedback = self._feedback(before, chosen, result)
         shared = result.infos[0]
-        told = ["What happened:", *(f"  {line}" for line in feedback)]
+        lines = ["What happened:", *(f"  {line}" for line in feedback)]
         if shared["problems"]:
-            told.append(f"The world cannot be read any more: {'; '.join(shared['problems'])}.")
+            lines.append(f"The world cannot be read any more: {'; '.join(shared['problems'])}.")
         over = result.terminated or result.truncated
         if shared["success"]:
-            told.append("The goal is reached.")
+            lines.append("The goal is reached.")
         elif over:
-            told.append("The episode is over; the goal is not reached.")
-        text = "\n".join([*told, "", self._seen(not over)])
+            lines.append("The episode is over; the goal is not reached.")
+        text = "\n".join([*lines, "", self._seen(not over)])
         info = {key: shared[key] for key in ("success", "duration_s", "problems")}
         return text, result.reward, result.terminated, result.truncated, info | {"feedback": feedback}
 
@@ -323,7 +323,7 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
 
     def _feedback(self, grid: Grid, chosen: list[Action], result: CoreStep) -> tuple[Feedback, ...]:
         """Return what became of each car's action, which was chosen in the world ``grid``."""
-        told: dict[int, Feedback] = {}
+        found: dict[int, Feedback] = {}
         for car in result.order.tolist():
             action, info = chosen[car], result.infos[car]
             why, said = info.get("reason", "").removeprefix("the rules forbid it: "), FORBIDDEN
@@ -332,8 +332,8 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
             else:
                 said = info.get("result", _DONE)
                 grid = self.core.rules.apply(grid, car, action)
-            told[car] = Feedback(car, action, said, why)
-        return tuple(told[car] for car in range(len(chosen)))
+            found[car] = Feedback(car, action, said, why)
+        return tuple(found[car] for car in range(len(chosen)))
 
 
 Answer = Callable[[str, str], str]

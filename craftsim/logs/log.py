@@ -56,7 +56,7 @@ PERIODS_S: Final = Range(0.0005, 0.2)
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """What one car was told and measured. Raises InputError for what no car can have logged.
+    """The commands and measurements of one car. Raises InputError for what no car can have logged.
 
     Example:
         >>> import numpy as np
@@ -241,9 +241,9 @@ class LogRecorder:
         if n < 2:
             return {}
         read = np.frombuffer(b"".join(self._readings[:n]), READING).reshape(n, -1)
-        told = np.frombuffer(b"".join(self._commands), COMMAND).reshape(n, -1)
+        commanded = np.frombuffer(b"".join(self._commands), COMMAND).reshape(n, -1)
         time = np.array(self._time[:n])
-        return {car: log_of(time, read[:, car], told[:, car]) for car in range(read.shape[1])}
+        return {car: log_of(time, read[:, car], commanded[:, car]) for car in range(read.shape[1])}
 
 
 def log_of(time_s: np.ndarray, readings: np.ndarray, commands: np.ndarray) -> Log:

@@ -149,8 +149,8 @@ ASSUMED = SensorNoise(
     jitter_s=0.01,
     line_m=0.0004,
 )
-"""What cars take the noise of their sensors to be unless told otherwise, whatever it is: where they start from before
-they find out. Only what the pose estimate uses is in it."""
+"""The noise that cars assume of their sensors unless configured otherwise: where they start from before they find out.
+Only what the pose estimate uses is in it."""
 
 MILD = SensorNoise(**{field.name: getattr(NOISY, field.name) / 2 for field in fields(SensorNoise)})
 """Half of it."""

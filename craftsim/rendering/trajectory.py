@@ -272,9 +272,9 @@ class Recorder:
         readings = np.frombuffer(b"".join(read), READING).reshape(n, -1)
         targets = () if design is None else design.targets
         cells = tuple(GoalCell(_KIND_NAMES[one.kind], one.cell, one.yaw) for one in targets)
-        told = (title, versions(), recipe, tuple(attempts), poses_of(physics), motors_of(physics), cells)
+        metadata = (title, versions(), recipe, tuple(attempts), poses_of(physics), motors_of(physics), cells)
         return Trajectory(
-            TrajectoryMetadata(SCHEMA_VERSION, *told),
+            TrajectoryMetadata(SCHEMA_VERSION, *metadata),
             np.array(time),
             np.array(qpos),
             np.array(ctrl),

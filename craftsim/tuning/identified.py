@@ -195,7 +195,7 @@ def identified_report(
     sentence = f"{identified} of {count(n, 'parameter')} identified from {log}."
     badge, tone = ("Identified", Tone.GOOD) if identified else ("Nothing identified", Tone.CAUTION)
     logs = {"fitted_log": "the log that was fitted to", "held_out_log": "the held-out log"}
-    told = "What was assumed before, what the log says, and how sure it is."
+    about = "What was assumed before, what the log says, and how sure it is."
     predicted = "Errors of predictions over 1.5 s, with the car as assumed and as identified."
     unidentified = [f"Unidentifiable: {text}" for text in figures["untold"]]
     unidentified += [f"Not in parameters.yaml: {text}" for text in figures["left_out"]]
@@ -210,7 +210,7 @@ def identified_report(
             KeyFigure(f"{figures['values']:,}", "measured values", outliers),
         ],
         [
-            Section("parameters", "Parameters", told, [_estimates(found.estimates)], terminal=True),
+            Section("parameters", "Parameters", about, [_estimates(found.estimates)], terminal=True),
             Section("prediction", "Prediction", predicted, predictions, terminal=True),
             Section(
                 "unidentified",

@@ -124,12 +124,12 @@ def _answer(handler: Handler, request: bytes) -> bytes:
     try:
         return pickle.dumps((True, handler(pickle.loads(request))))
     except Exception as error:
-        told = traceback.format_exc()
+        trace = traceback.format_exc()
         try:
             data = pickle.dumps((False, error))
             pickle.loads(data)  # fails for some errors
         except Exception:
-            return pickle.dumps((False, CraftsimError(f"what a process raised cannot be sent:\n{told}")))
+            return pickle.dumps((False, CraftsimError(f"what a process raised cannot be sent:\n{trace}")))
         return data
 
 

@@ -10,9 +10,7 @@ from craftsim.designs.library import make_design
 from craftsim.designs.starts import FreeFloor, make_start
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.grid import Kind, beside, check_grid
-from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
-from craftsim.planning.assembly import Assembly, Placing, without_things
 
 SEEDS = range(2)
 
@@ -123,17 +121,6 @@ def test_what_has_no_room_is_refused_with_what_would_do():
         options = {"n_cars": 2, "rng": np.random.default_rng(0), **options}
         with pytest.raises(InputError, match=message):
             make_start(make_design("pyramid"), **options)
-
-
-@pytest.mark.parametrize("difficulty", [0.0, 0.3, 0.6, 1.0])
-def test_each_step_of_a_random_design_can_be_made_when_those_before_have_been(difficulty):
-    start = random_start(np.random.default_rng(3), difficulty)
-    assembly, state = Assembly(without_things(start.grid), Rules("physical")), frozenset()
-    for step in map(Placing, start.steps):
-        assert assembly.possible(state, step)
-        state = step.after(state)
-    blocks = {thing.cell for thing in state if thing.kind == Kind.BLOCK}
-    assert blocks == {*start.design.of_kind(Kind.BLOCK)}
 
 
 def test_random_designs_stay_within_what_difficulty_allows_and_use_it():

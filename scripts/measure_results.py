@@ -7,15 +7,19 @@ python scripts/measure_results.py demo large_tower_4_mild
 from __future__ import annotations
 
 import argparse
+import ast
 import json
 import resource
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 ROOT: Final = Path(__file__).parents[1]
 RUNS: Final = ROOT / "docs" / "results" / "runs"
+STORED: Final = ":!craftsim/data/engines.json"
+"""In the package, but a result itself."""
 OUT: Final = ROOT / "out" / "results"
 
 LATE, BIASED, LAGGING = "docs/results/late.yaml", "docs/results/biased.yaml", "docs/results/lagging.yaml"
@@ -67,12 +71,46 @@ def main() -> None:
 
 
 def is_older(path: Path) -> bool:
-    """Return whether a result is missing, or the package has changed since its revision."""
+    """Return whether a result is missing, or the package does something else than at its revision."""
     if not path.exists():
         return True
     measured = json.loads(path.read_text(encoding="utf-8")).get("revision", "none")
-    diff = ["git", "diff", "--quiet", measured, "HEAD", "--", "craftsim"]
-    return subprocess.run(diff, cwd=ROOT, check=False, stderr=subprocess.DEVNULL).returncode != 0
+    return has_changed(measured)
+
+
+@cache
+def has_changed(measured: str) -> bool:
+    """Return whether the package is another one than at a revision; comments, docstrings and stored results aside."""
+    diff = [
+        "git",
+        "diff",
+        "--name-only",
+        "--no-renames",
+        measured,
+        "HEAD",
+        "--",
+        "craftsim",
+        ":!craftsim/data/engines.json",
+    ]
+    found = subprocess.run(diff, cwd=ROOT, check=False, capture_output=True, text=True)
+    return found.returncode != 0 or any(
+        not name.endswith(".py") or _code(measured, name) != _code("HEAD", name)
+        for name in found.stdout.split()
+    )
+
+
+def _code(commit: str, name: str) -> str:
+    """Return what a module does at a revision, as text; without docstrings, which are the same to all that runs."""
+    show = ["git", "show", f"{commit}:{name}"]
+    found = subprocess.run(show, cwd=ROOT, check=False, capture_output=True, text=True)
+    tree = ast.parse(found.stdout)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [  # type: ignore[attr-defined]
+                one for one in body if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))
+            ]
+    return ast.dump(tree)
 
 
 def revision() -> str:

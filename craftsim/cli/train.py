@@ -20,7 +20,7 @@ from craftsim.errors import InputError, suggestion
 from craftsim.options import Dir, OptionalDir, Record, Seeded, Shown, Work, number
 from craftsim.reports.report import Drawing, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.folders import owned, owning
-from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS, WORKERS
+from craftsim.storage.limits import SHARE, TIMEOUT_S, TRAIN_EPISODES, TRAIN_STEPS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +34,15 @@ LINE_EVERY_S: Final = 15.0
 """How often a run says how far it is where there is no terminal for a bar."""
 STUDY_EVERY_S: Final = 60.0
 """How often a study says how far its runs are."""
-_BESIDES: Final[tuple[str, ...]] = ("cars", "blocks", "starts", "settings", "workers", "tensorboard")
+_BESIDES: Final[tuple[str, ...]] = (
+    "cars",
+    "blocks",
+    "starts",
+    "settings",
+    "workers",
+    "engine",
+    "tensorboard",
+)
 """What --set takes besides fields of the configuration and the algorithm's hyperparameters."""
 
 
@@ -67,8 +75,9 @@ def train(
     planner's plans for imitation before learning; 0), shown_share (share of episodes that start along such a plan;
     0.5), starts (a plan or a file of reached worlds for every second episode), pretrained (initial policy), stages
     (easier tasks first, separated by commas), stage_steps (steps on each), acting (greedy or sampled evaluation), cars,
-    blocks, in physics drive (reduced), randomize (none) and workers (one per processor), tensorboard (true writes its
-    log), settings (a YAML file of hyperparameters), and every hyperparameter of the algorithm, such as learning_rate.
+    blocks, in physics drive (reduced), randomize (none), workers (one per processor) and engine (local, or ray for
+    workers on a Ray cluster), tensorboard (true writes its log), settings (a YAML file of hyperparameters), and every
+    hyperparameter of the algorithm, such as learning_rate.
 
     Args:
         task: name of a task, such as strip or random_strip, a task file, or module:factory.
@@ -89,16 +98,20 @@ def train(
 
     need_torch()
     from craftsim.discrete.tasks import as_task
+    from craftsim.envs.options import BatchOptions
     from craftsim.rendering.trajectory import TRAJECTORIES
     from craftsim.training.config import Protocol, protocol
 
     given = _settings_of(settings)
     besides: dict[str, Any] = {name: given.pop(name) for name in _BESIDES if name in given}
-    workers, cars, blocks = (besides.get(name) for name in ("workers", "cars", "blocks"))
-    if workers is not None:
-        WORKERS.check("workers", workers)
+    cars, blocks = besides.get("cars"), besides.get("blocks")
+    shared: dict[str, Any] = {name: besides[name] for name in ("workers", "engine") if name in besides}
+    try:
+        BatchOptions(1, **shared)
+    except InputError as error:
+        raise InputError(str(error).replace("BatchOptions.", "--set ")) from None
     if backend == "grid":
-        physical = {"workers": workers, "drive": given.get("drive"), "randomize": given.get("randomize")}
+        physical = {**shared, "drive": given.get("drive"), "randomize": given.get("randomize")}
         for name, value in {**physical, "record": None if record == "none" else record}.items():
             if value is not None:
                 raise InputError(f"{name} is for physics; on the grid nothing moves: leave it out")
@@ -123,7 +136,7 @@ def train(
     begun = time.perf_counter()
     with (
         owned(folder),
-        closing(_trainer(config, learnt, staged, reached, folder, resume, workers)) as trainer,
+        closing(_trainer(config, learnt, staged, reached, folder, resume, shared)) as trainer,
     ):
         _ = trainer.guidance  # shows progress of its own
         try:
@@ -196,13 +209,13 @@ def _trainer(
     starts: Path | None,
     folder: Path,
     resume: bool,
-    workers: int | None,
+    shared: dict[str, Any],
 ) -> Trainer:
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
-    given: dict[str, Any] = {"task": task, "workers": workers, "stages": stages}
+    given: dict[str, Any] = {"task": task, "stages": stages, **shared}
     given["progress"] = counting("plans", bool)
     other = with_starts(task, starts, config.rules) if starts else None
     begun = (folder / RUN_FILE).exists()

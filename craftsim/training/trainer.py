@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from craftsim.choices import Engine
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
@@ -70,6 +71,7 @@ class Trainer:
         starts: Task | None = None,
         task: Task | None = None,
         workers: int | None = None,
+        engine: Engine = "local",
         progress: Progress = silent,
         stages: Sequence[Task] | None = None,
     ) -> None:
@@ -81,13 +83,14 @@ class Trainer:
             task: the task itself; looked up by its name in the configuration unless given. A configuration may come
                 from a file, so that nothing is imported for a name in it: what Python code makes has to be given.
             workers: how many processes share the worlds in physics; one for each processor unless given.
+            engine: processes of this machine, or actors of an existing Ray cluster.
             progress: shows how many plans have been made, where plans are imitated.
             stages: the tasks of the stages themselves, as ``task``.
 
         Raises:
             InputError: there is no such task.
         """
-        self.config, self.workers = config, workers
+        self.config, self._shared = config, {"workers": workers, "engine": engine}
         self.task = task or _named(config.task, config)
         self.identity = TaskIdentity.of(self.task, config.rules)
         self.starts = "" if starts is None else starts_digest(starts)  # digest of the other starts
@@ -147,7 +150,7 @@ class Trainer:
         from craftsim.checking.setup import RANDOMIZE
 
         drawn = RANDOMIZE[cast("Randomize", self.config.randomize)][1]
-        return {"workers": self.workers, "drive": self.config.drive, "randomization": drawn}
+        return {**self._shared, "drive": self.config.drive, "randomization": drawn}
 
     @property
     def steps(self) -> int:

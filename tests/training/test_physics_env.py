@@ -44,11 +44,12 @@ def test_a_run_in_physics_is_the_same_with_one_worker_and_with_two_and_resumes(t
 def test_a_run_plays_in_the_physics_of_its_configuration(monkeypatch):
     asked = []
 
-    def note(task, n_worlds, workers, drive, randomization):
-        asked.append((drive, randomization))
+    def note(task, n_worlds, workers, engine, drive, randomization):
+        asked.append((workers, engine, drive, randomization))
 
     monkeypatch.setattr("craftsim.training.rollouts.PhysicsVectorEnv", note)
     for drive, randomize in (("reduced", "none"), ("rollers", "lab_floor")):
         config = TrainConfig("strip", worlds=1, width=8, backend="physics", drive=drive, randomize=randomize)
-        assert Trainer(config, task=SHORT).worlds is not None
-    assert asked == [("reduced", NONE), ("rollers", RANDOMIZE["lab_floor"][1])]
+        assert Trainer(config, task=SHORT, workers=2, engine="ray").worlds is not None
+    drawn = ("reduced", NONE), ("rollers", RANDOMIZE["lab_floor"][1])
+    assert asked == [(2, "ray", *one) for one in drawn]

@@ -67,6 +67,8 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
         (["--set", "explore=-1"], "--set explore: -1 is out of range"),
         (["--set", "helper_depth=5", "--backend", "physics"], "or train on the grid"),
         (["--set", "workers=2"], "workers is for physics"),
+        (["--set", "engine=ray"], "engine is for physics"),
+        (["--set", "engine=rays", "--backend", "physics"], "--set engine: unknown value 'rays'"),
         (["--set", "drive=rollers"], "drive is for physics"),
         (["--set", "randomize=mild"], "randomize is for physics"),
         (["--record", "trajectory"], "record is for physics"),

@@ -119,8 +119,11 @@ class Judge:
 
         Their cars, and the cells that their footprints say they change, are as they were when they began.
         """
-        if not self._running:
-            return self.grid
+        if self._confirmed is None:
+            self._confirmed = self._confirm() if self._running else self.grid
+        return self._confirmed
+
+    def _confirm(self) -> Grid:
         grid = self.grid.copy()
         for car, one in self._running.items():
             began = one.reading.grid
@@ -134,10 +137,11 @@ class Judge:
     @property
     def committed(self) -> Grid:
         """The confirmed world with the effects of what runs, in the order in which it began; decisions start here."""
-        grid = self.confirmed
-        for car, one in self._running.items():
-            grid = self.rules.enforce(grid, car, one.step.action)
-        return grid
+        if self._committed is None:
+            self._committed = self.confirmed
+            for car, one in self._running.items():
+                self._committed = self.rules.enforce(self._committed, car, one.step.action)
+        return self._committed
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -309,6 +313,8 @@ class Judge:
         self._drift.strayed_m[step.car], self._drift.path[step.car] = 0.0, np.nan
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
         running[step.car] = one
+        goes_on = step.before is self._committed
+        self._committed = self.rules.enforce(step.before, step.car, step.action) if goes_on else None
 
     def _now(self, step: ScheduledAction, legal: bool) -> Watched:
         reading, n_cars = self.reading, self._n_cars
@@ -329,6 +335,8 @@ class Judge:
 
     def _look(self) -> None:
         self._looked_s = self.physics.time_s
+        self._confirmed: Grid | None = None
+        self._committed: Grid | None = None
         self.poses: Poses = self.physics.poses()
         self._rows: Floats = self.physics.data.qpos[self.physics.pose_places]
         self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls)
@@ -399,16 +407,16 @@ class Judge:
         What sways under a car that still drives counts for that car's action.
         """
         n_cars, rows = self._n_cars, self._rows
-        errors = np.full((len(rows), len(BYSTANDER_ERRORS)), -math.inf)
-        errors[:, :2] = 0.0
-        moved = (one.poses != rows).any(axis=1)
-        if moved.any():
-            errors[moved, :2] = list(map(_apart, one.poses[moved].tolist(), rows[moved].tolist()))
-        errors[:, 2:4] = self._drift.furthest
-        errors[n_cars:, 4:] = np.where(self._known, -math.inf, self.reading.bounded)
         excused = acting | one.meant | swaying
         for reading in (one.reading, self.reading):
             excused.update(n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting)
+        errors = np.zeros((len(rows), len(BYSTANDER_ERRORS)))
+        errors[:, 2:4] = self._drift.furthest
+        errors[:n_cars, 4:] = -math.inf
+        errors[n_cars:, 4:] = np.where(self._known, -math.inf, self.reading.bounded)
+        moved = set(np.flatnonzero((one.poses != rows).any(axis=1)).tolist()) - excused
+        for row in moved:
+            errors[row, :2] = _apart(one.poses[row].tolist(), rows[row].tolist())
         errors[list(excused)] = -math.inf
         largest, names = dict.fromkeys(BYSTANDER_ERRORS, 0.0), dict.fromkeys(BYSTANDER_ERRORS, "")
         worst = errors.argmax(axis=0)  # nan is the largest

@@ -13,7 +13,7 @@ from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import nearest_yaw
-from craftsim.models.measuring import Motors, Records
+from craftsim.models.measuring import CarMeasurement, Motors, Records
 from craftsim.models.sensing import EXACT, SensorNoise, Sensors, measurement_of
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills import library
@@ -159,7 +159,7 @@ class Executor:
         setup = setup if terrain is None else setup.on(terrain)
         performers, now = self._performers[car], measurement_of(self.readings()[car])
         performer = performers.setdefault(action, library.begin_of(action))
-        self._start(car, performer, setup)
+        self._start(car, performer, setup, now)
         self._tries[car] = Tries(action, setup, performers, cell_middle(now, nearest_yaw(now.heading)[0]))
 
     def _feel(self) -> None:
@@ -173,8 +173,8 @@ class Executor:
                 return
             self.advance()
 
-    def _start(self, car: int, performer: Performer, setup: SkillSetup) -> None:
-        record, now = self._cars[car], measurement_of(self.readings()[car])
+    def _start(self, car: int, performer: Performer, setup: SkillSetup, now: CarMeasurement) -> None:
+        record = self._cars[car]
         self._angles[car] = 0.0
         record["known"], record["task"] = setup.constants[0], NO_TASK
         if isinstance(performer, type):
@@ -219,7 +219,7 @@ class Executor:
                 ended[car] = self._tries.pop(car).outcome(outcome)
             else:
                 self._tries[car] = self._tries.pop(car)
-                self._start(car, *following)
+                self._start(car, *following, measurement_of(self.readings()[car]))
         return ended
 
     def _stop(self, cars: Iterable[int], reason: Reason, detail: str = "") -> dict[int, Outcome]:

@@ -291,7 +291,7 @@ class Judge:
         left, most_s = fleet.late_periods, math.inf
         if until_s is not None:
             most_s = until_s - self.physics.config.control_period_s / 2
-        while left if ended else self.physics.time_s < most_s and (executor.busy or not fleet.lost):
+        while left if ended else self.physics.time_s < most_s and (not fleet.lost or executor.busy):
             left -= bool(ended)
             newly = executor.advance()
             if newly:

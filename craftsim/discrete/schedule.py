@@ -79,7 +79,9 @@ class ScheduledAction:
         del others[car]
         for x, y, z in cells:
             around = world.kind[max(x - 1, 0) : x + 2, max(y - 1, 0) : y + 2, z]
-            if (around != AIR).any() or any(abs(a - x) <= 1 and abs(b - y) <= 1 and c == z for a, b, c in others):
+            if (around != AIR).any() or any(
+                abs(a - x) <= 1 and abs(b - y) <= 1 and c == z for a, b, c in others
+            ):
                 return True
         return False
 

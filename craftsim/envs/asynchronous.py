@@ -56,8 +56,8 @@ class AsynchronousCore(Core):
         return self._infos(shared, *np.zeros((2, self.n_cars), np.bool_))
 
     def _take_turns(self) -> None:
-        decides = self.episodes.decides[0]
-        self.turns = [int(car) for car in self._rng.permutation(self.n_cars) if decides[car]]
+        doing = self.episodes.running.action[0].tolist()
+        self.turns = [car for car in self._rng.permutation(self.n_cars).tolist() if doing[car] == DECIDES]
         """The cars that have yet to decide, in their order."""
 
     def begin(self, car: int, action: int) -> None:

@@ -103,7 +103,8 @@ class Executor:
         """By car, while its action runs."""
         self._own: dict[int, Skill] = {}
         """By car, while a skill in Python runs."""
-        self._estimate()
+        if self._estimator is not None:
+            self._estimator.update(self.fleet.read())
         for car in range(n):
             self._park(car, self.readings())
 
@@ -194,7 +195,8 @@ class Executor:
         n_ended = self._step_cars(readings)
         ended = self._end(readings) if self._own or n_ended else {}
         self.fleet.advance(self.step_observer)
-        self._estimate()
+        if self._estimator is not None:
+            self._estimator.update(self.fleet.read())
         for observer in self.observers:
             observer(self.physics)
         if self._tries and self.fleet.lost:
@@ -242,7 +244,3 @@ class Executor:
         inclined = hold.level < max(abs(now["pitch"]), abs(now["roll"])) < hold.tipped
         task["law"] = HOLD if inclined else IDLE
         task["held"] = now["x"], now["y"], now["heading"]
-
-    def _estimate(self) -> None:
-        if self._estimator is not None:
-            self._estimator.update(self.fleet.read())

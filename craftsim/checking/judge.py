@@ -86,6 +86,8 @@ class Judge:
         if self.physics.uneven:
             drift = self._drift
             executor.observers.append(lambda _: drift.stray(executor.paths()))
+        self._confirmed: Grid | None = None
+        """Of the last reading, once it was asked for."""
         self._look()
         self._n_cars = len(self.physics.cars)
         self._names = [f"car {car}" for car in range(self._n_cars)]
@@ -137,11 +139,10 @@ class Judge:
     @property
     def committed(self) -> Grid:
         """The confirmed world with the effects of what runs, in the order in which it began; decisions start here."""
-        if self._committed is None:
-            self._committed = self.confirmed
-            for car, one in self._running.items():
-                self._committed = self.rules.enforce(self._committed, car, one.step.action)
-        return self._committed
+        grid = self.confirmed
+        for car, one in self._running.items():
+            grid = self.rules.enforce(grid, car, one.step.action)
+        return grid
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -313,8 +314,6 @@ class Judge:
         self._drift.strayed_m[step.car], self._drift.path[step.car] = 0.0, np.nan
         self.executor.begin(step.car, step.action, Terrain(*step.inclines, step.tight))
         running[step.car] = one
-        goes_on = step.before is self._committed
-        self._committed = self.rules.enforce(step.before, step.car, step.action) if goes_on else None
 
     def _now(self, step: ScheduledAction, legal: bool) -> Watched:
         reading, n_cars = self.reading, self._n_cars
@@ -335,8 +334,7 @@ class Judge:
 
     def _look(self) -> None:
         self._looked_s = self.physics.time_s
-        self._confirmed: Grid | None = None
-        self._committed: Grid | None = None
+        self._confirmed = None
         self.poses: Poses = self.physics.poses()
         self._rows: Floats = self.physics.data.qpos[self.physics.pose_places]
         self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls)

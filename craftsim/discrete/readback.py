@@ -113,7 +113,7 @@ class Reading:
         found = []
         for index, thing in enumerate(self.objects):
             if thing.carrier is None:
-                unfolded = self.grid.kind_at(thing.cell) == Kind.BODY
+                unfolded = self.grid.cells[thing.cell][KIND] == BODY
                 found.append((index, thing.cell, cells_at(self.grid, thing.cell)[1] if unfolded else None))
         return tuple(found)
 
@@ -149,8 +149,8 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
     grid = _bare(size, n_cars).copy()
     if len(walls):
         grid.kind[tuple(walls.T)] = Kind.WALL
-    cars, objects, problems = [], [], []
-    rows, car_axes = [], []
+    cars: list[CellFit] = []
+    objects, problems, rows, car_axes = [], [], [], []
     measured_cars = zip(poses.car_positions.tolist(), poses.car_quaternions.tolist(), strict=True)
     for position, quaternion in measured_cars:
         fit, row, axes, notes = _read_car(size, tuple(position), tuple(quaternion))
@@ -190,7 +190,8 @@ def _dot(a: Vector, b: Vector) -> float:
 
 def _arc(function: Callable[[float], float], value: float) -> float:
     """Return the arcsine or arccosine of what may lie beyond 1 by rounding."""
-    return function(max(-1.0, min(1.0, value)))
+    value = value if value < 1.0 else 1.0  # nan, too
+    return function(value if value > -1.0 else -1.0)
 
 
 def _column(size: Cell, position: Vector, notes: list[str]) -> tuple[int, int, float]:

@@ -55,22 +55,24 @@ def _resident_mib():
 def test_simulated_time_of_asynchronous_execution(benchmark, task, cars):
     """A call is a minute of asynchronous masked random play, in turn with a synchronous one.
 
-    The figures are simulated seconds, and actions other than STOP, a CPU second; ``ratio`` and ``ratio_of_actions``
-    are asynchronous by synchronous. Cars that do not wait do more in a simulated second.
+    The figures are simulated seconds, actions other than STOP, and the seconds that these take, a CPU second;
+    ``ratio``, ``ratio_of_actions`` and ``ratio_of_acting`` are asynchronous by synchronous. Cars that do not wait do
+    more in a simulated second, and a physics step costs more the more cars move.
     """
     minutes = {name: _Minutes(task, cars, name) for name in ("synchronous", "asynchronous")}
     benchmark.pedantic(
         minutes["asynchronous"].play, setup=minutes["synchronous"].play, rounds=5, warmup_rounds=1
     )
     found = np.array([np.sum(one.found[1:], axis=0) for one in minutes.values()])
-    for column, what, ratio in (0, "simulated_s", "ratio"), (1, "actions", "ratio_of_actions"):
-        rates = (found[:, column] / found[:, 2]).tolist()
+    figures = ("simulated_s", "ratio"), ("actions", "ratio_of_actions"), ("acting_s", "ratio_of_acting")
+    for column, (what, ratio) in enumerate(figures):
+        rates = (found[:, column] / found[:, 3]).tolist()
         names = [f"{name}_{what}_a_second" for name in minutes]
         benchmark.extra_info |= dict(zip(names, rates, strict=True)) | {ratio: rates[1] / rates[0]}
 
 
 class _Minutes:
-    """Masked random play of an environment in physics; of each minute simulated seconds, actions, CPU seconds."""
+    """Masked random play of an environment in physics; by minute: simulated seconds, actions, their seconds, CPU's."""
 
     def __init__(self, task, cars, execution):
         self.env = craftsim.parallel_env(craftsim.make_task(task, n_cars=cars), execution=execution)
@@ -78,7 +80,7 @@ class _Minutes:
         self.seen, _ = self.env.reset(seed=0)
 
     def play(self):
-        simulated_s, cpu_s, n_actions = 0.0, 0.0, 0
+        simulated_s, acting_s, cpu_s, n_actions = 0.0, 0.0, 0.0, 0
         while simulated_s < 60:
             masks = np.stack([one["action_mask"] for one in self.seen.values()])
             actions = dict(zip(self.seen, pick(self.rng, masks).tolist(), strict=True))
@@ -88,7 +90,8 @@ class _Minutes:
             self.seen = self.env.step(actions)[0]
             cpu_s += time.process_time() - cpu_began_s
             simulated_s += backend.judge.physics.time_s - began_s
-            n_actions += sum(one.verb != "STOP" for tick in backend.ticks[n_ticks:] for one in tick)
+            done = [one.duration_s for tick in backend.ticks[n_ticks:] for one in tick if one.verb != "STOP"]
+            n_actions, acting_s = n_actions + len(done), acting_s + sum(done)
             if not self.env.agents:
                 self.seen, _ = self.env.reset()
-        self.found.append((simulated_s, n_actions, cpu_s))
+        self.found.append((simulated_s, n_actions, acting_s, cpu_s))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Cell, Grid, Kind, cell_of
+from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.state import KIND
 from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
@@ -341,6 +342,7 @@ class Drift:
         n_cars = len(physics.cars)
         self.strayed_m, self.path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
         """(n,): each car's largest distance from its path since its action began; (n, 2): its last set point."""
+        self._note_away = bound(_note_away, self._qpos, places, self._left, self.furthest)
         self.leave(range(len(places)))
 
     def speed_m_s(self) -> float:
@@ -361,7 +363,7 @@ class Drift:
 
     def look(self, _: PhysicsWorld | None = None) -> None:
         """Note the distance of everything from its place; call it after each control period."""
-        _note_away(self._qpos, self._places, self._left, self.furthest)
+        self._note_away()
 
     def stray(self, paths: Floats) -> None:
         """Note the distance of each driving car from the last segment of its path; call it after each control period.

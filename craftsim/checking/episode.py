@@ -16,12 +16,12 @@ import numpy as np
 from craftsim.checking.attempt import Attempt, Thresholds
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import SEED_0, Seed, Setup, judge_on, nominal_gains, set_up
-from craftsim.discrete.actions import action_names
+from craftsim.discrete.actions import action_names, footprint
 from craftsim.discrete.files.blueprint import Blueprint, blueprint_text, parse_blueprint
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import RuleSet
-from craftsim.discrete.schedule import Concurrency, Constraints, make_schedule
+from craftsim.discrete.schedule import Concurrency, Constraints, ScheduledAction
 from craftsim.errors import InputError, suggestion
 from craftsim.models.composition import check_extent
 from craftsim.models.sensing import Sensors
@@ -226,10 +226,10 @@ def begin(judge: Judge, car: int, action: Action, tick: int = 0) -> None:
     if car in judge.running:
         raise InputError(f"car {car} cannot begin {action.name}: its {judge.running[car].action.name} runs")
     world = judge.committed
-    schedule = make_schedule(world, [[(car, action)]], judge.rules, first=tick)
-    if schedule.forbidden:
+    after, legal = judge.rules.tick(world, [(car, action)])
+    if not legal[0]:
         raise InputError(str(judge.rules.explain(world, car, action)))
-    judge.begin(schedule.steps[0])
+    judge.begin(ScheduledAction(tick, car, action, world, after, footprint(world, after, car, action)))
 
 
 def perform(

@@ -86,6 +86,8 @@ class Judge:
         if self.physics.uneven:
             drift = self._drift
             executor.observers.append(lambda _: drift.stray(executor.paths()))
+        self._confirmed: Grid | None = None
+        """Of the last reading, once it was asked for."""
         self._look()
         self._n_cars = len(self.physics.cars)
         self._names = [f"car {car}" for car in range(self._n_cars)]
@@ -119,8 +121,11 @@ class Judge:
 
         Their cars, and the cells that their footprints say they change, are as they were when they began.
         """
-        if not self._running:
-            return self.grid
+        if self._confirmed is None:
+            self._confirmed = self._confirm() if self._running else self.grid
+        return self._confirmed
+
+    def _confirm(self) -> Grid:
         grid = self.grid.copy()
         for car, one in self._running.items():
             began = one.reading.grid
@@ -287,7 +292,7 @@ class Judge:
         left, most_s = fleet.late_periods, math.inf
         if until_s is not None:
             most_s = until_s - self.physics.config.control_period_s / 2
-        while left if ended else self.physics.time_s < most_s and (executor.busy or not fleet.lost):
+        while left if ended else self.physics.time_s < most_s and (not fleet.lost or executor.busy):
             left -= bool(ended)
             newly = executor.advance()
             if newly:
@@ -329,6 +334,7 @@ class Judge:
 
     def _look(self) -> None:
         self._looked_s = self.physics.time_s
+        self._confirmed = None
         self.poses: Poses = self.physics.poses()
         self._rows: Floats = self.physics.data.qpos[self.physics.pose_places]
         self.reading: Reading = read_grid(self.poses, self.physics.size, self.physics.walls)
@@ -399,16 +405,16 @@ class Judge:
         What sways under a car that still drives counts for that car's action.
         """
         n_cars, rows = self._n_cars, self._rows
-        errors = np.full((len(rows), len(BYSTANDER_ERRORS)), -math.inf)
-        errors[:, :2] = 0.0
-        moved = (one.poses != rows).any(axis=1)
-        if moved.any():
-            errors[moved, :2] = list(map(_apart, one.poses[moved].tolist(), rows[moved].tolist()))
-        errors[:, 2:4] = self._drift.furthest
-        errors[n_cars:, 4:] = np.where(self._known, -math.inf, self.reading.bounded)
         excused = acting | one.meant | swaying
         for reading in (one.reading, self.reading):
             excused.update(n_cars + i for i, thing in enumerate(reading.objects) if thing.carrier in acting)
+        errors = np.zeros((len(rows), len(BYSTANDER_ERRORS)))
+        errors[:, 2:4] = self._drift.furthest
+        errors[:n_cars, 4:] = -math.inf
+        errors[n_cars:, 4:] = np.where(self._known, -math.inf, self.reading.bounded)
+        moved = set(np.flatnonzero((one.poses != rows).any(axis=1)).tolist()) - excused
+        for row in moved:
+            errors[row, :2] = _apart(one.poses[row].tolist(), rows[row].tolist())
         errors[list(excused)] = -math.inf
         largest, names = dict.fromkeys(BYSTANDER_ERRORS, 0.0), dict.fromkeys(BYSTANDER_ERRORS, "")
         worst = errors.argmax(axis=0)  # nan is the largest

@@ -313,8 +313,9 @@ class AsynchronousEpisodes(Episodes):
             lost: cars that nothing can drive from now on; for good.
         """
         running, gone = self.running, np.zeros(self.n_cars, np.bool_)
-        gone[list(lost)] = True
-        running.action[i, gone], running.ends_s[i, gone] = _STOP, np.inf
+        if lost:
+            gone[list(lost)] = True
+            running.action[i, gone], running.ends_s[i, gone] = _STOP, np.inf
         waits = (running.action[i] == _STOP) & ~gone
         self.time_s[i] = time_s
         ended = np.zeros(self.n_cars, np.bool_)
@@ -328,11 +329,12 @@ class AsynchronousEpisodes(Episodes):
 
     def confirm(self, i: int, confirmed: Grid) -> None:
         """Replace a confirmed world, and make the committed one of it anew, with the effects of what runs."""
-        self.confirmed.cells[i], self.confirmed.cars[i] = confirmed.cells, confirmed.cars
-        grid = confirmed.copy()
+        committed = self.grids[i]
+        for grid in (self.confirmed[i], committed):
+            grid.cells[:], grid.cars[:] = confirmed.cells, confirmed.cars
+        actions = self.running.action[i].tolist()
         for car in np.argsort(self.running.turn[i]).tolist():
-            self._enforce(grid, car, int(self.running.action[i, car]))
-        self.grids.cells[i], self.grids.cars[i] = grid.cells, grid.cars
+            self._enforce(committed, car, actions[car])
 
     def _enforce(self, grid: Grid, car: int, action: int) -> None:
         if is_own(action):
@@ -425,9 +427,12 @@ class AsynchronousEpisodes(Episodes):
         All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
         one that another car forbids.
         """
-        outcome, lost = self.decisions.outcome[i], self.lost[i]
-        waited = self.decides[i] & ((outcome == WAITS) | (outcome == ILLEGAL)) | lost
-        if not waited.all() or (self.queue[i, :, 0] >= 0).any():
+        doing, outcome = self.running.action[i], self.decisions.outcome[i]
+        now = zip(doing.tolist(), outcome.tolist(), strict=True)
+        if not all(action == _STOP or (action == DECIDES and had in (WAITS, ILLEGAL)) for action, had in now):
+            return None
+        lost = self.lost[i]
+        if not ((doing == DECIDES) | lost).all() or (self.queue[i, :, 0] >= 0).any():
             return None
         offered = self.some(np.array([i])).offered()
         stuck = not np.delete(offered, _STOP, axis=-1).any()

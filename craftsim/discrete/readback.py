@@ -7,7 +7,7 @@ origin on the floor under its centre, z up, a slope's x downhill.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Final, NamedTuple
@@ -113,7 +113,7 @@ class Reading:
         found = []
         for index, thing in enumerate(self.objects):
             if thing.carrier is None:
-                unfolded = self.grid.kind_at(thing.cell) == Kind.BODY
+                unfolded = self.grid.cells[thing.cell][KIND] == BODY
                 found.append((index, thing.cell, cells_at(self.grid, thing.cell)[1] if unfolded else None))
         return tuple(found)
 
@@ -145,16 +145,22 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
         size: (L, W, H) of the map.
         walls: (n, 3) cells of fixed obstacles, in the Grid's own coordinates (level 1 is z = 1).
     """
-    grid = Grid.empty(size, len(poses.car_positions))
-    grid.kind[tuple(walls.T)] = Kind.WALL
-    cars, objects, problems = [], [], []
-    car_axes = []
+    n_cars = len(poses.car_positions)
+    grid = _bare(size, n_cars).copy()
+    if len(walls):
+        grid.kind[tuple(walls.T)] = Kind.WALL
+    cars: list[CellFit] = []
+    objects, problems, rows, car_axes = [], [], [], []
     measured_cars = zip(poses.car_positions.tolist(), poses.car_quaternions.tolist(), strict=True)
-    for car, (position, quaternion) in enumerate(measured_cars):
-        fit, grid.cars[car], axes, notes = _read_car(size, tuple(position), tuple(quaternion))
+    for position, quaternion in measured_cars:
+        fit, row, axes, notes = _read_car(size, tuple(position), tuple(quaternion))
+        if notes:
+            problems += [f"car {len(cars)} {note}" for note in notes]
         cars.append(fit)
+        rows.append(row)
         car_axes.append(axes)
-        problems += [f"car {car} {note}" for note in notes]
+    if n_cars:
+        grid.cars[:] = rows
     seats = _seats(poses, car_axes)
     places = poses.positions.tolist(), poses.quaternions.tolist(), poses.hinges.tolist()
     measured = zip(map(int, poses.kinds), *places, strict=True)
@@ -164,11 +170,18 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
         else:
             hinge = hinge if kind == FSLOPE else 0.0  # nan is equal to nothing that is kept
             fit, yaw, own = _read_standing(size, kind, tuple(position), tuple(quaternion), hinge)
-            notes = (*own, *_stand(grid, kind, fit.cell, yaw, hinge))
+            notes = (*own, *_stand(grid.cells, kind, fit.cell, yaw, hinge))
         objects.append(fit)
-        problems += [f"{poses.name(index)} {note}" for note in notes]
+        if notes:
+            problems += [f"{poses.name(index)} {note}" for note in notes]
     grid.derive_marks()
     return Reading(grid, tuple(cars), tuple(objects), tuple(problems))
+
+
+@lru_cache(maxsize=64)
+def _bare(size: Cell, n_cars: int) -> Grid:
+    """Return bare ground, not to be changed."""
+    return Grid.empty(size, n_cars)
 
 
 def _dot(a: Vector, b: Vector) -> float:
@@ -177,7 +190,8 @@ def _dot(a: Vector, b: Vector) -> float:
 
 def _arc(function: Callable[[float], float], value: float) -> float:
     """Return the arcsine or arccosine of what may lie beyond 1 by rounding."""
-    return function(max(-1.0, min(1.0, value)))
+    value = value if value < 1.0 else 1.0  # nan, too
+    return function(value if value > -1.0 else -1.0)
 
 
 def _column(size: Cell, position: Vector, notes: list[str]) -> tuple[int, int, float]:
@@ -296,25 +310,29 @@ def _read_standing(
     return CellFit((x, y, z), offset, turned, None, height, tilt, ajar, reach), yaw, tuple(notes)
 
 
-def _stand(grid: Grid, kind: int, cell: Cell, yaw: int, hinge: float) -> Iterator[str]:
-    """Put an object that no car carries into a world; yield what is wrong with its place."""
-    length, width = grid.cells.shape[:2]
+def _stand(cells: NDArray[np.int16], kind: int, cell: Cell, yaw: int, hinge: float) -> list[str]:
+    """Put an object that no car carries into the cells of a world; return what is wrong with its place."""
+    length, width = cells.shape[:2]
     parts = [(kind, cell, 0)]
     if kind == FSLOPE:
         first, second = (FSLOPE, GEAR) if hinge > math.pi / 2 else (BODY, FOOT)
         parts = [(first, cell, yaw), (second, beside(cell, yaw), yaw)]
+    notes = []
     for part, place, turn in parts:
         if not (0 <= place[0] < length and 0 <= place[1] < width):
-            yield f"reaches outside the area, into {place}"
+            notes.append(f"reaches outside the area, into {place}")
             continue
-        there, shown = int(grid.cells[*place, KIND]), turn
-        if part == GEAR and there == GEAR:
-            shown = min(turn, int(grid.cells[*place, YAW]))  # the rules show this one of two gears as well
-        elif there not in (AIR, GEAR):
-            if part != GEAR:  # a gear leaves room for what stands in its cell
-                yield f"shares the cell {place} with a {Kind(there).name.lower()}"
-            continue
-        grid.cells[*place, KIND], grid.cells[*place, YAW] = part, shown
+        here = cells[place]
+        there, shown = int(here[KIND]), turn
+        if there != AIR:
+            if part == GEAR and there == GEAR:
+                shown = min(turn, int(here[YAW]))  # the rules show this one of two gears as well
+            elif there != GEAR:
+                if part != GEAR:  # a gear leaves room for what stands in its cell
+                    notes.append(f"shares the cell {place} with a {Kind(there).name.lower()}")
+                continue
+        here[KIND], here[YAW] = part, shown
+    return notes
 
 
 def _reach(position: Vector, cell: Cell, turned: float, up: Vector, lifted: float, lean: Vector) -> float:

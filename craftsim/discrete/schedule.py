@@ -75,11 +75,13 @@ class ScheduledAction:
         cells = [cell for cell in cells if cell[2] < world.cells.shape[2]]  # above the top there is nothing
         if int(world.cars[car, F_LOAD]) == AIR:
             return any(int(world.cells[x, y, z, KIND]) != AIR for x, y, z in cells)
-        others = np.delete(world.cars, car, axis=0)
+        others = world.cars[:, : CarField.YAW].tolist()
+        del others[car]
         for x, y, z in cells:
             around = world.kind[max(x - 1, 0) : x + 2, max(y - 1, 0) : y + 2, z]
-            near = (abs(others[:, : CarField.Z] - (x, y)) <= 1).all(axis=1) & (others[:, CarField.Z] == z)
-            if (around != Kind.AIR).any() or near.any():
+            if (around != AIR).any() or any(
+                abs(a - x) <= 1 and abs(b - y) <= 1 and c == z for a, b, c in others
+            ):
                 return True
         return False
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 
 from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes
-from craftsim.discrete.kernel.events import Ends
+from craftsim.discrete.kernel.events import DECIDES, Ends
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.starts import Starts
@@ -55,8 +56,8 @@ class AsynchronousCore(Core):
         return self._infos(shared, *np.zeros((2, self.n_cars), np.bool_))
 
     def _take_turns(self) -> None:
-        decides = self.episodes.decides[0]
-        self.turns = [int(car) for car in self._rng.permutation(self.n_cars) if decides[car]]
+        doing = self.episodes.running.action[0].tolist()
+        self.turns = [car for car in self._rng.permutation(self.n_cars).tolist() if doing[car] == DECIDES]
         """The cars that have yet to decide, in their order."""
 
     def begin(self, car: int, action: int) -> None:
@@ -68,6 +69,9 @@ class AsynchronousCore(Core):
         if self.turns[:1] != [car]:
             raise InputError(f"car {car} does not decide now; {self.turns[:1]} does")
         checked([action], (1,), self.form.n_actions)
+        self._begin(car, action)
+
+    def _begin(self, car: int, action: int) -> None:
         episodes = self.episodes
         before = episodes.grids.cars[0, car].copy()
         chosen = np.full((1, self.n_cars), _STOP, np.int64)
@@ -94,7 +98,7 @@ class AsynchronousCore(Core):
         self.require_episode()
         chosen = checked(actions, (self.n_cars,), self.form.n_actions)
         for car in list(self.turns):
-            self.begin(car, int(chosen[car]))
+            self._begin(car, int(chosen[car]))
         return self.advance()
 
     def advance(self) -> CoreStep:
@@ -108,14 +112,14 @@ class AsynchronousCore(Core):
         infos: dict[int, dict[str, Any]] = {}
         problems: tuple[str, ...] = ()
         while not (ended.any() or problems or episodes.lost.all()):
-            until_s = float(running.ends_s[0].min())
-            happened = self.backend.advance(self._zero_s + until_s if np.isfinite(until_s) else None)
+            until_s = min(running.ends_s[0].tolist())
+            happened = self.backend.advance(self._zero_s + until_s if until_s < math.inf else None)
             time_s = round(happened.time_s - self._zero_s, 6)
             ended = episodes.finish(0, time_s, happened.cars, happened.confirmed, happened.lost)
             infos, problems = infos | happened.infos, happened.problems
         lost = {car: {"lost": why} for car, why in happened.lost.items()}
         self._found = [infos.get(car, {}) | lost.get(car, {}) for car in range(self.n_cars)]
-        failed = np.array([bool(infos.get(car, {}).get("failed")) for car in range(self.n_cars)])
+        failed = np.array([bool(one.get("failed")) for one in self._found])
         episodes.queue[0, failed] = -1  # what was planned starts from where the car is not
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)
         ends = Ends(np.array([duration_s]), doing, ended[None], failed[None])
@@ -138,21 +142,23 @@ class AsynchronousCore(Core):
         self, shared: dict[str, Any], ended: NDArray[np.bool_], failed: NDArray[np.bool_]
     ) -> list[dict[str, Any]]:
         """Return the infos by car after an event: ``ended`` (n,) are whose decisions have, ``failed`` whose actions."""
-        episodes = self.episodes
-        decides, outcome = episodes.decides[0], episodes.decisions.outcome[0]
-        elapsed_s = np.where(ended, episodes.time_s[0] - episodes.running.began_s[0], 0.0)
-        earned = np.where(ended, episodes.decisions.earned[0], 0.0)
-        columns = {
-            "action_mask": list(self.masks.copy()),
-            "illegal": self._wrong.tolist(),
-            "blocked": (outcome == BLOCKED).tolist(),
-            "decides": decides.tolist(),
-            "elapsed_s": [round(seconds, 6) for seconds in elapsed_s.tolist()],
-            "earned": earned.tolist(),
-            "failed": failed.tolist(),
-        }
+        episodes, over, wrong, failures = self.episodes, ended.tolist(), self._wrong.tolist(), failed.tolist()
+        time_s, running, decisions = float(episodes.time_s[0]), episodes.running, episodes.decisions
+        doing, began_s = running.action[0].tolist(), running.began_s[0].tolist()
+        outcome, earned = decisions.outcome[0].tolist(), decisions.earned[0].tolist()
+        masks = self.masks.copy()
         return [
-            {**found, **{key: column[car] for key, column in columns.items()}, **shared}
+            {
+                **found,
+                "action_mask": masks[car],
+                "illegal": wrong[car],
+                "blocked": outcome[car] == BLOCKED,
+                "decides": doing[car] == DECIDES,
+                "elapsed_s": round(time_s - began_s[car], 6) if over[car] else 0.0,
+                "earned": earned[car] if over[car] else 0.0,
+                "failed": failures[car],
+                **shared,
+            }
             for car, found in enumerate(self._found)
         ]
 

@@ -194,7 +194,9 @@ class PhysicsBackend:
                 self._world = compile_world(grid, self.setup, marked)
             self.judge = set_up(grid, self.setup, seed, marked, self._world, options.check_contacts)
         self._start, self.goals = grid.copy(), marked
-        self.judge.executor.observers += [self._pictures.watch, *options.observers]
+        if options.render_mode is not None:
+            self.judge.executor.observers.append(self._pictures.watch)
+        self.judge.executor.observers += options.observers
         self._seed, self._joints, self._starts_s, self.ticks = seed, [], [], []
         self._pictures.begin(self.judge.physics)
         if self._folder is not None:

@@ -13,7 +13,7 @@ from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import nearest_yaw
-from craftsim.models.measuring import Motors, Records
+from craftsim.models.measuring import CarMeasurement, Motors, Records
 from craftsim.models.sensing import EXACT, SensorNoise, Sensors, measurement_of
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills import library
@@ -103,7 +103,8 @@ class Executor:
         """By car, while its action runs."""
         self._own: dict[int, Skill] = {}
         """By car, while a skill in Python runs."""
-        self._estimate()
+        if self._estimator is not None:
+            self._estimator.update(self.fleet.read())
         for car in range(n):
             self._park(car, self.readings())
 
@@ -159,7 +160,7 @@ class Executor:
         setup = setup if terrain is None else setup.on(terrain)
         performers, now = self._performers[car], measurement_of(self.readings()[car])
         performer = performers.setdefault(action, library.begin_of(action))
-        self._start(car, performer, setup)
+        self._start(car, performer, setup, now)
         self._tries[car] = Tries(action, setup, performers, cell_middle(now, nearest_yaw(now.heading)[0]))
 
     def _feel(self) -> None:
@@ -173,8 +174,8 @@ class Executor:
                 return
             self.advance()
 
-    def _start(self, car: int, performer: Performer, setup: SkillSetup) -> None:
-        record, now = self._cars[car], measurement_of(self.readings()[car])
+    def _start(self, car: int, performer: Performer, setup: SkillSetup, now: CarMeasurement) -> None:
+        record = self._cars[car]
         self._angles[car] = 0.0
         record["known"], record["task"] = setup.constants[0], NO_TASK
         if isinstance(performer, type):
@@ -194,7 +195,8 @@ class Executor:
         n_ended = self._step_cars(readings)
         ended = self._end(readings) if self._own or n_ended else {}
         self.fleet.advance(self.step_observer)
-        self._estimate()
+        if self._estimator is not None:
+            self._estimator.update(self.fleet.read())
         for observer in self.observers:
             observer(self.physics)
         if self._tries and self.fleet.lost:
@@ -219,7 +221,7 @@ class Executor:
                 ended[car] = self._tries.pop(car).outcome(outcome)
             else:
                 self._tries[car] = self._tries.pop(car)
-                self._start(car, *following)
+                self._start(car, *following, measurement_of(self.readings()[car]))
         return ended
 
     def _stop(self, cars: Iterable[int], reason: Reason, detail: str = "") -> dict[int, Outcome]:
@@ -242,7 +244,3 @@ class Executor:
         inclined = hold.level < max(abs(now["pitch"]), abs(now["roll"])) < hold.tipped
         task["law"] = HOLD if inclined else IDLE
         task["held"] = now["x"], now["y"], now["heading"]
-
-    def _estimate(self) -> None:
-        if self._estimator is not None:
-            self._estimator.update(self.fleet.read())

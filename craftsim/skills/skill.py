@@ -66,6 +66,8 @@ class SkillSetup:
 
     def on(self, terrain: Terrain) -> SkillSetup:
         """Return the same for a move on other ground."""
+        if terrain == self.terrain:
+            return self
         other = replace(self, terrain=terrain)
         vars(other)["constants"] = self.constants  # they depend on all but the ground
         return other

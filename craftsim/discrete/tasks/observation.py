@@ -80,8 +80,9 @@ def entity_rows(grids: Grid, layout: Layout, designs: Targets) -> NDArray[np.int
 def car_vectors(rows: NDArray[np.int32], n_cars: int) -> NDArray[np.int32]:
     """Return every car's observation, shape (..., n_cars, 13 * (1 + n_rows)): its own row, then all rows."""
     everything = rows.reshape(*rows.shape[:-2], 1, -1)
-    shared = np.broadcast_to(everything, (*rows.shape[:-2], n_cars, everything.shape[-1]))
-    return np.concatenate([rows[..., :n_cars, :], shared], axis=-1)
+    vectors = np.empty((*rows.shape[:-2], n_cars, ROW + everything.shape[-1]), rows.dtype)
+    vectors[..., :ROW], vectors[..., ROW:] = rows[..., :n_cars, :], everything
+    return vectors
 
 
 def target_rows(designs: Targets) -> NDArray[np.int32]:

@@ -10,7 +10,7 @@ Switchable Action Dependency Graph, 2020).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -67,9 +67,9 @@ def reordered(
             if cars in tried or not _in_order(schedule, steps):
                 continue
             tried.add(cars)
-            new = best.again(start, steps, rules)
-            if new.forbidden or not new.final.same_visible(schedule.final):
+            if not _ends_in(schedule.final, start, steps, rules):
                 continue
+            new = best.again(start, steps, rules)
             if new.makespan([seconds[k] for k in turned]) < shorter_s:
                 best = new
                 break
@@ -117,12 +117,27 @@ def _rest(left: Schedule, ended: Sequence[ScheduledAction], running: Sequence[Sc
     return replace(left, steps=tuple(steps))
 
 
+def _ends_in(final: Grid, world: Grid, steps: Iterable[ScheduledAction], rules: Rules) -> bool:
+    """Return whether steps are allowed in this order, and end in a world like another one."""
+    for step in steps:
+        world, applied = rules.tick(world, [(step.car, step.action)])
+        if not applied[0]:
+            return False
+    return world.same_visible(final)
+
+
 def _conflicts(schedule: Schedule) -> list[list[int]]:
-    """Return by step the steps, before and after it, of which one waits for the other."""
-    found: list[list[int]] = [[*step.waits_for] for step in schedule.steps]
+    """Return by step its car's step before it, and the other cars' steps of which one waits for the other."""
+    found: list[list[int]] = [[] for _ in schedule.steps]
+    last: dict[int, int] = {}
     for index, step in enumerate(schedule.steps):
+        if step.car in last:
+            found[index].append(last[step.car])
+        last[step.car] = index
         for other in step.waits_for:
-            found[other].append(index)
+            if schedule.steps[other].car != step.car:
+                found[index].append(other)
+                found[other].append(index)
     return found
 
 

@@ -144,8 +144,12 @@ def _orders(figures: dict[str, Any]) -> str:
         for name, one in compared.items()
     ]
     planned, again = figures["as_predicted"]["ticks"]["trials"], figures.get("reordered", {})
-    named = zip(("re-ordered as predicted", "in hindsight"), again.values(), strict=False)
-    said += [f"{name} {one['value']:.2f}" for name, one in named]
+    named = zip(
+        ("re-ordered before by predicted durations", "on the way against that", "with a slow car"),
+        again.values(),
+        strict=False,
+    )
+    said += [f"{name} {one['value']:.3f} ({one['low']:.3f}-{one['high']:.3f})" for name, one in named]
     return (
         f"{figures['compared']} of {planned} plans as predicted in all orders; makespans, asynchronously: "
         f"{', '.join(said)}"

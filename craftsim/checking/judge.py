@@ -30,6 +30,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
 from craftsim.models.composition import lift_m
 from craftsim.models.measuring import Floats
+from craftsim.planning.reordering import reordered_rest
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
 from craftsim.skills.skill import Terrain
@@ -184,9 +185,17 @@ class Judge:
         A car whose action fails stops there, and what depends on it is not performed; the others finish. An action
         whose own part reads as predicted agrees, unless nobody's part is wrong and something else is: that is then
         held against all.
+
+        In the order ``reordered``, whenever an action ends, actions that have not begun may change places
+        (:func:`craftsim.planning.reordering.reordered_rest`). Constraints of ``after`` that the footprints impose
+        anyway, which a plan's file has, do not prevent that.
         """
+        if order == "reordered" and after:
+            ticks = [*ticks]
+            known = make_schedule(self.grid, ticks, self.rules).constraints()
+            after = {act: {*others}.difference(known.get(act, ())) for act, others in after.items()}
         schedule = make_schedule(self.grid, ticks, self.rules, order, after=after)
-        return self._perform(schedule, halts=order == "until-wrong")
+        return self._perform(schedule, halts=order == "until-wrong", reorders=order == "reordered")
 
     def begin(self, step: ScheduledAction) -> None:
         """Start one action of a car that has none, while others may run; :meth:`next` runs it.
@@ -222,16 +231,23 @@ class Judge:
             world = self._world_cause(self._last.before, self._last.after, gave_up)
         return tuple(attempt_of(one, self._cause(one, world, self._over), self.thresholds) for one in over)
 
-    def _perform(self, schedule: Schedule, legal: bool = True, halts: bool = False) -> tuple[Attempt, ...]:
+    def _perform(
+        self, schedule: Schedule, legal: bool = True, halts: bool = False, reorders: bool = False
+    ) -> tuple[Attempt, ...]:
         before, steps, capped = self.grid, schedule.steps, self.physics.capped_steps
-        number = {(step.tick, step.car): index for index, step in enumerate(steps)}
         waiting, found = dict(enumerate(steps)), list[Watched]()
+        left, now, over = schedule, before, list[Watched]()
         self._settled = True
         if steps:
             self._watch()
         while True:
+            if reorders and all(one.outcome and one.outcome.succeeded for one in found):
+                for step in (one.step for one in over):
+                    now = self.rules.apply(now, step.car, step.action)
+                left, waiting = self._reordered(now, left, waiting, found)
+            number = {(step.tick, step.car): index for index, step in enumerate(left.steps)}
             ended = (one.step for one in found if one.outcome and one.outcome.succeeded)
-            done = {number[step.tick, step.car] for step in ended}
+            done = {number.get((step.tick, step.car), -1) for step in ended}
             halted = halts and any(one.stops_plan for one in found)
             for index, step in [] if halted else list(waiting.items()):
                 if step.waits_for <= done and step.car not in self._running:
@@ -239,7 +255,7 @@ class Judge:
             self.on_change(self.running)
             if not self._running:
                 break
-            found += self._run()
+            found += (over := self._run())
         unbegun = [self._now(step, True) for step in waiting.values()]
         unbegun += [self._now(step, False) for step in schedule.forbidden]
         for one in unbegun:
@@ -249,6 +265,18 @@ class Judge:
         attempts = [attempt_of(one, self._cause(one, world, found), self.thresholds) for one in found]
         place = {act: number for number, act in enumerate(schedule.acts)}
         return tuple(sorted(attempts, key=lambda a: place[a.tick, a.car]))
+
+    def _reordered(
+        self, now: Grid, left: Schedule, waiting: dict[int, ScheduledAction], found: Sequence[Watched]
+    ) -> tuple[Schedule, dict[int, ScheduledAction]]:
+        """Return what has not ended of a plan, and by index what has not begun, in a better order if there is one."""
+        ended = [(one.step, one.outcome.duration_s) for one in found if one.outcome]
+        now_s = self.physics.time_s
+        running = [(one.step, now_s - one.start_s) for one in self._running.values()]
+        new = reordered_rest(now, left, ended, running, self.rules)
+        if new is left:
+            return left, waiting
+        return new, dict([*enumerate(new.steps)][len(running) :])
 
     def _watch(self) -> None:
         self._drift.settle(slice(None))

@@ -68,11 +68,11 @@ def bench(
 
     physics: joint steps through PettingZoo with either drive.
 
-    execution: makespans in physics of the plans of the six tasks and of random designs, sequential, tick by tick and
-    concurrent, beside the predicted makespans and those of re-ordered actions. With policies: their success in
-    synchronous and asynchronous execution on the grid and in physics, on the reduced drive with mild randomization, and
-    at most 10 episodes as robots on rollers, on a workshop floor, behind a network (delay 30 ms, jitter 10 ms, loss 2 %
-    each way). Starts are paired. Can be resumed.
+    execution: makespans in physics of the plans of the six tasks and of random designs, sequential, tick by tick,
+    concurrent and re-ordered on the way, beside the predicted makespans; also with a slow car. With policies: their
+    success in synchronous and asynchronous execution on the grid and in physics, on the reduced drive with mild
+    randomization, and at most 10 episodes as robots on rollers, on a workshop floor, behind a network (delay 30 ms,
+    jitter 10 ms, loss 2 % each way). Starts are paired. Can be resumed.
 
     builders: the share of 30 held-out designs that builders complete which read the world as text and answer in text,
     such as language models, given as 'module:function' from two texts to an answer; beside random play, the planner and

@@ -12,8 +12,9 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
+from types import MappingProxyType
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -29,10 +30,11 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError, suggestion
 
-Concurrency = Literal["sequential", "concurrent", "until-wrong", "at-once"]
-"""How the actions of a plan follow each other: one by one; as early as the dependencies allow; the same until something
-is not as predicted, after which nothing begins any more; or, to see what goes wrong, all of a tick together and tick
-after tick."""
+Concurrency = Literal["sequential", "concurrent", "reordered", "until-wrong", "at-once"]
+"""How the actions of a plan follow each other: one by one; as early as the dependencies allow; the same with
+conflicting actions re-ordered on the way (:mod:`craftsim.planning.reordering`); as early as the dependencies allow
+until something is not as predicted, after which nothing begins any more; or, to see what goes wrong, all of a tick
+together and tick after tick."""
 
 Constraints = Mapping[tuple[int, int], Collection[tuple[int, int]]]
 """Order constraints of a plan: after which earlier actions of other cars an action starts, each a (tick, car)."""
@@ -57,6 +59,12 @@ class ScheduledAction:
     footprint: Footprint = field(default_factory=dict)
     waits_for: frozenset[int] = frozenset()
     """Indices of the earlier steps that must have ended."""
+
+    @cached_property
+    def duration_s(self) -> float:
+        """The time that was measured for this action at nominal physics (:func:`nominal_durations`)."""
+        column = situation(self.before.cars[self.car], self.after.cars[self.car])
+        return float(nominal_durations()[self.action, column])
 
     @property
     def inclines(self) -> tuple[float, float]:
@@ -97,13 +105,13 @@ class Schedule:
     """The predicted world at the end."""
     acts: tuple[tuple[int, int], ...] = ()
     """(tick, car) of all actions in the order of the plan."""
+    after: Constraints = field(default_factory=dict)
+    """Order constraints of the plan."""
 
     @property
     def durations_s(self) -> list[float]:
-        """The time of each step that was measured for its action at nominal physics (:func:`nominal_durations`)."""
-        table = nominal_durations()
-        columns = (situation(step.before.cars[step.car], step.after.cars[step.car]) for step in self.steps)
-        return [float(table[s.action, column]) for s, column in zip(self.steps, columns, strict=True)]
+        """The nominal time of each step."""
+        return [step.duration_s for step in self.steps]
 
     def times(self, durations_s: Sequence[float] | None = None) -> NDArray[np.float64]:
         """Return the start and the end of each step in seconds, shape (n, 2): a longest path through the dependencies.
@@ -122,9 +130,9 @@ class Schedule:
         """Return when the last step ends, in seconds; 0 where there is none."""
         return float(self.times(durations_s)[:, 1].max(initial=0.0))
 
-    def acting(self, order: Iterable[int]) -> list[list[tuple[int, Action]]]:
-        """Return ticks of one action each, from which :func:`make_schedule` makes the same steps in another order."""
-        return [[(self.steps[index].car, self.steps[index].action)] for index in order]
+    def again(self, start: Grid, steps: Iterable[ScheduledAction], rules: Rules) -> Schedule:
+        """Return the concurrent schedule of some of these steps, in this order, from a world."""
+        return _made(start, ((step.tick, step.car, step.action) for step in steps), rules, after=self.after)
 
     def critical(self) -> set[tuple[int, int]]:
         """Return the (tick, car) of actions that wait for one another from the start until all is done.
@@ -184,34 +192,44 @@ def make_schedule(
     """
     if order not in (known := get_args(Concurrency)):
         raise InputError(f"no order {order!r}{suggestion(str(order), known)} (orders: {', '.join(known)})")
+    acts = ((tick, car, action) for tick, joint in enumerate(ticks, first) for car, action in joint)
+    return _made(grid, acts, rules, order, after or {})
+
+
+def _made(
+    grid: Grid,
+    acts: Iterable[tuple[int, int, Action]],
+    rules: Rules,
+    order: Concurrency = "concurrent",
+    after: Constraints = MappingProxyType({}),
+) -> Schedule:
+    """Return the schedule of (tick, car, action) in acting order."""
     steps: list[ScheduledAction] = []
     place: dict[tuple[int, int], int] = {}
     claimed = defaultdict[object, list[int]](list)
     """Which steps have which cells in their footprints, by bit and cell, and which are of which car."""
-    forbidden = []
-    acts = []
-    for tick, joint in enumerate(ticks, first):
-        for car, action in joint:
-            acts.append((tick, car))
-            then, applied = rules.tick(grid, [(car, action)])
-            if not applied[0]:
-                forbidden.append(ScheduledAction(tick, car, action, grid, grid))
-                continue
-            needs = footprint(grid, then, car, action)
-            asked = {place[act] for act in (after or {}).get((tick, car), ()) if act in place}
-            match order:
-                case "sequential":
-                    waits: Iterable[int] = range(len(steps) - 1, len(steps)) if steps else ()
-                case "at-once":
-                    waits = (i for i, step in enumerate(steps) if step.tick < tick)
-                case "concurrent" | "until-wrong":
-                    waits = {step for key in _needed(car, needs) if key in claimed for step in claimed[key]}
-            place[tick, car] = len(steps)
-            for key in _claimed(car, needs):
-                claimed[key].append(len(steps))
-            steps.append(ScheduledAction(tick, car, action, grid, then, needs, frozenset(waits) | asked))
-            grid = then
-    return Schedule(tuple(steps), tuple(forbidden), grid, tuple(acts))
+    forbidden, found = [], []
+    for tick, car, action in acts:
+        found.append((tick, car))
+        then, applied = rules.tick(grid, [(car, action)])
+        if not applied[0]:
+            forbidden.append(ScheduledAction(tick, car, action, grid, grid))
+            continue
+        needs = footprint(grid, then, car, action)
+        asked = {place[act] for act in after.get((tick, car), ()) if act in place}
+        match order:
+            case "sequential":
+                waits: Iterable[int] = range(len(steps) - 1, len(steps)) if steps else ()
+            case "at-once":
+                waits = (i for i, step in enumerate(steps) if step.tick < tick)
+            case "concurrent" | "reordered" | "until-wrong":
+                waits = {step for key in _needed(car, needs) if key in claimed for step in claimed[key]}
+        place[tick, car] = len(steps)
+        for key in _claimed(car, needs):
+            claimed[key].append(len(steps))
+        steps.append(ScheduledAction(tick, car, action, grid, then, needs, frozenset(waits) | asked))
+        grid = then
+    return Schedule(tuple(steps), tuple(forbidden), grid, tuple(found), after)
 
 
 _CONFLICTS: Final = {SPACE: SPACE, CHANGES: CHANGES | RELIES, RELIES: CHANGES, LOADS: LOADS}

@@ -83,8 +83,8 @@ def steps_of(
 ) -> tuple[Step, ...]:
     """Return the steps of a plan's ticks, each with (car, action) in acting order, and its order constraints."""
     after = after or {}
-    if order == "concurrent":
-        return (Step.joint(0, *ticks, after=after),)
+    if order in ("concurrent", "reordered"):
+        return (Step.joint(0, *ticks, order=order, after=after),)
     numbered = [(tick, joint) for tick, joint in enumerate(ticks) if joint]
     if order == "sequential":
         return tuple(Step.single(tick, *act) for tick, joint in numbered for act in joint)

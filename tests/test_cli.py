@@ -277,7 +277,7 @@ def test_present_words_are_left_as_they_are_and_former_commands_say_what_they_ar
 def test_a_configuration_repeats_a_run(tmp_path, capsys):
     out = tmp_path / "first"
     config = out / "config.yaml"
-    assert cli.main(["design", "random", "--difficulty", "0.2", "--seed", "5", "--out", str(out)]) == 0
+    assert cli.main(["design", "wall", "--seed", "5", "--out", str(out)]) == 0
     assert cli.main(["design", "--config", str(config), "--out", str(tmp_path / "again")]) == 0
     first, again = (json.loads((tmp_path / name / "report.json").read_text()) for name in ("first", "again"))
     assert first | {"wall": {}} == again | {"wall": {}}

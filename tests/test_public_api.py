@@ -68,7 +68,7 @@ def test_results_show_themselves_in_a_notebook():
     attempt = craftsim.perform(physics, 0, "MOVE_RIGHT")
     assert "as predicted" in attempt._repr_html_()
     assert attempt.to_frame().shape[0] == 1
-    result = craftsim.validate("strip", trials=1)
+    result = craftsim.validate("strip", trials=1, drive="reduced")
     assert "Validation(1 of 1 runs agree" in result._repr_html_()
     assert result.attempts[0].agrees
 
@@ -80,5 +80,6 @@ def test_a_renamed_name_works_with_a_warning():
 
 @pytest.mark.parametrize(("old", "now"), [("against", "baseline"), ("shrink", "minimize")])
 def test_a_renamed_argument_works_with_a_warning(old, now):
-    with pytest.warns(DeprecationWarning, match=f"{old}= of validate is called {now}= now"):
-        craftsim.validate("strip", trials=1, **{old: None})
+    warned = pytest.warns(DeprecationWarning, match=f"{old}= of validate is called {now}= now")
+    with warned, pytest.raises(craftsim.errors.InputError, match="nowhere"):
+        craftsim.validate("nowhere", **{old: None})

@@ -25,6 +25,7 @@ outcomes = Executor(PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1))).run({0: Actio
 assert outcomes[0].succeeded, outcomes
 
 import craftsim
+craftsim.read_blueprint("strip")
 print(craftsim.__file__)
 """
 
@@ -119,7 +120,6 @@ def test_every_file_of_the_package_is_in_the_wheel(wheel):
 
 def test_the_command_runs_and_a_car_moves_in_physics(run, installed):
     assert run("craftsim", "--version") == f"craftsim {VERSION}\n"
-    assert "level 1" in run("craftsim", "show", "strip")
     loaded_from = Path(run("python", "-c", ACTION).strip())
     assert loaded_from.is_relative_to(installed.parent), "not what an older copy left behind"
 

@@ -14,7 +14,7 @@ from craftsim.discrete.files.design import read_design
     "words",
     [
         ["house", "--size", "4", "3", "1"],
-        ["random", "--difficulty", "0.2"],
+        ["random", "--difficulty", "0"],
         ["random", "--size", "6", "5", "2"],
     ],
 )

@@ -51,9 +51,9 @@ def test_every_forbidden_action_has_a_reason_and_every_legal_one_is_said_to_be_l
 
 
 def test_without_the_flag_that_is_named_the_action_is_legal_or_has_another_reason():
-    rules, rng = Rules("physical"), np.random.default_rng(7)
+    rules, rng = Rules("physical"), np.random.default_rng(1)
     named = dict.fromkeys(FORBIDDING, 0)
-    for _ in range(3000):
+    for _ in range(1000):
         grid = _dense_world(rng)
         legal = Rules("published", Correction(sum(set(Correction) - set(FORBIDDING)))).mask(grid)
         for car, action in np.argwhere(legal & ~rules.mask(grid)):

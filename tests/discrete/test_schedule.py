@@ -212,14 +212,14 @@ def changed_places(grid):
 def test_two_actions_that_do_not_wait_for_each_other_may_change_places():
     """On ramps above all, at whose far end the rules look before a car drives onto them."""
     pairs = 0
-    for seed in range(60):
+    for seed in range(20):
         rng = np.random.default_rng(seed)
         grid = ramps(rng)
         for world in (grid, *(after for _, after in play(RULES, grid, rng, 2))):
             same = list(changed_places(world))
             assert all(same), seed
             pairs += len(same)
-    assert pairs > 5_000
+    assert pairs > 1_500
 
 
 @PLENTY

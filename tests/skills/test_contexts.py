@@ -88,12 +88,12 @@ def test_lifts_brings_unfolds_and_folds_a_slope(make_checked):
 @pytest.mark.parametrize(
     ("direction", "load", "drive"),
     _on_both(
-        (0, Kind.BLOCK, ROLLERS),
+        (0, Kind.BLOCK, REDUCED),
         (1, Kind.FLAG, REDUCED),
         (2, Kind.FSLOPE, REDUCED),
         (3, Kind.FSLOPE, ROLLERS),
         (3, Kind.BLOCK, REDUCED),
-        (2, Kind.AIR, ROLLERS),
+        (2, Kind.AIR, REDUCED),
         (1, Kind.AIR, REDUCED),
     ),
 )

@@ -65,9 +65,11 @@ def test_what_is_done_with_stays_within_a_millimetre_for_the_rest_of_the_plan(no
         assert np.linalg.norm(where - where[0], axis=1).max() <= 1e-3
 
 
-@pytest.mark.parametrize("ticks", [SHORT, pytest.param(None, marks=pytest.mark.slow)])
-def test_the_plan_succeeds_alike_in_steps_of_1_ms_and_without_sleep(nominal, ticks):
-    _, attempts, history = _build(SimulationConfig(sleep=False, timestep_s=0.001), ticks)
+@pytest.mark.parametrize(
+    ("ticks", "timestep_s"), [(SHORT, 0.0025), pytest.param(None, 0.001, marks=pytest.mark.slow)]
+)
+def test_the_plan_succeeds_alike_in_finer_steps_and_without_sleep(nominal, ticks, timestep_s):
+    _, attempts, history = _build(SimulationConfig(sleep=False, timestep_s=timestep_s), ticks)
     _assert_in_the_bands(attempts, PLACED[: 1 if ticks else None])
     here, there = nominal[2][len(attempts)], history[-1]
     assert np.linalg.norm(here.car_positions - there.car_positions, axis=1).max() <= 2e-3

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from craftsim.audit.neighbours import nearby
-from craftsim.audit.situation import SCENES, Row, Situation
+from craftsim.audit.situation import Row, Situation, scenes
 from craftsim.audit.survey import counted_row, survey
 from craftsim.discrete.actions import ACTIONS, verbs
 from craftsim.discrete.kinds import Correction
@@ -55,9 +55,9 @@ def audit_plan(rule_set: RuleSet, of: tuple[str, ...] = ()) -> tuple[PlanRow, ..
 @cache
 def _plan(rule_set: RuleSet, of: tuple[str, ...]) -> tuple[PlanRow, ...]:
     rules = Rules(rule_set)
-    scenes = [one for one in SCENES if {ACTIONS[act].verb for act in one.acts} & set(of)]
+    drawn = [one for one in scenes() if {ACTIONS[act].verb for act in one.acts} & set(of)]
     found = [(one, legal, counted_row(one.row, legal)) for one, legal in survey(rule_set, of)]
-    found += [(one, one.legal(rules), one.row) for one in scenes]
+    found += [(one, one.legal(rules), one.row) for one in drawn]
     found += nearby(rule_set, of)
     members: dict[tuple[Row, bool, str], list[Situation]] = {}
     for one, legal, row in found:

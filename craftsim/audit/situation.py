@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.resources import files
 from itertools import product
 from typing import Any, Final, NamedTuple
@@ -326,8 +326,11 @@ def shipped(name: str) -> Any:
     return yaml.safe_load(files("craftsim.data").joinpath(name).read_text(encoding="utf-8"))
 
 
-def _scenes() -> Iterator[Situation]:
-    """Yield the scenes of ``craftsim/data/scenes.yaml``."""
+@cache
+def scenes() -> tuple[Situation, ...]:
+    """Return the scenes of ``craftsim/data/scenes.yaml``, drawn by hand: each is for a suspected rule, with several
+    cars, or with properties outside the survey."""
+    found = []
     for group in shipped("scenes.yaml"):
         for shared, (name, own) in product(group.get("each", [{}]), group["scenes"].items()):
             said = (group, shared, own)
@@ -335,7 +338,8 @@ def _scenes() -> Iterator[Situation]:
             acts, order = tuple(Action[action] for action in one["action"].split("+")), one.get("order")
             verbs = "+".join(ACTIONS[action].verb for action in acts)
             grid = grid_of(map(_piece, _listed(said, "things")), [*map(_car, _listed(said, "cars"))], _SIZE)
-            yield Situation(Row(verbs, scene=name, order=order or ""), grid, acts, order)
+            found.append(Situation(Row(verbs, scene=name, order=order or ""), grid, acts, order))
+    return tuple(found)
 
 
 def _listed(said: Sequence[Mapping[str, str]], key: str) -> list[str]:
@@ -363,7 +367,3 @@ def _car(text: str) -> CarRow:
     load_yaw = HEADINGS.index(side) if side else 0
     slope = {None: 0, "low": 1, "high": 2}[half]
     return *_cell(cell), HEADINGS.index(heading), carried, load_yaw, slope
-
-
-SCENES: Final = tuple(_scenes())
-"""Hand-drawn situations, each for a suspected rule: several cars, or properties outside the survey."""

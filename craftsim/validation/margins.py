@@ -19,7 +19,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from craftsim.audit.situation import SCENES, Row, Situation, shipped
+from craftsim.audit.situation import Row, Situation, scenes, shipped
 from craftsim.audit.survey import row_of, situation_of
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, do, start
@@ -245,7 +245,7 @@ class MarginSearch:
 @lru_cache(maxsize=2)
 def _situation(row: Row, rules: RuleSet) -> Situation:
     """Return a scenario's situation. Raises CraftsimError if there is none, or if its first actions are illegal."""
-    return next(scene for scene in SCENES if scene.row == row) if row.scene else situation_of(row, rules)
+    return next(scene for scene in scenes() if scene.row == row) if row.scene else situation_of(row, rules)
 
 
 def find(one: MarginSearch) -> Result:

@@ -7,7 +7,7 @@ import pytest
 
 from craftsim.audit.neighbours import nearby
 from craftsim.audit.plan import audit_plan, distribute_trials
-from craftsim.audit.situation import SCENES, ImpossibleError, intended
+from craftsim.audit.situation import ImpossibleError, intended, scenes
 from craftsim.audit.survey import survey
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.grid import Grid, Kind
@@ -22,7 +22,7 @@ BOTH = pytest.mark.parametrize("rules", RULES)
 @BOTH
 def test_every_situation_is_in_exactly_one_row(rules):
     members = [member.row for row in audit_plan(rules) for member in row.members]
-    every = [*(one for one, _ in survey(rules)), *SCENES, *(near for near, _, _ in nearby(rules))]
+    every = [*(one for one, _ in survey(rules)), *scenes(), *(near for near, _, _ in nearby(rules))]
     assert Counter(members) == Counter(situation.row for situation in every)
     rows = audit_plan(rules)
     assert len({row.row for row in rows}) == len({row.name for row in rows}) == len(rows)

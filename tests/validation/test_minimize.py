@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from craftsim import cli
-from craftsim.audit.situation import SCENES
+from craftsim.audit.situation import scenes
 from craftsim.checking.episode import Recipe, Step
 from craftsim.checking.setup import setup_of
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
@@ -49,7 +49,7 @@ CROWDED = grid_of(_cars_first(*NEEDED, *IDLE), SIZE)
 
 
 def test_a_world_is_the_sum_of_its_pieces_and_what_is_left_stands_when_one_is_taken_away():
-    for scene in SCENES[::3]:
+    for scene in scenes()[::3]:
         grid, pieces = scene.grid, pieces_of(scene.grid)
         assert grid_of(pieces, grid.size).same_visible(grid), scene.id
         if "snapshot" in blueprint_text(grid):

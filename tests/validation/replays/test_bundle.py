@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from craftsim import cli
-from craftsim.audit.situation import SCENES
+from craftsim.audit.situation import scenes
 from craftsim.checking.episode import Recipe, Step, do, run_up
 from craftsim.checking.setup import Seed, compile_world, setup_of
 from craftsim.cli import films
@@ -119,7 +119,7 @@ def test_two_bundles_of_one_recipe_are_equal(folder, tmp_path):
 
 
 def test_the_recipe_of_a_trial_is_the_trial():
-    scene = next(one for one in SCENES if one.legal(Rules("physical")))
+    scene = next(one for one in scenes() if one.legal(Rules("physical")))
     for randomize in ("none", "strong"):
         trial = AuditTrial(scene, True, 3, 7, setup_of(randomize, drive="reduced"))
         assert _perform(recipe_of(trial)) == try_it(trial).attempts

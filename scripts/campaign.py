@@ -267,6 +267,11 @@ def trial_s() -> float:
     return (time.process_time() - began_s) / SAMPLE
 
 
+def store(found: dict[str, Any]) -> None:
+    """Store the figures."""
+    STORED.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
 def main() -> int:
     """Run both, compare the records, print and store the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -277,6 +282,7 @@ def main() -> int:
     trained = training(asked.out / "training")
     print(json.dumps(trained, indent=1))
     if not asked.trials:
+        store(json.loads(STORED.read_text(encoding="utf-8")) | {"training": trained})
         return 0 if trained["equal"] else 1
     own_s = trial_s()
     found: dict[str, Any] = {"trials": asked.trials, "trial_s": own_s, "versions": versions()}
@@ -291,7 +297,7 @@ def main() -> int:
         found[engine]["overhead_s"] = found[engine]["cpu_s"] / asked.trials - own_s
     print(json.dumps(found, indent=1))
     if asked.trials == parser.get_default("trials"):
-        STORED.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        store(found)
     complete = found["distinct"] == asked.trials and not found["errors"]
     return 0 if complete and found["equal"] and trained["equal"] else 1
 

@@ -384,7 +384,16 @@ def campaign_table(campaign: dict[str, Any], benchmarks: Iterable[dict[str, Any]
                 f"on {PROCESSORS} processors": f"{60 * million_h / PROCESSORS:.0f} min",
             }
         )
-    return named(rows)
+    trained = campaign["training"]
+    both = [
+        {
+            "training": engine,
+            "steps": f"{trained['steps']:,}",
+            "CPU time": f"{trained[engine]['cpu_s']:.0f} s",
+        }
+        for engine in ("ray", "local")
+    ]
+    return f"{named(rows)}\n{named(both)}"
 
 
 def large_table(report: dict[str, Any]) -> str:
@@ -459,20 +468,15 @@ def paper_table() -> str:
     for task, algo in sorted(dict.fromkeys((run["task"], run["algo"]) for run in runs)):
         some = [run for run in runs if (run["task"], run["algo"]) == (task, algo)]
         lasts = [run["last_fifth"] for run in some]
-        firsts = [next((steps for steps, success in run["curve"] if success == 1), None) for run in some]
-        shown = " ".join("-" if steps is None else f"{steps // 1000}" for steps in firsts)
         by_seed = " ".join(f"{last:.2f}" for last in lasts)
         length = f"{some[0]['steps'] // 1000}k"
-        rows.append(
-            (f"`{task}`", f"`{algo}`", length, _over_seeds(lasts), by_seed, shown, f"{published[task]:.2f}")
-        )
+        rows.append((f"`{task}`", f"`{algo}`", length, _over_seeds(lasts), by_seed, f"{published[task]:.2f}"))
     head = (
         "task",
         "algorithm",
         "steps",
         "success (95 %)",
         "by seed",
-        "first success, 1000 steps",
         "published",
     )
     return table(head, *rows)

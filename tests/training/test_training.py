@@ -254,11 +254,9 @@ block: [{id: 0, x: 0, y: 0, z: 1}, {id: 1, x: 0, y: 1, z: 1}]
 smartcar: [{id: 0, x: 1, y: 0, z: 1, yaw: 0}, {id: 1, x: 1, y: 1, z: 1, yaw: 0}]
 """
 
-
 GOAL = """
 block: [{id: 0, x: 2, y: 0, z: 1}, {id: 1, x: 2, y: 1, z: 1}]
 """
-
 
 LEARNS = {
     "ippo": (20_000, {"worlds": 100}),

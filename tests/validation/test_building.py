@@ -19,7 +19,6 @@ from craftsim.validation.building import Building, read_building
 
 RULE_SETS = ("published", "physical")
 COMPLEX = "complex_two_story"
-
 read = cache(read_building)
 
 

@@ -22,14 +22,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
 from craftsim.experiments import bundle as replaying
-from craftsim.experiments.bundle import (
-    AFTER,
-    BEFORE,
-    PHYSICS,
-    read_bundle,
-    replay,
-    write_bundle,
-)
+from craftsim.experiments.bundle import AFTER, BEFORE, PHYSICS, read_bundle, replay, write_bundle
 from craftsim.validation.audit import AuditTrial, recipe_of, try_it
 
 

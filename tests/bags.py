@@ -10,7 +10,6 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.writer import Writer
 
 MAGIC = b"\x89MCAP0\r\n"
-
 STAMP = "builtin_interfaces/Time stamp\nstring frame_id"
 TIME = "int32 sec\nuint32 nanosec"
 RULE = "=" * 80

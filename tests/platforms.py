@@ -27,9 +27,5 @@ def platform(cars: int) -> Task:
     )
     layout = LAYOUT.format(length=4 if cars < 4 else 6, cars=cars, listed=listed)
     return Task(
-        "platform",
-        (parse_blueprint(layout, "platform"),),
-        Reward("platform"),
-        "one_platform",
-        max_steps=8,
+        "platform", (parse_blueprint(layout, "platform"),), Reward("platform"), "one_platform", max_steps=8
     )

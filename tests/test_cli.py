@@ -365,10 +365,7 @@ def test_only_two_functions_print():
 
 @pytest.mark.parametrize(
     ("output", "status", "error"),
-    [
-        ("pipe", 141, ""),
-        ("/dev/full", 2, "craftsim: cannot write the results: No space left on device\n"),
-    ],
+    [("pipe", 141, ""), ("/dev/full", 2, "craftsim: cannot write the results: No space left on device\n")],
 )
 def test_an_output_that_nobody_takes_ends_without_a_traceback(output, status, error):
     if output == "pipe":

@@ -291,7 +291,7 @@ CRATE = {
         (
             "    Kind.WALL: Table(",
             '    Kind.CRATE: Table("A crate.", (0.3, 0.6, 0.3)),\n    Kind.WALL: Table(',
-        ),
+        )
     ],
 }
 """The edits that a new kind takes: one that cars drive under and carry, and that bears nothing."""

@@ -23,7 +23,6 @@ for name in ("getaddrinfo", "gethostbyname", "gethostbyaddr", "create_connection
 TRACES = str(ROOT / "tests" / "data" / "plans.jsonl.gz")
 LIST = "0 STOP\n"
 
-
 COMMANDS = (
     "show strip --out out",
     f"conformance {TRACES} --out out",

@@ -15,7 +15,6 @@ from craftsim.modules import import_own
 from craftsim.workers.actor import spawn_context
 
 pytestmark = pytest.mark.usefixtures("spawned")
-
 PACKAGE = Path(craftsim.__file__).parent
 CRAFTSIM = [str(Path(sys.executable).with_name("craftsim"))]
 

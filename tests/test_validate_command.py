@@ -35,7 +35,6 @@ EMPTY = """
     smartcar_num: 1
 """
 
-
 REDUCED = ("--drive", "reduced")
 
 

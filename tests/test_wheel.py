@@ -29,10 +29,8 @@ craftsim.read_blueprint("strip")
 print(craftsim.__file__)
 """
 
-
 PIP = (sys.executable, "-m", "pip", "--disable-pip-version-check")
 PLAIN = ("--no-deps", "--no-index", "--no-compile")
-
 OUTSIDE = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
 """The environment without a trace of the checkout; pip would take a craftsim on PYTHONPATH for an installed one."""
 
@@ -108,13 +106,7 @@ def test_every_file_of_the_package_is_in_the_wheel(wheel):
     }
     packed = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert packed == files
-    for part in (
-        "data/blueprints",
-        "data/plans",
-        "data/gains",
-        "data/randomizations",
-        "reports/template",
-    ):
+    for part in ("data/blueprints", "data/plans", "data/gains", "data/randomizations", "reports/template"):
         assert any(name.startswith(f"craftsim/{part}/") for name in packed), part
 
 

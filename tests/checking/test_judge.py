@@ -24,11 +24,7 @@ from craftsim.models.world import PhysicsWorld
 from craftsim.skills.outcome import Reason
 
 SIZE = (4, 1, 2)
-
-
 RIGHT = Action.MOVE_RIGHT
-
-
 REDUCED = setup_of("none", drive="reduced")
 
 

@@ -29,7 +29,6 @@ COUNTS = (
     "area_length: {0}\narea_width: {0}\narea_height: {0}\nblock_num: {1}\nslope_num: 0\nsmartcar_num: 0\n"
 )
 
-
 HOSTILE = {
     "alias bomb": BOMB,
     "merge bomb": "a: &a {x: 1}\nb: {<<: [*a, *a]}\n",

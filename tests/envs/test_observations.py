@@ -38,8 +38,6 @@ STOP, LIFT, DROP = int(Action.STOP), int(Action.LIFT), int(Action.DROP)
 CONTINUE = len(Action)
 EVERYWHERE = ObjectChoice(floor=True)
 DRIVING = [*range(Action.ROTATE_LEFT, Action.MOVE_RIGHT + 1)]
-
-
 SIZE = (32, 24)
 EACH, SHARED = Images("front", SIZE, IMAGE_KINDS), Images("top", SIZE)
 SHORT = make_task("strip", max_steps=0)
@@ -87,11 +85,7 @@ def test_listed_are_the_objects_that_a_car_could_reach_in_the_order_of_their_cel
             for car, seen in enumerate(observations.values()):
                 reached = sorted(_reached(env.grid, env.core.rules, car, choice.radius))
                 kinds = [env.grid.kind_at(cell) for cell in reached]
-                groups = (
-                    ((Kind.BLOCK,), 2),
-                    ((Kind.FSLOPE, Kind.BODY), 1),
-                    ((Kind.AIR,), choice.free),
-                )
+                groups = (((Kind.BLOCK,), 2), ((Kind.FSLOPE, Kind.BODY), 1), ((Kind.AIR,), choice.free))
                 expected = []
                 for group, most in groups:
                     cells = [

@@ -7,11 +7,7 @@ import pytest
 from measure_durations import measure_durations
 
 from craftsim.cli import calibration
-from craftsim.cli.calibration import (
-    REFERENCE_PER_UNIT,
-    measure,
-    unit,
-)
+from craftsim.cli.calibration import REFERENCE_PER_UNIT, measure, unit
 from craftsim.discrete.actions import ACTIONS
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.kinds import Action

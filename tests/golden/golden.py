@@ -35,7 +35,6 @@ MANY = 60
 SHOWN = 12
 """How many differences of a record are listed."""
 
-
 Same = Literal["everywhere", "python", "machine"]
 
 

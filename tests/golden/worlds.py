@@ -47,21 +47,37 @@ def _signature(thing: Any) -> str:
         return kind
 
 
-@record("everywhere", fast=True)
+@record("everywhere")
 def digests() -> Any:
     """Digests of gains and machines, and bytes of written blueprints and designs."""
     rng = np.random.default_rng(11)
-    starts = {name: make_task(name).draw(np.random.default_rng(0)) for name in TASK_NAMES}
     drawn = [random_start(rng) for _ in range(10)]
+    return _digests() | {
+        "random worlds": [digest(blueprint_text(RandomWorlds().grid(rng))) for _ in range(20)],
+        "random designs": [
+            [digest(blueprint_text(one.grid)), digest(design_text(one.design))] for one in drawn
+        ],
+    }
+
+
+@record("everywhere", fast=True)
+def digests_of_some() -> Any:
+    """The same with one easy random design, which take most of the time, and few worlds."""
+    rng = np.random.default_rng(11)
+    one = random_start(rng, 0.0)
+    return _digests() | {
+        "random design": [digest(blueprint_text(one.grid)), digest(design_text(one.design))],
+        "random worlds": [digest(blueprint_text(RandomWorlds().grid(rng))) for _ in range(5)],
+    }
+
+
+def _digests() -> dict[str, Any]:
+    starts = {name: make_task(name).draw(np.random.default_rng(0)) for name in TASK_NAMES}
     return {
         "machines": NOMINAL.digest,
         "gains": {name: load_gains(name).digest for name in ("robust", "fast")},
         "nominal gains": nominal_gains().digest,
         "starts": {name: digest(blueprint_text(grid)) for name, grid in starts.items()},
-        "random worlds": [digest(blueprint_text(RandomWorlds().grid(rng))) for _ in range(20)],
-        "random designs": [
-            [digest(blueprint_text(one.grid)), digest(design_text(one.design))] for one in drawn
-        ],
     }
 
 

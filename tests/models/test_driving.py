@@ -82,8 +82,6 @@ def test_all_four_wheels_stay_on_the_floor_while_the_car_speeds_up(lone_car, nam
 
 
 CASES = ((0.8, 0.0), (0.4, math.pi), (0.8, math.pi / 2))
-
-
 """Friction, and the direction from the car's nose in which its floor falls."""
 
 
@@ -127,23 +125,15 @@ def test_with_free_rollers_only_the_force_along_their_axes_holds_the_car(
 
 
 SLOPE = NOMINAL.slope
-
-
 GRAVITY = 9.81
-
 
 CLIMB_NM = (
     SMARTCAR.mass_kg * GRAVITY * math.sin(INCLINE_RAD) * SMARTCAR.wheel_radius_m / 4
     + SMARTCAR.gear_friction_nm
 )
-
-
 """Four wheels share the weight's part along the incline, and each turns its own gear: 0.795 Nm."""
 
-
 START_M = 0.005
-
-
 """A car that has come this far in a second climbs; one that has not holds, by its gears."""
 
 
@@ -279,8 +269,6 @@ def test_softer_friction_would_let_it_creep(ramp):
 
 
 PERCHED = (3.6089, 2.4767, 6.2331, 5.8041)
-
-
 """Wheel angles in rad, found by search, at which two wheels of a diagonal stand high by some hundredths of a mm."""
 
 
@@ -303,11 +291,7 @@ def test_bearing_friction_keeps_a_car_that_is_perched_on_two_rollers(lone_car):
 
 
 CAR = NOMINAL.cars[0]
-
-
 REDUCED = replace(NOMINAL, drive="reduced")
-
-
 AWAKE = SimulationConfig(sleep=False)
 
 

@@ -22,7 +22,6 @@ from craftsim.skills.executor import Executor
 from craftsim.skills.skill import Terrain
 
 BLOCK, SMARTCAR = NOMINAL.block, NOMINAL.cars[0]
-
 PLAY_M = (BLOCK.pocket_side_m - SMARTCAR.boss_side_m) / 2
 STILL_M = 1e-4
 """A load that has moved less than this has not slipped."""

@@ -27,7 +27,6 @@ from craftsim.models.exporting import machine_texts, text_of
 
 SMARTCAR, BLOCK, SLOPE = NOMINAL.cars[0], NOMINAL.block, NOMINAL.slope
 
-
 OTHER = Machines(
     cars=(
         SmartcarParameters(
@@ -65,10 +64,7 @@ OTHER = Machines(
         hinge_friction_nm=0.03,
     ),
 )
-
-
 """Machines whose figures differ from the nominal ones."""
-
 
 Figures = dict[str, Callable[[mujoco.MjModel], float]]
 
@@ -160,7 +156,6 @@ SMARTCAR_FIGURES: Figures = {
     "camera_fovy_rad": lambda m: math.radians(m.camera("front").fovy[0]),
 }
 
-
 BLOCK_FIGURES: Figures = {
     "side_m": lambda m: extent(m, 0, "deck", "leg_fl", "leg_rl"),
     "height_m": lambda m: level(m, "deck", np.max) - (m.geom("foot_fl").pos[2] - m.geom("foot_fl").size[0]),
@@ -194,7 +189,6 @@ SLOPE_FIGURES: Figures = {
     "boss_play_m": lambda m: level(m, "pad_left", np.min, axis=1) - SMARTCAR.boss_side_m / 2,
     "hinge_range_rad": lambda m: m.joint("hinge").range[1],
 }
-
 
 TABLES = {"smartcar": SMARTCAR_FIGURES, "block": BLOCK_FIGURES, "flag": BLOCK_FIGURES, "slope": SLOPE_FIGURES}
 
@@ -230,8 +224,6 @@ def with_parameters(parameters) -> Machines:
 
 
 READ_BY_SENSORS = {"docking_range_m", "line_reach_m"}
-
-
 KINDS = (SmartcarParameters, BlockParameters, SlopeParameters, ContactParameters)
 
 
@@ -269,7 +261,6 @@ def test_the_digest_tells_figures_apart():
 
 CAR = SmartcarParameters
 
-
 REFUSED = (
     (CAR, {"wheel_mass_kg": -1.0}, "wheel_mass_kg: -1.0 is out of range, allowed: above 0"),
     (CAR, {"wheel_torque_nm": math.nan}, "wheel_torque_nm: must be a finite number above 0"),
@@ -282,14 +273,11 @@ REFUSED = (
     (SlopeParameters, {"hinge_speed_rad_s": 50.0}, "50.0 is out of range, allowed: above 0 and at most 3"),
 )
 
-
 REFUSED_TOGETHER = (
     ({"board_travel_m": 0.02}, "from 0.0309 to 0.0509 lifts"),
     ({"board_top_m": 0.0535}, "at most 0.1027 drives under a slope"),
     ({"wheel_y_m": 0.11}, "passes between a block's legs"),
 )
-
-
 """Of cars that can be by themselves, and not with blocks and slopes."""
 
 

@@ -23,13 +23,8 @@ from craftsim.models.floor import FLAT, Floor
 from craftsim.models.world import PhysicsWorld
 
 GOALS = ((0, 0, 1), (1, 1, 2))
-
-
 ORDERED = {"body": "body", "jnt": "joint", "actuator": "actuator", "dof": None, "pair": None, "tree": None}
-
-
 """What both worlds have in the same order, by the prefix of its arrays."""
-
 
 NOT_PHYSICS = ("adr", "geomnum", "bvhnum", "user", "plugin", "pair_geom1", "pair_geom2", "signature", "trnid")
 
@@ -108,8 +103,6 @@ def test_a_kind_without_a_machine_is_refused(monkeypatch):
 
 
 SMARTCAR = NOMINAL.cars[0]
-
-
 PARTS = ("ground", "block", "flag", "wall", "slope", "smartcar")
 
 

@@ -17,14 +17,7 @@ from craftsim.models import randomization
 from craftsim.models.config import SimulationConfig
 from craftsim.models.effects import Drivetrain
 from craftsim.models.floor import Floor
-from craftsim.models.randomization import (
-    NONE,
-    DomainRandomization,
-    Making,
-    _vary_bodies,
-    by_name,
-    randomize,
-)
+from craftsim.models.randomization import NONE, DomainRandomization, Making, _vary_bodies, by_name, randomize
 from craftsim.models.sensing import SensorNoise
 from craftsim.models.world import PhysicsWorld
 
@@ -226,8 +219,6 @@ def test_what_is_drawn_has_the_declared_distributions():
 
 
 CAR = NOMINAL.cars[0]
-
-
 WHEELS, NOTHING = ("fl", "fr", "rl", "rr"), 1e-12
 
 

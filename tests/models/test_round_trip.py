@@ -17,7 +17,6 @@ from craftsim.models.world import PhysicsWorld
 AIR, BLOCK, FLAG, WALL, FSLOPE, BODY = (Kind[n] for n in ("AIR", "BLOCK", "FLAG", "WALL", "FSLOPE", "BODY"))
 Cell = tuple[int, int, int]
 
-
 HAND_MADE = (
     draw((2, 2, 1)),
     draw((4, 4, 2), [(BLOCK, (x, y, 1), 0) for x in range(4) for y in range(4)]),
@@ -28,7 +27,6 @@ HAND_MADE = (
     draw((3, 3, 2), [(BLOCK, (1, 1, 1), 0)], [(1, 1, 1, 0, 0, 0, 0), (1, 1, 2, 1, 0, 0, 0)]),
 )
 """Nothing; blocks and walls side by side; slopes on blocks and side by side; cars below and above blocks."""
-
 
 SEEDS = range(40)
 YARD = draw(

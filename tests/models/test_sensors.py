@@ -17,13 +17,8 @@ from craftsim.models.sensing import EXACT, NOISY, SensorNoise, Sensors, measure
 from craftsim.models.world import PhysicsWorld
 
 PERIOD_S = 0.02
-
-
 N = 1500
-
-
 MEASURED = ("x", "y", "z", "heading", "pitch", "roll", "board_m", "board_force_n", "hinge_rad")
-
 
 DEVIATIONS = np.array(
     [
@@ -225,10 +220,7 @@ def test_a_file_gives_some_figures(tmp_path):
 
 
 STEP_RAD = 2 * math.pi / 4096
-
-
 COUNTING = SensorNoise(encoder_step_rad=STEP_RAD)
-
 
 WHEELS = {
     "forward": (8.0, 8.0, 8.0, 8.0),
@@ -236,7 +228,6 @@ WHEELS = {
     "turning": (-5.0, 5.0, -5.0, 5.0),
     "in an arc": (3.0, 9.0, 3.0, 9.0),
 }
-
 
 CAR = NOMINAL.cars[0]
 

@@ -17,11 +17,7 @@ from craftsim.models.world import PhysicsWorld
 from craftsim.skills.mecanum import Mecanum
 
 GRAVITY = 9.81
-
-
 ENERGY = int(mujoco.mjtEnableBit.mjENBL_ENERGY)
-
-
 NO_MOTORS = int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
 
 
@@ -220,11 +216,7 @@ def test_randomized_friction_reaches_the_flap():
 
 
 BLOCK = NOMINAL.block
-
-
 STACKS = [(Kind.BLOCK, (x, y, z)) for x in range(3) for y in range(2) for z in range(1, 4)]
-
-
 AWAKE = SimulationConfig(sleep=False)
 
 
@@ -254,10 +246,7 @@ def test_a_tower_of_two_under_a_loaded_car_sinks_by_less_than_a_fifth_of_a_milli
 
 
 A_BLOCK = Kind.BLOCK
-
-
 STACKED = [(A_BLOCK, (x, y, z)) for x in range(3) for y in range(2) for z in range(1, 4)]
-
 
 WORLDS = {
     "a loaded car on a tower": (

@@ -201,10 +201,7 @@ def test_an_error_in_a_step_is_an_exception_and_the_world_can_go_on():
 
 
 IN_THE_GEAR = draw((5, 3, 2), [(Kind.FSLOPE, (2, 1, 1), 2)], [(1, 1, 1, 0, Kind.BLOCK, 0, 0)])
-
-
 """A carried block where a folded slope has its gear."""
-
 
 BESIDE = draw((5, 3, 2), [(Kind.FSLOPE, (2, 1, 1), 2)], [(0, 1, 1, 0, Kind.BLOCK, 0, 0)])
 

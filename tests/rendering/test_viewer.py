@@ -20,7 +20,6 @@ from craftsim.rendering.viewer.scene import shapes_of
 from craftsim.rendering.viewer.views import RecordedView, live, recorded
 
 pytestmark = pytest.mark.skipif(not find_spec("viser"), reason="needs the extra 'view'")
-
 SAMPLED = ("time", "qpos", "ctrl", "force", "measured", "path", "contact")
 
 

@@ -8,16 +8,7 @@ from craftsim.checking.setup import set_up, setup_of
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
 from craftsim.robots.fleet import RobotFleet
-from craftsim.robots.messages import (
-    Bye,
-    Commands,
-    Hello,
-    MessageError,
-    Refused,
-    TruePoses,
-    Welcome,
-    pack,
-)
+from craftsim.robots.messages import Bye, Commands, Hello, MessageError, Refused, TruePoses, Welcome, pack
 from craftsim.robots.server import LEASE_S, Network
 from craftsim.robots.simulated import simulated_robots
 from craftsim.skills.executor import Executor

@@ -24,11 +24,11 @@ WHY = r"car {} has not answered since [.\d]+ s of its clock"
 
 def test_a_policy_goes_on_with_the_cars_that_answer_outside_the_claims_of_one_that_does_not():
     policy = craftsim.load_policy("random_strip")
-    robots = simulated_network(replace(BUSY, silent=((1, 5.0),)))
+    robots = simulated_network(replace(BUSY, silent=((1, 2.0),)))
     env = craftsim.parallel_env("random_strip", drive="reduced", execution="asynchronous", robots=robots)
     seen, _ = env.reset(seed=0)
     found, claims, n_acts = [], [], 0
-    for _ in range(40):
+    for _ in range(24):
         seen, _, _, _, infos = env.step(policy(seen))
         found += [one for one in infos.values() if "disconnected" in one.get("outcome", "")]
         if "lost" not in infos["car_1"]:
@@ -40,7 +40,7 @@ def test_a_policy_goes_on_with_the_cars_that_answer_outside_the_claims_of_one_th
     (one,) = found
     assert re.fullmatch(f"disconnected: {WHY.format(1)}", one["outcome"])
     assert re.fullmatch(WHY.format(1), infos["car_1"]["lost"])
-    assert n_acts > 5
+    assert n_acts > 3
     assert claims[0].any()
     assert all((claimed == claims[0]).all() for claimed in claims)
 

@@ -19,17 +19,9 @@ from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 
 MOVE = {direction: action for action, direction in MOVE_DIRECTION.items()}
-
-
 RIGHT, FORWARD, LEFT, BACK = (MOVE[direction] for direction in range(4))
-
-
 LIFT, DROP, FOLD, UNFOLD, STOP = Action.LIFT, Action.DROP, Action.FOLD, Action.UNFOLD, Action.STOP
-
-
 TURN, TURN_BACK = Action.ROTATE_LEFT, Action.ROTATE_RIGHT
-
-
 ROLLERS, REDUCED = "rollers", "reduced"
 
 
@@ -131,10 +123,7 @@ gains:
   hinge: {acceleration: 2.0}
 """
 
-
 HEAVY = SmartcarParameters(chassis_mass_kg=4.0, wheel_torque_nm=3.5, wheel_x_m=0.062, chassis_length_m=0.214)
-
-
 DOCKED = (5, 5, 2), [(Kind.FSLOPE, (1, 2, 1), 0)], [(1, 2, 1, 2)]
 
 

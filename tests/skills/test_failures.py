@@ -22,23 +22,12 @@ from craftsim.skills.skill import Command, LawSkill, SkillSetup, Terrain
 from craftsim.skills.state import TASK
 
 PERIOD_S = 0.02
-
-
 FAST = load_gains("fast")
-
-
 """With them an action is tried once."""
 
-
 RIGHT = Action.MOVE_RIGHT
-
-
 PERFORMED = [action for action in Action if action <= Action.STOP]
-
-
 CALM = CarMeasurement(0.0, 0.16125, 0.16125, 0.0, 0.0, 0.0, 0.0, np.zeros(4), 0.0, 0.0, 0, math.pi / 2)
-
-
 """At rest in the middle of cell (0, 0), under a half-open slope."""
 
 
@@ -67,10 +56,7 @@ def _lift_off(physics):
 
 
 STIFF = replace(FAST.drive, position_gain=0.5, integral_gain=1e-5, position_tolerance=1e-7)
-
-
 CAR, BLOCK = (0, 0, 1, 0), Kind.BLOCK
-
 
 CAUSES = {
     # With so little torque wheels stall before they lose their grip.
@@ -284,11 +270,7 @@ def test_a_hinge_outlasts_a_plug_that_chatters(make_site, monkeypatch):
 
 
 CAREFUL = replace(FAST.uneven, max_tight_speed=0.3, max_tight_acceleration=0.8, shake_after=10.0)
-
-
 TWICE = replace(FAST, uneven=CAREFUL, recovery=RecoveryGains(2.0))
-
-
 GONE_M = 20.0
 
 

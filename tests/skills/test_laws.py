@@ -29,14 +29,8 @@ from craftsim.skills.skill import SkillSetup, Terrain, begin_move
 from craftsim.skills.state import CAR, DRIVE, DRIVE_TASK, GRAVITY, IDLE, constants_of
 
 SMARTCAR = NOMINAL.cars[0]
-
-
 MECANUM = Mecanum(SMARTCAR)
-
-
 R = 0.0496
-
-
 LEVER = 0.060 + 0.083
 
 
@@ -245,17 +239,9 @@ def test_a_car_on_the_flat_is_left_alone():
 
 
 GAINS = load_gains()
-
-
 CAREFUL = careful(GAINS)
-
-
 REDUCED = replace(NOMINAL, drive="reduced")
-
-
 UNEVEN = replace(NONE, floor=Floor(lippage_m=0.003, tile_m=0.3))
-
-
 TIGHT = Terrain(tight=True)
 
 

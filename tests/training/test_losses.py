@@ -20,7 +20,6 @@ from craftsim.training.trainer import Trainer
 PAYOFF = torch.tensor([[8.0, -12.0, -12.0], [-12.0, 0.0, 0.0], [-12.0, 0.0, 0.0]])
 """Son et al., table 1a: the best joint action is the first of both."""
 
-
 SHAPE = Shape((3, 3, 2), 2, 13 * 3, 64)
 
 

@@ -39,7 +39,7 @@ RUNS = {
     "with settings": {"algo": "vdn", **QUICK, "hyperparameters": {"batch": 16, "replays": 4}},
     "recurrent": {"algo": "vdn", **QUICK, "recurrent": True},
     "asynchronous": {"algo": "mappo", **QUICK, "execution": "asynchronous"},
-    "explored": {**QUICK, "rules": "published", "helper_depth": 20, "explore": 3000},
+    "explored": {**QUICK, "rules": "published", "helper_depth": 20, "explore": 600},
     "imitated": {"task": "designs", **RELATIVE, "imitate": 3},
     "with stages": {"task": "designs", **RELATIVE, "stages": ("designs",), "stage_steps": 300},
     "pretrained": {"task": "random_strip", **RELATIVE, "width": 128, "pretrained": "random_simple_two_story"},
@@ -254,19 +254,17 @@ block: [{id: 0, x: 0, y: 0, z: 1}, {id: 1, x: 0, y: 1, z: 1}]
 smartcar: [{id: 0, x: 1, y: 0, z: 1, yaw: 0}, {id: 1, x: 1, y: 1, z: 1, yaw: 0}]
 """
 
-
 GOAL = """
 block: [{id: 0, x: 2, y: 0, z: 1}, {id: 1, x: 2, y: 1, z: 1}]
 """
-
 
 LEARNS = {
     "ippo": (20_000, {"worlds": 100}),
     "mappo": (20_000, {"worlds": 100}),
     "mappo, asynchronous": (30_000, {"worlds": 100, "execution": "asynchronous"}),
-    "iql": (20_000, {}),
-    "vdn": (20_000, {}),
-    "qmix": (20_000, {}),
+    "iql": (10_000, {}),
+    "vdn": (10_000, {}),
+    "qmix": (10_000, {}),
     "vdn, recurrent": (20_000, {"recurrent": True}),
     "pqn": (60_000, {}),
     "coma": (60_000, {"hyperparameters": {"decay_ticks": 60_000}}),
@@ -285,7 +283,7 @@ def test_it_learns_a_small_task_for_good(run, tmp_path):
     task = replace(as_task(str(tmp_path / "two.yaml")), max_steps=12)
     steps, settings = LEARNS[run]
     config = TrainConfig(
-        "two", run.partition(",")[0], width=64, evaluate_every=2000, evaluation_episodes=20, **settings
+        "two", run.partition(",")[0], width=64, evaluate_every=steps // 10, evaluation_episodes=20, **settings
     )
     trainer = Trainer(config, task=task)
     list(trainer.run(steps, until=NEVER))

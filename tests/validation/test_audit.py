@@ -39,8 +39,6 @@ UNSOUND = {
 """Rows of the published rules, and the flag that corrects each."""
 CONSERVATIVE = "MOVE-back/level=2+/ground=high-up/own=air/load=none/next=air/room=free"
 AT_ONCE = "MOVE+MOVE/scene=unloaded at a right angle/order=at-once"
-
-
 SETUP = setup_of("mild", "published", drive="reduced")
 
 

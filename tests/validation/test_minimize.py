@@ -14,12 +14,7 @@ from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import write_bundle
-from craftsim.validation.counterexample import (
-    WorldPart,
-    grid_of,
-    pieces_of,
-    without,
-)
+from craftsim.validation.counterexample import WorldPart, grid_of, pieces_of, without
 from craftsim.validation.minimize import (
     FailingAction,
     NotReproducibleError,
@@ -29,7 +24,6 @@ from craftsim.validation.minimize import (
 )
 
 BLOCK, FSLOPE, BODY, AIR = Kind.BLOCK, Kind.FSLOPE, Kind.BODY, Kind.AIR
-
 NEEDED = (WorldPart((3, 3, 1), AIR, 1, BLOCK), WorldPart((4, 3, 1), AIR, 0))
 """A load that turns beside a car: the published rules allow it, and its legs hit the car."""
 IDLE = (
@@ -110,10 +104,7 @@ def test_the_first_of_each_kind_is_shrunk():
 
 
 def test_replay_shrinks_a_bundle_into_files_that_validate_reads(tmp_path, capsys):
-    steps = (
-        Step.single(0, 1, Action.STOP),
-        Step.joint(1, [(1, Action.STOP), (0, Action.ROTATE_LEFT)]),
-    )
+    steps = (Step.single(0, 1, Action.STOP), Step.joint(1, [(1, Action.STOP), (0, Action.ROTATE_LEFT)]))
     grid = grid_of(_cars_first(*NEEDED, *IDLE[3:5]), SIZE)
     bundle = write_bundle(tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, PUBLISHED))
     assert [a.action for a in bundle.attempts if not a.agrees] == ["STOP", "ROTATE_LEFT"], "both are blamed"

@@ -32,13 +32,7 @@ def _run(out, items, batch=1, timeout_s=60.0, **options):
 
 def test_what_goes_wrong_with_an_item_is_its_record_and_harms_no_other(tmp_path):
     items = cheap_work.items(
-        16,
-        i3="raise",
-        i5="die",
-        i6=("die once", tmp_path / "died"),
-        i9="exit",
-        i11="hang",
-        i13="nan",
+        16, i3="raise", i5="die", i6=("die once", tmp_path / "died"), i9="exit", i11="hang", i13="nan"
     )
     options = {"timeout_s": 1.0}
     one = _run(tmp_path / "one", items, **options)

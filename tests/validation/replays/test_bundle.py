@@ -22,14 +22,7 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.errors import InputError
 from craftsim.experiments import bundle as replaying
-from craftsim.experiments.bundle import (
-    AFTER,
-    BEFORE,
-    PHYSICS,
-    read_bundle,
-    replay,
-    write_bundle,
-)
+from craftsim.experiments.bundle import AFTER, BEFORE, PHYSICS, read_bundle, replay, write_bundle
 from craftsim.validation.audit import AuditTrial, recipe_of, try_it
 
 
@@ -129,7 +122,8 @@ def test_a_site_used_again_gives_the_numbers_of_a_fresh_one():
     noisy, calm = _recipe(NOISY), _recipe(ROLLERS)
     world = compile_world(_world(), ROLLERS)
     again = [_perform(recipe, world) for recipe in (noisy, calm, noisy)]
-    assert again == [_perform(recipe) for recipe in (noisy, calm, noisy)]
+    fresh = [_perform(recipe) for recipe in (noisy, calm)]
+    assert again == [*fresh, fresh[0]]
 
 
 def _shift(path: Path, name: str, by: float) -> None:
@@ -177,7 +171,7 @@ def test_a_bundle_is_text_and_plain_arrays(folder):
 
 
 def test_the_clip_lasts_three_seconds_and_moves(rendering, calm, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(films, "SIZE", (320, 180))
+    monkeypatch.setattr(films, "SIZE", (192, 108))
     assert _run(calm, tmp_path, "--video") == 0
     film = tmp_path / "unfold.mp4"
     assert str(film) in capsys.readouterr().out
@@ -186,7 +180,7 @@ def test_the_clip_lasts_three_seconds_and_moves(rendering, calm, tmp_path, capsy
         assert (stream.codec_context.name, stream.average_rate) == ("h264", 30)
         pictures = [frame.to_ndarray(format="gray") for frame in container.decode(video=0)]
     assert len(pictures) / 30 == 3.0
-    change = np.abs(pictures[0][:100].astype(int) - pictures[-1][:100]).max()
+    change = np.abs(pictures[0][:60].astype(int) - pictures[-1][:60]).max()
     assert change > 60
 
 

@@ -245,27 +245,15 @@ class _Compiled(CPUDispatcher):
         return found
 
 
-class _Library(JITCodeLibrary):
-    """Code that Python calls. It is optimised as a whole once; numba's own libraries run more than twice as many
-    passes, for reference counts and for vectors."""
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        """Let functions shrink before they are inlined."""
-        ll_module.data_layout = self._codegen._data_layout
-        for function in ll_module.functions:
-            passes, builder = self._codegen._function_pass_manager(opt=1)
-            passes.run(function, builder)
-
-    def _optimize_final_module(self) -> None:
-        passes, builder = self._codegen._module_pass_manager(opt=2, loop_vectorize=False, slp_vectorize=False)
-        passes.run(self._final_module, builder)
-
-
-class _Part(_Library):
+class _Part(JITCodeLibrary):
     """Code of an inlined function: it becomes machine code with its callers, not by itself."""
 
     def _optimize_final_module(self) -> None:
-        """Leave that to its callers."""
+        """Inline what it calls; what is inlined itself is optimised where it ends up."""
+        passes, builder = self._codegen._module_pass_manager(
+            loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
+        )
+        passes.run(self._final_module, builder)
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -276,7 +264,7 @@ class _Part(_Library):
         return self.serialize_using_bitcode()
 
 
-class _Called(_Library):
+class _Called(JITCodeLibrary):
     """Code of a function that is not inlined: it becomes machine code once, and callers refer to it by name."""
 
     _shared_module: Any
@@ -318,7 +306,7 @@ class _Compiler(Compiler):
     ) -> None:
         self._content = "" if function.for_python else function.content
         if function.for_python:
-            kind = _Library
+            kind = JITCodeLibrary
         else:
             kind, flags.no_compile = _Part if flags.forceinline else _Called, True
         library = kind(target.codegen(), "inner" if self._content else function.__name__)

@@ -35,7 +35,7 @@ _GENERIC: Final = ("generic", "")
 _MOST: Final = 600
 """Files that are kept, the last used ones: several versions of all that is compiled."""
 _DIGEST_BYTES: Final = 32
-_FORMAT: Final = 3
+_FORMAT: Final = 2
 """Of the files: what a library needs, what others need of it, and the code."""
 
 

@@ -17,7 +17,6 @@ from heapq import heappop, heappush
 from itertools import groupby
 from typing import Final, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -364,6 +363,8 @@ def _ramps_to(level: int, state: State) -> bool:
 
 def _outside(grid: Grid, graph: MoveGraph) -> NDArray[np.int64]:
     """Return all nodes of a car on the largest free piece of floor; the gear of its load is there, too."""
+    import cv2  # slow to import
+
     free = (grid.kind[:, :, 1] == Kind.AIR).astype(np.uint8)
     _, pieces = cv2.connectedComponents(free, connectivity=4)
     sizes = np.bincount(pieces.ravel(), minlength=2)

@@ -117,7 +117,7 @@ class _Compiled(CPUDispatcher):
 
     def __init__(self, py_func: Callable[..., Any], locals: Any, targetoptions: dict[str, Any]) -> None:
         super().__init__(py_func, locals, _OPTIONS | targetoptions)
-        self.for_python = False
+        self._for_python = False
         """Whether Python has called it: what is compiled from then on has a wrapper."""
         self._wrapped: set[tuple[types.Type, ...]] = set()
         self._callable: set[tuple[types.Type, ...]] = set()
@@ -125,14 +125,14 @@ class _Compiled(CPUDispatcher):
 
     def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
         """Compile it for a call from Python."""
-        self.for_python = True
+        self._for_python = True
         return super()._compile_for_args(*args, **kws)
 
     def compile(self, sig: Any) -> Any:
         """Compile it for a signature, or read from the cache what has been compiled; return what Python calls."""
         arguments = tuple(map(_plain, sigutils.normalize_signature(sig)[0]))
         with global_compiler_lock:
-            if arguments not in (self._wrapped if self.for_python else self.overloads):
+            if arguments not in (self._wrapped if self._for_python else self.overloads):
                 self._load_or_compile(arguments)
             return self.overloads[arguments].entry_point
 
@@ -140,8 +140,8 @@ class _Compiled(CPUDispatcher):
         """Return whether Python can call it with such arguments without compiling it."""
         arguments = tuple(_plain(self.typeof_pyval(value)) for value in values)
         with global_compiler_lock:
-            before, self.for_python = self.for_python, True
-            self.for_python = arguments in self._wrapped or self._load(self._name(arguments)) or before
+            before, self._for_python = self._for_python, True
+            self._for_python = arguments in self._wrapped or self._load(self._name(arguments)) or before
             return arguments in self._wrapped
 
     @cached_property
@@ -154,12 +154,12 @@ class _Compiled(CPUDispatcher):
         with global_compiler_lock:
             if arguments in self._callable:
                 return
-            for_python, entry = self.for_python, self.overloads.get(arguments)
-            self.for_python = False
+            for_python, entry = self._for_python, self.overloads.get(arguments)
+            self._for_python = False
             try:
                 self._load_or_compile(arguments)
             finally:
-                self.for_python = for_python
+                self._for_python = for_python
             if arguments in self._wrapped:
                 self.overloads[arguments] = entry
 
@@ -172,19 +172,20 @@ class _Compiled(CPUDispatcher):
             if self._load(name):
                 return
             self.overloads.pop(arguments, None)
-            self._compiler.pipeline_class = partial(_Compiler, self)
-            self._compiler.targetoptions = self.targetoptions | {"no_cpython_wrapper": not self.for_python}
+            inner = partial(_InnerCompiler, self.content)
+            self._compiler.pipeline_class = _Compiler if self._for_python else inner
+            self._compiler.targetoptions = self.targetoptions | {"no_cpython_wrapper": not self._for_python}
             super().compile(arguments)
             library = self.overloads[arguments].library
             linked = [one for one in library._linking_libraries if hasattr(one, "needs")]
             library.needs = set[Need]().union(*(one.needs | one.itself for one in linked))
-            called = not self.for_python and not self.targetoptions["forceinline"]
+            called = not self._for_python and not self.targetoptions["forceinline"]
             library.itself = {(self.py_func.__module__, self.__name__, arguments)} if called else set()
             code_cache.save(name, self.overloads[arguments])
 
     def _name(self, arguments: tuple[types.Type, ...]) -> str:
         """Return what it is called in the cache."""
-        kind = "entry" if self.for_python else "part" if self.targetoptions["forceinline"] else "called"
+        kind = "entry" if self._for_python else "part" if self.targetoptions["forceinline"] else "called"
         return f"{self.py_func.__module__}.{self.__name__}.{kind} {self.content} {arguments}"
 
     def _load(self, name: str) -> bool:
@@ -199,7 +200,7 @@ class _Compiled(CPUDispatcher):
 
     def add_overload(self, result: Any) -> None:
         """Take what has been compiled for a signature; Python may call it if there is a wrapper."""
-        if self.for_python:
+        if self._for_python:
             self._wrapped.add(tuple(result.signature.args))
             super().add_overload(result)
             return
@@ -245,27 +246,15 @@ class _Compiled(CPUDispatcher):
         return found
 
 
-class _Library(JITCodeLibrary):
-    """Code that Python calls. It is optimised as a whole once; numba's own libraries run more than twice as many
-    passes, for reference counts and for vectors."""
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        """Let functions shrink before they are inlined."""
-        ll_module.data_layout = self._codegen._data_layout
-        for function in ll_module.functions:
-            passes, builder = self._codegen._function_pass_manager(opt=1)
-            passes.run(function, builder)
-
-    def _optimize_final_module(self) -> None:
-        passes, builder = self._codegen._module_pass_manager(opt=2, loop_vectorize=False, slp_vectorize=False)
-        passes.run(self._final_module, builder)
-
-
-class _Part(_Library):
+class _Part(JITCodeLibrary):
     """Code of an inlined function: it becomes machine code with its callers, not by itself."""
 
     def _optimize_final_module(self) -> None:
-        """Leave that to its callers."""
+        """Inline what it calls; what is inlined itself is optimised where it ends up."""
+        passes, builder = self._codegen._module_pass_manager(
+            loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap"
+        )
+        passes.run(self._final_module, builder)
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
@@ -276,7 +265,7 @@ class _Part(_Library):
         return self.serialize_using_bitcode()
 
 
-class _Called(_Library):
+class _Called(JITCodeLibrary):
     """Code of a function that is not inlined: it becomes machine code once, and callers refer to it by name."""
 
     _shared_module: Any
@@ -289,53 +278,51 @@ class _Called(_Library):
         return self._shared_module
 
 
-_PASSES: Final = {
-    untyped_passes.TranslateByteCode,
-    untyped_passes.FixupArgs,
-    untyped_passes.GenericRewrites,
-    untyped_passes.ReconstructSSA,
-    typed_passes.NopythonTypeInference,
-    typed_passes.PreLowerStripPhis,
-    typed_passes.NativeLowering,
-    typed_passes.NoPythonBackend,
+_NOT_NEEDED: Final = {
+    untyped_passes.WithLifting,
+    untyped_passes.InlineClosureLikes,
+    untyped_passes.RewriteSemanticConstants,
+    untyped_passes.DeadBranchPrune,
+    untyped_passes.RewriteDynamicRaises,
+    untyped_passes.MakeFunctionToJitFunction,
+    untyped_passes.InlineInlinables,
+    untyped_passes.FindLiterallyCalls,
+    untyped_passes.LiteralUnroll,
+    untyped_passes.LiteralPropagationSubPipelinePass,
+    typed_passes.InlineOverloads,
+    typed_passes.NopythonRewrites,
+    typed_passes.NoPythonSupportedFeatureValidation,
+    typed_passes.AnnotateTypes,
+    typed_passes.DumpParforDiagnostics,
 }
-"""Passes of numba that are needed; the others are for closures, array expressions and what else ours do without."""
+"""Passes of numba for closures, literals, array expressions and other things that our functions do without."""
 
 
 class _Compiler(Compiler):
-    """Compiles a function as numba does, with fewer passes; an inner one under a name of its content alone."""
-
-    def __init__(
-        self,
-        function: _Compiled,
-        typing: Any,
-        target: Any,
-        _: None,
-        args: Any,
-        result: Any,
-        flags: Any,
-        names: Any,
-    ) -> None:
-        self._content = "" if function.for_python else function.content
-        if function.for_python:
-            kind = _Library
-        else:
-            kind, flags.no_compile = _Part if flags.forceinline else _Called, True
-        library = kind(target.codegen(), "inner" if self._content else function.__name__)
-        library.enable_object_caching()
-        super().__init__(typing, target, library, args, result, flags, names)
+    """Compiles a function as numba does, without the passes that ours do not need."""
 
     def define_pipelines(self) -> list[PassManager]:
-        """Return numba's passes that are needed."""
+        """Return numba's passes but for some."""
         (passes,) = super().define_pipelines()
-        passes.passes = [one for one in passes.passes if one[0] in _PASSES]
+        passes.passes = [one for one in passes.passes if one[0] not in _NOT_NEEDED]
         passes.finalize()
         return [passes]
 
+
+class _InnerCompiler(_Compiler):
+    """Compiles a function that other compiled functions call, under a name that depends on its content alone."""
+
+    def __init__(
+        self, content: str, typing: Any, target: Any, _: None, args: Any, result: Any, flags: Any, names: Any
+    ) -> None:
+        flags.no_compile = True
+        self._content = content
+        library = (_Part if flags.forceinline else _Called)(target.codegen(), "inner")
+        library.enable_object_caching()
+        super().__init__(typing, target, library, args, result, flags, names)
+
     def compile_extra(self, func: Callable[..., Any]) -> Any:
-        """Compile a function as numba does, but for an inner one's number, which becomes a part of its name."""
-        if not self._content:
-            return super().compile_extra(func)
+        """Compile a function as numba does, but for its number, which becomes a part of its name."""
         self.state.func_id = bytecode.FunctionIdentity.from_function(func)
         self.state.func_id.unique_id = int(self._content[:15], 16)
         untyped_passes.ExtractByteCode().run_pass(self.state)

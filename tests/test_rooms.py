@@ -26,7 +26,7 @@ skills: storage mjcf models discrete
 planning: discrete
 logs: storage skills mjcf models discrete
 robots: storage checking skills mjcf models discrete
-checking: planning storage skills mjcf models discrete
+checking: storage skills mjcf models discrete
 experiments: storage checking skills models discrete mjcf reports
 audit: storage checking skills mjcf models discrete
 validation: options designs storage audit experiments checking rendering envs skills mjcf models discrete

@@ -26,11 +26,11 @@ from craftsim.discrete.kernel.claims import CHANGES
 from craftsim.discrete.kernel.jit import plain
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import Poses, Reading, describe_car, own_differences, read_grid
+from craftsim.discrete.reordering import reordered_rest
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, Constraints, Schedule, ScheduledAction, make_schedule
 from craftsim.models.composition import lift_m
 from craftsim.models.measuring import Floats
-from craftsim.planning.reordering import reordered_rest
 from craftsim.skills.executor import Executor
 from craftsim.skills.outcome import Outcome
 from craftsim.skills.skill import Terrain
@@ -187,7 +187,7 @@ class Judge:
         held against all.
 
         In the order ``reordered``, whenever an action ends, actions that have not begun may change places
-        (:func:`craftsim.planning.reordering.reordered_rest`). Constraints of ``after`` that the footprints impose
+        (:func:`craftsim.discrete.reordering.reordered_rest`). Constraints of ``after`` that the footprints impose
         anyway, which a plan's file has, do not prevent that.
         """
         if order == "reordered" and after:

@@ -32,7 +32,7 @@ from craftsim.errors import InputError, suggestion
 
 Concurrency = Literal["sequential", "concurrent", "reordered", "until-wrong", "at-once"]
 """How the actions of a plan follow each other: one by one; as early as the dependencies allow; the same with
-conflicting actions re-ordered on the way (:mod:`craftsim.planning.reordering`); as early as the dependencies allow
+conflicting actions re-ordered on the way (:mod:`craftsim.discrete.reordering`); as early as the dependencies allow
 until something is not as predicted, after which nothing begins any more; or, to see what goes wrong, all of a tick
 together and tick after tick."""
 

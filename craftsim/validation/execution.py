@@ -26,6 +26,7 @@ from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.grid import Grid
+from craftsim.discrete.reordering import reordered
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Concurrency, make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, as_task, make_task
@@ -37,7 +38,6 @@ from craftsim.experiments.intervals import Estimate, Proportion, mean_of
 from craftsim.experiments.session import open_session
 from craftsim.experiments.statistics import carried_out
 from craftsim.planning import NoPlanError, plan_building
-from craftsim.planning.reordering import reordered
 from craftsim.reports.json_file import document
 from craftsim.reports.report import DataTable, Headline, Report, Section, Tone, numbers
 from craftsim.robots import need_network

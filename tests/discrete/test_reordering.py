@@ -11,10 +11,10 @@ from craftsim.checking.setup import Seed, setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
+from craftsim.discrete.reordering import reordered, reordered_rest
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import make_task
-from craftsim.planning.reordering import reordered, reordered_rest
 from craftsim.validation.rollout import steps_of
 
 RULES = Rules("physical")

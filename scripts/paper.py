@@ -1,6 +1,6 @@
-"""Train each algorithm on tasks of CraftEnv's paper under its protocol, shortened, and store the learning curves.
+"""Train each algorithm on tasks of CraftEnv's paper under its protocol, most runs shortened, and store the learning curves.
 
-python scripts/paper.py --seeds 3                  # goes on where it was interrupted: an hour of CPU time
+python scripts/paper.py --seeds 3                  # goes on where it was interrupted: hours of CPU time
 python scripts/paper.py block --seeds 5
 """
 

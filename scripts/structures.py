@@ -126,7 +126,7 @@ def attempt(job: Job) -> Result:
         "agree": sum(one.agrees for one in attempts),
         "executed_s": max((one.start_s + one.duration_s for one in performed), default=0.0),
         "physics_s": round(time.process_time() - begun_s, 1),
-        "first_wrong": None if wrong is None else f"{wrong.action}: {wrong.result}, {wrong.finding}",
+        "first_wrong": None if wrong is None else f"{wrong.action}: {wrong.result}, {wrong.reason}",
     }
     return Result(extra["built"], extra=extra)
 

@@ -112,6 +112,7 @@ def test_every_file_of_the_package_is_in_the_wheel(wheel):
 
 def test_the_command_runs_and_a_car_moves_in_physics(run, installed):
     assert run("craftsim", "--version") == f"craftsim {VERSION}\n"
+    assert "level 1" in run("craftsim", "show", "strip")
     loaded_from = Path(run("python", "-c", ACTION).strip())
     assert loaded_from.is_relative_to(installed.parent), "not what an older copy left behind"
 

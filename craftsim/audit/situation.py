@@ -328,8 +328,8 @@ def shipped(name: str) -> Any:
 
 @cache
 def scenes() -> tuple[Situation, ...]:
-    """Return the scenes of ``craftsim/data/scenes.yaml``, drawn by hand: each is for a suspected rule, with several
-    cars, or with properties outside the survey."""
+    """Return the scenes of ``craftsim/data/scenes.yaml``: each is for a suspected rule, with several cars, or
+    with properties outside the survey."""
     found = []
     for group in shipped("scenes.yaml"):
         for shared, (name, own) in product(group.get("each", [{}]), group["scenes"].items()):

@@ -72,7 +72,7 @@ def _built(name, order="sequential", drive="rollers"):
 @pytest.mark.parametrize("name", [name for name in TASK_NAMES if name != "simple_two_story"])
 def test_in_physics_every_action_does_what_the_rules_predict_within_the_bands(name):
     """That of the demo is held to more in tests/skills/test_demo_plan.py."""
-    building, reading = _built(name, drive="reduced" if name == COMPLEX else "rollers")
+    building, reading = _built(name)
     assert building.n_agree == building.n_actions
     assert building.reached is True
     assert building.good

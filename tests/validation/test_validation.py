@@ -14,6 +14,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.discrete.files.plan import Plan
 from craftsim.discrete.grid import Kind
 from craftsim.discrete.kinds import Action
+from craftsim.envs import parallel_env
 from craftsim.errors import InputError
 from craftsim.validation.validation import validate
 from craftsim.validation.worlds import RandomWorlds
@@ -67,7 +68,7 @@ def test_every_order_of_a_plan_leads_to_the_same_attempts_and_only_concurrency_s
     assert max(makespans["ticks"], makespans["concurrent"]) < 0.8 * makespans["sequential"]
 
 
-def test_a_bystander_that_moves_too_far_disagrees(monkeypatch):
+def test_a_bystander_that_moves_too_far_disagrees_whoever_asks(monkeypatch):
     monkeypatch.setattr(setup, "Executor", pushed(0, 0.004))
     result = validate(GRID, plan=_plan(((0, RIGHT),)), **ONCE)
     (attempt,) = result.attempts
@@ -75,6 +76,14 @@ def test_a_bystander_that_moves_too_far_disagrees(monkeypatch):
     assert attempt.finding == "agrees", "the grid that is read is the predicted one"
     assert (attempt.result, attempt.agrees, result.agrees) == ("side effect", False, False)
     assert result.figures.matrix["legal"].side_effect == 1
+
+    env = parallel_env("strip", "physics")
+    env.reset(seed=0)
+    infos = env.step({"car_0": int(Action.STOP), "car_1": int(Action.MOVE_LEFT)})[4]
+    told = infos["car_1"]
+    assert (told["result"], told["finding"]) == ("side effect", "agrees")
+    assert told["reason"].startswith("block 0 was moved by")
+    assert 0.001 < told["bystander_displacement_m"] < 0.025
 
 
 def test_a_failing_car_stops_what_depends_on_it_and_nothing_else(monkeypatch):

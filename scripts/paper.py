@@ -1,4 +1,4 @@
-"""Train each algorithm on tasks of CraftEnv's paper under its protocol, most runs shortened, and store the learning curves.
+"""Train each algorithm on tasks of CraftEnv's paper under its protocol, mostly shortened, and store the curves.
 
 python scripts/paper.py --seeds 3                  # goes on where it was interrupted: hours of CPU time
 python scripts/paper.py block --seeds 5

@@ -35,3 +35,11 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     """Return ``"; did you mean 'x'?"`` for the known word closest to a misspelt one, or an empty string."""
     close = difflib.get_close_matches(word, list(known), n=1)
     return f"; did you mean '{close[0]}'?" if close else ""
+
+
+def is_interrupt(error: BaseException) -> bool:
+    """Return whether an error is a Ctrl-C, or what the import of an extension module such as MuJoCo's turns one into."""
+    cause: BaseException | None = error
+    while isinstance(cause, ImportError):
+        cause = cause.__cause__ or cause.__context__
+    return isinstance(cause, KeyboardInterrupt)

@@ -13,7 +13,7 @@ from typing import Final
 from craftsim.cli.commands import COMMANDS, overview
 from craftsim.cli.text import discard_output, output_closed, print_error, print_safe, replace_unencodable
 from craftsim.compiling import report_compiling
-from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, suggestion
+from craftsim.errors import DISK_ERRORS, CraftsimError, InputError, is_interrupt, suggestion
 from craftsim.modules import import_own, safe_path
 from craftsim.storage.paths import check_working_folder
 
@@ -73,17 +73,11 @@ def _answer(words: list[str]) -> int:
     except CraftsimError as error:
         print_error(error)
         return 2
-    except KeyboardInterrupt as interrupt:
-        print_error(str(interrupt) or "interrupted")
-        return 130
-    except ImportError as error:
-        # An extension module such as MuJoCo's turns a Ctrl-C during its import into an ImportError.
-        cause: BaseException | None = error
-        while cause is not None and not isinstance(cause, KeyboardInterrupt):
-            cause = cause.__cause__ or cause.__context__
-        if cause is None:
+    except (KeyboardInterrupt, ImportError) as error:
+        if not is_interrupt(error):
             raise
-        print_error("interrupted")
+        said = str(error) if isinstance(error, KeyboardInterrupt) else ""
+        print_error(said or "interrupted")
         return 130
 
 

@@ -23,7 +23,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from craftsim.errors import InputError
+from craftsim.errors import InputError, is_interrupt
 from craftsim.experiments import records as store
 from craftsim.experiments.experiment import (
     Answer,
@@ -40,6 +40,7 @@ from craftsim.experiments.experiment import (
 from craftsim.reports.json_file import plain, versions, write_report
 from craftsim.storage.folders import owned, remove
 from craftsim.storage.writing import whole
+from craftsim.workers.actor import defer_sigint
 from craftsim.workers.pool import Failure, Pool
 
 SCHEMA_VERSION: Final = 2
@@ -70,19 +71,21 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
     if out is None:
         yield Session(experiment, None, options, manifest, store.with_tables(store.connected(""), manifest))
         return
-    with owned(out), contextlib.ExitStack() as closing:
-        with store.disk_errors(out):
-            database = closing.enter_context(
-                contextlib.closing(_begun(experiment, out, options.resume, manifest))
-            )
-            session = Session(experiment, out, options, manifest, database)
-            closing.callback(session.close)
-        try:
-            with _terminable():
-                yield session
-        except KeyboardInterrupt:
-            text = f"interrupted: {session.state}; the same command with --resume goes on"
-            raise KeyboardInterrupt(text) from None
+    session: Session | None = None
+    try:
+        with _terminable(), owned(out), contextlib.ExitStack() as closing:
+            with defer_sigint(), store.disk_errors(out):
+                database = closing.enter_context(
+                    contextlib.closing(_begun(experiment, out, options.resume, manifest))
+                )
+                session = Session(experiment, out, options, manifest, database)
+                closing.callback(session.close)
+            yield session
+    except (KeyboardInterrupt, ImportError) as error:
+        if not is_interrupt(error):
+            raise
+        state = f"what was finished is kept in {out}" if session is None else session.state
+        raise KeyboardInterrupt(f"interrupted: {state}; the same command with --resume goes on") from None
 
 
 def run_experiment(experiment: Experiment, out: Path, options: RunOptions = ALONE) -> store.Records:
@@ -163,9 +166,10 @@ class Session:
         work, limits = experiment.work, (experiment.timeout_s, experiment.batch)
         for number, answer in self._answers(missing, items, work, *limits):
             text = text_of(experiment.items[number], number, answer)
-            self._keep("INSERT INTO trials VALUES (?, ?)", number, text)
-            self._done[number] = True
-            self._append(text)
+            with defer_sigint():
+                self._keep("INSERT INTO trials VALUES (?, ?)", number, text)
+                self._done[number] = True
+                self._append(text)
             yield json.loads(text)
         if missing and self.out is not None and all(self._done):
             self._export()

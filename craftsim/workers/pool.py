@@ -160,14 +160,17 @@ class Pool:
         return [(self._running[actor], actor in late) for actor in (*ready, *late)]
 
     def _kill(self, worker: _Worker) -> None:
-        worker.actor.kill()
-        del self._running[worker.actor]
+        with defer_sigint():
+            del self._running[worker.actor]
+            worker.actor.kill()
 
     def close(self) -> None:
         """Kill all workers."""
-        for worker in [*self._idle, *self._running.values()]:
-            worker.actor.kill()
-        self._idle, self._running = [], {}
+        with defer_sigint():
+            workers = [*self._idle, *self._running.values()]
+            self._idle, self._running = [], {}
+            for worker in workers:
+                worker.actor.kill()
 
     def __enter__(self) -> Self:
         return self

@@ -14,7 +14,9 @@ ITEMS = cheap_work.items(40, **{f"i{i}": "slow" for i in range(40)})
 
 def cheap(resume: bool = False) -> int:
     """Run the experiment as a command would."""
-    experiment = cheap_work.experiment(ITEMS, "cheap", batch=3)
+    held = {"i39": ("slow while", OUT.parent / "held")}
+    items = cheap_work.items(40, **{f"i{i}": "slow" for i in range(39)}, **held)
+    experiment = cheap_work.experiment(items, "cheap", batch=3)
     run_experiment(experiment, OUT, RunOptions(workers=2, resume=resume))
     return 0
 

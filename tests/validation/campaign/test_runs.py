@@ -17,7 +17,7 @@ from sessions import make_old
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Failure, Result, RunOptions
 from craftsim.experiments.records import read_finished
-from craftsim.experiments.session import open_session, run_experiment
+from craftsim.experiments.session import Session, open_session, run_experiment
 
 SCRIPT = Path(__file__).parent / "run_cheap.py"
 LIMIT = 1 << 16
@@ -149,6 +149,8 @@ def test_a_campaign_whose_workers_or_itself_are_killed_or_interrupted_goes_on_to
     kept = [json.loads(line)["key"] for line in (out / "trials.jsonl").read_text().splitlines()]
     assert len(kept) == len(set(kept)) < 40
 
+    held = tmp_path / "held"
+    held.touch()  # it does not end by itself
     process = _start(out, "--resume", start_new_session=True)
     _wait_for(lambda: _finished(out) > len(kept))  # not before it has begun
     os.killpg(process.pid, signal.SIGINT)
@@ -156,11 +158,48 @@ def test_a_campaign_whose_workers_or_itself_are_killed_or_interrupted_goes_on_to
     said = f"interrupted: {_finished(out)} of 40 trials are kept in {out}; the same command with --resume goes on"
     assert process.stderr.read() == f"craftsim: {said}\n"
 
+    held.unlink()
     process = _start(out, "--resume")
     assert process.wait(60) == 0, process.stderr.read()
     items = cheap_work.items(40)
     run_experiment(cheap_work.experiment(items, "cheap", batch=3), tmp_path / "undisturbed")
     assert (out / "trials.jsonl").read_bytes() == (tmp_path / "undisturbed" / "trials.jsonl").read_bytes()
+
+
+def _interrupt(*_):
+    signal.raise_signal(signal.SIGINT)
+
+
+def _hidden(*_):
+    try:
+        raise KeyboardInterrupt
+    except KeyboardInterrupt as interrupt:
+        raise ImportError("initialization failed") from interrupt
+
+
+@pytest.mark.parametrize(
+    ("place", "fails", "kept"),
+    [
+        ("_export", _interrupt, "0 of 3 trials are"),
+        ("_export", lambda *_: (_interrupt(), _interrupt()), "what was finished is"),
+        ("_append", _interrupt, "1 of 3 trials are"),
+        ("run", _hidden, "0 of 3 trials are"),
+        ("close", _interrupt, "3 of 3 trials are"),
+    ],
+)
+def test_an_interrupt_says_what_is_kept_wherever_it_comes(place, fails, kept, tmp_path, monkeypatch):
+    usual = getattr(Session, place)
+
+    def interrupted(*arguments):
+        fails()
+        return usual(*arguments)
+
+    monkeypatch.setattr(Session, place, interrupted)
+    said = f"^interrupted: {kept} kept in {tmp_path}; the same command with --resume goes on$"
+    with pytest.raises(KeyboardInterrupt, match=said):
+        _run(tmp_path, 3)
+    monkeypatch.undo()
+    assert [record["agrees"] for record in _run(tmp_path, 3, resume=True)] == [True] * 3
 
 
 def test_a_terminated_stage_leaves_no_workers_behind_and_killed_ones_are_replaced(tmp_path):

@@ -38,7 +38,7 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Return whether an error is a Ctrl-C, or what the import of an extension module such as MuJoCo's turns one into."""
+    """Return whether an error is a Ctrl-C, also one that the import of an extension module such as MuJoCo's hides."""
     cause: BaseException | None = error
     while isinstance(cause, ImportError):
         cause = cause.__cause__ or cause.__context__

@@ -16,9 +16,8 @@ from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.render import render_frames
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import show_at
-from craftsim.validation.choice import PLANNER, items_of, policy_pilot, subjects_of
 from craftsim.validation.rollout import do_run
-from craftsim.validation.validation import record_once
+from craftsim.validation.validation import PLANNER, items_of, policy_pilot, record_once, subjects_of
 
 TASK = "simple_two_story"
 FRAMES = 60

@@ -51,8 +51,8 @@ def demo(
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.reports.json_file import document
     from craftsim.robots import robots_at
-    from craftsim.validation.building import Building, read_building
     from craftsim.validation.report import demo_report
+    from craftsim.validation.rollout import Building, read_building
 
     started = time.perf_counter()
     if task == "all" and (carried.plan or design.goal):

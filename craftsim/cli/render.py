@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from craftsim.rendering.trajectory import Trajectory
     from craftsim.rendering.viewer.views import LiveView
-    from craftsim.validation.building import Building
+    from craftsim.validation.rollout import Building
 
 
 def render(
@@ -141,7 +141,7 @@ def view(
     need_viser()
     from craftsim.rendering.viewer.page import REAL_TIME
     from craftsim.rendering.viewer.views import LiveView, RecordedView
-    from craftsim.validation.building import read_building
+    from craftsim.validation.rollout import read_building
 
     path = Path(what)
     building = None if _is_recorded(what) else read_building(what)

@@ -63,7 +63,7 @@ def _minimize(folder: Path, out: Path) -> int:
     from craftsim.experiments.bundle import read_bundle
     from craftsim.reports.json_file import document
     from craftsim.validation.minimize import MOST_TRIALS, minimize_bundle
-    from craftsim.validation.sections import smallest_section
+    from craftsim.validation.report import smallest_section
 
     bundle = read_bundle(folder).bundle
     with counting("trials", bool)(MOST_TRIALS) as on_trial:
@@ -85,7 +85,7 @@ def _minimize(folder: Path, out: Path) -> int:
 
 def _report(recorded: Recorded, result: Replay, name: str, files: dict[str, Path]) -> Report:
     from craftsim.reports.json_file import document, versions
-    from craftsim.validation.sections import actions_table
+    from craftsim.validation.report import actions_table
 
     bundle = recorded.bundle
     apart = f"{1e3 * result.position_m:.2g} mm and {1e3 * result.angle_rad:.2g} mrad apart at most"

@@ -20,7 +20,7 @@ from craftsim.storage.limits import DESIGN_SIDE, PLAN_ROUNDS, REPLANS, RUNS
 
 if TYPE_CHECKING:
     from craftsim.training.config import Acting
-    from craftsim.validation.choice import World
+    from craftsim.validation.validation import World
 
 
 @owning
@@ -77,9 +77,9 @@ def validate(
     from craftsim.cli.films import film_runs, record_failures, rendering_works
     from craftsim.discrete.tasks import TASK_NAMES
     from craftsim.validation import validation
-    from craftsim.validation.choice import AUTO
     from craftsim.validation.replanning import Replanning
     from craftsim.validation.report import validation_report
+    from craftsim.validation.validation import AUTO
 
     several: tuple[World, ...] = worlds or TASK_NAMES
     progress = counting("runs")

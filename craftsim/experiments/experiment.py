@@ -74,7 +74,7 @@ class Manifest(TypedDict):
 
 
 _RECORD: Final = TypeAdapter(TrialRecord)
-_MANIFEST: Final = TypeAdapter(Manifest)
+MANIFEST: Final = TypeAdapter(Manifest)
 
 
 @dataclass(frozen=True)
@@ -92,32 +92,29 @@ class Form:
         made = create_model("Outcome", __config__=STRICT, attempts=(attempts, ...), extra=(extra, ...))
         return TypeAdapter(made)
 
-    def record(self, line: bytes, where: str) -> TrialRecord:
-        """Return the record in a line. Raises InputError, beginning with ``where``, for an invalid one."""
-        record: TrialRecord = _read(_RECORD, line, where)
+    def record(self, line: bytes, where: str, remedy: str) -> TrialRecord:
+        """Return the record in a line. Raises InputError for an invalid one, with its place and a remedy."""
+        record: TrialRecord = read_as(_RECORD, line, where, remedy)
         if record["error"] is None:
-            _read(self._outcome, line, where)
+            read_as(self._outcome, line, where, remedy)
         elif record["attempts"] or record["agrees"]:
-            raise InputError(f"{where}: a trial with an error has no attempts and does not agree")
+            raise InputError(f"{where}: a trial with an error has no attempts and does not agree; {remedy}")
         return record
 
 
 ANY: Final = Form()
 
 
-def manifest_of(data: bytes, where: str) -> Manifest:
-    """Return a manifest. Raises InputError, beginning with ``where``, for an invalid one."""
-    manifest: Manifest = _read(_MANIFEST, data, where)
-    return manifest
-
-
-def _read(wanted: TypeAdapter[Any], data: bytes, where: str) -> Any:
-    parse_json(data, where)
+def read_as(wanted: TypeAdapter[Any], data: bytes, where: str, remedy: str) -> Any:
+    """Return what is in some JSON. Raises InputError where it is not what is wanted, with its place and a remedy."""
     try:
+        parse_json(data, where)
         return wanted.validate_json(data)
+    except InputError as error:
+        raise InputError(f"{error}; {remedy}") from None
     except ValidationError as error:
         # What is in a file may be long, and steer a terminal.
-        raise InputError(f"{where}: {first_mistake(error)}") from None
+        raise InputError(f"{where}: {first_mistake(error)}; {remedy}") from None
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from craftsim.errors import InputError
-from craftsim.experiments.experiment import ANY, Form, Manifest, TrialRecord, manifest_of
+from craftsim.experiments.experiment import ANY, MANIFEST, Form, Manifest, TrialRecord, read_as
 from craftsim.storage.limits import HEADER, SESSION
 from craftsim.storage.limits import TRIALS as TRIALS_LIMITS
 from craftsim.storage.paths import exists
@@ -141,16 +141,8 @@ def old_manifest(folder: Path) -> Manifest:
 
 
 def _manifest(data: bytes, path: Path) -> Manifest:
-    with _with_remedy("choose another folder"):
-        return manifest_of(data, f"{path}: not a run's manifest")
-
-
-@contextmanager
-def _with_remedy(remedy: str) -> Iterator[None]:
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{error}; {remedy}") from None
+    manifest: Manifest = read_as(MANIFEST, data, f"{path}: not a run's manifest", "choose another folder")
+    return manifest
 
 
 def _take_lines(database: sqlite3.Connection, path: Path, n: int, form: Form) -> int:
@@ -185,11 +177,10 @@ def checked(
 
 
 def _checked(form: Form, data: bytes, where: str, n: int, remedy: str) -> TrialRecord:
-    with _with_remedy(remedy):
-        record = form.record(data, f"{where}: not a trial's record")
-        if record["index"] >= n:
-            raise InputError(f"{where}: index: {record['index']}, but the run has {n} trials")
-        return record
+    record = form.record(data, f"{where}: not a trial's record", remedy)
+    if record["index"] >= n:
+        raise InputError(f"{where}: index: {record['index']}, but the run has {n} trials; {remedy}")
+    return record
 
 
 def differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, tuple[Any, Any]]]:

@@ -21,6 +21,7 @@ from craftsim.reports.report import (
     Column,
     DataTable,
     Drawing,
+    Headline,
     Section,
     Tone,
     Value,
@@ -328,6 +329,12 @@ def run_notes(capped_steps: int, retried: int) -> list[str]:
         actions = "1 action was" if retried == 1 else f"{retried} actions were"
         notes.append(f"Note: {actions} tried again; the last try counts.")
     return notes
+
+
+def measured(sentence: str, lost: int) -> Headline:
+    """Return the headline of a measurement; ``lost`` trials have no result."""
+    said = f"; {lost} without a result, which --resume tries again" if lost else ""
+    return Headline("Measured", Tone.CAUTION if lost else Tone.PLAIN, f"{sentence}{said}.")
 
 
 def provenance_section(command: str, seed: int, config: Mapping[str, Any]) -> Section:

@@ -88,8 +88,8 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
         raise KeyboardInterrupt(f"interrupted: {state}; the same command with --resume goes on") from None
 
 
-def run_experiment(experiment: Experiment, out: Path, options: RunOptions = ALONE) -> store.Records:
-    """Run an experiment in a folder and return the records of its trials, see :meth:`Session.run`."""
+def run_experiment(experiment: Experiment, out: Path | None, options: RunOptions = ALONE) -> store.Records:
+    """Run an experiment, in a folder if given, and return the records of its trials, see :meth:`Session.run`."""
     with open_session(experiment, out, options) as session:
         return session.run()
 

@@ -10,7 +10,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping
-from contextlib import closing
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -126,7 +126,9 @@ class Study:
         )
         lists = {"tasks": self.tasks, "algos": self.algos}
         for key, names in {**lists, **{f"tests.{task}": names for task, names in self.tests.items()}}.items():
-            _check_once(key, names)
+            ((name, times),) = Counter(names).most_common(1)
+            if times > 1:
+                raise ValueError(f"key '{key[:40]}': '{name[:40]}' is given {times} times; give each once")
         STUDY_TASKS.check(
             "tasks that are trained on or played", len({*self.tasks}.union(*self.tests.values()))
         )
@@ -217,12 +219,6 @@ class Study:
         return from_json(TrainConfig, text.encode(), f"settings of '{task}' by {algo}")
 
 
-def _check_once(key: str, names: tuple[str, ...]) -> None:
-    ((name, times),) = Counter(names).most_common(1)
-    if times > 1:
-        raise ValueError(f"key '{key[:40]}': '{name[:40]}' is given {times} times; give each once")
-
-
 def read_study(text: str) -> Study:
     """Return the study of a file, or a shipped one by name; raises InputError with file and key."""
     names = sorted(path.stem for path in SHIPPED.glob("*.yaml"))
@@ -284,25 +280,21 @@ def under_way(study: Study, out: Path, since_s: float) -> list[str]:
 
 def train_and_evaluate(asked: tuple[StudyRun, Path]) -> Result:
     """Train, or go on training, and evaluate; what a worker does of a study."""
-    run, out = asked
-    # Its own too: somebody may go on with this run alone.
-    with owned(directory_within(out, RUNS, run.key)) as place:
-        return _train_and_evaluate(run, place)
-
-
-def _train_and_evaluate(run: StudyRun, place: Path) -> Result:
     import torch
 
     from craftsim.training.checkpoint import RUN_FILE
     from craftsim.training.evaluation import evaluate
     from craftsim.training.trainer import Trainer
 
+    run, out = asked
     config, how = run.config, (run.config.rules, run.config.helper_depth, run.config.acting)
     torch.set_num_threads(1)
-    resumed = (place / RUN_FILE).exists()
     tasks: dict[str, Any] = {"task": run.task, "stages": run.stages}
-    trainer = Trainer.resume(place, config=config, **tasks) if resumed else Trainer(config, **tasks)
-    with closing(trainer):
+    # Its own folder too: somebody may go on with this run alone.
+    with owned(directory_within(out, RUNS, run.key)) as place, ExitStack() as closing:
+        resumed = (place / RUN_FILE).exists()
+        trainer = Trainer.resume(place, config=config, **tasks) if resumed else Trainer(config, **tasks)
+        closing.callback(trainer.close)
         for evaluated in trainer.run(run.steps, run.until):
             if evaluated:
                 trainer.save(place)

@@ -64,11 +64,6 @@ class AuditTrial:
     seed: int
     setup: Setup
 
-    @property
-    def placed(self) -> Situation:
-        """The situation at its place on the map, the same for all its trials."""
-        return self.situation.placed(np.random.default_rng([self.seed, self.situation.digest]))
-
 
 def trials_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> list[Trial]:
     """Return the trials of an audit: at least ``trials`` a row, and an empty one for a row without prediction."""
@@ -85,8 +80,11 @@ def trials_of(rows: Sequence[PlanRow], trials: int, seed: int, setup: Setup) -> 
 
 def recipe_of(trial: AuditTrial) -> Recipe:
     """Return the recipe of a trial, whose attempts :func:`try_it` judges."""
-    placed = trial.placed
-    seed = Seed((trial.seed, trial.situation.digest, trial.number))
+    digest = trial.situation.digest
+    placed = trial.situation.placed(
+        np.random.default_rng([trial.seed, digest])
+    )  # one place for all its trials
+    seed = Seed((trial.seed, digest, trial.number))
     return Recipe(blueprint_text(placed.grid), placed.steps(trial.legal), trial.setup, seed)
 
 
@@ -286,11 +284,6 @@ class Audit:
     smallest: tuple[Counterexample, ...] = ()
     """The first failure of each kind in its smallest world, with the option ``minimize``."""
 
-    @property
-    def rows_by_flag(self) -> dict[str, int]:
-        """The number of unsound rows by correction."""
-        return rows_by_flag(self.corrections)
-
 
 def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
     """Return the records without those of actions begun all at once, of which the rules say nothing."""
@@ -330,7 +323,9 @@ def run_audit(
     with open_session(experiment, out, options) as session:
         tried = session.run()
         bundles = _bundle_disagreements(session, tried)
-        records = RecordView(tried, lambda some: (_with_bundle(one, bundles) for one in some))
+        records = RecordView(
+            tried, lambda some: ({**one, "bundle": bundles.get(one["index"], one["bundle"])} for one in some)
+        )
         smallest = () if minimize is None else minimize_failures(session, records, minimize)
         every = audit_rows(records)
         together = tuple(row for row in every if row.context.endswith(_AT_ONCE))
@@ -363,10 +358,6 @@ def run_audit(
         )
         write_durations(out, figures.durations)
     return Audit(records, rows, suspects, figures, config, seed, corrects, comparison, smallest)
-
-
-def _with_bundle(record: TrialRecord, bundles: Mapping[int, str]) -> TrialRecord:
-    return {**record, "bundle": bundles.get(record["index"], record["bundle"])}
 
 
 def _bundle_disagreements(session: Session, records: Sequence[TrialRecord]) -> dict[int, str]:

@@ -7,6 +7,7 @@ from itertools import groupby
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
+from craftsim.audit.plan import rows_by_flag
 from craftsim.experiments import sections as shared
 from craftsim.experiments import statistics
 from craftsim.experiments.bundle import TRAJECTORY
@@ -39,7 +40,7 @@ from craftsim.validation.audit import (
     judged_by_rules,
     verdict_counts,
 )
-from craftsim.validation.sections import case_of, smallest_section
+from craftsim.validation.report import case_of, smallest_section
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,7 +74,8 @@ def audit_report(audit: Audit, command: str) -> Report:
     unsound, conservative = (_striking_first(rows, verdict) for verdict in (_UNSOUND, _CONSERVATIVE))
     first = {row.action: row for row in reversed(unsound)}
     one_each = [row for row in unsound if first[row.action] is row]
-    flags = audit.rows_by_flag | {"no flag": sum(not flags for flags in audit.corrections.values())}
+    by_flag = rows_by_flag(audit.corrections)
+    flags = by_flag | {"no flag": sum(not flags for flags in audit.corrections.values())}
     corrections = DataTable(
         (Column("correction", "path"), Column("unsound rows", "number")),
         [(flag, number) for flag, number in flags.items() if number],
@@ -113,7 +115,7 @@ def audit_report(audit: Audit, command: str) -> Report:
         ),
         shared.provenance_section(command, audit.seed, audit.config),
     ]
-    named = ", ".join(f"{flag} {number}" for flag, number in audit.rows_by_flag.items())
+    named = ", ".join(f"{flag} {number}" for flag, number in by_flag.items())
     notes = [
         *([f"unsound rows by the correction that concerns them: {named}"] if named else []),
         *shared.run_notes(statistics.capped_steps(audit.records), statistics.retried(audit.records)),

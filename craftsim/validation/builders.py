@@ -34,9 +34,10 @@ from craftsim.experiments.intervals import (
     mean_of,
     paired_difference,
 )
-from craftsim.experiments.session import open_session
+from craftsim.experiments.sections import measured
+from craftsim.experiments.session import run_experiment
 from craftsim.reports.json_file import document
-from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, numbers
+from craftsim.reports.report import Column, DataTable, Report, Section, numbers
 from craftsim.validation.policies import PLANNER, RANDOM, make_policy, policy_digest
 
 DIFFICULTIES: Final = ("one level", "with a ramp", "two levels")
@@ -165,8 +166,7 @@ def builders_report(
     }
     most = max(case.task().max_steps + 2 for case in (item.job for item in items))
     experiment = Experiment("bench", seed, config, items, build, timeout_s=most * ANSWER_S)
-    with open_session(experiment, out, options) as session:
-        records = list(session.run())
+    records = list(run_experiment(experiment, out, options))
     found: dict[str, dict[str, list[TrialRecord]]] = {}
     for item, record in zip(items, records, strict=True):
         found.setdefault(item.job.builder, {}).setdefault(item.job.backend, []).append(record)
@@ -242,14 +242,10 @@ def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_design
         ]
         head = numbers("builder", "more built", "from", "to", "detectable")
         tables.append(DataTable(head, others, f"Compared with {first}, in physics, paired by design"))
-    wrong = figures["errors"]
-    lost = f"; {wrong} without a result, which --resume tries again" if wrong else ""
     return Report(
         "Builders that answer in words",
         f"{n_designs} designs",
-        Headline(
-            "Measured", Tone.CAUTION if wrong else Tone.PLAIN, f"{n_designs} designs for each builder{lost}."
-        ),
+        measured(f"{n_designs} designs for each builder", figures["errors"]),
         sections=[
             Section("builders", "Builders", "Turns: twice the ticks of a plan.", tables, terminal=True)
         ],

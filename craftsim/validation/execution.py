@@ -35,11 +35,12 @@ from craftsim.envs import parallel_env
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import Experiment, Result, RunOptions, Trial
 from craftsim.experiments.intervals import Estimate, Proportion, mean_of
-from craftsim.experiments.session import open_session
+from craftsim.experiments.sections import measured
+from craftsim.experiments.session import run_experiment
 from craftsim.experiments.statistics import carried_out
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.reports.json_file import document
-from craftsim.reports.report import DataTable, Headline, Report, Section, Tone, numbers
+from craftsim.reports.report import DataTable, Report, Section, numbers
 from craftsim.robots import need_network
 from craftsim.training.policy import load_policy
 from craftsim.validation.policies import policy_digest
@@ -180,7 +181,7 @@ def plans_report(n_designs: int, seed: int, setup: Setup, out: Path | None, opti
     return Report(
         "Execution of plans",
         f"{len(rows)} plans in {len(ORDERS)} orders",
-        _headline(f"As early as dependencies allow a plan takes {', '.join(said)}", lost),
+        measured(f"As early as dependencies allow a plan takes {', '.join(said)}", lost),
         sections=[
             Section("makespans", "Makespans", "Paired: same start, same physics.", [table], terminal=True)
         ],
@@ -192,17 +193,11 @@ def _run(
     experiment: Experiment, out: Path | None, options: RunOptions
 ) -> tuple[dict[str, list[dict[str, Any]]], int]:
     """Run an experiment, and return the results by group, in the order of its trials, and how many trials have none."""
-    with open_session(experiment, out, options) as session:
-        records = list(session.run())
+    records = run_experiment(experiment, out, options)
     found: dict[str, list[dict[str, Any]]] = {record["group"]: [] for record in records}
     for record in carried_out(records):
         found[record["group"]].append(record["extra"])
     return found, len(records) - sum(map(len, found.values()))
-
-
-def _headline(sentence: str, lost: int) -> Headline:
-    said = f"; {lost} without a result, which --resume tries again" if lost else ""
-    return Headline("Measured", Tone.CAUTION if lost else Tone.PLAIN, f"{sentence}{said}.")
 
 
 def _cell(one: Mapping[str, Any]) -> str:
@@ -361,7 +356,7 @@ def policies_report(
     return Report(
         "Execution of policies",
         "synchronous and asynchronous, on the grid and in physics",
-        _headline(sentence, lost),
+        measured(sentence, lost),
         sections=[Section("modes", "Modes", note, tables, terminal=True)],
         document=document(
             {"modes": figures}, command="bench", seed=seed, config=config, wall={"cpu_s": cpu_s}

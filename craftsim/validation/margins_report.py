@@ -29,7 +29,7 @@ from craftsim.reports.report import (
 )
 from craftsim.validation.imperfections import Imperfection
 from craftsim.validation.margins import SHARE, Margin, Margins, confidence, values_of
-from craftsim.validation.sections import case_of
+from craftsim.validation.report import case_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -2,43 +2,52 @@
 
 from __future__ import annotations
 
+import hashlib
 import html
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from craftsim.checking.attempt import Attempt
-from craftsim.checking.setup import Setup
+from craftsim.checking.setup import Setup, check_start
+from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.files.design import read_design
 from craftsim.discrete.files.plan import Plan, read_actions, read_plan
-from craftsim.discrete.rules import Rules
-from craftsim.discrete.tasks import Task, as_task
+from craftsim.discrete.files.shipped import shipped_plan
+from craftsim.discrete.grid import Grid
+from craftsim.discrete.rules import Rules, RuleSet
+from craftsim.discrete.tasks import TASK_NAMES, Task, as_task, free_play
 from craftsim.errors import InputError
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
-from craftsim.experiments.experiment import Experiment, Progress, TrialRecord
+from craftsim.experiments.experiment import Experiment, Progress, Trial, TrialRecord
 from craftsim.experiments.intervals import Proportion
 from craftsim.experiments.session import open_session
 from craftsim.experiments.statistics import Figures, campaign_figures, carried_out, write_durations
+from craftsim.models.world import PhysicsWorld
 from craftsim.options import Physics, Rollouts, Trials, changed
 from craftsim.planning import Planned, plan_building
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.skills.executor import Observer
-from craftsim.validation import choice
-from craftsim.validation.choice import World
+from craftsim.skills.library import check_cars
+from craftsim.storage.paths import exists, resolved
+from craftsim.storage.writing import writable
+from craftsim.training.policy import is_shipped_policy
 from craftsim.validation.forms import BUILDS, RUNS
 from craftsim.validation.minimize import Counterexample, MinimizeProgress, minimize_failures
 from craftsim.validation.play import coverage_of
-from craftsim.validation.policies import RANDOM
+from craftsim.validation.policies import PLANNER, RANDOM, Policy, check_policy, policy_digest
 from craftsim.validation.replanning import Replanning
-from craftsim.validation.rollout import PlanOrder, do_run, roll_out
+from craftsim.validation.rollout import PLAY, By, PlanOrder, Run, do_run, roll_out, steps_of
+from craftsim.validation.worlds import MAX_CARS, RandomWorlds
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -48,6 +57,13 @@ PHYSICS: Final = Physics()
 TRIALS: Final = Trials()
 REPLANNING: Final = Replanning()
 _FORMER: Final = {"against": "baseline", "shrink": "minimize"}
+AUTO: Final = "auto"
+"""The plan that is made, and made again after a failure."""
+SHIPPED: Final = "shipped"
+"""Digest of everything that belongs to a version of craftsim."""
+
+World = Task | Grid | RandomWorlds | str | Path
+"""A task, a start without a goal, or a reference: a task's name, a file, ``module:factory``, or ``random``."""
 
 
 def build_figures(records: Iterable[TrialRecord]) -> dict[str, Any]:
@@ -202,20 +218,20 @@ def validate(
         raise InputError(
             "several workers, an engine, resume, baseline, minimize and record need the folder 'out'"
         )
-    subjects = choice.subjects_of(several, what.n_cars, what.n_blocks, what.max_steps)
+    subjects = subjects_of(several, what.n_cars, what.n_blocks, what.max_steps)
     n_cars = subjects[0].n_cars if subjects else 0
-    if plan == choice.AUTO:
-        pilots = [choice.replanning_pilot(replanning, subjects)]
+    if plan == AUTO:
+        pilots = [replanning_pilot(replanning, subjects)]
     elif plan is not None:
         read = plan if isinstance(plan, Plan) else read_plan(Path(plan), n_cars)
-        pilots = [choice.plan_pilot(read, order)]
+        pilots = [plan_pilot(read, order)]
     elif actions is not None:
-        pilots = [choice.plan_pilot(read_actions(Path(actions), n_cars), "sequential")]
+        pilots = [plan_pilot(read_actions(Path(actions), n_cars), "sequential")]
     else:
-        chosen = policy or (choice.PLAY if all(s.name == RANDOM for s in subjects) else choice.PLANNER)
+        chosen = policy or (PLAY if all(s.name == RANDOM for s in subjects) else PLANNER)
         named = [chosen] if isinstance(chosen, str) or callable(chosen) else list(chosen)
         asked = subjects, order, physics.rules, timeout_s
-        pilots = [choice.policy_pilot(one, *asked) for one in dict.fromkeys(named)]
+        pilots = [policy_pilot(one, *asked) for one in dict.fromkeys(named)]
     folder = None if out is None else Path(out)
     setup = physics.setup()
     config: dict[str, Any] = {
@@ -229,14 +245,14 @@ def validate(
         "setup": setup,
         "digests": setup.digests,
     }
-    choice.check_starts(subjects, setup, seed)
+    check_starts(subjects, setup, seed)
     terms = {"out": folder and folder.resolve(), "observers": tuple(observers), "record": record}
-    items = list(choice.items_of(subjects, pilots, trials, seed, setup, order=order, **terms))
-    form = BUILDS if plan == choice.AUTO else RUNS
+    items = list(items_of(subjects, pilots, trials, seed, setup, order=order, **terms))
+    form = BUILDS if plan == AUTO else RUNS
     experiment = Experiment("validate", seed, config, items, do_run, form, timeout_s)
     how = campaign.run(progress)
     earlier = read_earlier(experiment, folder, how)
-    if plan == choice.AUTO:
+    if plan == AUTO:
         # Fail before the run starts if nothing can be built; finding out may take long.
         rng, rules, rounds = np.random.default_rng(seed), Rules(setup.rules), replanning.rounds
         first = as_task(items[0].job.world).for_episode(rng)
@@ -247,7 +263,7 @@ def validate(
         comparison = None if earlier is None else compare_runs(earlier, session)
         smallest = () if minimize is None else minimize_failures(session, records, minimize)
         found: dict[str, Any] = {"coverage": coverage_of(records), "smallest": smallest}
-        if plan == choice.AUTO:
+        if plan == AUTO:
             found["builds"] = build_figures(records)
         session.write_report({"validation": figures, "paired": comparison, **found})
         if folder is not None:
@@ -287,14 +303,151 @@ def record_once(
 
     Raises InputError if there is no plan, and for an invalid file.
     """
-    subjects = choice.subjects_of([world])
+    subjects = subjects_of([world])
     if plan is None:
-        pilot = choice.policy_pilot(policy or choice.PLANNER, subjects, order, setup.rules)
+        pilot = policy_pilot(policy or PLANNER, subjects, order, setup.rules)
     elif policy is not None:
         raise InputError("plan and policy exclude each other")
     else:
-        pilot = choice.plan_pilot(read_plan(plan, subjects[0].n_cars), order)
-    (item,) = choice.items_of(subjects, [pilot], 1, seed, setup, order=order, record=True)
+        pilot = plan_pilot(read_plan(plan, subjects[0].n_cars), order)
+    (item,) = items_of(subjects, [pilot], 1, seed, setup, order=order, record=True)
     trajectory = roll_out(item.job).trajectory
     assert trajectory is not None
     return trajectory
+
+
+class RolloutWorld(NamedTuple):
+    """A world to run in."""
+
+    name: str
+    world: Task | str | RandomWorlds
+    digest: str
+    n_cars: int
+
+    @property
+    def has_goal(self) -> bool:
+        """Whether it has a goal."""
+        return not isinstance(self.world, RandomWorlds) and as_task(self.world).has_goal
+
+
+class PolicySpec(NamedTuple):
+    """A source of actions: a plan, an action list or a policy."""
+
+    name: str
+    digest: str
+    by: By
+    plans: Mapping[str, By] = {}
+
+
+def subjects_of(
+    worlds: Iterable[World],
+    n_cars: int | None = None,
+    n_blocks: int | None = None,
+    max_steps: int | None = None,
+) -> list[RolloutWorld]:
+    """Return the worlds for some references.
+
+    ``n_cars`` and ``n_blocks`` set the numbers of things placed at random, ``max_steps`` the length of an episode in
+    ``random`` worlds. Raises InputError for an unknown world, and for two of one name.
+    """
+    found = [_subject(world, n_cars, n_blocks, max_steps) for world in worlds]
+    for name, number in Counter(one.name for one in found).items():
+        if number > 1:
+            raise InputError(f"two worlds are called '{name}'; rename one, or run them one after the other")
+    return found
+
+
+def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None) -> RolloutWorld:
+    if isinstance(world, str) and world == RANDOM:
+        world = RandomWorlds(n_cars, n_blocks, RandomWorlds.max_steps if max_steps is None else max_steps)
+    if isinstance(world, RandomWorlds):
+        return RolloutWorld(RANDOM, world, _digest(repr(world).encode()), world.n_cars or MAX_CARS)
+    if isinstance(world, Grid):
+        world = free_play("grid", (parse_blueprint(blueprint_text(world), "grid"),))
+    if isinstance(world, str | Path) and (n_cars is not None or n_blocks is not None):
+        world = as_task(str(world), n_cars, n_blocks)
+    if isinstance(world, Task):
+        return RolloutWorld(world.name, world, world.digest, world.layout.n_cars)
+    name = str(resolved(world)) if exists(world) and world not in TASK_NAMES else str(world)
+    task = as_task(name)
+    digest = SHIPPED if name in TASK_NAMES else task.digest
+    return RolloutWorld(task.name, name, digest, task.layout.n_cars)
+
+
+def check_starts(subjects: Sequence[RolloutWorld], setup: Setup, seed: int) -> None:
+    """Raise StartError for a user's world in which solids overlap, and InputError for a skill for a missing car."""
+    for _, world, _, n_cars in subjects:
+        if isinstance(world, RandomWorlds):
+            continue
+        check_cars(setup.skills, n_cars)
+        if world not in TASK_NAMES:
+            start = as_task(world).draw(np.random.default_rng(seed))
+            check_start(PhysicsWorld(start, setup.simulation, machines=setup.machines))
+
+
+def plan_pilot(plan: Plan, order: PlanOrder) -> PolicySpec:
+    """Return the source of a fixed plan."""
+    said = (plan.ticks, *plan.after.items()) if plan.after else plan.ticks
+    steps = steps_of(plan.ticks, order, plan.after)
+    return PolicySpec(writable(plan.path.stem), _digest(repr(said).encode()), steps)
+
+
+def replanning_pilot(replanning: Replanning, subjects: Sequence[RolloutWorld]) -> PolicySpec:
+    """Return the source that plans, and plans again after a failure. Raises InputError for a world without a goal."""
+    for subject in subjects:
+        if not subject.has_goal:
+            raise InputError(f"{subject.name} has no goal to plan for; give a design with --goal")
+    return PolicySpec(AUTO, _digest(repr(replanning).encode()), replanning)
+
+
+def policy_pilot(
+    policy: str | Policy,
+    subjects: Sequence[RolloutWorld],
+    order: PlanOrder,
+    rules: RuleSet = "physical",
+    timeout_s: float = 600.0,
+) -> PolicySpec:
+    """Return the source of a policy; a user's policy is tried at the start of each world.
+
+    Raises InputError for an unknown policy, and for one that does not return an action for each agent in time.
+    """
+    if not isinstance(policy, str):
+        name = getattr(policy, "__name__", type(policy).__name__)
+        return PolicySpec(name, _digest(name.encode()), policy)
+    if policy == PLAY:
+        return PolicySpec(PLAY, SHIPPED, PLAY)
+    if policy != PLANNER:
+        own = exists(policy) and not is_shipped_policy(policy)
+        place = str(resolved(policy)) if own else policy
+        for _, world, _, _ in subjects:
+            task = world.task(np.random.default_rng(0)) if isinstance(world, RandomWorlds) else as_task(world)
+            check_policy(place, task, rules, timeout_s)
+        return PolicySpec(writable(policy), policy_digest(place), place)
+    for subject in subjects:
+        if not subject.has_goal:
+            raise InputError(
+                f"there is no shipped plan for {subject.name}, and no goal to plan for; "
+                "give a plan with --plan, or a --policy"
+            )
+    shipped = [subject for subject in subjects if subject.world in TASK_NAMES]
+    plans = {s.name: steps_of(read_plan(shipped_plan(s.name), s.n_cars).ticks, order) for s in shipped}
+    return PolicySpec(PLANNER, SHIPPED, PLANNER, plans)
+
+
+def items_of(
+    subjects: Sequence[RolloutWorld],
+    pilots: Sequence[PolicySpec],
+    trials: int,
+    seed: int,
+    setup: Setup,
+    **terms: Any,
+) -> Iterator[Trial]:
+    """Yield all trials: every source of actions in every world; ``terms`` are further fields of :class:`Run`."""
+    for episode, (name, world, *_), pilot in product(range(trials), subjects, pilots):
+        key, by = f"{name}/{pilot.name}/{episode:04d}", pilot.plans.get(name, pilot.by)
+        run = Run(key=key, world=world, by=by, episode=episode, seed=seed, setup=setup, **terms)
+        yield Trial(key, pilot.name, seed, run, name, episode)
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

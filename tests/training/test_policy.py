@@ -22,8 +22,8 @@ from craftsim.training.evaluation import Tally, choose_actions, evaluate
 from craftsim.training.features import Seen
 from craftsim.training.policy import SHIPPED, load_policy, policy_file, shipped_policies
 from craftsim.training.trainer import Trainer
-from craftsim.validation.choice import policy_pilot, subjects_of
 from craftsim.validation.policies import check_policy, make_policy, policy_digest
+from craftsim.validation.validation import policy_pilot, subjects_of
 
 DRAWS = 40_000
 

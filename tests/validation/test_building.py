@@ -15,7 +15,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, as_task
 from craftsim.errors import InputError
-from craftsim.validation.building import Building, read_building
+from craftsim.validation.rollout import Building, read_building
 
 RULE_SETS = ("published", "physical")
 COMPLEX = "complex_two_story"

@@ -6,9 +6,9 @@ import pytest
 from craftsim.checking.setup import setup_of
 from craftsim.experiments.bundle import read_bundle
 from craftsim.models.world import PhysicsWorld
-from craftsim.validation.choice import items_of, policy_pilot, subjects_of
 from craftsim.validation.policies import make_policy
 from craftsim.validation.rollout import do_run
+from craftsim.validation.validation import items_of, policy_pilot, subjects_of
 
 
 @pytest.fixture

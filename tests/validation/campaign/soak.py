@@ -20,9 +20,9 @@ import cheap_work
 from craftsim.checking.setup import setup_of
 from craftsim.experiments.experiment import Experiment, RunOptions, Trial, TrialRecord
 from craftsim.experiments.session import run_experiment
-from craftsim.validation.choice import PLAY, items_of, policy_pilot, subjects_of
 from craftsim.validation.policies import RANDOM
 from craftsim.validation.rollout import do_run
+from craftsim.validation.validation import PLAY, items_of, policy_pilot, subjects_of
 
 WORKERS = 2
 ALLOWED_MB = 30.0

@@ -7,8 +7,8 @@ parameters become options and its integer result the exit status. It is imported
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 from craftsim.cli.commands import COMMANDS, overview
 from craftsim.cli.text import discard_output, output_closed, print_error, print_safe, replace_unencodable
@@ -110,9 +110,28 @@ def _run(words: list[str]) -> int:
     function, bound = bind(words)
     ASKED.set(tuple(words))
     FOLDER.set(None)
-    status: int = function(*bound.args, **bound.kwargs)
+    try:
+        status: int = function(*bound.args, **bound.kwargs)
+    except (KeyboardInterrupt, ImportError) as error:
+        if not is_interrupt(error) or (isinstance(error, KeyboardInterrupt) and str(error)):
+            raise
+        bound.apply_defaults()
+        raise KeyboardInterrupt(_kept(bound.arguments)) from None
     write_config(words, function, bound, FOLDER.get())
     return status
+
+
+def _kept(arguments: Mapping[str, Any]) -> str:
+    """Return what an interrupt of a command says of the run in its folder; empty for a command without one."""
+    from craftsim.options import Work
+
+    out = arguments.get("out")
+    campaign = next((value for value in arguments.values() if isinstance(value, Work)), None)
+    if campaign is None or out is None:
+        return ""
+    from craftsim.experiments.session import interrupted_text
+
+    return interrupted_text(out, campaign.resume)
 
 
 def _complete(words: list[str]) -> int:

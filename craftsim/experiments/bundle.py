@@ -22,7 +22,7 @@ from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, check_recipe, do, limit_time, run_up, start
 from craftsim.checking.judge import Judge
 from craftsim.errors import InputError
-from craftsim.experiments.experiment import Failure, Result, Trial, TrialRecord
+from craftsim.experiments.experiment import Failure, Result, TrialRecord
 from craftsim.experiments.session import Session
 from craftsim.models.composition import world_spec
 from craftsim.models.config import SimulationConfig
@@ -209,16 +209,16 @@ def write_bundles(session: Session, recipes: Mapping[int, Callable[[], Recipe]])
     assert out is not None
     folders = {number: f"bundles/{number:05d}" for number in recipes}
     places = {number: out.resolve() / folder for number, folder in folders.items()}
-    items = [
-        Trial(records[number]["key"], "bundles", 0, (place, records[number], recipes[number]))
+    jobs = {
+        records[number]["key"]: (place, records[number], recipes[number])
         for number, place in places.items()
         if not (place / TEXT).exists()  # it is written last
-    ]
-    answers = session.map(None, items, _write_one, "writing replay bundles", timeout_s=BUNDLE_S)
-    for item, answer in zip(items, answers, strict=True):
+    }
+    answers = session.map(None, jobs, _write_one, "writing replay bundles", timeout_s=BUNDLE_S)
+    for key, answer in answers.items():
         if isinstance(answer, Failure):
             raise InputError(
-                f"no replay bundle of the trial '{item.key}': {answer.text}; all trials are kept in {out}: "
+                f"no replay bundle of the trial '{key}': {answer.text}; all trials are kept in {out}: "
                 "--resume tries the bundle again"
             )
     return folders

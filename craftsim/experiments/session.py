@@ -18,7 +18,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -30,7 +30,6 @@ from craftsim.experiments.experiment import (
     Experiment,
     Result,
     RunOptions,
-    Trial,
     TrialRecord,
     Work,
     answer_of,
@@ -46,11 +45,14 @@ from craftsim.workers.pool import Failure, Pool
 SCHEMA_VERSION: Final = 2
 ALONE: Final = RunOptions()
 """One local process, no resume."""
+_GOES_ON: Final = "interrupted: {}; the same command with --resume goes on"
 _ASIDE: Final = tuple(f"{store.DATABASE}-{name}" for name in ("journal", "wal", "shm"))
 _FILES: Final = ("report.json", "report.html", "durations.csv")
 _FOLDERS: Final = ("bundles", "films", "trajectories", "worlds", "smallest")
 """Further output of a run, removed when another run starts in its folder."""
 _PAGE: Final = 1024
+_OPENED: Final = set[Path]()
+"""Folders of the runs that this process has begun or resumed."""
 
 
 @contextmanager
@@ -80,12 +82,24 @@ def open_session(experiment: Experiment, out: Path | None, options: RunOptions =
                 )
                 session = Session(experiment, out, options, manifest, database)
                 closing.callback(session.close)
+                _OPENED.add(out)
             yield session
     except (KeyboardInterrupt, ImportError) as error:
         if not is_interrupt(error):
             raise
         state = f"what was finished is kept in {out}" if session is None else session.state
-        raise KeyboardInterrupt(f"interrupted: {state}; the same command with --resume goes on") from None
+        raise KeyboardInterrupt(_GOES_ON.format(state)) from None
+
+
+def interrupted_text(out: Path, resumes: bool) -> str:
+    """Return what an interrupt before or after a session says; empty if the folder holds no run of this command."""
+    path = out / store.DATABASE
+    if (resumes or out in _OPENED) and path.is_file():
+        with contextlib.suppress(sqlite3.Error, InputError), contextlib.closing(_locked(path)) as database:
+            ((kept,),) = database.execute("SELECT count(*) FROM trials")
+            n = store.stored_manifest(database, path)["items"]
+            return _GOES_ON.format(f"{kept} of {n} trials are kept in {out}")
+    return ""
 
 
 def run_experiment(experiment: Experiment, out: Path | None, options: RunOptions = ALONE) -> store.Records:
@@ -139,7 +153,7 @@ class Session:
             for number, done in enumerate(self._done):
                 if done:
                     on_record(self.records[number])
-            for record in self._try(range(len(self._done)), self.experiment.items):
+            for record in self._try(range(len(self._done)), lambda number: self.experiment.items[number].job):
                 on_record(record)
         return self.records
 
@@ -153,18 +167,17 @@ class Session:
         for number in jobs:
             if self._done[number]:
                 on_record(self.records[number])
-        items = {number: replace(self.experiment.items[number], job=job) for number, job in jobs.items()}
-        for record in self._try(jobs, items):
+        for record in self._try(jobs, jobs.__getitem__):
             if record["error"] is not None:
                 raise InputError(f"{record['key']}: {record['error']}; --resume tries it again")
             on_record(record)
         return [self.records[number] for number in jobs]
 
-    def _try(self, numbers: Iterable[int], items: Any) -> Iterator[TrialRecord]:
-        """Run the trials of these numbers that have no result; ``items`` are trials by number."""
+    def _try(self, numbers: Iterable[int], job_of: Callable[[int], Any]) -> Iterator[TrialRecord]:
+        """Run the trials of these numbers that have no result, each with its job."""
         experiment, missing = self.experiment, [number for number in numbers if not self._done[number]]
         work, limits = experiment.work, (experiment.timeout_s, experiment.batch)
-        for number, answer in self._answers(missing, items, work, *limits):
+        for number, answer in self._answers(missing, job_of, work, *limits):
             text = text_of(experiment.items[number], number, answer)
             with defer_sigint():
                 self._keep("INSERT INTO trials VALUES (?, ?)", number, text)
@@ -177,35 +190,34 @@ class Session:
     def map(
         self,
         stage: str | None,
-        items: Sequence[Trial],
+        jobs: Mapping[str, Any],
         work: Work,
         doing: str,
         *,
         timeout_s: float,
-        on_answer: Callable[[int, Answer], None] = lambda number, answer: None,
-    ) -> list[Answer]:
-        """Run a further stage, such as bundles or films, and return the answers; finished items are not repeated.
+        on_answer: Callable[[str, Answer], None] = lambda key, answer: None,
+    ) -> dict[str, Answer]:
+        """Run the jobs of a further stage, such as bundles, and return the answers; finished ones are not repeated.
 
-        The items' keys are unique in a ``stage``; it is None if the output on disk tells which items are done, and only
-        the others are given. ``doing`` describes it in messages; a worker is killed after ``timeout_s``. ``on_answer``
-        is called with the index and answer of each item as it finishes. Raises InputError if the disk is full or the
-        cluster is invalid.
+        A ``stage`` is None if the output on disk tells which jobs are done, and only the others are given. ``doing``
+        describes it in messages; a worker is killed after ``timeout_s``. ``on_answer`` is called with the key and the
+        answer of each job as it finishes. Raises InputError if the disk is full or the cluster is invalid.
         """
-        self._doing, answers = doing, dict[int, Answer]()
+        self._doing, answers = doing, dict[str, Answer]()
         query = "SELECT answer FROM further WHERE stage = ? AND key = ?"
-        for number, item in enumerate(items):
-            for (text,) in self._database.execute(query, (stage, item.key)).fetchall():
-                answers[number] = Result(**json.loads(text))
-                on_answer(number, answers[number])
-        missing = [number for number in range(len(items)) if number not in answers]
-        for number, answer in self._answers(missing, items, work, timeout_s, 1):
+        for key in jobs:
+            for (text,) in self._database.execute(query, (stage, key)).fetchall():
+                answers[key] = Result(**json.loads(text))
+                on_answer(key, answers[key])
+        missing = [key for key in jobs if key not in answers]
+        for key, answer in self._answers(missing, jobs.__getitem__, work, timeout_s, 1):
             if stage is not None and isinstance(answer, Result):
                 text = json.dumps(asdict(answer))
-                self._keep("INSERT OR REPLACE INTO further VALUES (?, ?, ?)", stage, items[number].key, text)
-            answers[number] = answer
-            on_answer(number, answer)
+                self._keep("INSERT OR REPLACE INTO further VALUES (?, ?, ?)", stage, key, text)
+            answers[key] = answer
+            on_answer(key, answer)
         self._doing = ""
-        return [answers[number] for number in range(len(items))]
+        return {key: answers[key] for key in jobs}
 
     def write_report(self, figures: Mapping[str, Any]) -> None:
         """Write ``report.json`` into the folder, if there is one."""
@@ -261,26 +273,26 @@ class Session:
                 file.writelines(f"{text}\n" for _, text in store.texts(self._database, start, start + _PAGE))
 
     def _answers(
-        self, numbers: Sequence[int], items: Any, work: Work, timeout_s: float, batch: int
-    ) -> Iterator[tuple[int, Answer]]:
-        """Yield the answers to the items of these numbers; no worker is started if there are none."""
-        jobs = ((number, items[number].job) for number in numbers)
+        self, keys: Sequence[Any], job_of: Callable[[Any], Any], work: Work, timeout_s: float, batch: int
+    ) -> Iterator[tuple[Any, Answer]]:
+        """Yield the answers to the jobs of these keys; no worker is started if there are none."""
+        jobs = ((key, job_of(key)) for key in keys)
         if self.out is None:
-            yield from ((number, answer_of(work, job, interruptible=True)) for number, job in jobs)
-        elif numbers:
+            yield from ((key, answer_of(work, job, interruptible=True)) for key, job in jobs)
+        elif keys:
             if self._pool is None:
                 self._pool = Pool(self.options.workers, self.options.engine)
             work_on = partial(_answer, work)
-            for (number, _), answer in self._pool.map_unordered(work_on, jobs, timeout_s, batch):
+            for (key, _), answer in self._pool.map_unordered(work_on, jobs, timeout_s, batch):
                 if isinstance(answer, Failure) and answer.stops:
                     raise InputError(
                         f"{answer.text}; what was finished is kept in {self.out}: make room, then --resume"
                     )
-                yield number, answer
+                yield key, answer
 
 
-def _answer(work: Work, numbered: tuple[int, Any]) -> Answer:
-    return answer_of(work, numbered[1])
+def _answer(work: Work, keyed: tuple[Any, Any]) -> Answer:
+    return answer_of(work, keyed[1])
 
 
 def _manifest(experiment: Experiment) -> dict[str, Any]:

@@ -19,7 +19,6 @@ from craftsim.checking.attempt import Verdict
 from craftsim.checking.episode import Recipe, do, run_up
 from craftsim.checking.setup import Seed, Setup, compile_world, set_up
 from craftsim.discrete.files.blueprint import blueprint_text
-from craftsim.discrete.rules import RuleSet
 from craftsim.errors import StartError
 from craftsim.experiments.bundle import write_bundles
 from craftsim.experiments.compare import Comparison, compare_runs, read_earlier
@@ -290,14 +289,6 @@ def judged_by_rules(records: Iterable[TrialRecord]) -> Iterable[TrialRecord]:
     return RecordView(records, lambda some: (one for one in some if not one["group"].endswith(_AT_ONCE)))
 
 
-def corrected(
-    rows: Iterable[AuditRow], plan: Sequence[PlanRow], rules: RuleSet
-) -> dict[str, tuple[str, ...]]:
-    """Return the corrections that concern each unsound row, by its name."""
-    unsound = {row.name for row in rows if row.verdict == RuleVerdict.UNSOUND}
-    return corrections((row for row in plan if row.name in unsound), rules)
-
-
 def run_audit(
     plan: Sequence[PlanRow],
     setup: Setup,
@@ -330,7 +321,9 @@ def run_audit(
         every = audit_rows(records)
         together = tuple(row for row in every if row.context.endswith(_AT_ONCE))
         rows = tuple(row for row in every if row not in together)
-        suspects, corrects = find(rows, together), corrected(rows, plan, setup.rules)
+        suspects = find(rows, together)
+        unsound = {row.name for row in rows if row.verdict == RuleVerdict.UNSOUND}
+        corrects = corrections((row for row in plan if row.name in unsound), setup.rules)
         figures = campaign_figures(judged_by_rules(records), seed)
         comparison = None if earlier is None else compare_runs(earlier, session, judged_by_rules)
         planned = {row.name: row for row in plan}

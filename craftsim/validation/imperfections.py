@@ -1,16 +1,18 @@
 """The imperfections that can be varied: every numeric field of a DomainRandomization and of its parts.
 
-Fields in :data:`_SAID` have a name, a largest value or companions given there; any other field, including one added
-later, takes them from its name and unit.
+Fields in ``craftsim/data/imperfections.yaml`` have a name, a largest value or companions given there; any other field,
+including one added later, takes them from its name and unit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cache, reduce
+from functools import cache
+from operator import attrgetter
 from typing import Any, Final
 
+from craftsim.audit.situation import shipped
 from craftsim.errors import InputError, suggestion
 from craftsim.models.randomization import NONE, DomainRandomization
 
@@ -64,7 +66,7 @@ class Imperfection:
 
     def value(self, base: DomainRandomization) -> float:
         """Return the value in a nominal randomization."""
-        return float(reduce(getattr, self.figure.split("."), base))  # type: ignore[arg-type]
+        return float(attrgetter(self.figure)(base))
 
     def on(self, base: DomainRandomization, value: float) -> DomainRandomization:
         """Return the nominal randomization with this field set. Raises InputError for a value out of its range."""
@@ -77,38 +79,6 @@ class Imperfection:
         return f"{self.scale * value:.3g} {self.unit}"
 
 
-_SAID: Final[dict[str, tuple[str, float, dict[str, float | None]]]] = {
-    "motor": ("motor-strength", 0, {}),
-    "tilt_rad": ("floor-tilt", 0, {}),
-    "floor.lippage_m": ("", 0.005, {}),
-    "floor.unevenness_m": ("", 0.01, {}),
-    "floor.joint_m": ("joint-width", 0, {"floor.joint_depth_m": 0.001}),
-    "floor.joint_depth_m": ("joint-depth", 0.005, {"floor.joint_m": 0.005}),
-    "making.wheel_radius_m": ("", 0.001, {}),
-    "making.wheel_place_m": ("", 0.002, {}),
-    "making.board_m": ("board-height", 0.002, {}),
-    "making.board_place_m": ("board-place", 0.005, {}),
-    "making.foot_m": ("leg-length", 0.002, {}),
-    "making.underside_m": ("underside-height", 0.002, {}),
-    "making.pocket_m": ("pocket-place", 0.005, {}),
-    "sensors.position_m": ("position-noise", 0, {}),
-    "sensors.heading_rad": ("heading-noise", 0, {}),
-    "sensors.position_drift_m": ("", 0.01, {}),
-    "sensors.heading_drift_rad": ("", 0.02, {}),
-    "sensors.max_delay_s": ("delay", 0, {"sensors.min_delay_s": None}),
-    "sensors.localisation_period_s": ("", 0.5, {}),
-    "sensors.lost_share": ("lost-localisations", 0, {}),
-    "sensors.outlier_share": ("outliers", 0.2, {"sensors.outlier_m": 0.05}),
-    "sensors.outlier_m": ("outlier-size", 0.2, {"sensors.outlier_share": 0.02}),
-    "sensors.encoder_step_rad": ("", 0.2, {}),
-    "sensors.tilt_rad": ("tilt-noise", 0, {}),
-    "sensors.board_m": ("board-height-noise", 0.001, {}),
-    "sensors.board_bias_m": ("board-height-bias", 0.002, {}),
-    "sensors.board_force_n": ("board-force-noise", 0, {}),
-    "sensors.hinge_rad": ("hinge-noise", 0, {}),
-    "sensors.undocked_share": ("lost-plug-contact", 0, {}),
-}
-"""By field: name, largest value and companions, where they differ from the defaults."""
 DEFAULT_IMPERFECTIONS: Final = (
     *("lippage", "unevenness", "floor-tilt", "friction", "mass", "motor-strength", "backlash", "motor-lag"),
     *("wheel-radius", "underside-height", "pocket-place", "position-noise", "heading-noise", "position-bias"),
@@ -120,14 +90,15 @@ ALL: Final = "all"
 @cache
 def imperfections() -> dict[str, Imperfection]:
     """Return all imperfections by name, in the order of the fields."""
-    found = {}
+    found, said = {}, shipped("imperfections.yaml")
     for figure in _figures(NONE):
-        name, largest, also = _SAID.get(figure, ("", 0, {}))
+        own = said.get(figure, {})
         ending = next(end for end in _UNITS if figure.endswith(end))
         unit, scale, usual = _UNITS[ending]
-        name = name or figure.rpartition(".")[2].removesuffix(ending).replace("_", "-")
+        name = own.get("name", figure.rpartition(".")[2].removesuffix(ending).replace("_", "-"))
         if figure not in _SHAPES:
-            found[name] = Imperfection(name, figure, unit, scale, largest or usual, tuple(also.items()))
+            largest, also = own.get("largest", usual), tuple(own.get("also", {}).items())
+            found[name] = Imperfection(name, figure, unit, scale, largest, also)
     return found
 
 

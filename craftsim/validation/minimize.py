@@ -25,7 +25,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import Bundle, read_bundle
-from craftsim.experiments.experiment import Answer, Failure, Result, Trial, TrialRecord
+from craftsim.experiments.experiment import Answer, Failure, Result, TrialRecord
 from craftsim.experiments.session import Session
 from craftsim.models.randomization import NONE
 from craftsim.storage.folders import directory_within
@@ -272,21 +272,18 @@ def minimize_failures(
     session: Session, records: Iterable[TrialRecord], progress: MinimizeProgress
 ) -> tuple[Counterexample, ...]:
     """Minimize the first failure of each kind that has a replay bundle, and write its world into :data:`FOLDER`."""
-    bundles = list(first_of_each_kind(records).values())
+    bundles = first_of_each_kind(records).values()
     if not bundles or session.out is None:
         return ()
     out = session.out.resolve()
-    items = [
-        Trial(bundle, FOLDER, 0, (out, bundle, f"{FOLDER}/{number:02d}"))
-        for number, bundle in enumerate(bundles)
-    ]
-    with progress(len(items)) as on_each:
+    jobs = {bundle: (out, bundle, f"{FOLDER}/{number:02d}") for number, bundle in enumerate(bundles)}
+    with progress(len(jobs)) as on_each:
         answers = session.map(
-            *(FOLDER, items, _minimize, "looking for the smallest worlds"),
+            *(FOLDER, jobs, _minimize, "looking for the smallest worlds"),
             timeout_s=_TIMEOUT_S,
-            on_answer=lambda number, answer: on_each(_shrunk(bundles[number], answer)),
+            on_answer=lambda bundle, answer: on_each(_minimized(bundle, answer)),
         )
-    return tuple(_shrunk(bundle, answer) for bundle, answer in zip(bundles, answers, strict=True))
+    return tuple(_minimized(bundle, answer) for bundle, answer in answers.items())
 
 
 def kind_of(reason: str) -> str:
@@ -312,7 +309,7 @@ def _minimize(job: tuple[Path, str, str]) -> Result:
     )
 
 
-def _shrunk(bundle: str, answer: Answer) -> Counterexample:
+def _minimized(bundle: str, answer: Answer) -> Counterexample:
     if isinstance(answer, Failure):
         return Counterexample(bundle, answer.text, "")
     cells = answer.extra["cells"]

@@ -4,7 +4,6 @@ import errno
 import os
 import signal
 import time
-from dataclasses import replace
 from pathlib import Path
 
 from craftsim.experiments.experiment import Experiment, Result, Trial
@@ -53,11 +52,6 @@ def work(job):
             mark.touch()
             time.sleep(3600)
     return Result(True, [{"sum": number / 3}], extra={"number": number})
-
-
-def left_in(folder, item):
-    """Return an item of work that leaves a file in a folder."""
-    return replace(item, job=(folder, item.job))
 
 
 def leave(job):

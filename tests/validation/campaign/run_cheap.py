@@ -23,10 +23,10 @@ def cheap(resume: bool = False) -> int:
 
 def after(resume: bool = False) -> int:
     """Do what a finished run still needs; each item leaves a file."""
-    items = [cheap_work.left_in(OUT, item) for item in ITEMS]
+    jobs = {item.key: (OUT, item.job) for item in ITEMS}
     with open_session(cheap_work.experiment(1), OUT, RunOptions(workers=2, resume=resume)) as session:
         session.run()
-        session.map(None, items, cheap_work.leave, "leaving files", timeout_s=60.0)
+        session.map(None, jobs, cheap_work.leave, "leaving files", timeout_s=60.0)
     return 0
 
 

@@ -68,26 +68,27 @@ def test_a_full_disk_in_a_worker_stops_the_campaign_and_resume_tries_again_what_
 def _map(out, items, options=RunOptions(workers=2), **more):  # noqa: B008
     with open_session(cheap_work.experiment(1), out, options) as session:
         session.run()
-        return session.map("more", items, cheap_work.work, "testing", timeout_s=1.0, **more)
+        jobs = {item.key: item.job for item in items}
+        return session.map("more", jobs, cheap_work.work, "testing", timeout_s=1.0, **more)
 
 
 def test_a_stage_has_an_answer_for_each_item_and_what_was_done_is_not_done_again(tmp_path):
     seen = []
     items = cheap_work.items(4, i1="raise", i3="hang")
-    answers = _map(tmp_path, items, on_answer=lambda number, answer: seen.append(number))
-    assert sorted(seen) == list(range(4))
-    failures = {i: a.text for i, a in enumerate(answers) if isinstance(a, Failure)}
-    assert failures == {1: "ValueError: no 1\nin two lines", 3: "no answer within 1 s"}
+    answers = _map(tmp_path, items, on_answer=lambda key, answer: seen.append(key))
+    assert sorted(seen) == [item.key for item in items] == list(answers)
+    failures = {key: a.text for key, a in answers.items() if isinstance(a, Failure)}
+    assert failures == {"item 1": "ValueError: no 1\nin two lines", "item 3": "no answer within 1 s"}
     again = _map(tmp_path, cheap_work.items(4, i0="die", i2="die"), RunOptions(resume=True))
-    assert [again[0], again[2]] == [answers[0], answers[2]]
-    assert again[1] == Result(True, [{"sum": 1 / 3}], extra={"number": 1})
+    assert all(again[key] == answers[key] for key in ("item 0", "item 2"))
+    assert again["item 1"] == Result(True, [{"sum": 1 / 3}], extra={"number": 1})
     with pytest.raises(InputError, match=r"bundles/one: No space left on device; .*--resume"):
         _map(tmp_path / "full", cheap_work.items(3, i1="disk"))
 
 
 def test_nothing_to_do_starts_no_worker(tmp_path):
     with open_session(cheap_work.experiment(0), tmp_path) as session:
-        assert session.map("more", [], cheap_work.work, "testing", timeout_s=1.0) == []
+        assert session.map("more", {}, cheap_work.work, "testing", timeout_s=1.0) == {}
         assert session._pool is None
 
 
@@ -166,7 +167,7 @@ def test_a_campaign_whose_workers_or_itself_are_killed_or_interrupted_goes_on_to
     assert (out / "trials.jsonl").read_bytes() == (tmp_path / "undisturbed" / "trials.jsonl").read_bytes()
 
 
-def _interrupt(*_):
+def _interrupt(*_, **__):
     signal.raise_signal(signal.SIGINT)
 
 
@@ -200,6 +201,34 @@ def test_an_interrupt_says_what_is_kept_wherever_it_comes(place, fails, kept, tm
         _run(tmp_path, 3)
     monkeypatch.undo()
     assert [record["agrees"] for record in _run(tmp_path, 3, resume=True)] == [True] * 3
+
+
+def test_an_interrupt_before_or_after_the_session_says_what_is_kept_too(tmp_path, capsys, monkeypatch):
+    from craftsim import cli
+    from craftsim.validation import report, validation
+
+    words = [
+        "validate",
+        "strip",
+        "--trials",
+        "1",
+        "--drive",
+        "reduced",
+        "--randomize",
+        "none",
+        "--video",
+        "none",
+        "--out",
+    ]
+    said = f"interrupted: 1 of 1 trials are kept in {tmp_path}; the same command with --resume goes on"
+    monkeypatch.setattr(report, "validation_report", _interrupt)
+    assert cli.main([*words, str(tmp_path)]) == 130
+    assert capsys.readouterr().err.endswith(f"craftsim: {said}\n")
+    monkeypatch.setattr(validation, "validate", _interrupt)
+    assert cli.main([*words, str(tmp_path), "--resume"]) == 130
+    assert capsys.readouterr().err == f"craftsim: {said}\n"
+    assert cli.main([*words, str(tmp_path / "new")]) == 130
+    assert capsys.readouterr().err == "craftsim: interrupted\n"
 
 
 def test_a_terminated_stage_leaves_no_workers_behind_and_killed_ones_are_replaced(tmp_path):

@@ -17,7 +17,7 @@ from craftsim.rendering.render import render_frames
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import show_at
 from craftsim.validation.rollout import do_run
-from craftsim.validation.validation import PLANNER, items_of, policy_pilot, record_once, subjects_of
+from craftsim.validation.validation import PLANNER, items_of, policy_source, record_once, rollout_worlds
 
 TASK = "simple_two_story"
 FRAMES = 60
@@ -72,8 +72,8 @@ def test_sixty_frames(benchmark, tmp_path, what, quality):
 @pytest.mark.parametrize("record", [False, True])
 def test_recording_a_run(benchmark, tmp_path, drive, record):
     """CPU time of a run with and without what is recorded of it, its files included."""
-    subjects = subjects_of([TASK])
-    pilot = policy_pilot(PLANNER, subjects, "concurrent")
+    worlds = rollout_worlds([TASK])
+    source = policy_source(PLANNER, worlds, "concurrent")
     setup = setup_of("none", "physical", drive=drive)
-    (item,) = items_of(subjects, [pilot], 1, 0, setup, out=tmp_path, record=record)
+    (item,) = items_of(worlds, [source], 1, 0, setup, out=tmp_path, record=record)
     benchmark.pedantic(do_run, args=(item.job,), rounds=5, warmup_rounds=1)

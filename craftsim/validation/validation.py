@@ -218,25 +218,25 @@ def validate(
         raise InputError(
             "several workers, an engine, resume, baseline, minimize and record need the folder 'out'"
         )
-    subjects = subjects_of(several, what.n_cars, what.n_blocks, what.max_steps)
-    n_cars = subjects[0].n_cars if subjects else 0
+    every = rollout_worlds(several, what.n_cars, what.n_blocks, what.max_steps)
+    n_cars = every[0].n_cars if every else 0
     if plan == AUTO:
-        pilots = [replanning_pilot(replanning, subjects)]
+        sources = [replanning_source(replanning, every)]
     elif plan is not None:
         read = plan if isinstance(plan, Plan) else read_plan(Path(plan), n_cars)
-        pilots = [plan_pilot(read, order)]
+        sources = [plan_source(read, order)]
     elif actions is not None:
-        pilots = [plan_pilot(read_actions(Path(actions), n_cars), "sequential")]
+        sources = [plan_source(read_actions(Path(actions), n_cars), "sequential")]
     else:
-        chosen = policy or (PLAY if all(s.name == RANDOM for s in subjects) else PLANNER)
+        chosen = policy or (PLAY if all(one.name == RANDOM for one in every) else PLANNER)
         named = [chosen] if isinstance(chosen, str) or callable(chosen) else list(chosen)
-        asked = subjects, order, physics.rules, timeout_s
-        pilots = [policy_pilot(one, *asked) for one in dict.fromkeys(named)]
+        asked = every, order, physics.rules, timeout_s
+        sources = [policy_source(one, *asked) for one in dict.fromkeys(named)]
     folder = None if out is None else Path(out)
     setup = physics.setup()
     config: dict[str, Any] = {
-        "worlds": {subject.name: subject.digest for subject in subjects},
-        "by": {pilot.name: pilot.digest for pilot in pilots},
+        "worlds": {one.name: one.digest for one in every},
+        "by": {one.name: one.digest for one in sources},
         "trials": trials,
         "randomize": str(physics.randomize),
         "rules": physics.rules,
@@ -245,9 +245,9 @@ def validate(
         "setup": setup,
         "digests": setup.digests,
     }
-    check_starts(subjects, setup, seed)
+    check_starts(every, setup, seed)
     terms = {"out": folder and folder.resolve(), "observers": tuple(observers), "record": record}
-    items = list(items_of(subjects, pilots, trials, seed, setup, order=order, **terms))
+    items = list(items_of(every, sources, trials, seed, setup, order=order, **terms))
     form = BUILDS if plan == AUTO else RUNS
     experiment = Experiment("validate", seed, config, items, do_run, form, timeout_s)
     how = campaign.run(progress)
@@ -303,14 +303,14 @@ def record_once(
 
     Raises InputError if there is no plan, and for an invalid file.
     """
-    subjects = subjects_of([world])
+    every = rollout_worlds([world])
     if plan is None:
-        pilot = policy_pilot(policy or PLANNER, subjects, order, setup.rules)
+        source = policy_source(policy or PLANNER, every, order, setup.rules)
     elif policy is not None:
         raise InputError("plan and policy exclude each other")
     else:
-        pilot = plan_pilot(read_plan(plan, subjects[0].n_cars), order)
-    (item,) = items_of(subjects, [pilot], 1, seed, setup, order=order, record=True)
+        source = plan_source(read_plan(plan, every[0].n_cars), order)
+    (item,) = items_of(every, [source], 1, seed, setup, order=order, record=True)
     trajectory = roll_out(item.job).trajectory
     assert trajectory is not None
     return trajectory
@@ -330,7 +330,7 @@ class RolloutWorld(NamedTuple):
         return not isinstance(self.world, RandomWorlds) and as_task(self.world).has_goal
 
 
-class PolicySpec(NamedTuple):
+class ActionSource(NamedTuple):
     """A source of actions: a plan, an action list or a policy."""
 
     name: str
@@ -339,7 +339,7 @@ class PolicySpec(NamedTuple):
     plans: Mapping[str, By] = {}
 
 
-def subjects_of(
+def rollout_worlds(
     worlds: Iterable[World],
     n_cars: int | None = None,
     n_blocks: int | None = None,
@@ -350,14 +350,16 @@ def subjects_of(
     ``n_cars`` and ``n_blocks`` set the numbers of things placed at random, ``max_steps`` the length of an episode in
     ``random`` worlds. Raises InputError for an unknown world, and for two of one name.
     """
-    found = [_subject(world, n_cars, n_blocks, max_steps) for world in worlds]
+    found = [_rollout_world(world, n_cars, n_blocks, max_steps) for world in worlds]
     for name, number in Counter(one.name for one in found).items():
         if number > 1:
             raise InputError(f"two worlds are called '{name}'; rename one, or run them one after the other")
     return found
 
 
-def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None) -> RolloutWorld:
+def _rollout_world(
+    world: World, n_cars: int | None, n_blocks: int | None, max_steps: int | None
+) -> RolloutWorld:
     if isinstance(world, str) and world == RANDOM:
         world = RandomWorlds(n_cars, n_blocks, RandomWorlds.max_steps if max_steps is None else max_steps)
     if isinstance(world, RandomWorlds):
@@ -374,9 +376,9 @@ def _subject(world: World, n_cars: int | None, n_blocks: int | None, max_steps: 
     return RolloutWorld(task.name, name, digest, task.layout.n_cars)
 
 
-def check_starts(subjects: Sequence[RolloutWorld], setup: Setup, seed: int) -> None:
+def check_starts(worlds: Sequence[RolloutWorld], setup: Setup, seed: int) -> None:
     """Raise StartError for a user's world in which solids overlap, and InputError for a skill for a missing car."""
-    for _, world, _, n_cars in subjects:
+    for _, world, _, n_cars in worlds:
         if isinstance(world, RandomWorlds):
             continue
         check_cars(setup.skills, n_cars)
@@ -385,68 +387,68 @@ def check_starts(subjects: Sequence[RolloutWorld], setup: Setup, seed: int) -> N
             check_start(PhysicsWorld(start, setup.simulation, machines=setup.machines))
 
 
-def plan_pilot(plan: Plan, order: PlanOrder) -> PolicySpec:
+def plan_source(plan: Plan, order: PlanOrder) -> ActionSource:
     """Return the source of a fixed plan."""
     said = (plan.ticks, *plan.after.items()) if plan.after else plan.ticks
     steps = steps_of(plan.ticks, order, plan.after)
-    return PolicySpec(writable(plan.path.stem), _digest(repr(said).encode()), steps)
+    return ActionSource(writable(plan.path.stem), _digest(repr(said).encode()), steps)
 
 
-def replanning_pilot(replanning: Replanning, subjects: Sequence[RolloutWorld]) -> PolicySpec:
+def replanning_source(replanning: Replanning, worlds: Sequence[RolloutWorld]) -> ActionSource:
     """Return the source that plans, and plans again after a failure. Raises InputError for a world without a goal."""
-    for subject in subjects:
-        if not subject.has_goal:
-            raise InputError(f"{subject.name} has no goal to plan for; give a design with --goal")
-    return PolicySpec(AUTO, _digest(repr(replanning).encode()), replanning)
+    for one in worlds:
+        if not one.has_goal:
+            raise InputError(f"{one.name} has no goal to plan for; give a design with --goal")
+    return ActionSource(AUTO, _digest(repr(replanning).encode()), replanning)
 
 
-def policy_pilot(
+def policy_source(
     policy: str | Policy,
-    subjects: Sequence[RolloutWorld],
+    worlds: Sequence[RolloutWorld],
     order: PlanOrder,
     rules: RuleSet = "physical",
     timeout_s: float = 600.0,
-) -> PolicySpec:
+) -> ActionSource:
     """Return the source of a policy; a user's policy is tried at the start of each world.
 
     Raises InputError for an unknown policy, and for one that does not return an action for each agent in time.
     """
     if not isinstance(policy, str):
         name = getattr(policy, "__name__", type(policy).__name__)
-        return PolicySpec(name, _digest(name.encode()), policy)
+        return ActionSource(name, _digest(name.encode()), policy)
     if policy == PLAY:
-        return PolicySpec(PLAY, SHIPPED, PLAY)
+        return ActionSource(PLAY, SHIPPED, PLAY)
     if policy != PLANNER:
         own = exists(policy) and not is_shipped_policy(policy)
         place = str(resolved(policy)) if own else policy
-        for _, world, _, _ in subjects:
+        for _, world, _, _ in worlds:
             task = world.task(np.random.default_rng(0)) if isinstance(world, RandomWorlds) else as_task(world)
             check_policy(place, task, rules, timeout_s)
-        return PolicySpec(writable(policy), policy_digest(place), place)
-    for subject in subjects:
-        if not subject.has_goal:
+        return ActionSource(writable(policy), policy_digest(place), place)
+    for one in worlds:
+        if not one.has_goal:
             raise InputError(
-                f"there is no shipped plan for {subject.name}, and no goal to plan for; "
+                f"there is no shipped plan for {one.name}, and no goal to plan for; "
                 "give a plan with --plan, or a --policy"
             )
-    shipped = [subject for subject in subjects if subject.world in TASK_NAMES]
+    shipped = [one for one in worlds if one.world in TASK_NAMES]
     plans = {s.name: steps_of(read_plan(shipped_plan(s.name), s.n_cars).ticks, order) for s in shipped}
-    return PolicySpec(PLANNER, SHIPPED, PLANNER, plans)
+    return ActionSource(PLANNER, SHIPPED, PLANNER, plans)
 
 
 def items_of(
-    subjects: Sequence[RolloutWorld],
-    pilots: Sequence[PolicySpec],
+    worlds: Sequence[RolloutWorld],
+    sources: Sequence[ActionSource],
     trials: int,
     seed: int,
     setup: Setup,
     **terms: Any,
 ) -> Iterator[Trial]:
     """Yield all trials: every source of actions in every world; ``terms`` are further fields of :class:`Run`."""
-    for episode, (name, world, *_), pilot in product(range(trials), subjects, pilots):
-        key, by = f"{name}/{pilot.name}/{episode:04d}", pilot.plans.get(name, pilot.by)
+    for episode, (name, world, *_), source in product(range(trials), worlds, sources):
+        key, by = f"{name}/{source.name}/{episode:04d}", source.plans.get(name, source.by)
         run = Run(key=key, world=world, by=by, episode=episode, seed=seed, setup=setup, **terms)
-        yield Trial(key, pilot.name, seed, run, name, episode)
+        yield Trial(key, source.name, seed, run, name, episode)
 
 
 def _digest(data: bytes) -> str:

@@ -23,7 +23,7 @@ from craftsim.training.features import Seen
 from craftsim.training.policy import SHIPPED, load_policy, policy_file, shipped_policies
 from craftsim.training.trainer import Trainer
 from craftsim.validation.policies import check_policy, make_policy, policy_digest
-from craftsim.validation.validation import policy_pilot, subjects_of
+from craftsim.validation.validation import policy_source, rollout_worlds
 
 DRAWS = 40_000
 
@@ -240,8 +240,8 @@ def test_a_name_is_a_shipped_policy_where_there_is_no_such_file(tmp_path, monkey
     assert policy_file("random_strip") == SHIPPED / "random_strip.safetensors"
     (tmp_path / "random_block").mkdir()
     assert policy_file("random_block") == SHIPPED / "random_block.safetensors"
-    pilot = policy_pilot("random_block", subjects_of(["random_block@test"]), "sequential")
-    assert pilot.by == "random_block"
+    source = policy_source("random_block", rollout_worlds(["random_block@test"]), "sequential")
+    assert source.by == "random_block"
     (tmp_path / "random_block" / "policy.safetensors").write_text("no policy")
     with pytest.raises(InputError, match="not a file that"):
         make_policy("random_block", 0, task)

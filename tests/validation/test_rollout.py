@@ -8,7 +8,7 @@ from craftsim.experiments.bundle import read_bundle
 from craftsim.models.world import PhysicsWorld
 from craftsim.validation.policies import make_policy
 from craftsim.validation.rollout import do_run
-from craftsim.validation.validation import items_of, policy_pilot, subjects_of
+from craftsim.validation.validation import items_of, policy_source, rollout_worlds
 
 
 @pytest.fixture
@@ -16,9 +16,9 @@ def run_of(tmp_path):
     """Return the run of a policy on a task."""
 
     def make(place, policy):
-        subjects = subjects_of([place])
-        pilots = [policy_pilot(policy, subjects, "ticks")]
-        (item,) = items_of(subjects, pilots, 1, 3, setup_of(drive="reduced"), out=tmp_path)
+        worlds = rollout_worlds([place])
+        sources = [policy_source(policy, worlds, "ticks")]
+        (item,) = items_of(worlds, sources, 1, 3, setup_of(drive="reduced"), out=tmp_path)
         return item.job
 
     return make

@@ -22,7 +22,7 @@ from craftsim.experiments.experiment import Experiment, RunOptions, Trial, Trial
 from craftsim.experiments.session import run_experiment
 from craftsim.validation.policies import RANDOM
 from craftsim.validation.rollout import do_run
-from craftsim.validation.validation import PLAY, items_of, policy_pilot, subjects_of
+from craftsim.validation.validation import PLAY, items_of, policy_source, rollout_worlds
 
 WORKERS = 2
 ALLOWED_MB = 30.0
@@ -102,9 +102,9 @@ def main(minutes: float, cheap: int, warm: int, worlds_warm: int) -> None:
     until = time.monotonic() + 60 * minutes
     large = cheap_work.items(cheap, **{f"i{i}": "large" for i in range(cheap)})
     _soak("cheap trials with long records", large, cheap_work.work, Memory(warm, until), batch=5)
-    pilot = policy_pilot(PLAY, subjects_of([RANDOM], 1, None, 4), "ticks")
-    subjects, setup = subjects_of([RANDOM], 1, None, 4), setup_of("mild", "physical")
-    worlds = list(items_of(subjects, [pilot], 100_000, 0, setup, order="ticks"))
+    source = policy_source(PLAY, rollout_worlds([RANDOM], 1, None, 4), "ticks")
+    subjects, setup = rollout_worlds([RANDOM], 1, None, 4), setup_of("mild", "physical")
+    worlds = list(items_of(subjects, [source], 100_000, 0, setup, order="ticks"))
     _soak("random worlds in physics", worlds, do_run, Memory(worlds_warm, until))
 
 

@@ -41,9 +41,13 @@ ERRORS: Final = {
     "drift_m": "anything else from where it was left, mm",
 }
 """Errors of an attempt with their labels; older records lack some."""
-_TEXTS: Final = ("action", "verb", "load", "result", "finding")
-_NUMBERS: Final = ("tick", "car", "level", "duration_s", "peak_force_n", *ERRORS)
-_FLAGS: Final = ("slope", "legal", "performed")
+_TRIAL: Final = {"agrees": bool, "attempts": int, "grid": float, "physics": float}
+_ATTEMPT: Final = {
+    **dict.fromkeys(("trial", "number", "level"), int),
+    **dict.fromkeys(("slope", "legal", "performed"), bool),
+    **dict.fromkeys(("tick", "car", "duration_s", "peak_force_n", *ERRORS), float),
+}
+_TEXTS: Final = ("action", "verb", "load", "result", "finding", "group")
 _ROWS: Final = 10_000
 
 
@@ -56,15 +60,12 @@ def trials_frame(records: Iterable[TrialRecord]) -> DataFrame:
     """Return a row for each trial without error: ``group``, ``context``, ``agrees``, the number of ``attempts``, and
     its success in the grid world and in physics (``grid``, ``physics``; NaN if unknown)."""
     rows = (
-        (
-            *(r["agrees"], len(r["attempts"])),
-            *(r["extra"].get("grid_success"), r["extra"].get("physics_success")),
-            *(r["group"], str(r["context"])),
-        )
+        {"group": r["group"], "context": str(r["context"]), "agrees": r["agrees"]}
+        | {"attempts": len(r["attempts"])}
+        | {name: r["extra"].get(f"{name}_success") for name in ("grid", "physics")}
         for r in carried_out(records)
     )
-    frame = _frame(rows, ("agrees", "attempts", "grid", "physics"), ("group", "context"))
-    return frame.astype({"agrees": bool, "attempts": int})
+    return _frame(rows, _TRIAL, ("group", "context"))
 
 
 def attempts_frame(records: Iterable[TrialRecord]) -> DataFrame:
@@ -74,17 +75,11 @@ def attempts_frame(records: Iterable[TrialRecord]) -> DataFrame:
     Missing values are NaN. Texts are categories in alphabetical order.
     """
     rows = (
-        (
-            *(trial, number),
-            *(attempt.get(name) for name in (*_NUMBERS, *_FLAGS)),
-            *(str(attempt[name]) for name in _TEXTS),
-            record["group"],
-        )
+        {**attempt, "trial": trial, "number": number, "group": record["group"]}
         for trial, record in enumerate(carried_out(records))
         for number, attempt in enumerate(record["attempts"])
     )
-    frame = _frame(rows, ("trial", "number", *_NUMBERS, *_FLAGS), (*_TEXTS, "group"))
-    return frame.astype({**dict.fromkeys(("trial", "number", "level"), int), **dict.fromkeys(_FLAGS, bool)})
+    return _frame(rows, _ATTEMPT, _TEXTS)
 
 
 def legal_attempts(records: Iterable[TrialRecord]) -> DataFrame:
@@ -93,15 +88,15 @@ def legal_attempts(records: Iterable[TrialRecord]) -> DataFrame:
     return frame[frame.legal]
 
 
-def _frame(rows: Iterable[Sequence[Any]], numbers: Sequence[str], texts: Sequence[str]) -> DataFrame:
-    """Return rows of numbers (None for NaN) followed by texts as a data frame; there may be millions."""
+def _frame(rows: Iterable[Mapping[str, Any]], numbers: Mapping[str, type], texts: Sequence[str]) -> DataFrame:
+    """Return these numbers (None for NaN) and texts of rows as a data frame; there may be millions."""
     from pandas import DataFrame, concat
 
     kinds = dict.fromkeys(numbers, float) | dict.fromkeys(texts, object)
     parts = (list(islice(rows, _ROWS)) for rows in repeat(iter(rows)))
     frames = [DataFrame(part, columns=list(kinds)).astype(kinds) for part in takewhile(bool, parts)]
     found = concat(frames, ignore_index=True) if frames else DataFrame(columns=list(kinds)).astype(kinds)
-    return found.astype(dict.fromkeys(texts, "category"))
+    return found.astype({**numbers, **dict.fromkeys(texts, "category")})
 
 
 def capped_steps(records: Iterable[TrialRecord]) -> int:

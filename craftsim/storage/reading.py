@@ -133,6 +133,19 @@ def read_arrays(path: Path, limits: Limits) -> Arrays:
         raise InputError(f"{path}: damaged or not an archive of arrays: {_reason(error)}") from None
 
 
+class _Archive(io.BufferedReader):
+    """An archive to be opened: zipfile reads its directory in one piece, which must not be larger than ``most``."""
+
+    most: int
+    refusal: str
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return some bytes. Raises InputError for a larger piece."""
+        if size is not None and size > self.most:
+            raise InputError(self.refusal)
+        return super().read(size)
+
+
 @contextmanager
 def open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
     """Open a zip file. Raises InputError for one above its limits, and as :func:`open_file`.
@@ -140,27 +153,21 @@ def open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
     Reading from it may raise ARCHIVE_ERRORS.
     """
     with open_file(path, limits) as file:
-        # The module's own reader of the end record, since the constructor reads the directory as a whole.
-        end: list[Any] | None = zipfile._EndRecData(file)  # type: ignore[attr-defined]
-        if end is not None and end[zipfile._ECD_SIZE] > limits.members * _DIRECTORY_BYTES:  # type: ignore[attr-defined]
-            raise InputError(f"{path}: too many files inside; allowed: at most {limits.members}")
-        with zipfile.ZipFile(file) as archive:
-            check_archive(path, archive, limits)
+        bounded = _Archive(file.raw)  # type: ignore[attr-defined]
+        bounded.most = limits.members * _DIRECTORY_BYTES
+        bounded.refusal = f"{path}: too many files inside; allowed: at most {limits.members}"
+        with zipfile.ZipFile(bounded) as archive:
+            bounded.most = limits.file_bytes
+            members = archive.infolist()
+            total = sum(member.file_size for member in members)
+            if len(members) > limits.members:
+                raise InputError(f"{path}: {len(members)} files inside; allowed: at most {limits.members}")
+            if total > limits.content_bytes:
+                most = size_text(limits.content_bytes)
+                raise InputError(f"{path}: unpacks to {size_text(total)}; allowed: at most {most}")
+            if any(member.compress_type not in _PACKED for member in members):
+                raise InputError(f"{path}: packed in a way that is not allowed; allowed: stored or deflated")
             yield archive
-
-
-def check_archive(path: Path, archive: zipfile.ZipFile, limits: Limits) -> None:
-    """Raise InputError for an archive whose unpacked size exceeds its limit."""
-    members = archive.infolist()
-    if len(members) > limits.members:
-        raise InputError(f"{path}: {len(members)} files inside; allowed: at most {limits.members}")
-    total = sum(member.file_size for member in members)
-    if total > limits.content_bytes:
-        raise InputError(
-            f"{path}: unpacks to {size_text(total)}; allowed: at most {size_text(limits.content_bytes)}"
-        )
-    if any(member.compress_type not in _PACKED for member in members):
-        raise InputError(f"{path}: packed in a way that is not allowed; allowed: stored or deflated")
 
 
 def _arrays(path: Path, archive: zipfile.ZipFile) -> Arrays:

@@ -98,7 +98,7 @@ def _svg(drawing: Drawing) -> Markup:
     from matplotlib import style
     from matplotlib.figure import Figure
 
-    with style.context([_TEMPLATES / "drawing.mplstyle", dict(drawing.style)], after_reset=True):
+    with style.context(_TEMPLATES / "drawing.mplstyle", after_reset=True):
         # Not through pyplot, which keeps a global list of figures.
         figure = Figure(figsize=(drawing.width_in, drawing.height_in), layout="constrained")
         drawing.draw(figure)

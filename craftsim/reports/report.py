@@ -113,9 +113,6 @@ class Drawing:
     label: str
     """Text alternative for screen readers."""
     width_in: float = 6.6
-    wide: bool = False
-    style: Mapping[str, Any] = field(default_factory=dict)
-    """Additional settings of matplotlib."""
 
     @classmethod
     def of_axes(cls, draw: Callable[[Axes], None], height_in: float, caption: str, label: str) -> Drawing:
@@ -157,7 +154,6 @@ class Group:
     blocks: Sequence[Block]
     badge: str = ""
     tone: Tone = Tone.PLAIN
-    open: bool = False
 
 
 Block: TypeAlias = str | DataTable | Drawing | Cases | Group

@@ -243,7 +243,8 @@ def _faceted(points: NDArray[np.floating], normals: NDArray[np.floating]) -> tri
 
 
 def _transform(position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    matrix, rotation = np.eye(4), np.empty(9)
-    mujoco.mju_quat2Mat(rotation, quaternion)
-    matrix[:3, :3], matrix[:3, 3] = rotation.reshape(3, 3), position
+    from trimesh.transformations import quaternion_matrix
+
+    matrix: NDArray[np.float64] = quaternion_matrix(quaternion)
+    matrix[:3, 3] = position
     return matrix

@@ -101,10 +101,7 @@ class _File:
 
 
 def read_aim(path: Path) -> Aim:
-    """Return the camera of a YAML file: lookat (x, y, z) and distance in metres, azimuth, elevation, fovy in degrees.
-
-    Raises InputError, naming the file and line, for what is missing, unknown, no number or out of range.
-    """
+    """Return the camera of a YAML file with the keys of :func:`make_view`; raises InputError with the line."""
     file = read_document(path).to(_File)
     return Aim(np.array(file.lookat), file.distance, file.azimuth, file.elevation, file.fovy)
 

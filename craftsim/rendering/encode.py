@@ -46,11 +46,7 @@ _WAITING: Final = 16  # frames that wait for the encoder at most
 
 
 def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None) -> None:
-    """Write frames into a film or an animation; ``tell`` is called after each.
-
-    A film is encoded in a thread of its own while the next frames are made: encoders release the interpreter. Raises
-    InputError where the disk does not take it.
-    """
+    """Write frames into a film, encoded in a thread of its own, or an animation; ``tell`` is called after each."""
     if path.suffix in ANIMATIONS:
         _animate(path, fps, frames, tell)
         return

@@ -288,10 +288,7 @@ Pace = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def pace_of(trajectory: Trajectory, look: FilmOptions) -> Pace:
-    """Return when the frames between the cards are; the first sample and the last are among them.
-
-    A film of a given length is never slower than it happened: its last picture stays.
-    """
+    """Return when the frames between the cards are, both ends included; never slower than it happened."""
     took_s = trajectory.duration_s
     if look.length_s is not None:
         n, speed = max(1, round(look.length_s * look.fps)), max(1.0, took_s / look.length_s)

@@ -96,10 +96,7 @@ class CameraImages:
     def __init__(
         self, cameras: Sequence[str | View], size: tuple[int, int], kinds: Sequence[ImageKind] = IMAGE_KINDS
     ) -> None:
-        """Prepare for cameras, a world's own by name, or views as films have them.
-
-        The other arguments, and what is raised, are as in :func:`take_images`.
-        """
+        """Prepare for cameras, by name or as views of films; other arguments and errors as in :func:`take_images`."""
         check_images(size, kinds)
         self.cameras, self.size, self.kinds = tuple(cameras), size, tuple(kinds)
         self._solids = mujoco.MjvOption()

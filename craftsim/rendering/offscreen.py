@@ -47,10 +47,7 @@ class RenderingUnavailable(CraftsimError):
 
 @functools.cache
 def failure(backend: str) -> str | None:
-    """Render one frame and return why that failed, or None when it worked.
-
-    In a process of its own, because a broken OpenGL driver may crash the process that tries it.
-    """
+    """Render a frame in a process that a broken driver may crash; return why that failed, or None where it worked."""
     # MuJoCo's import leaves its backend for PyOpenGL in the environment, and refuses another one then.
     environment = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
     try:

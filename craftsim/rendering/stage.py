@@ -366,10 +366,7 @@ def _look(name: str, group: int) -> tuple[str, Rgb | None]:
 
 
 def dressed_rgb(name: str, group: int) -> Rgb | None:
-    """Return the colour of a geom in ``paper`` quality where there are no materials; None for one that keeps its own.
-
-    ``name`` is of a geom in a world, such as ``car0/board_visual``; only what is there to be seen is dressed.
-    """
+    """Return the ``paper`` colour of a geom such as ``car0/board_visual``; None for one that keeps its own."""
     material, rgb = _look(name, group)
     if rgb is None or material != _WOOD:
         return rgb
@@ -381,10 +378,7 @@ def dressed_rgb(name: str, group: int) -> Rgb | None:
 
 
 def _painted(spec: mujoco.MjSpec, name: str, pixels: Pixels) -> mujoco.MjsMaterial:
-    """Add a texture, and a material of the same name that shows it, to a scene; return the material.
-
-    A square one covers each of the six sides of a thing that it is put on; another one is for a plane.
-    """
+    """Add a texture, for a plane or the six sides of a thing, and a material that shows it; return the material."""
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
     texture.height, texture.width, texture.nchannel = pixels.shape
     texture.data = pixels.tobytes()

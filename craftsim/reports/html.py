@@ -50,10 +50,7 @@ class _Files:
         self.left_bytes = BUDGET_BYTES
 
     def cards(self, cases: Iterable[Case], unfilmed: int | None) -> list[tuple[Case, str | None, str | None]]:
-        """Return the cases to show, each with the addresses of its film and its trajectory.
-
-        The address of a film is a ``data:`` URL or a relative path; None if there is no such file.
-        """
+        """Return the cases to show, each with the addresses of its film and its trajectory, or None."""
         found = [(case, self._film(case.film), self.link(case.trajectory)) for case in cases]
         return [one for number, one in enumerate(found) if one[1] or unfilmed is None or number < unfilmed]
 

@@ -189,10 +189,7 @@ class Report:
     exit_code: int = 0
 
     def publish(self, out: Path | None, console: Terminal | None = None) -> int:
-        """Write ``report.json`` and ``report.html`` into a folder, if given, print the report, return the exit status.
-
-        Raises InputError if the folder is not writable.
-        """
+        """Write ``report.json`` and ``report.html`` into a folder, if given; print; return the exit status."""
         from craftsim.reports.html import write_html
         from craftsim.reports.json_file import write_json
         from craftsim.reports.terminal import Terminal as Screen

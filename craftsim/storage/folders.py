@@ -63,10 +63,7 @@ def directory_within(folder: Path, *names: str) -> Path:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, a link or a directory tree, if it exists; links are not followed.
-
-    Raises OSError.
-    """
+    """Remove a file, a link or a directory tree, if it exists; links are not followed. Raises OSError."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:

@@ -38,10 +38,7 @@ _DIRECTORY_BYTES: Final = 512
 
 
 def open_file(path: Path, limits: Limits) -> IO[bytes]:
-    """Open a regular file. Raises InputError for any other, an unreadable one, or one above its limit.
-
-    Pipes and devices do not block.
-    """
+    """Open a regular file, without waiting. Raises InputError for any other, an unreadable or a too large one."""
     try:
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError:
@@ -82,10 +79,7 @@ def read_text(path: Path, limits: Limits) -> str:
 
 
 def parse_json(data: bytes, where: str) -> Any:
-    """Return a JSON value, which is not validated further.
-
-    Raises InputError, beginning with ``where``, for invalid JSON, or for more than 200 nested levels.
-    """
+    """Return an unchecked JSON value; InputError, beginning with ``where``, for invalid JSON or 200 levels."""
     from pydantic_core import from_json
 
     try:
@@ -148,10 +142,7 @@ class _Archive(io.BufferedReader):
 
 @contextmanager
 def open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
-    """Open a zip file. Raises InputError for one above its limits, and as :func:`open_file`.
-
-    Reading from it may raise ARCHIVE_ERRORS.
-    """
+    """Open a zip file, of which reading may raise ARCHIVE_ERRORS. Raises InputError for one above its limits."""
     with open_file(path, limits) as file:
         bounded = _Archive(file.raw)  # type: ignore[attr-defined]
         bounded.most = limits.members * _DIRECTORY_BYTES

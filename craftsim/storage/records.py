@@ -172,10 +172,7 @@ def mistakes(
     name: Callable[[Loc], str] = key_words,
     line_of: Callable[[Loc], int] = lambda loc: 0,
 ) -> Iterator[Mistake]:
-    """Yield pydantic's mistakes by path, at most one missing key of each mapping.
-
-    ``name`` gives the name of a value in messages.
-    """
+    """Yield pydantic's mistakes by path, at most one missing key a mapping; ``name`` names a value in messages."""
     if (count := error.error_count()) > _DESCRIBED:
         yield (), f"{count} values are missing, wrong or unknown; is it the file that it should be?"
         return

@@ -82,21 +82,14 @@ class Diagram(NamedTuple):
 
 
 def plots_of(trajectory: Trajectory) -> dict[str, Plot]:
-    """Return the figures that there are of a run, by name.
-
-    Raises InputError where this version of craftsim makes another world of it.
-    """
-    rows = {name: make(trajectory) for name, make in _ROWS.items()}
-    return {"paths": _paths(trajectory)} | {
-        name: _over_time(trajectory, made) for name, made in rows.items() if made
-    }
+    """Return the figures that there are of a run, by name."""
+    rows = {name: made for name, make in _ROWS.items() if (made := make(trajectory))}
+    over_time = {name: _over_time(trajectory, made) for name, made in rows.items()}
+    return {"paths": _paths(trajectory)} | over_time
 
 
 def write_figures(folder: Path, trajectory: Trajectory) -> Iterator[Path]:
-    """Write each figure of a run as PDF and PNG into a folder, and all on one page as PDF; yield the paths.
-
-    Raises InputError where the disk does not take it, or this version of craftsim makes another world of the run.
-    """
+    """Write each figure of a run as PDF and PNG into a folder, and all on one page as PDF; yield the paths."""
     from matplotlib.figure import Figure
 
     output_directory(folder)
@@ -146,10 +139,7 @@ def place_of(trajectory: Trajectory, car: int) -> Floats:
 
 
 def tracking_error(trajectory: Trajectory, car: int) -> Floats:
-    """Return a car's measured pose less its path, (n, 3): along and across the car in metres, and heading in radians.
-
-    It is nan where the car does not drive.
-    """
+    """Return a car's pose less its path (n, 3): along and across (m), heading (rad); nan where it does not drive."""
     path = _finite(trajectory.path[:, car])
     apart = _finite(trajectory.measured[:, car]) - path
     cos, sin = np.cos(path[:, 2]), np.sin(path[:, 2])
@@ -195,42 +185,37 @@ def _write_notes(figure: Figure | SubFigure, trajectory: Trajectory) -> None:
 # Diagrams over time.
 
 
-def _each_car(cars: Sequence[int], make: Callable[[int], Diagram]) -> list[Diagram]:
+def _each_car(cars: Sequence[int], what: str, unit: str, draw: Callable[[int, Axes], None]) -> list[Diagram]:
     """Return a diagram for each car, as far as they fit on a page."""
-    rows = [make(car) for car in cars[:_MOST_CARS]]
+    rows = [Diagram(f"car {car}: {what}", unit, partial(draw, car), car) for car in cars[:_MOST_CARS]]
     if more := len(cars) - len(rows):
         rows[-1] = rows[-1]._replace(title=f"{rows[-1].title}; {more} more cars are not drawn")
     return rows
 
 
 def _tracking(trajectory: Trajectory) -> list[Diagram]:
-    errors = {car: 1e3 * tracking_error(trajectory, car) for car in range(len(trajectory.physics.cars))}
+    errors = [1e3 * tracking_error(trajectory, car) for car in range(len(trajectory.physics.cars))]
 
-    def tracking(car: int) -> Diagram:
-        def draw(axes: Axes) -> None:
-            labels = ("along (mm)", "across (mm)", "heading (mrad)")
-            _draw_of_car(axes, trajectory.time, errors[car], labels, car)
-            axes.axhline(0, color="0.6", lw=0.5)
+    def draw(car: int, axes: Axes) -> None:
+        labels = ("along (mm)", "across (mm)", "heading (mrad)")
+        _draw_of_car(axes, trajectory.time, errors[car], labels, car)
+        axes.axhline(0, color="0.6", lw=0.5)
 
-        return Diagram(f"car {car}: off its path", "mm, mrad", draw, car)
-
-    return _each_car([car for car, error in errors.items() if np.isfinite(error).any()], tracking)
+    driving = [car for car, error in enumerate(errors) if np.isfinite(error).any()]
+    return _each_car(driving, "off its path", "mm, mrad", draw)
 
 
 def _torques(trajectory: Trajectory) -> list[Diagram]:
-    def torques(car: int) -> Diagram:
-        def draw(axes: Axes) -> None:
-            limit_nm = trajectory.physics.cars[car].parameters.wheel_torque_nm
-            labels = ("front left", "front right", "rear left", "rear right")
-            _draw_of_car(axes, trajectory.time, motor_forces(trajectory, car)[0], labels, car)
-            _draw_limit(axes, limit_nm, "limit")
-            _draw_limit(axes, -limit_nm, "")
-            axes.set_ylim(-1.25 * limit_nm, 1.25 * limit_nm)
+    def draw(car: int, axes: Axes) -> None:
+        limit_nm = trajectory.physics.cars[car].parameters.wheel_torque_nm
+        labels = ("front left", "front right", "rear left", "rear right")
+        _draw_of_car(axes, trajectory.time, motor_forces(trajectory, car)[0], labels, car)
+        _draw_limit(axes, limit_nm, "limit")
+        _draw_limit(axes, -limit_nm, "")
+        axes.set_ylim(-1.25 * limit_nm, 1.25 * limit_nm)
 
-        return Diagram(f"car {car}: wheel torques", "Nm", draw, car)
-
-    cars = range(len(trajectory.physics.cars))
-    return _each_car([car for car in cars if _performed(trajectory, car)], torques)
+    acting = [car for car in range(len(trajectory.physics.cars)) if _performed(trajectory, car)]
+    return _each_car(acting, "wheel torques", "Nm", draw)
 
 
 def _boards(trajectory: Trajectory) -> list[Diagram]:

@@ -37,11 +37,7 @@ _BAR: Final = 0.72  # height of a bar, of that of its row
 
 
 def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
-    """Draw a plan into a PNG or SVG file: a row for each car, a bar for each action, hatched where the car is loaded.
-
-    Lines between the bars are waits; they begin at 0 and end at the car's last action. Returns the path; raises
-    InputError where the disk does not take it.
-    """
+    """Draw a plan into a PNG or SVG file: bars for actions, hatched where a car is loaded, and lines for waits."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 

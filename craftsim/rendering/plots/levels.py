@@ -125,11 +125,7 @@ def _legend(grid: Grid, goal: Cell | None, design: Collection[Piece]) -> Iterato
 def draw_blueprint(
     path: Path, grid: Grid, title: str, goal: Cell | None = None, design: Collection[Piece] = ()
 ) -> Path:
-    """Draw a world into a PNG file, level by level, without empty levels.
-
-    ``goal`` is where a flag is to go, and ``design`` the building that is to be put up. Returns the path; raises
-    InputError where the disk does not take it.
-    """
+    """Draw the used levels of a world, a flag's goal and a design into a PNG file; return its path."""
     from matplotlib.figure import Figure
 
     levels = levels_of([grid], goal, design)

@@ -140,10 +140,7 @@ class BrowserScene:
 
 
 def shapes_of(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
-    """Return what is to be seen of a model besides its ground, by body and in its frame; 0 does not move.
-
-    A roller is drawn as a part of its wheel: it is round, so that its own spin does not show.
-    """
+    """Return what is seen of a model but its ground, by body and in its frame, rollers with their wheel; 0 rests."""
     from trimesh.util import concatenate
 
     meshes: dict[int, list[trimesh.Trimesh]] = defaultdict(list)

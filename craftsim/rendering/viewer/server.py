@@ -51,11 +51,7 @@ class LocalServer(ViserServer):
     """A server that says nothing on standard output and is not shared beyond its address."""
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT) -> None:
-        """Listen on an address and a port, any free one if it is 0.
-
-        Raises InputError for an address or a port that cannot be had, where viser would go on to other ports, or try
-        for ever.
-        """
+        """Listen on an address and a port, 0 for a free one; InputError where viser would try others."""
         _try(host, port)
         with contextlib.redirect_stdout(io.StringIO()), guarded(host, self._allows):
             super().__init__(host=host, port=port, verbose=False)

@@ -174,10 +174,7 @@ def live(
     attempts: Sequence[Attempt],
     car: int,
 ) -> Moment:
-    """Return what is known of a car of a PhysicsWorld now, by its number.
-
-    ``running`` are names of the actions on their way, by car, and ``attempts`` those that have been judged.
-    """
+    """Return what is known of a car now; ``running`` are names of actions on their way, ``attempts`` those judged."""
     measured, contact_n = None, math.nan
     if judge is not None:
         reading = judge.executor.readings()[car]

@@ -21,7 +21,6 @@ from craftsim.experiments.bundle import FILM, TEXT, TRAJECTORY, Recorded, Replay
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.rendering.film import FilmOptions
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
-from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
 from craftsim.rendering.render import film_plan, render
 from craftsim.rendering.trajectory import (
     SUFFIX,
@@ -145,6 +144,8 @@ def _do_all(what: str, function: Callable[[Path], None], jobs: Sequence[Path], w
 
 def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Design | None = None) -> None:
     """Draw the Gantt chart of a plan by the physical rules, and, with ``film``, film it on the grid."""
+    from craftsim.rendering.plots.gantt import FORMATS, draw_gantt  # matplotlib, which films do without
+
     for ending in FORMATS:
         print_safe(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")
     if film:

@@ -9,9 +9,13 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
@@ -24,13 +28,9 @@ from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN, dash, line_of, pape
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.folders import output_directory
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
-
 Floats = NDArray[np.float64]
 """A row a sample."""
-Plot = tuple[float, "Callable[[Figure | SubFigure], None]"]
+Plot = tuple[float, Callable[[Figure | SubFigure], None]]
 """Height of a figure in inches, and what draws it."""
 
 FORMATS: Final = ("pdf", "png")
@@ -90,8 +90,6 @@ def plots_of(trajectory: Trajectory) -> dict[str, Plot]:
 
 def write_figures(folder: Path, trajectory: Trajectory) -> Iterator[Path]:
     """Write each figure of a run as PDF and PNG into a folder, and all on one page as PDF; yield the paths."""
-    from matplotlib.figure import Figure
-
     output_directory(folder)
     with paper():
         for name, (height_in, draw) in plots_of(trajectory).items():
@@ -367,8 +365,6 @@ def _paths(trajectory: Trajectory) -> Plot:
 def _draw_paths(
     trajectory: Trajectory, places: list[Floats], levels: tuple[int, ...], figure: Figure | SubFigure
 ) -> None:
-    from matplotlib.lines import Line2D
-
     recipe, design = trajectory.story.recipe, trajectory.wanted
     goal = recipe.goals[0] if recipe.goals and not design else None
     by_level = draw_levels(figure, recipe.grid, levels, goal, design)
@@ -388,8 +384,6 @@ def _draw_paths(
 
 def _draw_path(by_level: dict[int, Axes], place: Floats, car: int) -> None:
     """Draw a way with arrows on it, and the car's number beside its end."""
-    from matplotlib.patches import Polygon
-
     place, style = place[path_points(place)], _style(car)
     level = np.round(place[:, 2]).astype(int)
     for z, axes in by_level.items():

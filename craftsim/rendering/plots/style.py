@@ -6,13 +6,13 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
+
+from matplotlib import rcParams, style
+from matplotlib.figure import Figure
 
 from craftsim.discrete.drawing import INK
 from craftsim.storage.writing import whole, writable
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 WIDTH_IN: Final = 7.2
 """Of a figure: two columns of a paper."""
@@ -62,8 +62,6 @@ _LEFT_OUT: Final[dict[str, dict[str, Any]]] = {
 @contextmanager
 def paper() -> Iterator[None]:
     """Draw for paper within the block, whatever the user has set."""
-    from matplotlib import style
-
     with style.context(_PAPER, after_reset=True), warnings.catch_warnings():
         # A name may have letters that the font lacks; boxes stand for them.
         warnings.filterwarnings("ignore", "Glyph .* missing")
@@ -84,8 +82,6 @@ def line_of(text: str) -> str:
 
 def shade(number: int) -> Any:
     """Return the colour of line ``number`` that belongs to no car: that of text, or a softer one."""
-    from matplotlib import rcParams
-
     return rcParams["axes.labelcolor" if number % 2 else "text.color"]
 
 

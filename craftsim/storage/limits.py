@@ -144,6 +144,12 @@ class Range:
         if self.high < math.inf:
             yield Lt(self.high) if self.below else Le(self.high)
 
+    def __call__(self, _type: Any, value: Any) -> None:
+        """Raise ValueError for a number outside, or one of several, for the command line; None is not given."""
+        for number in value if isinstance(value, tuple) else (value,):
+            if number is not None and number not in self:
+                raise ValueError(f"allowed: {self}")
+
     def __contains__(self, value: float) -> bool:
         over = self.low < value if self.above else self.low <= value
         return over and (value < self.high if self.below else value <= self.high)

@@ -116,14 +116,14 @@ def _said(error: cyclopts.CycloptsError) -> str:
 
 def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
     for place, word in enumerate(words):
+        option, equals, file = word.partition("=")
+        after = words[place + 1 :]
         if word == "--":
             break
-        if word.startswith("--config="):
-            return words[:place] + words[place + 1 :], Path(word.partition("=")[2])
-        if word == "--config":
-            if len(words) == place + 1:
+        if option == "--config":
+            if not (equals or after):
                 raise InputError("--config needs a file, such as the config.yaml of a run")
-            return words[:place] + words[place + 2 :], Path(words[place + 1])
+            return words[:place] + (after if equals else after[1:]), Path(file if equals else after[0])
     return words, None
 
 

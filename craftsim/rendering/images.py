@@ -6,7 +6,7 @@ import copy
 import math
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, Literal, Self, get_args
+from typing import Any, Final, Literal, Self, get_args
 
 import mujoco
 import numpy as np
@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 from craftsim.errors import InputError, suggestion
 from craftsim.mjcf.block import TABLE_NAMES
 from craftsim.models.parts import MachineNames
+from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import View
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.trajectory import SeenWorld
 from craftsim.storage.limits import IMAGE_PIXELS, PHYSICS_PARTS
-
-if TYPE_CHECKING:
-    from craftsim.models.world import PhysicsWorld
 
 ImageKind = Literal["rgb", "depth", "segmentation"]
 IMAGE_KINDS: Final[tuple[ImageKind, ...]] = get_args(ImageKind)

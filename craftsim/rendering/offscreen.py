@@ -72,10 +72,7 @@ def choose_backend() -> str:
     """Return the backend that renders, and set ``MUJOCO_GL`` to it for this process and its children.
 
     It may be called before or after MuJoCo was imported. A ``MUJOCO_GL`` that is already set is used, or refused if it
-    does not render, but never replaced.
-
-    Raises:
-        RenderingUnavailable: nothing renders.
+    does not render, but never replaced. Raises RenderingUnavailable where nothing renders.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted:
@@ -98,15 +95,9 @@ def choose_backend() -> str:
 
 
 def make_renderer(model: mujoco.MjModel, size: tuple[int, int], shadows: bool = False) -> mujoco.Renderer:
-    """Return a renderer of a model on the backend of :func:`choose_backend`.
+    """Return a renderer of a model, whose off-screen buffer is enlarged to ``size`` (width, height) where needed.
 
-    Args:
-        model: what is rendered; its off-screen buffer is enlarged to ``size`` where it is smaller.
-        size: width and height in pixels.
-        shadows: a picture takes a multiple of the time with them, where no GPU draws.
-
-    Raises:
-        RenderingUnavailable: nothing renders on this machine.
+    Without a GPU, ``shadows`` take a multiple of the time. Raises RenderingUnavailable where nothing renders.
     """
     import mujoco
 

@@ -61,21 +61,18 @@ def render(
     at: Sequence[float] = (),
     progress: Progress = no_progress,
 ) -> list[Path]:
-    """Render a trajectory into a file, and return the files that were written.
+    """Render a trajectory, or several side by side at the same simulated time, and return the files that were written.
 
     Args:
-        shown: a trajectory, or several that are shown side by side at the same simulated time.
+        shown: what is rendered.
         path: a film (``.mp4``, ``.webm``), an animation (``.webp``, ``.gif``), or a picture (``.png``); its folder
             must exist. It is written whole or not at all.
         look: how it looks.
         workers: processes to share the work; the pictures do not depend on it.
-        at: simulated times of which a picture is to be made, one file each; without any, a ``.png`` is a contact sheet.
-            Of several trajectories they are those of the longest.
+        at: simulated times (of the longest) of pictures, one file each; without any, a ``.png`` is a contact sheet.
         progress: shows what is done.
 
-    Raises:
-        InputError: an argument is not as it should be, or the disk does not take the file.
-        RenderingUnavailable: nothing renders on this machine.
+    Raises InputError, and RenderingUnavailable where nothing renders.
     """
     path, look = Path(path), look or FilmOptions()
     check_format(path, at)

@@ -12,7 +12,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.drawing import car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell
 from craftsim.models.composition import ground_pose_and_size
@@ -117,8 +116,7 @@ class BrowserScene:
                 side = _PLATE_SHARE * parameters.boss_top_side_m
                 place = (0, 0, parameters.boss_height_m + _PLATE_PROUD_M)
                 plate: dict[str, Any] = {"format": "png", "cast_shadow": False, "wxyz": _FACE_UP_FORWARD}
-                picture = number_plate(car, car_colour(car))
-                scene.add_image(f"{path}/plate", picture, side, side, position=place, **plate)
+                scene.add_image(f"{path}/plate", number_plate(car), side, side, position=place, **plate)
             node.on_click(partial(lambda car, event: on_pick(car), car))
             if body in car_of:
                 above = (0, 0, _LABEL_M)

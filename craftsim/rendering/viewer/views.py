@@ -130,11 +130,6 @@ class LiveView:
         if ahead_s > 0:
             time.sleep(ahead_s)
 
-    @property
-    def judged(self) -> Sequence[Attempt]:
-        """The attempts of the episode so far."""
-        return self._attempts()
-
     def toggle(self) -> None:
         """Pause what runs, or let it go on."""
         self._playing = not self._playing
@@ -157,9 +152,9 @@ class LiveView:
         self._pace(physics.time_s)
 
     def _show(self, physics: PhysicsWorld) -> None:
-        running = {car: one.action.name for car, one in self._running.items()}
-        moment = partial(live, physics, self._judge, running, self.judged)
-        self.page.show(physics.data.qpos, physics.time_s, self.judged, moment)
+        running, attempts = {car: one.action.name for car, one in self._running.items()}, self._attempts()
+        moment = partial(live, physics, self._judge, running, attempts)
+        self.page.show(physics.data.qpos, physics.time_s, attempts, moment)
         self.page.show_playing(self._playing)
 
     def _pace(self, time_s: float) -> None:
@@ -195,11 +190,7 @@ class RecordedView:
     """Plays one of some recorded runs on a page; times are simulated seconds."""
 
     def __init__(self, page: ViewerPage, runs: Mapping[str, Callable[[], Trajectory]]) -> None:
-        """Show the start of the first run, paused.
-
-        Args:
-            page: takes its orders from here from now on.
-            runs: what can be chosen: by name, what reads it.
+        """Show the start of the first run, of ``runs`` by name with what reads each; ``page`` asks this view.
 
         Raises InputError where the first run cannot be read.
         """

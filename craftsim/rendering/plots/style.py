@@ -11,7 +11,6 @@ from typing import Any, Final
 from matplotlib import rcParams, style
 from matplotlib.figure import Figure
 
-from craftsim.discrete.drawing import INK
 from craftsim.storage.writing import whole, writable
 
 WIDTH_IN: Final = 7.2
@@ -22,34 +21,7 @@ ROW_IN: Final = 1.15
 DASHES: Final = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (3, 1.2)))
 """One a line of a diagram; lines beyond the last start over."""
 
-_PAPER: Final[dict[str, Any]] = {
-    "font.size": 7.5,
-    "axes.linewidth": 0.6,
-    "axes.titlesize": 7.5,
-    "grid.linewidth": 0.5,
-    "legend.fontsize": 7,
-    "font.family": "DejaVu Sans",
-    "text.color": INK,
-    "text.parse_math": False,
-    "axes.edgecolor": "0.6",
-    "axes.labelcolor": "0.4",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "0.88",
-    "xtick.color": "0.6",
-    "ytick.color": "0.6",
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.major.size": 2,
-    "ytick.major.size": 2,
-    "legend.frameon": False,
-    "patch.linewidth": 0,
-    # Letters that a drawing program can edit.
-    "pdf.fonttype": 42,
-}
-
+_PAPER: Final = Path(__file__).with_name("paper.mplstyle")
 DPI: Final = 200
 _LEFT_OUT: Final[dict[str, dict[str, Any]]] = {
     ".png": {"Software": None},

@@ -22,14 +22,7 @@ from craftsim.experiments.experiment import TrialRecord
 from craftsim.rendering.film import FilmOptions
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
 from craftsim.rendering.render import film_plan, render
-from craftsim.rendering.trajectory import (
-    SUFFIX,
-    TRAJECTORIES,
-    Recorder,
-    Trajectory,
-    name_of,
-    trajectory_files,
-)
+from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory, trajectory_files
 from craftsim.reports.terminal import Terminal
 from craftsim.storage.folders import directory_within
 from craftsim.storage.paths import is_file, is_folder
@@ -81,10 +74,12 @@ def is_recorded(what: str) -> bool:
 
 
 def recorded_runs(path: Path) -> dict[str, Callable[[], Trajectory]]:
-    """Return the recorded runs in a file or a folder, by name."""
+    """Return the recorded runs in a file or a folder, by the name of their file, or of the bundle in which it is."""
     if is_file(path / TEXT):
         return {path.name: lambda: record_bundle(read_bundle(path))[1]}
-    return {name_of(file): partial(Trajectory.read, file) for file in trajectory_files(path)}
+    files = trajectory_files(path)
+    names = (file.parent.name if is_file(file.parent / TEXT) else file.stem for file in files)
+    return {name: partial(Trajectory.read, file) for name, file in zip(names, files, strict=True)}
 
 
 def recorded_run(path: Path) -> Trajectory:

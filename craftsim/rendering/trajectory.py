@@ -282,11 +282,6 @@ class Recorder:
         )
 
 
-def name_of(path: Path) -> str:
-    """Return the name of a trajectory within its run: of its file, or of the bundle that it lies in."""
-    return path.parent.name if is_file(path.parent / BUNDLE) else path.stem
-
-
 def trajectory_files(run: Path) -> list[Path]:
     """Return the trajectory files of a run's folder, or a trajectory file, by name. Raises InputError for none."""
     if not is_folder(run):

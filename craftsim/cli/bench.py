@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from functools import partial
@@ -18,7 +17,7 @@ from craftsim.choices import RuleSet
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.options import OptionalDir, Seeded, Work, number
-from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend
+from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend, run_apart
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, numbers
 from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import BATCH, BENCH_S
@@ -286,13 +285,10 @@ def _physics() -> Check:
     found = versions()["mujoco"]
     if found == _WRONG_MUJOCO:
         return Check(what, False, f"version {found} gives wrong contact physics", install)
-    command = [sys.executable, "-P", "-c", _FALLING_BALL]
-    child = subprocess.run(command, capture_output=True, text=True, check=False)
-    if child.returncode == 0:
-        return Check(what, True, f"{found}, a dropped ball comes to rest")
-    reason = (child.stderr.strip().splitlines() or [f"exit status {child.returncode}"])[-1]
-    # A backend that cannot load makes the import of MuJoCo itself fail.
-    return Check(what, False, reason, _unset_backend_or(install))
+    if reason := run_apart(_FALLING_BALL, "rest"):
+        # A backend that cannot load makes the import of MuJoCo itself fail.
+        return Check(what, False, reason, _unset_backend_or(install))
+    return Check(what, True, f"{found}, a dropped ball comes to rest")
 
 
 def _audited(installed: str) -> str:

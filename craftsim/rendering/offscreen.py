@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import weakref
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.errors import CraftsimError
@@ -38,6 +39,7 @@ if not renderer.render().any():
     raise SystemExit("the rendered frame is black")
 renderer.close()
 """
+_APART_S: Final = 60
 _OPEN: Final[weakref.WeakSet[mujoco.Renderer]] = weakref.WeakSet()
 
 
@@ -47,25 +49,24 @@ class RenderingUnavailable(CraftsimError):
 
 @functools.cache
 def failure(backend: str) -> str | None:
-    """Render a frame in a process that a broken driver may crash; return why that failed, or None where it worked."""
+    """Render a frame with a backend; return why that failed, or None where it worked."""
     # MuJoCo's import leaves its backend for PyOpenGL in the environment, and refuses another one then.
     environment = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
+    return run_apart(_ONE_FRAME, "frame", environment | {"MUJOCO_GL": backend})
+
+
+def run_apart(code: str, result: str, environment: Mapping[str, str] | None = None) -> str | None:
+    """Run Python code for a result in a process that it may crash; return why that failed, or None where it worked."""
+    command = [sys.executable, "-P", "-c", code]
+    options: dict[str, Any] = {"env": environment, "capture_output": True, "text": True, "timeout": _APART_S}
     try:
-        child = subprocess.run(
-            [sys.executable, "-P", "-c", _ONE_FRAME],
-            env={**environment, "MUJOCO_GL": backend},
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+        child = subprocess.run(command, check=False, **options)
     except subprocess.TimeoutExpired:
-        return "no frame within 60 s"
-    if child.returncode == 0:
-        return None
+        return f"no {result} within {_APART_S} s"
     if child.returncode < 0:
         return f"crashed with signal {-child.returncode}"
-    return (child.stderr.strip() or f"exit status {child.returncode}").splitlines()[-1]
+    said = child.stderr.strip() or f"exit status {child.returncode}"
+    return said.splitlines()[-1] if child.returncode else None
 
 
 def choose_backend() -> str:

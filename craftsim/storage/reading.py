@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.storage.limits import Limits, size_text
+from craftsim.storage.paths import reason_of, unreadable
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -44,7 +45,7 @@ def open_file(path: Path, limits: Limits) -> IO[bytes]:
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {_reason(error)}") from error
+        raise unreadable(path, error) from error
     file = os.fdopen(number, "rb") if _is_regular(number) else None
     if file is None:
         os.close(number)
@@ -65,7 +66,7 @@ def read_bytes(path: Path, limits: Limits) -> bytes:
             # It may grow while it is read.
             return file.read(limits.file_bytes)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {_reason(error)}") from error
+        raise unreadable(path, error) from error
 
 
 def read_text(path: Path, limits: Limits) -> str:
@@ -100,7 +101,7 @@ def read_lines(path: Path, limits: Limits, packed: bool = False) -> Iterator[tup
             try:
                 line = lines.readline(limits.line_bytes + 1)
             except (OSError, EOFError, zlib.error) as error:
-                raise InputError(f"{path}: not a gzip file of text: {_reason(error)}") from error
+                raise InputError(f"{path}: not a gzip file of text: {reason_of(error)}") from error
             if not line:
                 return
             number, total = number + 1, total + len(line)
@@ -124,7 +125,7 @@ def read_arrays(path: Path, limits: Limits) -> Arrays:
         with open_archive(path, limits) as archive:
             return _arrays(path, archive)
     except ARCHIVE_ERRORS as error:
-        raise InputError(f"{path}: damaged or not an archive of arrays: {_reason(error)}") from None
+        raise InputError(f"{path}: damaged or not an archive of arrays: {reason_of(error)}") from None
 
 
 class _Archive(io.BufferedReader):
@@ -197,7 +198,3 @@ def _is_regular(number: int) -> bool:
         return not os.pread(number, 1, 0)
     except OSError:
         return False
-
-
-def _reason(error: Exception) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__

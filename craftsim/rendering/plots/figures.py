@@ -27,6 +27,7 @@ from craftsim.rendering.plots.levels import CARS, draw_levels, size_in
 from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN, dash, line_of, paper, save, shade
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.folders import output_directory
+from craftsim.storage.limits import shorten
 
 Floats = NDArray[np.float64]
 """A row a sample."""
@@ -169,7 +170,7 @@ def notes_of(trajectory: Trajectory) -> list[str]:
         text = (
             f"{mark} {_end_s(attempt):.1f} s, car {attempt.car} {words}: {attempt.result}. {attempt.reason}"
         )
-        notes.append(line_of(text if len(text) <= _LONGEST_NOTE else f"{text[: _LONGEST_NOTE - 3]}..."))
+        notes.append(line_of(shorten(text, _LONGEST_NOTE)))
     if more := len(failures) - len(notes):
         notes.append(f"and {more} more")
     return notes

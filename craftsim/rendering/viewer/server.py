@@ -33,6 +33,7 @@ from websockets.http11 import Request, Response
 from craftsim.errors import InputError
 from craftsim.rendering.viewer import LOOPBACK, PORT
 from craftsim.storage.limits import PAGE_BYTES, PAGE_CONNECTIONS
+from craftsim.storage.paths import reason_of
 
 _POINTED: Final[dict[str, TypeAdapter[Any]]] = {
     kind.__name__: TypeAdapter(kind) for kind in (ViewerCameraMessage, SceneNodeClickMessage)
@@ -109,7 +110,7 @@ def _try(host: str, port: int) -> None:
     except (OSError, TypeError, ValueError) as error:
         if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             raise InputError(_in_use(host, port)) from None
-        why = getattr(error, "strerror", None) or error
+        why = reason_of(error)
         raise InputError(f"cannot listen on {host}, port {port}: {why}; try --host {LOOPBACK}") from None
 
 

@@ -130,6 +130,11 @@ class LiveView:
         if ahead_s > 0:
             time.sleep(ahead_s)
 
+    @property
+    def judged(self) -> Sequence[Attempt]:
+        """The attempts of the episode so far."""
+        return self._attempts()
+
     def toggle(self) -> None:
         """Pause what runs, or let it go on."""
         self._playing = not self._playing
@@ -152,9 +157,9 @@ class LiveView:
         self._pace(physics.time_s)
 
     def _show(self, physics: PhysicsWorld) -> None:
-        running, attempts = {car: one.action.name for car, one in self._running.items()}, self._attempts()
-        moment = partial(live, physics, self._judge, running, attempts)
-        self.page.show(physics.data.qpos, physics.time_s, attempts, moment)
+        running = {car: one.action.name for car, one in self._running.items()}
+        moment = partial(live, physics, self._judge, running, self.judged)
+        self.page.show(physics.data.qpos, physics.time_s, self.judged, moment)
         self.page.show_playing(self._playing)
 
     def _pace(self, time_s: float) -> None:

@@ -11,7 +11,7 @@ from craftsim.errors import InputError
 
 
 def need(extra: str, what: str, *modules: str, remark: str = "") -> None:
-    """Raise InputError, "WHAT MODULES, ...", with the command that installs an extra, where a module is missing."""
+    """Raise InputError with the command that installs an extra, where ``what`` ("tuning needs") lacks a module."""
     missing = [name for name in modules if find_spec(name) is None]
     if missing:
         raise InputError(f"{what} {', '.join(missing)}, not installed here; try: {install(extra)}{remark}")

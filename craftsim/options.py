@@ -43,10 +43,10 @@ else:
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-RUN: Final = Group("Rollouts", sort_key=9)
-PHYSICS: Final = Group("Physics", sort_key=10)
-TRIALS: Final = Group("Trials", sort_key=11)
-RESULTS: Final = Group("Results", sort_key=20)
+RUN: Final = Group("Rollouts")
+PHYSICS: Final = Group("Physics")
+TRIALS: Final = Group("Trials")
+RESULTS: Final = Group("Results")
 """The headings of the help; those of groups are explained by the help of validate alone."""
 Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS)]
 OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS)]

@@ -80,7 +80,7 @@ def read_text(path: Path, limits: Limits) -> str:
 
 
 def parse_json(data: bytes, where: str) -> Any:
-    """Return an unchecked JSON value; InputError, beginning with ``where``, for invalid JSON or 200 levels."""
+    """Return an unchecked JSON value; InputError, beginning with ``where``, for invalid JSON or over 200 levels."""
     from pydantic_core import from_json
 
     try:

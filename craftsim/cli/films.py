@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from craftsim.checking.judge import Judge
 from craftsim.cli.progress import counting
@@ -19,9 +19,7 @@ from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
 from craftsim.experiments.bundle import FILM, TEXT, TRAJECTORY, Recorded, Replay, read_bundle, replay
 from craftsim.experiments.experiment import TrialRecord
-from craftsim.rendering.film import FilmOptions
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
-from craftsim.rendering.render import film_plan, render
 from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory, trajectory_files
 from craftsim.reports.terminal import Terminal
 from craftsim.storage.folders import directory_within
@@ -95,7 +93,13 @@ def recorded_run(path: Path) -> Trajectory:
 def film_failure(trajectory: Trajectory, path: Path) -> None:
     """Film the last step of a bundle; requires :func:`rendering_works`."""
     camera = f"follow:{trajectory.story.attempts[0].car}"
-    render(trajectory, path, FilmOptions(SIZE, cameras=(camera,), length_s=CLIP_S, cards=False))
+    _film(trajectory, path, cameras=(camera,), length_s=CLIP_S, cards=False)
+
+
+def _film(trajectory: Trajectory, path: Path, **look: Any) -> None:
+    from craftsim.rendering.render import FilmOptions, render  # a fifth of a second that only films take
+
+    render(trajectory, path, FilmOptions(SIZE, **look))
 
 
 def record_failures(out: Path, records: Iterable[TrialRecord], workers: int = 1, films: bool = True) -> None:
@@ -121,7 +125,7 @@ def film_runs(out: Path, workers: int = 1) -> None:
 
 
 def _film_run(films: Path, path: Path) -> None:
-    render(Trajectory.read(path), films / f"{path.stem}.mp4", FilmOptions(SIZE))
+    _film(Trajectory.read(path), films / f"{path.stem}.mp4")
 
 
 def _do_all(what: str, function: Callable[[Path], None], jobs: Sequence[Path], workers: int) -> None:
@@ -139,7 +143,8 @@ def _do_all(what: str, function: Callable[[Path], None], jobs: Sequence[Path], w
 
 def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Design | None = None) -> None:
     """Draw the Gantt chart of a plan by the physical rules, and, with ``film``, film it on the grid."""
-    from craftsim.rendering.plots.gantt import FORMATS, draw_gantt  # matplotlib, which films do without
+    from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
+    from craftsim.rendering.render import film_plan
 
     for ending in FORMATS:
         print_safe(f"Gantt chart: {draw_gantt(out / f'{name}-gantt{ending}', schedule, name)}")

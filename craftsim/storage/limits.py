@@ -110,6 +110,9 @@ RECORDED_DEPTH: Final = 64
 RECORDED_TICKS: Final = 1_000_000
 """Number of ticks of a recorded episode."""
 
+ALL: Final = tuple(one for one in list(vars().values()) if isinstance(one, Limits))
+"""The limits of all formats."""
+
 
 def shorten(text: str, most: int) -> str:
     """Return a text, a long one without its end."""

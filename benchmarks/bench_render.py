@@ -13,7 +13,7 @@ from craftsim.rendering.encode import encode
 from craftsim.rendering.film import FilmOptions, Frames, pace_of
 from craftsim.rendering.layout import arrange
 from craftsim.rendering.offscreen import make_renderer
-from craftsim.rendering.render import render_frames
+from craftsim.rendering.render import in_order
 from craftsim.rendering.stage import Stage
 from craftsim.rendering.trajectory import show_at
 from craftsim.validation.rollout import do_run
@@ -65,7 +65,8 @@ def test_sixty_frames(benchmark, tmp_path, what, quality):
             )
     else:
         workers = 1 + what.startswith("two")
-        benchmark.pedantic(lambda: list(render_frames(trajectory, look, workers)), rounds=2)
+        with closing(Frames(trajectory, look)) as frames:
+            benchmark.pedantic(lambda: list(in_order(frames, workers)), rounds=2)
 
 
 @pytest.mark.parametrize("drive", ["rollers", "reduced"])

@@ -11,10 +11,7 @@ from craftsim.errors import InputError
 
 
 def need(extra: str, what: str, *modules: str, remark: str = "") -> None:
-    """Raise InputError with the command that installs an extra, where one of its modules is missing.
-
-    ``what`` needs it, with its verb, such as "tuning needs"; ``remark`` ends the message.
-    """
+    """Raise InputError with the command that installs an extra, where ``what`` ("tuning needs") lacks a module."""
     missing = [name for name in modules if find_spec(name) is None]
     if missing:
         raise InputError(f"{what} {', '.join(missing)}, not installed here; try: {install(extra)}{remark}")

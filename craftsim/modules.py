@@ -19,10 +19,7 @@ SAFE_PATH = "PYTHONSAFEPATH"
 
 
 def import_own(name: str) -> ModuleType:
-    """Import a module by its name: Python's own come first, then installed ones, the working folder last.
-
-    Processes that are started afterwards look for modules there, too. Raises what the import raises.
-    """
+    """Import a module, Python's own first, the working folder's last, here and in processes started later."""
     with suppress(FileNotFoundError):  # a working folder that is gone has no modules
         if (here := os.getcwd()) not in sys.path:
             sys.path.append(here)
@@ -62,10 +59,7 @@ def find_named(text: str, what: str, example: str, allowed: str = "") -> Any:
 
 
 def note_registering(depth: int = 2) -> str:
-    """Note that the module whose code calls a registering function registers something, and return its name.
-
-    ``depth`` counts the calls from there to here.
-    """
+    """Note, and return, the name of the module that registers something, ``depth`` calls from here."""
     name = str(sys._getframe(depth).f_globals.get("__name__", "__main__"))
     if name not in REGISTERING:
         REGISTERING.append(name)

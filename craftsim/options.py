@@ -4,11 +4,11 @@ A field is an option of the command line (its annotation says its name, its valu
 Python function of the same name, and a key of ``config.yaml``.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass, replace
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar, get_type_hints
 
 from cyclopts import Group, Parameter
 
@@ -43,23 +43,10 @@ else:
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-@dataclass(frozen=True)
-class InRange:
-    """Holds the numbers of an option to a range, for the command line."""
-
-    allowed: Range
-
-    def __call__(self, _type: Any, value: Any) -> None:
-        """Raise ValueError for a number outside; nothing that was not given is."""
-        for number in value if isinstance(value, tuple) else (value,):
-            if number is not None and number not in self.allowed:
-                raise ValueError(f"allowed: {self.allowed}")
-
-
-RUN: Final = Group("Rollouts", sort_key=9)
-PHYSICS: Final = Group("Physics", sort_key=10)
-TRIALS: Final = Group("Trials", sort_key=11)
-RESULTS: Final = Group("Results", sort_key=20)
+RUN: Final = Group("Rollouts")
+PHYSICS: Final = Group("Physics")
+TRIALS: Final = Group("Trials")
+RESULTS: Final = Group("Results")
 """The headings of the help; those of groups are explained by the help of validate alone."""
 Dir = Annotated[Path, Parameter(metavar="DIR", group=RESULTS)]
 OptionalDir = Annotated[Path | None, Parameter(metavar="DIR", group=RESULTS)]
@@ -71,29 +58,19 @@ Shown = Annotated[bool, Parameter(group=RESULTS)]
 
 def number(allowed: Range, metavar: str = "N", **more: Any) -> Parameter:
     """Return the annotation of a numeric option with a range."""
-    return Parameter(validator=InRange(allowed), metavar=metavar, **more)
+    return Parameter(validator=(allowed,), metavar=metavar, **more)
 
 
 def range_of(parameter: Parameter) -> Range | None:
     """Return the range of a numeric option, if it has one."""
-    checks = parameter.validator
-    return next((check.allowed for check in checks if isinstance(check, InRange)), None)  # type: ignore[union-attr]
+    checks: Any = parameter.validator
+    return next((check for check in checks if isinstance(check, Range)), None)
 
 
 def option_name(parameter: Parameter, name: str) -> str:
     """Return the name of a field's option on the command line, without dashes."""
     own: Any = parameter.name
     return (own[0] if own else name).strip("-").replace("_", "-")
-
-
-def option_ranges(options: Any) -> Iterator[tuple[str, Range]]:
-    """Yield the names and ranges of the numeric options of a function or class."""
-    for name, hint in get_type_hints(options, include_extras=True).items():
-        for part in (hint, *get_args(hint)):
-            if is_dataclass(part):
-                yield from option_ranges(part)
-            if isinstance(part, Parameter) and (allowed := range_of(part)):
-                yield option_name(part, name), allowed
 
 
 def own_defaults(command: Command) -> Command:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.utils.env_checker import data_equivalence
 from numpy.typing import NDArray
 
 from craftsim.discrete.kinds import Action
@@ -70,7 +71,7 @@ def check_deterministic(
     runs = [_history(env, episodes, seed, ticks) for env in (first, second)]
     for number, (one, two) in enumerate(zip(*runs, strict=True)):
         for part, a, b in zip(_PARTS, one, two, strict=True):
-            assert _equal(a, b), (
+            assert data_equivalence(a, b, exact=True), (
                 f"two runs with seed {seed} differ in the {part} of event {number}:\n{a}\n{b}"
             )
 
@@ -92,14 +93,6 @@ def _history(
             observations = seen[0]
             done += 1
             yield *seen, env.state()
-
-
-def _equal(a: Any, b: Any) -> bool:
-    if isinstance(a, dict):
-        return isinstance(b, dict) and a.keys() == b.keys() and all(_equal(a[key], b[key]) for key in a)
-    if isinstance(a, np.ndarray):
-        return isinstance(b, np.ndarray) and a.dtype == b.dtype and np.array_equal(a, b)
-    return bool(a == b)
 
 
 def check_masks(env: ParallelConstruction, states: int = 10, tries: int | None = None, seed: int = 0) -> None:

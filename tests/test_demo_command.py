@@ -186,7 +186,7 @@ def test_one_failure_among_all_tasks_is_named_and_each_task_has_its_film(demo, f
     assert kinds <= {path.name for path in (folder / "out").iterdir()}
     with av.open("out/block.mp4") as film:
         frames = sum(1 for _ in film.decode(video=0))
-    assert frames == Frames.count(Trajectory.read(folder / "out/block.npz"), FilmOptions())
+    assert frames == len(Frames(Trajectory.read(folder / "out/block.npz"), FilmOptions()))
 
 
 @pytest.mark.parametrize("disturbance", ["bystander", "limit"])

@@ -27,11 +27,8 @@ BROKEN_PIPE: Final = 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit status: its own, 2 for invalid input, 130 if interrupted, 141 if stdout closed.
-
-    Args:
-        arguments: words after ``craftsim``; None: those of this process.
-    """
+    """Run a command, by default that of this process; return its exit status: its own, 2 for invalid input, 130 if
+    interrupted, 141 if stdout is closed."""
     replace_unencodable()
     report_compiling()
     try:

@@ -116,14 +116,14 @@ def _said(error: cyclopts.CycloptsError) -> str:
 
 def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
     for place, word in enumerate(words):
+        option, equals, file = word.partition("=")
+        after = words[place + 1 :]
         if word == "--":
             break
-        if word.startswith("--config="):
-            return words[:place] + words[place + 1 :], Path(word.partition("=")[2])
-        if word == "--config":
-            if len(words) == place + 1:
+        if option == "--config":
+            if not (equals or after):
                 raise InputError("--config needs a file, such as the config.yaml of a run")
-            return words[:place] + words[place + 2 :], Path(words[place + 1])
+            return words[:place] + (after if equals else after[1:]), Path(file if equals else after[0])
     return words, None
 
 
@@ -159,12 +159,12 @@ def write_config(
         return
     import yaml
 
-    from craftsim.reports.json_file import versions
+    from craftsim.reports.json_file import plain, versions
     from craftsim.storage.writing import write_whole
 
     named = len(words) > 1 and words[1] in BELOW.get(words[0], ())
-    options = dict(_options(inspect.unwrap(function), bound.arguments))
-    kept = {name: value for name, value in options.items() if name not in NO_MATTER}
+    options = _options(inspect.unwrap(function), bound.arguments)
+    kept = {name: plain(value) for name, value in options if name not in NO_MATTER}
     document = {"command": " ".join(words[: 1 + named]), "versions": versions(), "options": kept}
     write_whole(out / CONFIG, yaml.safe_dump(document, sort_keys=False))
 
@@ -177,13 +177,7 @@ def _options(taker: Any, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]
             yield from _options(type(value), vars(value))
         else:
             own = (part for part in get_args(hints[name]) if isinstance(part, Parameter) and part.name)
-            yield option_name(next(own, Parameter()), name), _plain(value)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_plain(one) for one in value]
-    return str(value) if isinstance(value, Path) else value
+            yield option_name(next(own, Parameter()), name), value
 
 
 def command_again() -> str:

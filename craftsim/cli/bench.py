@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from importlib.metadata import requires
 from importlib.resources import files
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
@@ -17,7 +17,7 @@ from craftsim.choices import RuleSet
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError
 from craftsim.options import OptionalDir, Seeded, Work, number
-from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend
+from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend, run_apart
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, numbers
 from craftsim.storage.folders import output_directory, owning
 from craftsim.storage.limits import BATCH, BENCH_S
@@ -39,9 +39,8 @@ EPISODES: Final = 100
 DEPTH: Final = 20
 """The search depth of CraftEnv's published training settings, the costlier of the two."""
 
-Step = Callable[[], None]
-Case = tuple[str, int, bool, Step]
-"""A benchmark: name, steps of a call, whether the estimate is with CraftEnv's helper, and the call."""
+Case = tuple[str, int, bool, Iterator[None]]
+"""A benchmark: name, worlds, whether the estimate is with CraftEnv's helper, and the play of which a step is timed."""
 
 
 @owning
@@ -119,8 +118,8 @@ def bench(
     rates: dict[str, dict[str, Any]] = {task: {} for task in TASKS}
     rows = []
     for task in TASKS:
-        for name, n, helper, step in _cases(what, task, rules, worlds, seed):
-            rates[task][name] = rate = measure(step, n, seconds, task, helper)
+        for name, n, helper, play in _cases(what, task, rules, worlds, seed):
+            rates[task][name] = rate = measure(partial(next, play), n, seconds, task, helper)
             rows.append((task, name, *cells(rate)))
     heads = numbers("case", "steps/s", "CraftEnv", "times")
     table = DataTable((Column("task"), *heads), rows, f"Steps a CPU second, {what}")
@@ -146,22 +145,23 @@ def _cases(what: str, task: str, rules: RuleSet, worlds: int, seed: int) -> Iter
     from craftsim.envs import parallel_env, vector_env
     from craftsim.mjcf.parameters import DRIVES
 
+    rng = partial(np.random.default_rng, seed)
     if what == "rules":
         made = make_task(task, reward="published_code")
         for depth, n in ((None, worlds), (DEPTH, worlds), (DEPTH, 1)):
-            rng = np.random.default_rng(seed)
             name = f"{'primitive' if depth is None else 'helper'}, {n} world{'s' if n > 1 else ''}"
-            yield name, n, depth is not None, _rule_step(Episodes(made, rng, n, rules, depth), rng)
+            own = rng()
+            yield name, n, depth is not None, _play_rules(Episodes(made, own, n, rules, depth), own)
     elif what == "env":
         for depth in (DEPTH, None):
             helper = f"helper {'no' if depth is None else 'yes'}"
             env = parallel_env(task, "grid", helper_depth=depth)
-            yield f"PettingZoo, {helper}", 1, True, _env_step(env, seed)
+            yield f"PettingZoo, {helper}", 1, True, _play_env(env, rng(), seed)
             envs = vector_env(task, worlds, helper_depth=depth)
-            yield f"vector, {worlds} worlds, {helper}", worlds, True, _worlds_step(envs, seed)
+            yield f"vector, {worlds} worlds, {helper}", worlds, True, _play_worlds(envs, rng(), seed)
     else:
         for drive in DRIVES:
-            yield drive, 1, True, _env_step(parallel_env(task, "physics", drive=drive), seed)
+            yield drive, 1, True, _play_env(parallel_env(task, "physics", drive=drive), rng(), seed)
 
 
 def pick(rng: np.random.Generator, mask: NDArray[Any]) -> NDArray[np.int64]:
@@ -172,52 +172,37 @@ def pick(rng: np.random.Generator, mask: NDArray[Any]) -> NDArray[np.int64]:
     return picked
 
 
-# Functions that take one step of masked random play, resets included.
+# Masked random play, resets included, a step at a time.
 
 
-def _rule_step(episodes: Any, rng: np.random.Generator) -> Step:
-    masks = episodes.offered()
-
-    def step() -> None:
-        nonlocal masks
-        done = episodes.step(pick(rng, masks)).done
+def _play_rules(episodes: Any, rng: np.random.Generator) -> Iterator[None]:
+    while True:
+        done = episodes.step(pick(rng, episodes.offered())).done
         if done.any():
             episodes.reset(done.nonzero()[0])
-        masks = episodes.offered()
         if episodes.depth is not None:
             episodes.vectors()
+        yield
 
-    return step
 
-
-def _env_step(env: ParallelConstruction, seed: int) -> Step:
+def _play_env(env: ParallelConstruction, rng: np.random.Generator, seed: int) -> Iterator[None]:
     import numpy as np
 
-    rng = np.random.default_rng(seed)
     observations = env.reset(seed=seed)[0]
-
-    def step() -> None:
-        nonlocal observations
+    while True:
         masks = np.stack([seen["action_mask"] for seen in observations.values()])
         actions = dict(zip(observations, pick(rng, masks).tolist(), strict=True))
         observations = env.step(actions)[0] if actions else {}
         if not env.agents:
             observations = env.reset()[0]
+        yield
 
-    return step
 
-
-def _worlds_step(envs: Any, seed: int) -> Step:
-    import numpy as np
-
-    rng = np.random.default_rng(seed)
+def _play_worlds(envs: Any, rng: np.random.Generator, seed: int) -> Iterator[None]:
     observations = envs.reset(seed=seed)[0]
-
-    def step() -> None:
-        nonlocal observations
+    while True:
         observations = envs.step(pick(rng, observations["action_mask"]))[0]
-
-    return step
+        yield
 
 
 _WRONG_MUJOCO: Final = "4.0.0"
@@ -300,13 +285,10 @@ def _physics() -> Check:
     found = versions()["mujoco"]
     if found == _WRONG_MUJOCO:
         return Check(what, False, f"version {found} gives wrong contact physics", install)
-    command = [sys.executable, "-P", "-c", _FALLING_BALL]
-    child = subprocess.run(command, capture_output=True, text=True, check=False)
-    if child.returncode == 0:
-        return Check(what, True, f"{found}, a dropped ball comes to rest")
-    reason = (child.stderr.strip().splitlines() or [f"exit status {child.returncode}"])[-1]
-    # A backend that cannot load makes the import of MuJoCo itself fail.
-    return Check(what, False, reason, _unset_backend_or(install))
+    if reason := run_apart(_FALLING_BALL, "rest"):
+        # A backend that cannot load makes the import of MuJoCo itself fail.
+        return Check(what, False, reason, _unset_backend_or(install))
+    return Check(what, True, f"{found}, a dropped ball comes to rest")
 
 
 def _audited(installed: str) -> str:

@@ -102,17 +102,11 @@ def cells(rate: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def measure(step: Callable[[], None], n: int, seconds: float, task: str, helper: bool) -> dict[str, float]:
-    """Return the rate of a function that takes ``n`` steps of a task, with or without the action helper.
+    """Return the rate of a function that takes ``n`` steps of a task, CraftEnv's ``helper`` included or not.
 
-    It is timed in CPU seconds, so that other processes count for neither side, and in turns with the calibration,
-    because a processor's speed changes: by 1.8 times within a minute where REFERENCE_PER_UNIT was measured.
-
-    Args:
-        step: called once before, so that compiling does not count.
-        n: steps a call.
-        seconds: how long it is called, all turns together.
-        task: one of ``REFERENCE_PER_UNIT``.
-        helper: whether masks and observations of CraftEnv's helper are part of its steps.
+    It is called once before, so that compiling does not count, and timed for some CPU ``seconds``, so that other
+    processes count for neither side, in turns with the calibration, because a processor's speed changes: by 1.8 times
+    within a minute where REFERENCE_PER_UNIT was measured.
     """
     step()
     unit()

@@ -55,17 +55,12 @@ BELOW: Final[dict[str, dict[str, str]]] = {
 ALONE: Final = ("robot",)
 """Commands that need a subcommand."""
 MODULES: Final = {
+    **dict.fromkeys(("margins", "clearance", "conformance"), "audit"),
+    **dict.fromkeys(("plan", "design"), "show"),
+    **dict.fromkeys(("serve", "excite", "identify"), "tune"),
     "compare": "replay",
-    "margins": "audit",
-    "clearance": "audit",
-    "conformance": "audit",
-    "plan": "show",
-    "design": "show",
     "view": "render",
     "study": "train",
-    "serve": "tune",
-    "excite": "tune",
-    "identify": "tune",
     "doctor": "bench",
 }
 """The module of a command, if it does not have its name."""

@@ -7,28 +7,31 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from craftsim.checking.judge import Judge
 from craftsim.cli.progress import counting
 from craftsim.cli.text import print_safe
-from craftsim.experiments.bundle import FILM, TRAJECTORY, Recorded, Replay, read_bundle, replay
+from craftsim.discrete.files.design import Design
+from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import Schedule
+from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.errors import InputError
+from craftsim.experiments.bundle import FILM, TEXT, TRAJECTORY, Recorded, Replay, read_bundle, replay
 from craftsim.experiments.experiment import TrialRecord
 from craftsim.rendering.offscreen import RenderingUnavailable, choose_backend
-from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory
+from craftsim.rendering.trajectory import SUFFIX, TRAJECTORIES, Recorder, Trajectory, trajectory_files
 from craftsim.reports.terminal import Terminal
 from craftsim.storage.folders import directory_within
+from craftsim.storage.paths import is_file, is_folder
 from craftsim.workers.pool import Pool, answered
-
-if TYPE_CHECKING:
-    from craftsim.discrete.files.design import Design
-    from craftsim.discrete.schedule import Schedule
 
 FILMS: Final = "films"
 SIZE: Final = (640, 360)
 """Size of the films of a run in pixels."""
 CLIP_S: Final = 3.0
 """Length of a film of one failure."""
+_NAMED: Final = 12  # trajectories of a folder that an error names
 _AFTER: Final = 0.2
 """Share of a long action's time for which what follows is recorded; a short one's is filled up to a film's length."""
 
@@ -63,21 +66,38 @@ def record_bundle(recorded: Recorded) -> tuple[Replay, Trajectory]:
     return result, recorder.trajectory(bundle.key, bundle.recipe, result.attempts)
 
 
-def film_bundle(recorded: Recorded, path: Path) -> Replay:
-    """Replay a bundle, film its last step, and return the replay; requires :func:`rendering_works`."""
-    result, trajectory = record_bundle(recorded)
-    _film_failure(trajectory, path)
-    return result
+def is_recorded(what: str) -> bool:
+    """Return whether a word on the command line is a recorded run: a trajectory or a folder."""
+    return what not in TASK_NAMES and (Path(what).suffix == SUFFIX or is_folder(Path(what)))
 
 
-def _film_failure(trajectory: Trajectory, path: Path) -> None:
+def recorded_runs(path: Path) -> dict[str, Callable[[], Trajectory]]:
+    """Return the recorded runs in a file or a folder, by the name of their file, or of the bundle in which it is."""
+    if is_file(path / TEXT):
+        return {path.name: lambda: record_bundle(read_bundle(path))[1]}
+    files = trajectory_files(path)
+    names = (file.parent.name if is_file(file.parent / TEXT) else file.stem for file in files)
+    return {name: partial(Trajectory.read, file) for name, file in zip(names, files, strict=True)}
+
+
+def recorded_run(path: Path) -> Trajectory:
+    """Return the one recorded run in a file or a folder."""
+    runs = recorded_runs(path)
+    if len(runs) > 1:
+        files = trajectory_files(path)
+        more = f" and {len(files) - _NAMED} more" if len(files) > _NAMED else ""
+        raise InputError(f"{path}: give one of its trajectories: {', '.join(map(str, files[:_NAMED]))}{more}")
+    return next(iter(runs.values()))()
+
+
+def film_failure(trajectory: Trajectory, path: Path) -> None:
+    """Film the last step of a bundle; requires :func:`rendering_works`."""
     camera = f"follow:{trajectory.story.attempts[0].car}"
     _film(trajectory, path, cameras=(camera,), length_s=CLIP_S, cards=False)
 
 
 def _film(trajectory: Trajectory, path: Path, **look: Any) -> None:
-    from craftsim.rendering.film import FilmOptions
-    from craftsim.rendering.render import render
+    from craftsim.rendering.render import FilmOptions, render  # a fifth of a second that only films take
 
     render(trajectory, path, FilmOptions(SIZE, **look))
 
@@ -93,7 +113,7 @@ def _record_folder(filmed: bool, folder: Path) -> None:
     _, trajectory = record_bundle(read_bundle(folder, of_own_run=True))
     trajectory.write(folder / TRAJECTORY)
     if filmed:
-        _film_failure(trajectory, folder / FILM)
+        film_failure(trajectory, folder / FILM)
 
 
 def film_runs(out: Path, workers: int = 1) -> None:
@@ -123,7 +143,6 @@ def _do_all(what: str, function: Callable[[Path], None], jobs: Sequence[Path], w
 
 def draw_plan(out: Path, schedule: Schedule, name: str, film: bool, design: Design | None = None) -> None:
     """Draw the Gantt chart of a plan by the physical rules, and, with ``film``, film it on the grid."""
-    from craftsim.discrete.rules import Rules
     from craftsim.rendering.plots.gantt import FORMATS, draw_gantt
     from craftsim.rendering.render import film_plan
 

@@ -95,7 +95,7 @@ def _value(one: Argument) -> str:
 
 def _default(one: Argument) -> str:
     default = one.field_info.default
-    if (default in (None, (), "", False, inspect.Parameter.empty) and default != 0) or default is False:
+    if default in (None, (), "", inspect.Parameter.empty) or default is False:
         return ""
     if default is True:
         return "yes"

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -15,11 +14,8 @@ from craftsim.errors import InputError
 from craftsim.options import CarriedPlan, Physics, number
 from craftsim.rendering.viewer import LOOPBACK, PORT, need_viser
 from craftsim.storage.limits import FILM_SPEED, FRAME_RATE, MOMENT_S, PORTS, WORKERS
-from craftsim.storage.paths import is_file, is_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from craftsim.rendering.trajectory import Trajectory
     from craftsim.rendering.viewer.views import LiveView
     from craftsim.validation.rollout import Building
@@ -77,6 +73,7 @@ def render(
         if beside:
             raise InputError("figures are of one run; give --out a film or a picture, or leave --beside out")
         return _draw_figures(Path(what), out)
+    from craftsim.cli.films import recorded_run
     from craftsim.rendering.film import FilmOptions
     from craftsim.rendering.offscreen import choose_backend
     from craftsim.rendering.render import check_format
@@ -98,7 +95,7 @@ def render(
     check_format(out, at)
     choose_backend()
     output_directory(out.parent)
-    shown = [_find_trajectory(what, out, physics, carried, policy), *map(_recorded, beside)]
+    shown = [_find_trajectory(what, out, physics, carried, policy), *map(recorded_run, beside)]
     if names:
         shown = [trajectory.titled(name) for trajectory, name in zip(shown, names, strict=True)]
     for path in render_file(shown, out, look, workers=workers, at=at, progress=counting("frames", bool)):
@@ -139,13 +136,13 @@ def view(
         port: port; 0 takes a free one.
     """
     need_viser()
+    from craftsim.cli.films import is_recorded, recorded_runs
     from craftsim.rendering.viewer.page import REAL_TIME
     from craftsim.rendering.viewer.views import LiveView, RecordedView
     from craftsim.validation.rollout import read_building
 
-    path = Path(what)
-    building = None if _is_recorded(what) else read_building(what)
-    runs = _runs(path) if building is None else {}
+    building = None if is_recorded(what) else read_building(what)
+    runs = recorded_runs(Path(what)) if building is None else {}
     with LiveView(host, port, REAL_TIME) as live:
         try:
             print_safe(f"Watch at {live.address} (Ctrl-C ends it)")
@@ -177,13 +174,6 @@ def _carry_out(building: Building, live: LiveView) -> Trajectory:
     return done.trajectory
 
 
-def _is_recorded(what: str) -> bool:
-    from craftsim.discrete.tasks import TASK_NAMES
-    from craftsim.rendering.trajectory import SUFFIX
-
-    return what not in TASK_NAMES and (Path(what).suffix == SUFFIX or is_folder(Path(what)))
-
-
 def _find_trajectory(
     what: str, out: Path, physics: Physics, carried: CarriedPlan, policy: str | None
 ) -> Trajectory:
@@ -191,39 +181,15 @@ def _find_trajectory(
 
     What is not recorded yet is run now, and written beside ``out``, under its name with the ending ``.npz``.
     """
+    from craftsim.cli.films import is_recorded, recorded_run
     from craftsim.rendering.trajectory import SUFFIX
     from craftsim.validation.validation import record_once
 
-    if _is_recorded(what):
+    if is_recorded(what):
         if carried.plan or policy:
             raise InputError(f"{what} is recorded already; leave --plan and --policy out")
-        return _recorded(Path(what))
+        return recorded_run(Path(what))
     plan, setup = carried.plan_file, physics.setup()
     trajectory = record_once(what, setup, physics.seed, plan=plan, policy=policy, order=carried.order)
     print_safe(f"Recorded: {trajectory.write(out.with_suffix(SUFFIX))}")
     return trajectory
-
-
-def _runs(path: Path) -> dict[str, Callable[[], Trajectory]]:
-    """Return the recorded runs in a file or a folder, by name."""
-    from craftsim.cli.films import record_bundle
-    from craftsim.experiments.bundle import TEXT, read_bundle
-    from craftsim.rendering.trajectory import Trajectory, name_of, trajectory_files
-
-    if is_file(path / TEXT):
-        return {path.name: lambda: record_bundle(read_bundle(path))[1]}
-    return {name_of(file): partial(Trajectory.read, file) for file in trajectory_files(path)}
-
-
-_NAMED: Final = 12  # trajectories of a folder that an error names
-
-
-def _recorded(path: Path) -> Trajectory:
-    from craftsim.rendering.trajectory import trajectory_files
-
-    runs = _runs(path)
-    if len(runs) > 1:
-        files = trajectory_files(path)
-        more = f" and {len(files) - _NAMED} more" if len(files) > _NAMED else ""
-        raise InputError(f"{path}: give one of its trajectories: {', '.join(map(str, files[:_NAMED]))}{more}")
-    return next(iter(runs.values()))()

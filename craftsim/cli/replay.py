@@ -48,14 +48,18 @@ def replay(
         own_skills(skills)
     if minimize:
         return _minimize(bundle, out)
-    from craftsim.cli.films import film_bundle, rendering_works
+    from craftsim.cli.films import film_failure, record_bundle, rendering_works
     from craftsim.experiments.bundle import read_bundle
     from craftsim.experiments.bundle import replay as run_again
 
-    filming, recorded = video and rendering_works(), read_bundle(bundle)
-    film = out / f"{resolved(bundle).name}.mp4"
-    result = film_bundle(recorded, film) if filming else run_again(recorded)
-    return _report(recorded, result, bundle.name, {"Film": film} if filming else {}).publish(out)
+    filming, recorded, files = video and rendering_works(), read_bundle(bundle), dict[str, Path]()
+    if filming:
+        files["Film"] = out / f"{resolved(bundle).name}.mp4"
+        result, trajectory = record_bundle(recorded)
+        film_failure(trajectory, files["Film"])
+    else:
+        result = run_again(recorded)
+    return _report(recorded, result, bundle.name, files).publish(out)
 
 
 def _minimize(folder: Path, out: Path) -> int:

@@ -18,18 +18,8 @@ from craftsim.cli.text import print_error, print_safe, warn_if_exposed
 from craftsim.errors import InputError
 from craftsim.options import Dir, File, Physics, Work, number, own_defaults
 from craftsim.robots import LOOPBACK, PORT, need_network
+from craftsim.storage import limits
 from craftsim.storage.folders import owning
-from craftsim.storage.limits import (
-    DELAY_MS,
-    EXCITE_M,
-    EXCITE_S,
-    LOGGED_CARS,
-    PACE,
-    PATIENCE_S,
-    PORTS,
-    SHARE,
-    TRIAL_COUNT,
-)
 
 _Objective = Literal["time", "error", "margin", "energy", "force"]
 
@@ -42,8 +32,8 @@ def tune(
     weights: Annotated[tuple[str, ...], Parameter(metavar="NAME=WEIGHT")] = (),
     objectives: tuple[_Objective, ...] = (),
     choose: Literal["knee", "time", "error", "margin", "energy", "force"] = "knee",
-    evaluations: Annotated[int, number(TRIAL_COUNT)] = 400,
-    trials: Annotated[int, number(TRIAL_COUNT)] = 2,
+    evaluations: Annotated[int, number(limits.TRIAL_COUNT)] = 400,
+    trials: Annotated[int, number(limits.TRIAL_COUNT)] = 2,
     physics: Physics = Physics(drive="reduced"),  # noqa: B008
     work: Work = Work(),  # noqa: B008
     out: Dir = Path("out/tune"),
@@ -87,14 +77,14 @@ def serve(
     task: str = "simple_two_story",
     *,
     host: Annotated[str, Parameter(metavar="ADDRESS")] = LOOPBACK,
-    port: Annotated[int, number(PORTS)] = PORT,
-    delay_ms: Annotated[float, number(DELAY_MS, "MS")] = 0.0,
-    jitter_ms: Annotated[float, number(DELAY_MS, "MS")] = 0.0,
-    loss: Annotated[float, number(SHARE)] = 0.0,
+    port: Annotated[int, number(limits.PORTS)] = PORT,
+    delay_ms: Annotated[float, number(limits.DELAY_MS, "MS")] = 0.0,
+    jitter_ms: Annotated[float, number(limits.DELAY_MS, "MS")] = 0.0,
+    loss: Annotated[float, number(limits.SHARE)] = 0.0,
     silent: Annotated[tuple[str, ...], Parameter(metavar="CAR:SECONDS")] = (),
-    pace: Annotated[float, number(PACE)] = 1.0,
+    pace: Annotated[float, number(limits.PACE)] = 1.0,
     lockstep: bool = False,
-    timeout: Annotated[float, number(PATIENCE_S, "SECONDS")] = 60.0,
+    timeout: Annotated[float, number(limits.PATIENCE_S, "SECONDS")] = 60.0,
     once: bool = False,
     physics: Physics = Physics(),  # noqa: B008
     out: Dir = Path("out/robot"),
@@ -181,9 +171,9 @@ def _silent(text: str) -> tuple[int, float]:
 @owning
 def excite(
     *,
-    duration: Annotated[float, number(EXCITE_S, "SECONDS")] = 120.0,
-    length: Annotated[float, number(EXCITE_M, "METRES")] = 2.0,
-    width: Annotated[float, number(EXCITE_M, "METRES")] = 2.0,
+    duration: Annotated[float, number(limits.EXCITE_S, "SECONDS")] = 120.0,
+    length: Annotated[float, number(limits.EXCITE_M, "METRES")] = 2.0,
+    width: Annotated[float, number(limits.EXCITE_M, "METRES")] = 2.0,
     load: bool = False,
     physics: Physics = Physics(),  # noqa: B008
     out: Dir = Path("out/excite"),
@@ -236,7 +226,7 @@ def identify(
     log: Annotated[Path, Parameter(metavar="LOG")],
     *,
     held_out: File = None,
-    car: Annotated[int, number(LOGGED_CARS)] = 0,
+    car: Annotated[int, number(limits.LOGGED_CARS)] = 0,
     load: bool = False,
     topics: File = None,
     machines: File = None,

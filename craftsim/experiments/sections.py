@@ -28,6 +28,7 @@ from craftsim.reports.report import (
     numbers,
     share_cells,
 )
+from craftsim.storage.limits import shorten
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -222,7 +223,8 @@ def policies_section(figures: statistics.Figures) -> list[Section]:
         look: dict[str, Any] = {"color": plots.ACCENT, "ms": 8, "mec": plots.PAPER}
         look |= {"clip_on": False, "zorder": 3}
         for one, marker in zip(scores, cycle(_MARKERS)):
-            axes.plot(one["grid"], one["physics"], marker, label=plots.short(one["policy"]), **look)
+            label = shorten(one["policy"], plots.LONGEST_NAME)
+            axes.plot(one["grid"], one["physics"], marker, label=label, **look)
         axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), handletextpad=0.1)
         axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), aspect="equal")
         axes.set(xlabel="success in the grid world", ylabel="success in physics")

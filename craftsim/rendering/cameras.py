@@ -55,19 +55,12 @@ class View:
 
 
 def make_view(text: str, trajectory: Trajectory, aspect: float) -> View:
-    """Return a view of a trajectory.
+    """Return a view of a trajectory for a picture of an aspect ratio (width over height).
 
-    Args:
-        text: ``overview`` (the whole area, up to the height that anything reaches, from its front right), ``top`` (from
-            straight above, x to the right), ``orbit`` (once around the area), ``follow:CAR`` (from behind and above),
-            ``closeup:CAR`` (wheels and board), CAR being the number of a car; or the path of a YAML file with the keys
-            lookat (x, y, z in metres), distance (m), azimuth, elevation and, where it is not 45, fovy (degrees), as
-            MuJoCo's free camera has them.
-        trajectory: what is looked at.
-        aspect: width over height of the picture.
-
-    Raises:
-        InputError: there is no such view or car, or the file is wrong.
+    ``text`` is ``overview`` (the whole area, up to the height that anything reaches, from its front right), ``top``
+    (x to the right), ``orbit`` (once around the area), ``follow:CAR`` (from behind and above), ``closeup:CAR`` (wheels
+    and board), or a YAML file with the keys lookat (x, y, z in metres), distance (m), azimuth, elevation and, where it
+    is not 45, fovy (degrees), as MuJoCo's free camera has them. Raises InputError for any other, or a wrong file.
     """
     if Path(text).suffix in (".yaml", ".yml"):
         return _still(read_aim(Path(text)))
@@ -101,10 +94,7 @@ class _File:
 
 
 def read_aim(path: Path) -> Aim:
-    """Return the camera of a YAML file: lookat (x, y, z) and distance in metres, azimuth, elevation, fovy in degrees.
-
-    Raises InputError, naming the file and line, for what is missing, unknown, no number or out of range.
-    """
+    """Return the camera of a YAML file with the keys of :func:`make_view`; raises InputError with the line."""
     file = read_document(path).to(_File)
     return Aim(np.array(file.lookat), file.distance, file.azimuth, file.elevation, file.fovy)
 

@@ -46,11 +46,7 @@ _WAITING: Final = 16  # frames that wait for the encoder at most
 
 
 def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None) -> None:
-    """Write frames into a film or an animation; ``tell`` is called after each.
-
-    A film is encoded in a thread of its own while the next frames are made: encoders release the interpreter. Raises
-    InputError where the disk does not take it.
-    """
+    """Write frames into a film, encoded in a thread of its own, or an animation; ``tell`` is called after each."""
     if path.suffix in ANIMATIONS:
         _animate(path, fps, frames, tell)
         return
@@ -66,11 +62,9 @@ def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda
 
 
 class VideoWriter:
-    """Context manager that encodes frames into an MP4 file (H.264, index before the pictures) or a WebM file (VP9), as
-    the ending of its name says; yuv420p both.
+    """Encodes frames into an MP4 file (H.264, index first) or a WebM file (VP9), by its name's ending; yuv420p both.
 
-    A file with the final name is always complete: the film gets it only when the block ends without an error. Raises
-    InputError where the disk does not take it.
+    A context manager: the file is complete or as it was. Raises InputError where the disk does not take it.
     """
 
     def __init__(self, path: Path, fps: int) -> None:
@@ -92,14 +86,9 @@ class VideoWriter:
         self._file.__exit__(*error)
 
     def write(self, frame: Frame) -> None:
-        """Append a frame.
+        """Append a frame, shape (height, width, 3), uint8, RGB.
 
-        Args:
-            frame: shape (height, width, 3), uint8, RGB; both sizes even, the same for all frames.
-
-        Raises:
-            ValueError: the frame has another type or size, or an odd one.
-            InputError: the disk does not take it.
+        Raises ValueError for another type, an odd size or another one than before.
         """
         if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
             raise ValueError(f"a frame is uint8 of shape (height, width, 3), not {frame.dtype} {frame.shape}")

@@ -99,45 +99,33 @@ class FilmOptions:
         return (round(self.fps * TITLE_S), round(self.fps * END_S)) if self.cards else (0, 0)
 
 
-Shown = Trajectory | Sequence[Trajectory]
-"""What a film is of: a trajectory, or several that stand side by side."""
-
-
-def several(shown: Shown) -> tuple[Trajectory, ...]:
-    """Return what a film is of; raise InputError for nothing."""
-    trajectories = (shown,) if isinstance(shown, Trajectory) else tuple(shown)
-    if not trajectories:
-        raise InputError("no trajectory; give one or more")
-    return trajectories
-
-
-def longest(shown: Shown) -> Trajectory:
-    """Return the trajectory that lasts longest, by whose time a film goes."""
-    return max(several(shown), key=lambda trajectory: trajectory.duration_s)
-
-
 class Frames:
     """The frames of a film, by their number; to be closed at the end."""
 
-    def __init__(self, shown: Shown, look: FilmOptions) -> None:
-        """Prepare; raises InputError for a camera that there is not, and RenderingUnavailable where nothing renders."""
-        self.look = look
-        self.times, self._factors = pace_of(longest(shown), look)
+    def __init__(self, shown: Trajectory | Sequence[Trajectory], look: FilmOptions) -> None:
+        """Make frames of a trajectory, or of several that stand side by side; raises InputError for none."""
+        self.look, self.shown = look, (shown,) if isinstance(shown, Trajectory) else tuple(shown)
+        if not self.shown:
+            raise InputError("no trajectory; give one or more")
+        longest = max(self.shown, key=lambda trajectory: trajectory.duration_s)
+        self.span_s: tuple[float, float] = tuple(longest.time[[0, -1]].tolist())
+        """Start and end of the longest trajectory, by whose time the film goes."""
+        self.times, self._factors = pace_of(longest, look)
         """Simulated time of each frame between the cards, (n,), in seconds."""
-        trajectories, self._begins_s = several(shown), float(longest(shown).time[0])
-        tiles = row_of(Tile(0, 0, *look.size), [1.0] * len(trajectories))
-        self._panes = [_Pane(*pane, look) for pane in zip(trajectories, tiles, strict=True)]
 
     def __len__(self) -> int:
         return len(self.times) + sum(self.look.n_cards)
 
-    @staticmethod
-    def count(shown: Shown, look: FilmOptions) -> int:
-        """Return how many frames a film has, without preparing one."""
-        return len(pace_of(longest(shown), look)[0]) + sum(look.n_cards)
+    @cached_property
+    def _panes(self) -> list[_Pane]:
+        tiles = row_of(Tile(0, 0, *self.look.size), [1.0] * len(self.shown))
+        return [_Pane(*pane, self.look) for pane in zip(self.shown, tiles, strict=True)]
 
     def __getitem__(self, number: int) -> Frame:
-        """Return a frame, shape (height, width, 3), uint8, RGB."""
+        """Return a frame, shape (height, width, 3), uint8, RGB.
+
+        Raises InputError for a camera that there is not, and RenderingUnavailable where nothing renders.
+        """
         number -= self.look.n_cards[0]
         if 0 <= number < len(self.times):
             return self.at(float(self.times[number]), float(self._factors[number]))
@@ -156,7 +144,7 @@ class Frames:
 
         Of several trajectories it is a moment of the longest; each is shown as long after its own start, or at its end.
         """
-        since_s = time_s - self._begins_s
+        since_s = time_s - self.span_s[0]
         return self._joined(
             [pane.at(since_s + float(pane.trajectory.time[0]), factor) for pane in self._panes]
         )
@@ -170,8 +158,8 @@ class Frames:
         return frame
 
     def close(self) -> None:
-        """Close the renderers."""
-        for pane in self._panes:
+        """Close the renderers, if any was made."""
+        for pane in vars(self).get("_panes", ()):
             for renderer in pane.renderers:
                 renderer.close()
 
@@ -300,10 +288,7 @@ Pace = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def pace_of(trajectory: Trajectory, look: FilmOptions) -> Pace:
-    """Return when the frames between the cards are; the first sample and the last are among them.
-
-    A film of a given length is never slower than it happened: its last picture stays.
-    """
+    """Return when the frames between the cards are, both ends included; never slower than it happened."""
     took_s = trajectory.duration_s
     if look.length_s is not None:
         n, speed = max(1, round(look.length_s * look.fps)), max(1.0, took_s / look.length_s)

@@ -96,10 +96,7 @@ def level_shapes(
 def car_shapes(
     grid: Grid, z: int, shifts: Mapping[int, tuple[float, float]] | None = None
 ) -> Iterator[Outline]:
-    """Yield the cars of a level: four wheels, a body in a car's colour with a light nose, its number, and its load.
-
-    ``shifts`` are how far cars on their way have come from their cells, along x and y.
-    """
+    """Yield the cars of a level; ``shifts`` are how far cars on their way have come from their cells, along x and y."""
     for cell, cars in cars_by_cell(grid).items():
         for car in cars if cell[2] == z else ():
             shift = np.array((shifts or {}).get(car, (0.0, 0.0)))

@@ -6,7 +6,7 @@ import copy
 import math
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, Literal, Self, get_args
+from typing import Any, Final, Literal, Self, get_args
 
 import mujoco
 import numpy as np
@@ -15,13 +15,11 @@ from numpy.typing import NDArray
 from craftsim.errors import InputError, suggestion
 from craftsim.mjcf.block import TABLE_NAMES
 from craftsim.models.parts import MachineNames
+from craftsim.models.world import PhysicsWorld
 from craftsim.rendering.cameras import View
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.trajectory import SeenWorld
 from craftsim.storage.limits import IMAGE_PIXELS, PHYSICS_PARTS
-
-if TYPE_CHECKING:
-    from craftsim.models.world import PhysicsWorld
 
 ImageKind = Literal["rgb", "depth", "segmentation"]
 IMAGE_KINDS: Final[tuple[ImageKind, ...]] = get_args(ImageKind)
@@ -96,10 +94,7 @@ class CameraImages:
     def __init__(
         self, cameras: Sequence[str | View], size: tuple[int, int], kinds: Sequence[ImageKind] = IMAGE_KINDS
     ) -> None:
-        """Prepare for cameras, a world's own by name, or views as films have them.
-
-        The other arguments, and what is raised, are as in :func:`take_images`.
-        """
+        """Prepare for cameras, by name or as views of films; other arguments and errors as in :func:`take_images`."""
         check_images(size, kinds)
         self.cameras, self.size, self.kinds = tuple(cameras), size, tuple(kinds)
         self._solids = mujoco.MjvOption()

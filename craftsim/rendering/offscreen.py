@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import weakref
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from craftsim.errors import CraftsimError
@@ -38,6 +39,7 @@ if not renderer.render().any():
     raise SystemExit("the rendered frame is black")
 renderer.close()
 """
+_APART_S: Final = 60
 _OPEN: Final[weakref.WeakSet[mujoco.Renderer]] = weakref.WeakSet()
 
 
@@ -47,38 +49,31 @@ class RenderingUnavailable(CraftsimError):
 
 @functools.cache
 def failure(backend: str) -> str | None:
-    """Render one frame and return why that failed, or None when it worked.
-
-    In a process of its own, because a broken OpenGL driver may crash the process that tries it.
-    """
+    """Render a frame with a backend; return why that failed, or None where it worked."""
     # MuJoCo's import leaves its backend for PyOpenGL in the environment, and refuses another one then.
     environment = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"}
+    return run_apart(_ONE_FRAME, "frame", environment | {"MUJOCO_GL": backend})
+
+
+def run_apart(code: str, result: str, environment: Mapping[str, str] | None = None) -> str | None:
+    """Run Python code for a result in a process that it may crash; return why that failed, or None where it worked."""
+    command = [sys.executable, "-P", "-c", code]
+    options: dict[str, Any] = {"env": environment, "capture_output": True, "text": True, "timeout": _APART_S}
     try:
-        child = subprocess.run(
-            [sys.executable, "-P", "-c", _ONE_FRAME],
-            env={**environment, "MUJOCO_GL": backend},
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+        child = subprocess.run(command, check=False, **options)
     except subprocess.TimeoutExpired:
-        return "no frame within 60 s"
-    if child.returncode == 0:
-        return None
+        return f"no {result} within {_APART_S} s"
     if child.returncode < 0:
         return f"crashed with signal {-child.returncode}"
-    return (child.stderr.strip() or f"exit status {child.returncode}").splitlines()[-1]
+    said = child.stderr.strip() or f"exit status {child.returncode}"
+    return said.splitlines()[-1] if child.returncode else None
 
 
 def choose_backend() -> str:
     """Return the backend that renders, and set ``MUJOCO_GL`` to it for this process and its children.
 
     It may be called before or after MuJoCo was imported. A ``MUJOCO_GL`` that is already set is used, or refused if it
-    does not render, but never replaced.
-
-    Raises:
-        RenderingUnavailable: nothing renders.
+    does not render, but never replaced. Raises RenderingUnavailable where nothing renders.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted:
@@ -101,15 +96,9 @@ def choose_backend() -> str:
 
 
 def make_renderer(model: mujoco.MjModel, size: tuple[int, int], shadows: bool = False) -> mujoco.Renderer:
-    """Return a renderer of a model on the backend of :func:`choose_backend`.
+    """Return a renderer of a model, whose off-screen buffer is enlarged to ``size`` (width, height) where needed.
 
-    Args:
-        model: what is rendered; its off-screen buffer is enlarged to ``size`` where it is smaller.
-        size: width and height in pixels.
-        shadows: a picture takes a multiple of the time with them, where no GPU draws.
-
-    Raises:
-        RenderingUnavailable: nothing renders on this machine.
+    Without a GPU, ``shadows`` take a multiple of the time. Raises RenderingUnavailable where nothing renders.
     """
     import mujoco
 

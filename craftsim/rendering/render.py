@@ -23,7 +23,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule
 from craftsim.errors import InputError
 from craftsim.rendering.encode import ANIMATIONS, FILMS, Frame, OnFrame, check_animation, encode
-from craftsim.rendering.film import FilmOptions, Frames, Shown, fitted, longest, several
+from craftsim.rendering.film import FilmOptions, Frames, fitted
 from craftsim.rendering.grid_picture import levels_of, world_image
 from craftsim.rendering.layout import arrange
 from craftsim.rendering.overlay import PAPER, Caption, CarCaption, draw_panel, label
@@ -53,7 +53,7 @@ def no_progress(total: int) -> AbstractContextManager[OnFrame]:
 
 
 def render(
-    shown: Shown,
+    shown: Trajectory | Sequence[Trajectory],
     path: str | Path,
     look: FilmOptions | None = None,
     *,
@@ -61,32 +61,29 @@ def render(
     at: Sequence[float] = (),
     progress: Progress = no_progress,
 ) -> list[Path]:
-    """Render a trajectory into a file, and return the files that were written.
+    """Render a trajectory, or several side by side at the same simulated time, and return the files that were written.
 
     Args:
-        shown: a trajectory, or several that are shown side by side at the same simulated time.
+        shown: what is rendered.
         path: a film (``.mp4``, ``.webm``), an animation (``.webp``, ``.gif``), or a picture (``.png``); its folder
             must exist. It is written whole or not at all.
         look: how it looks.
         workers: processes to share the work; the pictures do not depend on it.
-        at: simulated times of which a picture is to be made, one file each; without any, a ``.png`` is a contact sheet.
-            Of several trajectories they are those of the longest.
+        at: simulated times (of the longest) of pictures, one file each; without any, a ``.png`` is a contact sheet.
         progress: shows what is done.
 
-    Raises:
-        InputError: an argument is not as it should be, or the disk does not take the file.
-        RenderingUnavailable: nothing renders on this machine.
+    Raises InputError, and RenderingUnavailable where nothing renders.
     """
     path, look = Path(path), look or FilmOptions()
     check_format(path, at)
-    if path.suffix == ".png":
-        look = replace(look, captions=bool(look.captions))
-        return _stills(shown, path, look, at) if at else [_sheet(shown, path, look)]
-    n_frames = Frames.count(shown, look)
-    if path.suffix in ANIMATIONS:
-        check_animation(path, n_frames, look.size, look.fps)
-    with progress(n_frames) as tell:
-        encode(path, look.fps, render_frames(shown, look, workers), tell)
+    picture = path.suffix == ".png"
+    with closing(Frames(shown, replace(look, captions=bool(look.captions)) if picture else look)) as frames:
+        if picture:
+            return _stills(frames, path, at) if at else [_sheet(frames, path)]
+        if path.suffix in ANIMATIONS:
+            check_animation(path, len(frames), look.size, look.fps)
+        with progress(len(frames)) as tell:
+            encode(path, look.fps, in_order(frames, workers), tell)
     return [path]
 
 
@@ -98,19 +95,18 @@ def check_format(path: Path, at: Sequence[float] = ()) -> None:
         raise InputError(f"{path}: moments are pictures; give a name that ends in .png, or leave them out")
 
 
-def render_frames(shown: Shown, look: FilmOptions, workers: int = 1) -> Iterator[Frame]:
+def in_order(frames: Frames, workers: int = 1) -> Iterator[Frame]:
     """Yield the frames of a film, the same for any number of workers."""
+    numbers = range(len(frames))
     if workers == 1:
-        with closing(Frames(shown, look)) as frames:
-            yield from map(frames.__getitem__, range(len(frames)))
+        yield from map(frames.__getitem__, numbers)
         return
-    n_frames = Frames.count(shown, look)
-    batches = [range(first, min(first + _BATCH, n_frames)) for first in range(0, n_frames, _BATCH)]
+    batches = [numbers[first : first + _BATCH] for first in numbers[::_BATCH]]
     early: dict[range, list[Frame]] = {}
     # Copies have no compiled model, which would be sent along.
-    copies = tuple(replace(trajectory) for trajectory in several(shown))
+    copies = tuple(replace(trajectory) for trajectory in frames.shown)
     with Pool(workers) as pool:
-        answers = pool.map_unordered(partial(_make_frames, copies, look), batches)
+        answers = pool.map_unordered(partial(_make_frames, copies, frames.look), batches)
         for batch in batches:
             while batch not in early:
                 done, frames_of_it = next(answers)
@@ -128,24 +124,22 @@ def _make_frames(shown: tuple[Trajectory, ...], look: FilmOptions, numbers: rang
     return [_prepared(shown, look)[number] for number in numbers]
 
 
-def _stills(shown: Shown, path: Path, look: FilmOptions, at: Sequence[float]) -> list[Path]:
-    first, last = longest(shown).time[[0, -1]].tolist()
+def _stills(frames: Frames, path: Path, at: Sequence[float]) -> list[Path]:
+    first, last = frames.span_s
     for moment in at:
         if not first <= moment <= last:
             raise InputError(f"there is no moment {moment:g} s; allowed: {first:.2f} to {last:.2f} s")
     names = [path if len(at) == 1 else path.with_stem(f"{path.stem}-{moment:.10g}") for moment in at]
-    with closing(Frames(shown, look)) as frames:
-        return [_write_png(name, frames.at(moment)) for name, moment in zip(names, at, strict=True)]
+    return [_write_png(name, frames.at(moment)) for name, moment in zip(names, at, strict=True)]
 
 
-def _sheet(shown: Shown, path: Path, look: FilmOptions) -> Path:
-    columns = 3 if look.size[0] >= look.size[1] else 4
-    size, small = (look.size[0] // columns, look.size[1] // columns), []
-    with closing(Frames(shown, look)) as frames:
-        for number in np.linspace(0, len(frames.times) - 1, SHEET).round().astype(int):
-            time_s = float(frames.times[number])
-            picture = Image.fromarray(frames.at(time_s)).resize(size)
-            small.append(label(np.asarray(picture), f"{time_s:.1f} s"))
+def _sheet(frames: Frames, path: Path) -> Path:
+    width, height = frames.look.size
+    columns, small = 3 if width >= height else 4, []
+    for number in np.linspace(0, len(frames.times) - 1, SHEET).round().astype(int):
+        time_s = float(frames.times[number])
+        picture = Image.fromarray(frames.at(time_s)).resize((width // columns, height // columns))
+        small.append(label(np.asarray(picture), f"{time_s:.1f} s"))
     rows = [np.hstack(small[i : i + columns]) for i in range(0, SHEET, columns)]
     return _write_png(path, np.vstack(rows))
 

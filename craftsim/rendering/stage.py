@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.drawing import CAR_COLOURS, Rgb
+from craftsim.discrete.drawing import Rgb, car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, cell_position, yaw_angle
 from craftsim.mjcf.block import looks as block_looks
 from craftsim.mjcf.parameters import Machines
@@ -274,7 +274,7 @@ def _number_cars(spec: mujoco.MjSpec, machines: Machines, n_cars: int) -> None:
     """Put each car's number on its boss, upright as seen from behind, on its nose and on its tail."""
     for number in range(n_cars):
         car, name = machines.car(number), f"plate{number}"
-        _painted(spec, name, number_plate(number, CAR_COLOURS[number % len(CAR_COLOURS)])).specular = 0.2
+        _painted(spec, name, number_plate(number)).specular = 0.2
         lid, nose = 0.42 * car.boss_top_side_m, 0.012
         end, height = car.chassis_length_m / 2 - 0.0018, car.wheel_radius_m + car.chassis_top_m - 0.017
         for body, place, half, turns in (
@@ -366,10 +366,7 @@ def _look(name: str, group: int) -> tuple[str, Rgb | None]:
 
 
 def dressed_rgb(name: str, group: int) -> Rgb | None:
-    """Return the colour of a geom in ``paper`` quality where there are no materials; None for one that keeps its own.
-
-    ``name`` is of a geom in a world, such as ``car0/board_visual``; only what is there to be seen is dressed.
-    """
+    """Return the ``paper`` colour of a geom such as ``car0/board_visual``; None for one that keeps its own."""
     material, rgb = _look(name, group)
     if rgb is None or material != _WOOD:
         return rgb
@@ -381,10 +378,7 @@ def dressed_rgb(name: str, group: int) -> Rgb | None:
 
 
 def _painted(spec: mujoco.MjSpec, name: str, pixels: Pixels) -> mujoco.MjsMaterial:
-    """Add a texture, and a material of the same name that shows it, to a scene; return the material.
-
-    A square one covers each of the six sides of a thing that it is put on; another one is for a plane.
-    """
+    """Add a texture, for a plane or the six sides of a thing, and a material that shows it; return the material."""
     texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D)
     texture.height, texture.width, texture.nchannel = pixels.shape
     texture.data = pixels.tobytes()
@@ -421,10 +415,10 @@ def floor(length: int, width: int, beyond_m: float = 0.0) -> Pixels:
     return bare
 
 
-def number_plate(number: int, rgb: Rgb) -> Pixels:
-    """Return a car's number on a plate of the car's colour, 0 to 1 each, with a white rim."""
+def number_plate(number: int) -> Pixels:
+    """Return a car's number on a plate of the car's colour with a white rim."""
     side, text = 256, str(number)
-    picture = np.full((side, side, 3), [round(255 * channel) for channel in rgb], np.uint8)
+    picture = np.full((side, side, 3), [round(255 * channel) for channel in car_colour(number)], np.uint8)
     cv2.rectangle(picture, (10, 10), (side - 11, side - 11), _PLATE_RGB, 8, cv2.LINE_AA)
     height = side * (0.60 if len(text) == 1 else 0.44)
     _write(picture, text, (side / 2, side / 2), height, _PLATE_RGB, 0.13)

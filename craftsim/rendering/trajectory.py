@@ -144,10 +144,7 @@ class Trajectory:
         return trajectory
 
     def write(self, path: str | Path) -> Path:
-        """Write the trajectory into a file, whole or not at all; return its path.
-
-        Raises InputError where the disk does not take it.
-        """
+        """Write the trajectory into a file, whole or not at all; return its path."""
         arrays: Arrays = {_TEXT: np.frombuffer(to_json(self.story), np.uint8)}
         # Column by column: what rests, and what moves a little, packs well.
         arrays |= {name: np.asfortranarray(getattr(self, name)) for name in _ARRAYS}
@@ -285,16 +282,8 @@ class Recorder:
         )
 
 
-def name_of(path: Path) -> str:
-    """Return the name of a trajectory within its run: of its file, or of the bundle that it lies in."""
-    return path.parent.name if is_file(path.parent / BUNDLE) else path.stem
-
-
 def trajectory_files(run: Path) -> list[Path]:
-    """Return the trajectory files that a path stands for, a run's folder or a trajectory file, by name.
-
-    Raises InputError where there is nothing of the kind.
-    """
+    """Return the trajectory files of a run's folder, or a trajectory file, by name. Raises InputError for none."""
     if not is_folder(run):
         if not is_file(run):
             raise InputError(f"{run}: no such file or folder; allowed: a run's folder or a trajectory file")

@@ -50,10 +50,7 @@ class _Files:
         self.left_bytes = BUDGET_BYTES
 
     def cards(self, cases: Iterable[Case], unfilmed: int | None) -> list[tuple[Case, str | None, str | None]]:
-        """Return the cases to show, each with the addresses of its film and its trajectory.
-
-        The address of a film is a ``data:`` URL or a relative path; None if there is no such file.
-        """
+        """Return the cases to show, each with the addresses of its film and its trajectory, or None."""
         found = [(case, self._film(case.film), self.link(case.trajectory)) for case in cases]
         return [one for number, one in enumerate(found) if one[1] or unfilmed is None or number < unfilmed]
 
@@ -98,7 +95,7 @@ def _svg(drawing: Drawing) -> Markup:
     from matplotlib import style
     from matplotlib.figure import Figure
 
-    with style.context([_TEMPLATES / "drawing.mplstyle", dict(drawing.style)], after_reset=True):
+    with style.context(_TEMPLATES / "drawing.mplstyle", after_reset=True):
         # Not through pyplot, which keeps a global list of figures.
         figure = Figure(figsize=(drawing.width_in, drawing.height_in), layout="constrained")
         drawing.draw(figure)

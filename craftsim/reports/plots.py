@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from craftsim.storage.limits import shorten
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -16,7 +18,7 @@ INK, SOFT, GRID, PAPER, GOOD, CAUTION, BAD, ACCENT, MUTED = (f"#{3 * f'0{n}'}" f
 ROW_IN: Final = 0.27
 """Height of a row of :func:`interval_rows` and :func:`stacked_rows`."""
 HEAD_IN: Final = 0.75
-_LONGEST_NAME: Final = 36
+LONGEST_NAME: Final = 36
 
 
 def rows_height_in(rows: int, row_in: float = ROW_IN) -> float:
@@ -47,15 +49,10 @@ def stacked_rows(axes: Axes, names: Sequence[str], parts: Mapping[str, tuple[str
 
 def name_rows(axes: Axes, names: Sequence[str]) -> None:
     """Name the rows of a drawing, the first at the top."""
-    axes.set_yticks(range(len(names)), [short(name) for name in names])
+    axes.set_yticks(range(len(names)), [shorten(name, LONGEST_NAME) for name in names])
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")
     axes.spines["left"].set_visible(False)
-
-
-def short(name: str) -> str:
-    """Return a shortened name."""
-    return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 3]}..."
 
 
 def percent_ticks(value: float, _: float) -> str:

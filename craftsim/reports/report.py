@@ -113,9 +113,6 @@ class Drawing:
     label: str
     """Text alternative for screen readers."""
     width_in: float = 6.6
-    wide: bool = False
-    style: Mapping[str, Any] = field(default_factory=dict)
-    """Additional settings of matplotlib."""
 
     @classmethod
     def of_axes(cls, draw: Callable[[Axes], None], height_in: float, caption: str, label: str) -> Drawing:
@@ -157,7 +154,6 @@ class Group:
     blocks: Sequence[Block]
     badge: str = ""
     tone: Tone = Tone.PLAIN
-    open: bool = False
 
 
 Block: TypeAlias = str | DataTable | Drawing | Cases | Group
@@ -193,10 +189,7 @@ class Report:
     exit_code: int = 0
 
     def publish(self, out: Path | None, console: Terminal | None = None) -> int:
-        """Write ``report.json`` and ``report.html`` into a folder, if given, print the report, return the exit status.
-
-        Raises InputError if the folder is not writable.
-        """
+        """Write ``report.json`` and ``report.html`` into a folder, if given; print; return the exit status."""
         from craftsim.reports.html import write_html
         from craftsim.reports.json_file import write_json
         from craftsim.reports.terminal import Terminal as Screen

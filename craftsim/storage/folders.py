@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final, ParamSpec, TypeVar
 
 from craftsim.errors import InputError
+from craftsim.storage.paths import reason_of
 from craftsim.storage.writing import FLAGS, is_at, lock
 
 P = ParamSpec("P")
@@ -37,9 +38,8 @@ def output_directory(out: Path) -> Path:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
-        reason = (isinstance(error, OSError) and error.strerror) or error
-        if isinstance(error, FileExistsError):
-            reason = "it is a file; choose another one"
+        file = isinstance(error, FileExistsError)
+        reason = "it is a file; choose another one" if file else reason_of(error)
         raise InputError(f"cannot make the output directory {out}: {reason}") from error
     if not os.access(out, os.W_OK | os.X_OK):
         raise InputError(f"cannot write into the output directory {out}")
@@ -63,10 +63,7 @@ def directory_within(folder: Path, *names: str) -> Path:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, a link or a directory tree, if it exists; links are not followed.
-
-    Raises OSError.
-    """
+    """Remove a file, a link or a directory tree, if it exists; links are not followed. Raises OSError."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:

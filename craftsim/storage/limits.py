@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final, get_args, get_type_hints
+from typing import Any, Final
 
 from craftsim.errors import InputError
 
@@ -144,6 +144,12 @@ class Range:
         if self.high < math.inf:
             yield Lt(self.high) if self.below else Le(self.high)
 
+    def __call__(self, _type: Any, value: Any) -> None:
+        """Raise ValueError for a number outside, or one of several, for the command line; None is not given."""
+        for number in value if isinstance(value, tuple) else (value,):
+            if number is not None and number not in self:
+                raise ValueError(f"allowed: {self}")
+
     def __contains__(self, value: float) -> bool:
         over = self.low < value if self.above else self.low <= value
         return over and (value < self.high if self.below else value <= self.high)
@@ -177,17 +183,6 @@ class Range:
         ends = [f"{'above' if self.above else 'at least'} {low}"] if self.low > -math.inf else []
         ends += [f"{'below' if self.below else 'at most'} {high}"] if self.high < math.inf else []
         return " and ".join(ends)
-
-
-def ranges_of(record: Any) -> dict[str, Range]:
-    """Return the ranges of the fields of a record, or the arguments of a function, by name."""
-
-    def found(annotation: Any) -> Range | None:
-        inner = get_args(annotation)
-        return annotation if isinstance(annotation, Range) else next(filter(None, map(found, inner)), None)
-
-    hints = get_type_hints(record, include_extras=True)
-    return {name: one for name, hint in hints.items() if (one := found(hint)) is not None}
 
 
 SEED: Final = Range(0, 2**63 - 1)

@@ -31,7 +31,7 @@ def resolved(path: str | Path) -> Path:
     try:
         return Path(os.path.realpath(path))
     except (OSError, ValueError) as error:
-        raise InputError(_unreadable(path, error)) from error
+        raise unreadable(path, error) from error
 
 
 def check_working_folder() -> None:
@@ -49,8 +49,14 @@ def _mode(path: str | Path) -> int | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
-        raise InputError(_unreadable(path, error)) from error
+        raise unreadable(path, error) from error
 
 
-def _unreadable(path: str | Path, error: Exception) -> str:
-    return f"{path}: cannot be read: {(isinstance(error, OSError) and error.strerror) or error}"
+def unreadable(path: str | Path, error: Exception) -> InputError:
+    """Return the error for a path that cannot be read."""
+    return InputError(f"{path}: cannot be read: {reason_of(error)}")
+
+
+def reason_of(error: Exception) -> str:
+    """Return what an error says, one of the operating system without its number and path."""
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__

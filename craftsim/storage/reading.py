@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from craftsim.errors import InputError
 from craftsim.storage.limits import Limits, size_text
+from craftsim.storage.paths import reason_of, unreadable
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -38,16 +39,13 @@ _DIRECTORY_BYTES: Final = 512
 
 
 def open_file(path: Path, limits: Limits) -> IO[bytes]:
-    """Open a regular file. Raises InputError for any other, an unreadable one, or one above its limit.
-
-    Pipes and devices do not block.
-    """
+    """Open a regular file, without waiting. Raises InputError for any other, an unreadable or a too large one."""
     try:
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {_reason(error)}") from error
+        raise unreadable(path, error) from error
     file = os.fdopen(number, "rb") if _is_regular(number) else None
     if file is None:
         os.close(number)
@@ -68,7 +66,7 @@ def read_bytes(path: Path, limits: Limits) -> bytes:
             # It may grow while it is read.
             return file.read(limits.file_bytes)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {_reason(error)}") from error
+        raise unreadable(path, error) from error
 
 
 def read_text(path: Path, limits: Limits) -> str:
@@ -82,10 +80,7 @@ def read_text(path: Path, limits: Limits) -> str:
 
 
 def parse_json(data: bytes, where: str) -> Any:
-    """Return a JSON value, which is not validated further.
-
-    Raises InputError, beginning with ``where``, for invalid JSON, or for more than 200 nested levels.
-    """
+    """Return an unchecked JSON value; InputError, beginning with ``where``, for invalid JSON or over 200 levels."""
     from pydantic_core import from_json
 
     try:
@@ -106,7 +101,7 @@ def read_lines(path: Path, limits: Limits, packed: bool = False) -> Iterator[tup
             try:
                 line = lines.readline(limits.line_bytes + 1)
             except (OSError, EOFError, zlib.error) as error:
-                raise InputError(f"{path}: not a gzip file of text: {_reason(error)}") from error
+                raise InputError(f"{path}: not a gzip file of text: {reason_of(error)}") from error
             if not line:
                 return
             number, total = number + 1, total + len(line)
@@ -130,37 +125,41 @@ def read_arrays(path: Path, limits: Limits) -> Arrays:
         with open_archive(path, limits) as archive:
             return _arrays(path, archive)
     except ARCHIVE_ERRORS as error:
-        raise InputError(f"{path}: damaged or not an archive of arrays: {_reason(error)}") from None
+        raise InputError(f"{path}: damaged or not an archive of arrays: {reason_of(error)}") from None
+
+
+class _Archive(io.BufferedReader):
+    """An archive to be opened: zipfile reads its directory in one piece, which must not be larger than ``most``."""
+
+    most: int
+    refusal: str
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return some bytes. Raises InputError for a larger piece."""
+        if size is not None and size > self.most:
+            raise InputError(self.refusal)
+        return super().read(size)
 
 
 @contextmanager
 def open_archive(path: Path, limits: Limits) -> Iterator[zipfile.ZipFile]:
-    """Open a zip file. Raises InputError for one above its limits, and as :func:`open_file`.
-
-    Reading from it may raise ARCHIVE_ERRORS.
-    """
+    """Open a zip file, of which reading may raise ARCHIVE_ERRORS. Raises InputError for one above its limits."""
     with open_file(path, limits) as file:
-        # The module's own reader of the end record, since the constructor reads the directory as a whole.
-        end: list[Any] | None = zipfile._EndRecData(file)  # type: ignore[attr-defined]
-        if end is not None and end[zipfile._ECD_SIZE] > limits.members * _DIRECTORY_BYTES:  # type: ignore[attr-defined]
-            raise InputError(f"{path}: too many files inside; allowed: at most {limits.members}")
-        with zipfile.ZipFile(file) as archive:
-            check_archive(path, archive, limits)
+        bounded = _Archive(file.raw)  # type: ignore[attr-defined]
+        bounded.most = limits.members * _DIRECTORY_BYTES
+        bounded.refusal = f"{path}: too many files inside; allowed: at most {limits.members}"
+        with zipfile.ZipFile(bounded) as archive:
+            bounded.most = limits.file_bytes
+            members = archive.infolist()
+            total = sum(member.file_size for member in members)
+            if len(members) > limits.members:
+                raise InputError(f"{path}: {len(members)} files inside; allowed: at most {limits.members}")
+            if total > limits.content_bytes:
+                most = size_text(limits.content_bytes)
+                raise InputError(f"{path}: unpacks to {size_text(total)}; allowed: at most {most}")
+            if any(member.compress_type not in _PACKED for member in members):
+                raise InputError(f"{path}: packed in a way that is not allowed; allowed: stored or deflated")
             yield archive
-
-
-def check_archive(path: Path, archive: zipfile.ZipFile, limits: Limits) -> None:
-    """Raise InputError for an archive whose unpacked size exceeds its limit."""
-    members = archive.infolist()
-    if len(members) > limits.members:
-        raise InputError(f"{path}: {len(members)} files inside; allowed: at most {limits.members}")
-    total = sum(member.file_size for member in members)
-    if total > limits.content_bytes:
-        raise InputError(
-            f"{path}: unpacks to {size_text(total)}; allowed: at most {size_text(limits.content_bytes)}"
-        )
-    if any(member.compress_type not in _PACKED for member in members):
-        raise InputError(f"{path}: packed in a way that is not allowed; allowed: stored or deflated")
 
 
 def _arrays(path: Path, archive: zipfile.ZipFile) -> Arrays:
@@ -199,7 +198,3 @@ def _is_regular(number: int) -> bool:
         return not os.pread(number, 1, 0)
     except OSError:
         return False
-
-
-def _reason(error: Exception) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__

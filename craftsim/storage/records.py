@@ -172,10 +172,7 @@ def mistakes(
     name: Callable[[Loc], str] = key_words,
     line_of: Callable[[Loc], int] = lambda loc: 0,
 ) -> Iterator[Mistake]:
-    """Yield pydantic's mistakes by path, at most one missing key of each mapping.
-
-    ``name`` gives the name of a value in messages.
-    """
+    """Yield pydantic's mistakes by path, at most one missing key a mapping; ``name`` names a value in messages."""
     if (count := error.error_count()) > _DESCRIBED:
         yield (), f"{count} values are missing, wrong or unknown; is it the file that it should be?"
         return
@@ -187,7 +184,7 @@ def mistakes(
         *before, last = one["loc"] or ("",)
         parent = tuple(before)
         if one["type"] in _UNKNOWN:
-            inside = _type_at(kind, parent)
+            inside, _ = type_and_range(kind, parent)
             if isinstance(getattr(inside, str(last), None), property):
                 text = "is not given but follows from other parameters; change those"
                 yield one["loc"], f"{name(one['loc'])}: {text}"
@@ -212,14 +209,16 @@ def _words(kind: Any, error: ErrorDetails, name: Callable[[Loc], str]) -> str:
     """Return the message of a mistake, with the allowed values."""
     loc, value, type_ = error["loc"], error["input"], error["type"]
     if type_ == "missing" and isinstance(loc[-1], int):
-        return f"{name(loc[:-1])}: must be a list of {len(get_args(_type_at(kind, loc[:-1])))} entries"
+        return (
+            f"{name(loc[:-1])}: must be a list of {len(get_args(type_and_range(kind, loc[:-1])[0]))} entries"
+        )
     if type_ == "missing":
-        keys = ", ".join(_keys(_type_at(kind, loc[:-1]), required=True))
+        keys = ", ".join(_keys(type_and_range(kind, loc[:-1])[0], required=True))
         required = f"; required: {keys}" if keys else ""
         if len(loc) == 1:
             return f"{name(loc)} is missing{required}"
         return f"{name(loc[:-1])}: needs '{loc[-1]}'{required}"
-    wanted, allowed = _type_and_range(kind, loc)
+    wanted, allowed = type_and_range(kind, loc)
     if type_ == "value_error":
         subject = name(loc) if loc or name is not key_words else ""
         return f"{subject}{': ' if subject else ''}{error['ctx']['error']}"
@@ -267,11 +266,7 @@ def _keys(kind: Any, required: bool = False) -> list[str]:
     ]
 
 
-def _type_at(kind: Any, loc: Loc) -> Any:
-    return _type_and_range(kind, loc)[0]
-
-
-def _type_and_range(kind: Any, loc: Loc) -> tuple[Any, Range | None]:
+def type_and_range(kind: Any, loc: Loc) -> tuple[Any, Range | None]:
     """Return the type of the value at a path in a type (None if it is not unique), and the range of a number."""
     allowed = None
     for part in (None, *loc):

@@ -26,10 +26,7 @@ nothing else."""
 
 
 def lock(number: int, path: Path) -> bool:
-    """Lock an open file until its descriptor is closed; return whether it is locked and still the one at a path.
-
-    Raises OSError for a file system without locks.
-    """
+    """Lock an open file until it is closed; return whether it is locked and still at its path. Raises OSError."""
     try:
         fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -64,10 +64,7 @@ class Document:
         return replace(self, plain=_over(nominal, self.plain))
 
     def to(self, kind: type[T], **context: Any) -> T:
-        """Return the content as a record; ``context`` is for its validators.
-
-        Raises the document's error, with the first mistakes, if it is invalid.
-        """
+        """Return the content as a record, ``context`` for its validators; raises the document's error."""
         plain = self.plain if self.instead is None else self.instead
         try:
             # As JSON, where a mapping stands for a record and a list for a tuple, and nothing else for anything else.

@@ -7,7 +7,7 @@ from training_files import read_content, write_content
 
 from craftsim.cli import main
 from craftsim.errors import InputError
-from craftsim.storage.limits import ranges_of
+from craftsim.storage.records import type_and_range
 from craftsim.training.checkpoint import POLICY_FILE, read_policy
 from craftsim.training.config import ALGO_NAMES
 from craftsim.training.settings import KINDS, read_settings, settings_of
@@ -24,7 +24,8 @@ def test_every_algorithm_has_settings_within_their_ranges():
     for algo, kind in KINDS.items():
         assert settings_of(algo, {}) == kind()
         for of in fields(kind):
-            for edge in (ranges_of(kind)[of.name].low, ranges_of(kind)[of.name].high):
+            allowed = type_and_range(kind, (of.name,))[1]
+            for edge in (allowed.low, allowed.high):
                 if of.name not in ("epsilon_start", "epsilon_end"):
                     assert getattr(settings_of(algo, {of.name: edge}), of.name) == edge
 

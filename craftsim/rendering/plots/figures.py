@@ -9,9 +9,13 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from craftsim.checking.attempt import Attempt
@@ -23,14 +27,11 @@ from craftsim.rendering.plots.levels import CARS, draw_levels, size_in
 from craftsim.rendering.plots.style import ROW_IN, WIDTH_IN, dash, line_of, paper, save, shade
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.storage.folders import output_directory
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
+from craftsim.storage.limits import shorten
 
 Floats = NDArray[np.float64]
 """A row a sample."""
-Plot = tuple[float, "Callable[[Figure | SubFigure], None]"]
+Plot = tuple[float, Callable[[Figure | SubFigure], None]]
 """Height of a figure in inches, and what draws it."""
 
 FORMATS: Final = ("pdf", "png")
@@ -82,23 +83,14 @@ class Diagram(NamedTuple):
 
 
 def plots_of(trajectory: Trajectory) -> dict[str, Plot]:
-    """Return the figures that there are of a run, by name.
-
-    Raises InputError where this version of craftsim makes another world of it.
-    """
-    rows = {name: make(trajectory) for name, make in _ROWS.items()}
-    return {"paths": _paths(trajectory)} | {
-        name: _over_time(trajectory, made) for name, made in rows.items() if made
-    }
+    """Return the figures that there are of a run, by name."""
+    rows = {name: made for name, make in _ROWS.items() if (made := make(trajectory))}
+    over_time = {name: _over_time(trajectory, made) for name, made in rows.items()}
+    return {"paths": _paths(trajectory)} | over_time
 
 
 def write_figures(folder: Path, trajectory: Trajectory) -> Iterator[Path]:
-    """Write each figure of a run as PDF and PNG into a folder, and all on one page as PDF; yield the paths.
-
-    Raises InputError where the disk does not take it, or this version of craftsim makes another world of the run.
-    """
-    from matplotlib.figure import Figure
-
+    """Write each figure of a run as PDF and PNG into a folder, and all on one page as PDF; yield the paths."""
     output_directory(folder)
     with paper():
         for name, (height_in, draw) in plots_of(trajectory).items():
@@ -146,10 +138,7 @@ def place_of(trajectory: Trajectory, car: int) -> Floats:
 
 
 def tracking_error(trajectory: Trajectory, car: int) -> Floats:
-    """Return a car's measured pose less its path, (n, 3): along and across the car in metres, and heading in radians.
-
-    It is nan where the car does not drive.
-    """
+    """Return a car's pose less its path (n, 3): along and across (m), heading (rad); nan where it does not drive."""
     path = _finite(trajectory.path[:, car])
     apart = _finite(trajectory.measured[:, car]) - path
     cos, sin = np.cos(path[:, 2]), np.sin(path[:, 2])
@@ -181,7 +170,7 @@ def notes_of(trajectory: Trajectory) -> list[str]:
         text = (
             f"{mark} {_end_s(attempt):.1f} s, car {attempt.car} {words}: {attempt.result}. {attempt.reason}"
         )
-        notes.append(line_of(text if len(text) <= _LONGEST_NOTE else f"{text[: _LONGEST_NOTE - 3]}..."))
+        notes.append(line_of(shorten(text, _LONGEST_NOTE)))
     if more := len(failures) - len(notes):
         notes.append(f"and {more} more")
     return notes
@@ -195,42 +184,37 @@ def _write_notes(figure: Figure | SubFigure, trajectory: Trajectory) -> None:
 # Diagrams over time.
 
 
-def _each_car(cars: Sequence[int], make: Callable[[int], Diagram]) -> list[Diagram]:
+def _each_car(cars: Sequence[int], what: str, unit: str, draw: Callable[[int, Axes], None]) -> list[Diagram]:
     """Return a diagram for each car, as far as they fit on a page."""
-    rows = [make(car) for car in cars[:_MOST_CARS]]
+    rows = [Diagram(f"car {car}: {what}", unit, partial(draw, car), car) for car in cars[:_MOST_CARS]]
     if more := len(cars) - len(rows):
         rows[-1] = rows[-1]._replace(title=f"{rows[-1].title}; {more} more cars are not drawn")
     return rows
 
 
 def _tracking(trajectory: Trajectory) -> list[Diagram]:
-    errors = {car: 1e3 * tracking_error(trajectory, car) for car in range(len(trajectory.physics.cars))}
+    errors = [1e3 * tracking_error(trajectory, car) for car in range(len(trajectory.physics.cars))]
 
-    def tracking(car: int) -> Diagram:
-        def draw(axes: Axes) -> None:
-            labels = ("along (mm)", "across (mm)", "heading (mrad)")
-            _draw_of_car(axes, trajectory.time, errors[car], labels, car)
-            axes.axhline(0, color="0.6", lw=0.5)
+    def draw(car: int, axes: Axes) -> None:
+        labels = ("along (mm)", "across (mm)", "heading (mrad)")
+        _draw_of_car(axes, trajectory.time, errors[car], labels, car)
+        axes.axhline(0, color="0.6", lw=0.5)
 
-        return Diagram(f"car {car}: off its path", "mm, mrad", draw, car)
-
-    return _each_car([car for car, error in errors.items() if np.isfinite(error).any()], tracking)
+    driving = [car for car, error in enumerate(errors) if np.isfinite(error).any()]
+    return _each_car(driving, "off its path", "mm, mrad", draw)
 
 
 def _torques(trajectory: Trajectory) -> list[Diagram]:
-    def torques(car: int) -> Diagram:
-        def draw(axes: Axes) -> None:
-            limit_nm = trajectory.physics.cars[car].parameters.wheel_torque_nm
-            labels = ("front left", "front right", "rear left", "rear right")
-            _draw_of_car(axes, trajectory.time, motor_forces(trajectory, car)[0], labels, car)
-            _draw_limit(axes, limit_nm, "limit")
-            _draw_limit(axes, -limit_nm, "")
-            axes.set_ylim(-1.25 * limit_nm, 1.25 * limit_nm)
+    def draw(car: int, axes: Axes) -> None:
+        limit_nm = trajectory.physics.cars[car].parameters.wheel_torque_nm
+        labels = ("front left", "front right", "rear left", "rear right")
+        _draw_of_car(axes, trajectory.time, motor_forces(trajectory, car)[0], labels, car)
+        _draw_limit(axes, limit_nm, "limit")
+        _draw_limit(axes, -limit_nm, "")
+        axes.set_ylim(-1.25 * limit_nm, 1.25 * limit_nm)
 
-        return Diagram(f"car {car}: wheel torques", "Nm", draw, car)
-
-    cars = range(len(trajectory.physics.cars))
-    return _each_car([car for car in cars if _performed(trajectory, car)], torques)
+    acting = [car for car in range(len(trajectory.physics.cars)) if _performed(trajectory, car)]
+    return _each_car(acting, "wheel torques", "Nm", draw)
 
 
 def _boards(trajectory: Trajectory) -> list[Diagram]:
@@ -382,8 +366,6 @@ def _paths(trajectory: Trajectory) -> Plot:
 def _draw_paths(
     trajectory: Trajectory, places: list[Floats], levels: tuple[int, ...], figure: Figure | SubFigure
 ) -> None:
-    from matplotlib.lines import Line2D
-
     recipe, design = trajectory.story.recipe, trajectory.wanted
     goal = recipe.goals[0] if recipe.goals and not design else None
     by_level = draw_levels(figure, recipe.grid, levels, goal, design)
@@ -403,8 +385,6 @@ def _draw_paths(
 
 def _draw_path(by_level: dict[int, Axes], place: Floats, car: int) -> None:
     """Draw a way with arrows on it, and the car's number beside its end."""
-    from matplotlib.patches import Polygon
-
     place, style = place[path_points(place)], _style(car)
     level = np.round(place[:, 2]).astype(int)
     for z, axes in by_level.items():

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections import defaultdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import ACTIONS
@@ -14,9 +18,6 @@ from craftsim.discrete.drawing import Rgb
 from craftsim.discrete.grid import CarField, Kind
 from craftsim.discrete.schedule import Schedule
 from craftsim.rendering.plots.style import DPI, WIDTH_IN, line_of, paper, save
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 FORMATS: Final = (".png", ".svg")
 VERB_COLOURS: Final[dict[str, Rgb]] = {
@@ -37,19 +38,10 @@ _BAR: Final = 0.72  # height of a bar, of that of its row
 
 
 def draw_gantt(path: Path, schedule: Schedule, title: str) -> Path:
-    """Draw a plan into a PNG or SVG file: a row for each car, a bar for each action, hatched where the car is loaded.
-
-    Lines between the bars are waits; they begin at 0 and end at the car's last action. Returns the path; raises
-    InputError where the disk does not take it.
-    """
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
-
+    """Draw a plan into a PNG or SVG file: bars for actions, hatched where a car is loaded, and lines for waits."""
     n_cars, times = schedule.final.n_cars, schedule.times()
     legend = {"ncols": len(VERB_COLOURS) + 2, "handlelength": 1.2, "columnspacing": 1.1}
     with paper():
-        from matplotlib import rcParams
-
         rcParams["svg.hashsalt"], rcParams["hatch.linewidth"] = "craftsim", 0.5
         figure = Figure(figsize=(WIDTH_IN, _FRAME_IN + _ROW_IN * n_cars), dpi=DPI, layout="constrained")
         took = f"{len(schedule.steps)} actions, makespan {schedule.makespan():.1f} s"

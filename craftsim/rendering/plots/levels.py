@@ -5,20 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch, Polygon
 
 from craftsim.discrete.drawing import GOAL, KIND_COLOURS, LINE, car_colour
 from craftsim.discrete.grid import CarField, Cell, Grid, Kind, Piece
 from craftsim.discrete.kinds import STANDING
 from craftsim.rendering.grid_picture import Outline, car_shapes, level_shapes, levels_of
 from craftsim.rendering.plots.style import DPI, WIDTH_IN, line_of, paper, save
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
-    from matplotlib.patches import Patch
 
 _CELL_IN: Final = (0.16, 0.5)  # the smallest and the largest side of a cell
 _MARGIN_IN: Final = 0.45  # beside and below a level, for its coordinates and title
@@ -79,8 +77,6 @@ def _coordinates(axes: Axes, size: Cell) -> None:
 
 
 def _draw(axes: Axes, one: Outline, cell_in: float, order: float) -> None:
-    from matplotlib.patches import Polygon
-
     width = one.width * cell_in * _POINTS
     if one.text:
         # A capital letter is 0.72 of a font's size.
@@ -96,8 +92,6 @@ def _draw(axes: Axes, one: Outline, cell_in: float, order: float) -> None:
 
 
 def _legend(grid: Grid, goal: Cell | None, design: Collection[Piece]) -> Iterator[Patch]:
-    from matplotlib.patches import Patch
-
     kinds = {Kind(int(kind)) for kind in np.unique(grid.kind)}
     named = {
         Kind.BLOCK: "block",
@@ -125,13 +119,7 @@ def _legend(grid: Grid, goal: Cell | None, design: Collection[Piece]) -> Iterato
 def draw_blueprint(
     path: Path, grid: Grid, title: str, goal: Cell | None = None, design: Collection[Piece] = ()
 ) -> Path:
-    """Draw a world into a PNG file, level by level, without empty levels.
-
-    ``goal`` is where a flag is to go, and ``design`` the building that is to be put up. Returns the path; raises
-    InputError where the disk does not take it.
-    """
-    from matplotlib.figure import Figure
-
+    """Draw the used levels of a world, a flag's goal and a design into a PNG file; return its path."""
     levels = levels_of([grid], goal, design)
     legend = list(_legend(grid, goal, design))
     width_in, height_in = size_in(grid.size, len(levels))

@@ -6,13 +6,12 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from craftsim.discrete.drawing import INK
+from matplotlib import rcParams, style
+from matplotlib.figure import Figure
+
 from craftsim.storage.writing import whole, writable
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 WIDTH_IN: Final = 7.2
 """Of a figure: two columns of a paper."""
@@ -22,34 +21,7 @@ ROW_IN: Final = 1.15
 DASHES: Final = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)), (0, (3, 1.2)))
 """One a line of a diagram; lines beyond the last start over."""
 
-_PAPER: Final[dict[str, Any]] = {
-    "font.size": 7.5,
-    "axes.linewidth": 0.6,
-    "axes.titlesize": 7.5,
-    "grid.linewidth": 0.5,
-    "legend.fontsize": 7,
-    "font.family": "DejaVu Sans",
-    "text.color": INK,
-    "text.parse_math": False,
-    "axes.edgecolor": "0.6",
-    "axes.labelcolor": "0.4",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "0.88",
-    "xtick.color": "0.6",
-    "ytick.color": "0.6",
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "xtick.major.size": 2,
-    "ytick.major.size": 2,
-    "legend.frameon": False,
-    "patch.linewidth": 0,
-    # Letters that a drawing program can edit.
-    "pdf.fonttype": 42,
-}
-
+_PAPER: Final = Path(__file__).with_name("paper.mplstyle")
 DPI: Final = 200
 _LEFT_OUT: Final[dict[str, dict[str, Any]]] = {
     ".png": {"Software": None},
@@ -62,8 +34,6 @@ _LEFT_OUT: Final[dict[str, dict[str, Any]]] = {
 @contextmanager
 def paper() -> Iterator[None]:
     """Draw for paper within the block, whatever the user has set."""
-    from matplotlib import style
-
     with style.context(_PAPER, after_reset=True), warnings.catch_warnings():
         # A name may have letters that the font lacks; boxes stand for them.
         warnings.filterwarnings("ignore", "Glyph .* missing")
@@ -84,8 +54,6 @@ def line_of(text: str) -> str:
 
 def shade(number: int) -> Any:
     """Return the colour of line ``number`` that belongs to no car: that of text, or a softer one."""
-    from matplotlib import rcParams
-
     return rcParams["axes.labelcolor" if number % 2 else "text.color"]
 
 

@@ -12,7 +12,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.drawing import car_colour
 from craftsim.discrete.geometry import CELL_PITCH_M, LEVEL_HEIGHT_M, cell_position
 from craftsim.discrete.grid import Cell
 from craftsim.models.composition import ground_pose_and_size
@@ -117,8 +116,7 @@ class BrowserScene:
                 side = _PLATE_SHARE * parameters.boss_top_side_m
                 place = (0, 0, parameters.boss_height_m + _PLATE_PROUD_M)
                 plate: dict[str, Any] = {"format": "png", "cast_shadow": False, "wxyz": _FACE_UP_FORWARD}
-                picture = number_plate(car, car_colour(car))
-                scene.add_image(f"{path}/plate", picture, side, side, position=place, **plate)
+                scene.add_image(f"{path}/plate", number_plate(car), side, side, position=place, **plate)
             node.on_click(partial(lambda car, event: on_pick(car), car))
             if body in car_of:
                 above = (0, 0, _LABEL_M)
@@ -140,10 +138,7 @@ class BrowserScene:
 
 
 def shapes_of(model: mujoco.MjModel) -> dict[int, trimesh.Trimesh]:
-    """Return what is to be seen of a model besides its ground, by body and in its frame; 0 does not move.
-
-    A roller is drawn as a part of its wheel: it is round, so that its own spin does not show.
-    """
+    """Return what is seen of a model but its ground, by body and in its frame, rollers with their wheel; 0 rests."""
     from trimesh.util import concatenate
 
     meshes: dict[int, list[trimesh.Trimesh]] = defaultdict(list)
@@ -243,7 +238,8 @@ def _faceted(points: NDArray[np.floating], normals: NDArray[np.floating]) -> tri
 
 
 def _transform(position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    matrix, rotation = np.eye(4), np.empty(9)
-    mujoco.mju_quat2Mat(rotation, quaternion)
-    matrix[:3, :3], matrix[:3, 3] = rotation.reshape(3, 3), position
+    from trimesh.transformations import quaternion_matrix
+
+    matrix: NDArray[np.float64] = quaternion_matrix(quaternion)
+    matrix[:3, 3] = position
     return matrix

@@ -33,6 +33,7 @@ from websockets.http11 import Request, Response
 from craftsim.errors import InputError
 from craftsim.rendering.viewer import LOOPBACK, PORT
 from craftsim.storage.limits import PAGE_BYTES, PAGE_CONNECTIONS
+from craftsim.storage.paths import reason_of
 
 _POINTED: Final[dict[str, TypeAdapter[Any]]] = {
     kind.__name__: TypeAdapter(kind) for kind in (ViewerCameraMessage, SceneNodeClickMessage)
@@ -51,11 +52,7 @@ class LocalServer(ViserServer):
     """A server that says nothing on standard output and is not shared beyond its address."""
 
     def __init__(self, host: str = LOOPBACK, port: int = PORT) -> None:
-        """Listen on an address and a port, any free one if it is 0.
-
-        Raises InputError for an address or a port that cannot be had, where viser would go on to other ports, or try
-        for ever.
-        """
+        """Listen on an address and a port, 0 for a free one; InputError where viser would try others."""
         _try(host, port)
         with contextlib.redirect_stdout(io.StringIO()), guarded(host, self._allows):
             super().__init__(host=host, port=port, verbose=False)
@@ -113,7 +110,7 @@ def _try(host: str, port: int) -> None:
     except (OSError, TypeError, ValueError) as error:
         if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             raise InputError(_in_use(host, port)) from None
-        why = getattr(error, "strerror", None) or error
+        why = reason_of(error)
         raise InputError(f"cannot listen on {host}, port {port}: {why}; try --host {LOOPBACK}") from None
 
 

@@ -174,10 +174,7 @@ def live(
     attempts: Sequence[Attempt],
     car: int,
 ) -> Moment:
-    """Return what is known of a car of a PhysicsWorld now, by its number.
-
-    ``running`` are names of the actions on their way, by car, and ``attempts`` those that have been judged.
-    """
+    """Return what is known of a car now; ``running`` are names of actions on their way, ``attempts`` those judged."""
     measured, contact_n = None, math.nan
     if judge is not None:
         reading = judge.executor.readings()[car]
@@ -198,11 +195,7 @@ class RecordedView:
     """Plays one of some recorded runs on a page; times are simulated seconds."""
 
     def __init__(self, page: ViewerPage, runs: Mapping[str, Callable[[], Trajectory]]) -> None:
-        """Show the start of the first run, paused.
-
-        Args:
-            page: takes its orders from here from now on.
-            runs: what can be chosen: by name, what reads it.
+        """Show the start of the first run, of ``runs`` by name with what reads each; ``page`` asks this view.
 
         Raises InputError where the first run cannot be read.
         """

@@ -8,15 +8,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.jit import compiled, plain, seldom
 from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions, load_below_walls, load_fits
-from craftsim.discrete.kernel.search import (
-    UNKNOWN,
-    SearchBuffers,
-    add_reachable,
-    due_of,
-    plan_move,
-    pop,
-    write_plan,
-)
+from craftsim.discrete.kernel.search import SearchBuffers, add_reachable, due_of, pop
 from craftsim.discrete.kernel.state import (
     AIR,
     DERIVED_MARKS,
@@ -121,17 +113,17 @@ def reason(cells: Cells, cars: Cars, corrections: int, car: int, action: int) ->
 
 @seldom
 @compiled
-def enforce(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -> None:
-    """Change a single world as an action does, whether it is legal or not."""
-    apply(World(cells, cars, corrections), car, action)
+def enforce(
+    cells: Cells, cars: Cars, corrections: int, order: NDArray[np.int64], actions: NDArray[np.int64]
+) -> None:
+    """Change each world as the actions of the cars order[i] do, one after the other, whether they are legal or not.
 
-
-@compiled
-def plan(w: World, car: int, action: int, space: SearchBuffers, depth: int, out: NDArray[np.int8]) -> int:
-    """Write the primitives of the helper's plan for a MOVE of a single world's car; return how many, -1 if none."""
-    space.legal[:] = UNKNOWN
-    node = plan_move(w, car, space, action, depth)
-    return write_plan(space, node, out) if node >= 0 else -1
+    ``actions`` (B, k) are in this order; what is none of the 15 changes nothing, and marks are not derived.
+    """
+    for i in range(cells.shape[0]):
+        w = World(cells[i], cars[i], corrections)
+        for turn in range(order.shape[1]):
+            apply(w, order[i, turn], actions[i, turn])
 
 
 @plain

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kernel.codes import FIRST_MOVE, N_ACTIONS
 from craftsim.discrete.kernel.jit import compiled, plain, seldom
 from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions, load_below_walls, load_fits
-from craftsim.discrete.kernel.search import SearchBuffers, add_reachable, due_of, pop
+from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop
 from craftsim.discrete.kernel.state import (
     AIR,
     DERIVED_MARKS,
@@ -46,8 +46,10 @@ def masks(cells: Cells, cars: Cars, corrections: int, space: SearchBuffers, dept
             legal = legal_actions(w, car, pose_of(w, car), 0, N_ACTIONS - 1)
             for action in range(N_ACTIONS):
                 out[i, car, action] = legal & (1 << action) != 0
-        if depth != NO_HELPER:
-            add_reachable(w, space, depth, out[i])
+            wanted = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
+            for m in range(4):
+                if wanted & (1 << m):
+                    out[i, car, FIRST_MOVE + m] = plan_move(w, car, space, FIRST_MOVE + m, depth) >= 0
 
 
 @compiled

@@ -21,15 +21,7 @@ from craftsim.discrete.kernel.codes import (
 )
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
-from craftsim.discrete.kernel.search import (
-    UNKNOWN,
-    SearchBuffers,
-    due_of,
-    near_enough,
-    plan_move,
-    pop,
-    write_plan,
-)
+from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop, write_plan
 from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
@@ -163,17 +155,14 @@ def offer(
                         action == STOP or not blocked(w, running, i, others, pose, action, row, 0)
                     ):
                         out[i, car, action] = some = True
-                missing = ~(legal >> FIRST_MOVE) & 15
-                if depth != NO_HELPER and missing != 0:
-                    space.legal[:] = UNKNOWN
-                    wanted = missing & near_enough(w, car, space, depth)
-                    for m in range(4):
-                        node = plan_move(w, car, space, FIRST_MOVE + m, depth) if wanted & (1 << m) else -1
-                        if node >= 0:
-                            write_plan(space, node, plan)
-                            first = int(np.int64(plan[0]))
-                            if not blocked(w, running, i, others, pose, first, row, 0):
-                                out[i, car, FIRST_MOVE + m] = some = True
+                wanted = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
+                for m in range(4):
+                    node = plan_move(w, car, space, FIRST_MOVE + m, depth) if wanted & (1 << m) else -1
+                    if node >= 0:
+                        write_plan(space, node, plan)
+                        first = int(np.int64(plan[0]))
+                        if not blocked(w, running, i, others, pose, first, row, 0):
+                            out[i, car, FIRST_MOVE + m] = some = True
             if not some:
                 out[i, car, STOP] = True
 

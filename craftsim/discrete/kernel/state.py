@@ -28,19 +28,10 @@ OBJECT = -2
 KIND, YAW, OCCUPANT, LANDING = map(int, CellField)
 F_X, F_Y, F_Z, F_YAW, F_LOAD, F_LOAD_YAW, F_SLOPE = map(int, CarField)
 
-DERIVED_MARKS = int(Correction.derived_marks)
-SWINGING_FLAP = int(Correction.swinging_flap)
-TURNING_LOAD = int(Correction.turning_load)
-LEANING_LOAD = int(Correction.leaning_load)
-OWN_RAMP = int(Correction.own_ramp)
-SECOND_RAMP = int(Correction.second_ramp)
-RAMP_BELOW_GEAR = int(Correction.ramp_below_gear)
-RUN_OUT = int(Correction.run_out)
-REACHING_LOAD = int(Correction.reaching_load)
-OVERHEAD_WALL = int(Correction.overhead_wall)
-CROSSING_GEAR = int(Correction.crossing_gear)
-LASTING_GEARS = int(Correction.lasting_gears)
-
+DERIVED_MARKS, SWINGING_FLAP, TURNING_LOAD, LEANING_LOAD, OWN_RAMP, SECOND_RAMP, *_ = map(int, Correction)
+*_, RAMP_BELOW_GEAR, RUN_OUT, REACHING_LOAD, OVERHEAD_WALL, CROSSING_GEAR, LASTING_GEARS = map(
+    int, Correction
+)
 
 Cells = NDArray[np.int16]
 """(L, W, H + 1, 4): fields as in CellField; of a batch with a leading axis."""

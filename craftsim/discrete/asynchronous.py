@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Self
 
@@ -12,13 +12,25 @@ from numpy.typing import NDArray
 from craftsim.discrete.actions import ACTIONS, built_in, carry_out, claims_of, footprint, is_own, own_reason
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
-from craftsim.discrete.kernel.batch import NO_HELPER, Mask
+from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.claims import MOST, Claims, conflict
 from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kernel.events import BEGUN, BLOCKED, DECIDES, ILLEGAL, RUNS, WAITS, Running
+from craftsim.discrete.kernel.events import (
+    BEGUN,
+    BLOCKED,
+    DECIDES,
+    ILLEGAL,
+    RUNS,
+    WAITS,
+    AsynchronousWorlds,
+    Decisions,
+    Durations,
+    Ends,
+    Running,
+)
 from craftsim.discrete.kernel.state import DERIVED_MARKS
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import explain
+from craftsim.discrete.rules import enforce, explain
 from craftsim.discrete.schedule import SITUATIONS, nominal_durations, situation
 from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.discrete.tasks.rewards import Reward
@@ -27,11 +39,6 @@ from craftsim.discrete.tasks.starts import Starts
 USUAL_TICK_S: Final = 1.0
 """About what a move takes: what is said of a tick, a cost or a discount, is said of so much time."""
 _STOP: Final = int(Action.STOP)
-
-
-def moment(seconds: Any) -> Any:
-    """Return times rounded to microseconds: what ends together then ends at the same time, however it was added."""
-    return np.floor(seconds * 1e6 + 0.5) / 1e6
 
 
 @dataclass(frozen=True)
@@ -60,19 +67,6 @@ class Timing:
         """Draw which of some actions fail."""
         drawn = rng.random(shape) < self.failures if self.failures else np.zeros(shape, np.bool_)
         return np.asarray(drawn)
-
-
-class Ends(NamedTuple):
-    """What an event of B worlds has ended."""
-
-    duration_s: NDArray[np.float64]
-    """(B,): the time since the event before."""
-    doing: NDArray[np.int64]
-    """(B, n): what each car did until then, as in Running."""
-    ended: Mask
-    """(B, n): whose actions have ended; waits count."""
-    failed: Mask
-    """(B, n): whose actions have ended without effect."""
 
 
 class Deadlock(NamedTuple):
@@ -127,14 +121,12 @@ class AsynchronousEpisodes(Episodes):
             np.zeros((b, n, MOST, 4), np.int16),
             np.zeros((b, n), np.int64),
         )
-        self.asked = np.full((b, n), _STOP, np.int64)
-        """(B, n): the action that each car asked for in its last decision."""
-        self.outcome = np.full((b, n), RUNS, np.int64)
-        """(B, n): what became of that."""
-        self.earned = np.zeros((b, n))
-        """(B, n): the rewards since then."""
-        self.made = np.zeros(b, np.int64)
-        """(B,): how many decisions have been made."""
+        self.decisions = Decisions(
+            np.full((b, n), _STOP, np.int64),
+            np.full((b, n), RUNS, np.int64),
+            np.zeros(b, np.int64),
+            np.zeros((b, n)),
+        )
         self._row = np.zeros((MOST, 4), np.int16)
         self._plan = np.zeros((self.depth or 0) + 1, np.int8)
 
@@ -152,8 +144,22 @@ class AsynchronousEpisodes(Episodes):
         """Start the episodes ``rows`` anew; all their cars decide."""
         super().begin(rows, starts)
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
-        self.time_s[rows], self.made[rows], self.outcome[rows] = 0.0, 0, RUNS
+        self.time_s[rows], self.decisions.made[rows], self.decisions.outcome[rows] = 0.0, 0, RUNS
         self.running.action[rows], self.running.n_claims[rows] = DECIDES, 0
+
+    @property
+    def _worlds(self) -> AsynchronousWorlds:
+        confirmed, committed = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
+        return AsynchronousWorlds(
+            confirmed,
+            committed,
+            self.running,
+            self.decisions,
+            self.queue,
+            self.time_s,
+            self._space,
+            NO_HELPER if self.depth is None else self.depth,
+        )
 
     def grid(self, i: int) -> Grid:
         """Return a copy of a committed world, with its marks."""
@@ -178,52 +184,37 @@ class AsynchronousEpisodes(Episodes):
 
         What the rules forbid, or what a claim stands against, becomes a wait.
         """
+        durations, turns, acts, out = self._asked(actions, order, timed)
+        events.decide(self._worlds, durations, turns, acts, 0, len(self), out)
+        return out
+
+    def _asked(self, actions: Any, order: Any, timed: bool) -> tuple[Durations, Any, Any, NDArray[np.int64]]:
+        """Return durations, turns, actions and outcomes for compiled code.
+
+        In worlds in which one asks for a registered action, which is a user's code, all cars have decided then.
+        """
         turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
-        before, out = self.grids.cars.copy(), np.full(acts.shape, RUNS, np.int64)
-        nominal_s, fails = np.full((len(ACTIONS), len(SITUATIONS)), np.inf), np.zeros(acts.shape, np.bool_)
-        factor = np.ones(acts.shape)
-        if timed:
-            nominal_s, factor = self.timing.nominal_s, self.timing.factors(self.rng, acts.shape)
-            fails = self.timing.fails(self.rng, acts.shape)
-        # In worlds in which one asks for a registered action, which is a user's code, the cars decide one by one.
+        timing, out = self.timing, np.full(acts.shape, RUNS, np.int64)
+        if not timed:
+            nominal_s = np.full((len(ACTIONS), len(SITUATIONS)), np.inf)
+            drawn = np.ones(acts.shape), np.zeros(acts.shape, np.bool_)
+        else:
+            nominal_s = timing.nominal_s
+            drawn = timing.factors(self.rng, acts.shape), timing.fails(self.rng, acts.shape)
+        durations = Durations(nominal_s, *drawn, timing.wait_s)
         for i in np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else ():
             for car in turns[i].tolist():
                 queued = self.depth is not None and self.queue[i, car, 0] >= 0
                 if self.running.action[i, car] == DECIDES and acts[i, car] >= N_ACTIONS and not queued:
-                    out[i, car] = self._decide_own(i, car, int(acts[i, car]))
+                    out[i, car] = self._decide_own(i, car, int(acts[i, car]), durations)
                 else:
-                    self._decide(np.full((len(acts), 1), car), acts, i, i + 1, out)
-        self._decide(turns, acts, 0, len(self), out)
-        running, decided, now_s = self.running, out != RUNS, self.time_s[:, None]
-        begun, doing = out == BEGUN, running.action
-        takes_s = np.where(
-            begun, nominal_s[doing, situation(before, self.grids.cars)] * factor, self.timing.wait_s
-        )
-        np.copyto(running.began_s, now_s, where=decided)
-        np.copyto(running.ends_s, moment(now_s + takes_s), where=decided)
-        np.copyto(running.fails, begun & fails, where=decided)
-        np.copyto(self.asked, acts, where=decided)
-        np.copyto(self.outcome, out, where=decided)
-        self.earned[decided] = 0.0
-        self.made += decided.sum(1)
-        return out
+                    turn = np.full((len(acts), 1), car)
+                    events.decide(self._worlds, durations, turn, acts, i, i + 1, out)
+        return durations, turns, acts, out
 
-    def _decide(
-        self,
-        order: NDArray[np.int64],
-        actions: NDArray[np.int64],
-        first: int,
-        end: int,
-        out: NDArray[np.int64],
-    ) -> None:
-        depth = NO_HELPER if self.depth is None else self.depth
-        helper = self.queue, self._space, depth
-        events.decide(
-            self.grids.world(self.corrections), self.running, *helper, order, actions, first, end, out
-        )
-
-    def _decide_own(self, i: int, car: int, action: int) -> int:
-        running = self.running
+    def _decide_own(self, i: int, car: int, action: int, durations: Durations) -> int:
+        running, before = self.running, self.grids.cars[i, car].copy()
+        end_s = self.time_s[i] + durations.wait_s
         running.turn[i, car], running.action[i, car] = running.turn[i].max() + 1, _STOP
         result, after, claims = self._try_own(i, car, action)
         if result == BEGUN:
@@ -234,6 +225,9 @@ class AsynchronousEpisodes(Episodes):
             running.claims[i, car, : len(claims)], running.n_claims[i, car] = claims, len(claims)
             running.action[i, car] = action
             self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
+            column = int(situation(before, after.cars[car]))
+            end_s = self.time_s[i] + durations.nominal_s[action, column] * durations.factor[i, car]
+        events.note(self._worlds, durations, i, car, action, result, end_s)
         return result
 
     def _try_own(self, i: int, car: int, action: int) -> tuple[int, Grid, Claims]:
@@ -253,22 +247,23 @@ class AsynchronousEpisodes(Episodes):
         return any(conflict(claims, len(claims), *row) for row in rows)
 
     def advance(self) -> Ends:
-        """Let time pass in each world to its next event, for which all cars must have decided.
+        """Let time pass in each world to its next event, for which all cars must have decided."""
+        return self._advance(events.advance)
 
-        What has ended changes the confirmed worlds in the order in which it began; a wait ends with any event.
-        """
-        running, now_s = self.running, self.running.ends_s.min(1)
-        doing, own = running.action.copy(), (running.action >= N_ACTIONS).any(1)
-        ended = (doing == _STOP) | (running.ends_s <= now_s[:, None])
-        failed = ended & running.fails
-        ends = Ends(moment(now_s - self.time_s), doing, ended, failed)
-        self.time_s[:] = now_s
-        for i in np.flatnonzero(own).tolist():
-            self.confirmed[i].derive_marks()
-        self._enforce(self.confirmed, np.where(ended & ~failed, doing, _STOP), running.turn)
-        running.action[ended], running.n_claims[ended], self.queue[failed] = DECIDES, 0, -1
-        for i in np.flatnonzero(own | failed.any(1)).tolist():
-            self.confirm(i, self.confirmed[i])
+    def _advance(self, advance: Callable[..., None], *asked: Any) -> Ends:
+        """Do so with compiled code, which lets the cars decide before if it is given what they have ``asked`` for."""
+        shape = self.running.action.shape
+        masks = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
+        ends = Ends(np.empty(len(self)), np.empty(shape, np.int64), *masks)
+        # Registered actions do not end by themselves.
+        own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else ()
+        worlds = {i: self._marked(self.confirmed[i]) for i in own}
+        advance(self._worlds, *asked, ends)
+        for i, grid in worlds.items():
+            done = np.where(ends.ended[i] & ~ends.failed[i], ends.doing[i], _STOP)
+            self._enforce(grid[None], done[None], self.running.turn[i : i + 1])
+            self.confirm(i, grid)
+        self._commit(np.flatnonzero(ends.failed.any(1)))
         return ends
 
     def step(
@@ -285,18 +280,15 @@ class AsynchronousEpisodes(Episodes):
         ``time_weight``.
         """
         before = self.worlds_before()
-        outcome = self.decide(actions, self.draw_order() if order is None else order)
-        ends = self.advance()
+        asked = self._asked(actions, self.draw_order() if order is None else order, True)
+        ends, outcome = self._advance(events.step, *asked), asked[-1]
         steps = self.settle(before, ends, time_weight)
-        over = ends.ended | steps.done[:, None]
-        elapsed_s = np.where(over, moment(self.time_s[:, None] - self.running.began_s), 0.0)
-        earned = np.where(over, self.earned, 0.0)
-        # Who was offered nothing but to wait still is, and who has asked in vain can ask again.
-        idle = np.isin(self.outcome, (WAITS, ILLEGAL)) | self.lost
-        stuck = True if offered is None else ~np.delete(offered, _STOP, axis=-1).any((1, 2))
-        vain = (self.outcome == ILLEGAL).any(1)
-        deadlock = idle.all(1) & (vain | stuck)
-        for i in np.flatnonzero(deadlock).tolist():
+        elapsed_s, earned = np.empty(outcome.shape), np.empty(outcome.shape)
+        waited, deadlock = np.empty(len(self), np.bool_), np.zeros(len(self), np.bool_)
+        masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)
+        cars = self.running, self.decisions, self.time_s
+        events.close(*cars, masks, ends.ended, steps.reward, steps.done, elapsed_s, earned, waited)
+        for i in np.flatnonzero(waited).tolist():
             deadlock[i] = self.deadlock(i) is not None
         return Event(
             **vars(steps),
@@ -342,27 +334,29 @@ class AsynchronousEpisodes(Episodes):
 
     def confirm(self, i: int, confirmed: Grid) -> None:
         """Replace a confirmed world, and make the committed one of it anew, with the effects of what runs."""
-        for grid in (self.confirmed[i], self.grids[i]):
-            grid.cells[:], grid.cars[:] = confirmed.cells, confirmed.cars
-        one = slice(i, i + 1)
-        self._enforce(self.grids[one], self.running.action[one], self.running.turn[one])
+        self.confirmed.cells[i], self.confirmed.cars[i] = confirmed.cells, confirmed.cars
+        self._commit(np.array([i]))
+
+    def _commit(self, rows: NDArray[np.integer]) -> None:
+        """Make committed worlds anew: the confirmed ones with the effects of what runs."""
+        if len(rows):
+            grids = self.confirmed[rows]
+            self._enforce(grids, self.running.action[rows], self.running.turn[rows])
+            self.put(rows, grids)
 
     def _enforce(self, grids: Grid, actions: NDArray[np.int64], turn: NDArray[np.int64]) -> None:
         """Change worlds as the actions (B, n) of their cars do, in the order of their turns, legal or not."""
         turns = turn.argsort(1)
         acting = np.take_along_axis(actions, turns, 1)
-        for i in np.flatnonzero((acting >= N_ACTIONS).any(1)).tolist():
-            one = grids[i : i + 1]
-            for place, car in enumerate(turns[i].tolist()):
-                action = int(acting[i, place])
-                if is_own(action):
-                    carry_out(grids[i], car, action)
+        own = (acting >= N_ACTIONS).any(1)
+        for i in np.flatnonzero(own).tolist():
+            for one, action in zip(turns[i, :, None, None], acting[i, :, None, None], strict=True):
+                if is_own(int(action[0, 0])):
+                    carry_out(grids[i], int(one[0, 0]), int(action[0, 0]))
                 else:
-                    batch.enforce(
-                        one.cells, one.cars, self.corrections, np.array([[car]]), np.array([[action]])
-                    )
-            acting[i] = _STOP
-        batch.enforce(grids.cells, grids.cars, self.corrections, turns, acting)
+                    enforce(*grids[i : i + 1].world(self.corrections), one, action)
+        acting[own] = _STOP
+        enforce(*grids.world(self.corrections), turns, acting)
 
     def settle(
         self, before: Grid | None, ends: Ends, time_weight: float, problems: tuple[str, ...] = ()
@@ -377,13 +371,13 @@ class AsynchronousEpisodes(Episodes):
             time_weight: cost of a second.
             problems: why the worlds cannot be read as grids any more.
         """
-        self.t = np.maximum(self.made - 1, 0) // max(self.n_cars, 1)
+        self.t = np.maximum(self.decisions.made - 1, 0) // max(self.n_cars, 1)
         seen, applied, duration_s = [], ends.ended, ends.duration_s
         if self.corrections & DERIVED_MARKS and self.takes_functions:
             self.confirmed.derive_marks()
         if before is not None:
             # The rules forbid a STOP on a ramp.
-            stood = (self.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
+            stood = (self.decisions.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
             acted = ends.ended & (ends.doing != _STOP)
             applied = acted | (ends.ended & stood)
             took = np.where(acted, self.time_s[:, None] - self.running.began_s, 0.0)
@@ -394,14 +388,11 @@ class AsynchronousEpisodes(Episodes):
             ]
         potential, given, rule = self.potential, self.bonus_given, self.task.reward
         steps = self.score(applied, self.running.turn, not problems, seen)
-        reward = steps.reward
         if isinstance(rule, Reward) and rule.rule != "change":
             idle, _ = rule.of_tick(potential, potential, self.t, given)
-            reward = reward + np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
-        if time_weight:
-            reward = reward - time_weight * duration_s
-        self.earned += reward[:, None]
-        return replace(steps, reward=reward)
+            more = np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
+            steps = replace(steps, reward=steps.reward + more)
+        return replace(steps, reward=steps.reward - time_weight * duration_s) if time_weight else steps
 
     @property
     def takes_functions(self) -> bool:
@@ -451,7 +442,7 @@ class AsynchronousEpisodes(Episodes):
         All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
         one that another car forbids.
         """
-        outcome, lost = self.outcome[i], self.lost[i]
+        outcome, lost = self.decisions.outcome[i], self.lost[i]
         idle = lost | (self.decides[i] & np.isin(outcome, (WAITS, ILLEGAL)))
         if not idle.all() or (self.queue[i, :, 0] >= 0).any():
             return None
@@ -460,7 +451,7 @@ class AsynchronousEpisodes(Episodes):
         if not stuck and (outcome != ILLEGAL)[~lost].any():
             return None
         cars = range(self.n_cars)
-        asked = [None if stuck else int(action) for action in self.asked[i]]
+        asked = [None if stuck else int(action) for action in self.decisions.asked[i]]
         found = [{} if lost[car] else self._waits_for(i, car, asked[car]) for car in cars]
         if not stuck and not all(found[car] for car in cars if not lost[car]):
             return None
@@ -497,13 +488,9 @@ class AsynchronousEpisodes(Episodes):
         That is (B, n, n, 2), of each car what it does, -1 if it decides, and the seconds since that began; and
         (B, n, L, W, H + 1), 1 for each cell that what runs has claimed. Both are views of the same for all cars.
         """
-        running, (b, n) = self.running, self.running.action.shape
-        since_s = np.where(self.decides, 0.0, self.time_s[:, None] - running.began_s)
-        doing = np.stack([running.action, since_s], axis=-1).astype(np.float32)
-        claimed = np.zeros(self.grids.cells.shape[:4], np.int8)
-        there = np.arange(running.claims.shape[2]) < running.n_claims[..., None]
-        cells, worlds = running.claims[there][:, :3], there.nonzero()[0]
-        inside = ((cells >= 0) & (cells < claimed.shape[1:])).all(1)
-        claimed[(worlds[inside], *cells[inside].T)] = 1
+        cars = self.running.action.shape
+        doing, claimed = np.empty((*cars, 2), np.float32), np.zeros(self.grids.cells.shape[:4], np.int8)
+        events.show(self.running, self.time_s, doing, claimed)
+        b, n = cars
         shared = np.broadcast_to(doing[:, None], (b, n, n, 2))
         return shared, np.broadcast_to(claimed[:, None], (b, n, *claimed.shape[1:]))

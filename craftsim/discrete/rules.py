@@ -35,7 +35,7 @@ Joint = Sequence[tuple[int, int]]
 _search_buffers: Final = lru_cache(maxsize=2)(search_buffers)
 """They may take 20 MB for each map size."""
 _NO_SPACE: Final = search_buffers((1, 1, 1))
-_masks, _step = seldom(batch.masks), seldom(batch.step)
+_masks, _step, enforce = seldom(batch.masks), seldom(batch.step), seldom(batch.enforce)
 
 
 class Rules:
@@ -112,7 +112,7 @@ class Rules:
             carry_out(after, car, action)
         else:
             turns = np.array([[[car]], [[int(action)]]])
-            batch.enforce(after.cells[None], after.cars[None], int(self.corrections), *turns)
+            enforce(after.cells[None], after.cars[None], int(self.corrections), *turns)
         return after
 
     def tick(self, grid: Grid, joint: Joint) -> tuple[Grid, NDArray[np.bool_]]:

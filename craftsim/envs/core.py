@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.asynchronous import Timing, moment
+from craftsim.discrete.asynchronous import Timing
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
+from craftsim.discrete.kernel.events import moment
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import car_durations, situation
@@ -93,7 +94,7 @@ class GridBackend:
         """
         timing, column = self._timing, situation(before, after)
         factor, fails = timing.factors(self._rng, ()), bool(timing.fails(self._rng, ()))
-        end_s = float(moment(self._now_s + timing.nominal_s[action, column] * factor))
+        end_s = moment(self._now_s + float(timing.nominal_s[action, column] * factor))
         self._running[car] = end_s, action, fails
 
     def advance(self, until_s: float | None = None) -> Ended:

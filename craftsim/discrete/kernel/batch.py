@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.codes import FIRST_MOVE, N_ACTIONS
-from craftsim.discrete.kernel.jit import compiled, plain, seldom
+from craftsim.discrete.kernel.jit import compiled, plain
 from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions, load_below_walls, load_fits
 from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop
 from craftsim.discrete.kernel.state import (
@@ -113,7 +113,6 @@ def reason(cells: Cells, cars: Cars, corrections: int, car: int, action: int) ->
     return legal_actions(w, car, pose_of(w, car), action, action) >> REASON_BIT
 
 
-@seldom
 @compiled
 def enforce(
     cells: Cells, cars: Cars, corrections: int, order: NDArray[np.int64], actions: NDArray[np.int64]

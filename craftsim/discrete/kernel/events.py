@@ -1,7 +1,8 @@
-"""Asynchronous worlds, compiled: which actions may begin now beside what runs, and beginnings."""
+"""Asynchronous worlds, compiled: which actions may begin now, beginnings, and the next event."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -60,6 +61,73 @@ class Running(NamedTuple):
     """(B, n, rows, 4)."""
     n_claims: NDArray[np.int64]
     """(B, n): rows of these; none while a car waits or decides."""
+
+
+class Decisions(NamedTuple):
+    """The last decisions of the cars of B worlds."""
+
+    asked: NDArray[np.int64]
+    """(B, n): the action that each car asked for."""
+    outcome: NDArray[np.int64]
+    """(B, n): what became of that; see above."""
+    made: NDArray[np.int64]
+    """(B,): how many have been made."""
+    earned: NDArray[np.float64]
+    """(B, n): the rewards since then."""
+
+
+class AsynchronousWorlds(NamedTuple):
+    """B asynchronous worlds, all of what time changes."""
+
+    confirmed: World
+    """The effects of all that has ended."""
+    committed: World
+    """The same, and the effects of all that runs."""
+    running: Running
+    decisions: Decisions
+    queues: Queues
+    time_s: NDArray[np.float64]
+    """(B,): now."""
+    space: SearchBuffers
+    depth: int
+    """Of the action helper's search; NO_HELPER where it is off."""
+
+
+class Durations(NamedTuple):
+    """How long what begins now takes."""
+
+    nominal_s: NDArray[np.float64]
+    """(actions, 4): by action and situation, infinite where they are not known before an action ends."""
+    factor: NDArray[np.float64]
+    """(B, n): of these, by car."""
+    fails: NDArray[np.bool_]
+    """(B, n): whether what a car begins now fails."""
+    wait_s: float
+
+
+class Ends(NamedTuple):
+    """What an event of B worlds has ended."""
+
+    duration_s: NDArray[np.float64]
+    """(B,): the time since the event before."""
+    doing: NDArray[np.int64]
+    """(B, n): what each car did until then, as in Running."""
+    ended: Mask
+    """(B, n): whose actions have ended; waits count."""
+    failed: Mask
+    """(B, n): whose actions have ended without effect."""
+
+
+@compiled
+def world_of(worlds: World, i: int) -> World:
+    """Return a world of a batch."""
+    return World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+
+
+@compiled
+def moment(seconds: float) -> float:
+    """Return a time rounded to microseconds: what ends together then ends at the same time, however it was added."""
+    return math.floor(seconds * 1e6 + 0.5) / 1e6
 
 
 @compiled
@@ -143,7 +211,7 @@ def offer(
     (MOST, 4) and ``plan`` (depth + 1,) are scratch.
     """
     for i in range(worlds.cells.shape[0]):
-        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        w = world_of(worlds, i)
         for car in range(w.cars.shape[0]):
             some = False
             if running.action[i, car] == DECIDES:
@@ -169,11 +237,8 @@ def offer(
 
 @compiled
 def decide(
-    worlds: World,
-    running: Running,
-    queues: Queues,
-    space: SearchBuffers,
-    depth: int,
+    worlds: AsynchronousWorlds,
+    durations: Durations,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
     first: int,
@@ -183,10 +248,11 @@ def decide(
     """Let the cars order[i] of the worlds from ``first`` to ``end`` begin what they have decided on, in their order.
 
     ``actions`` and ``out`` are by car, (B, n); out tells what became of each decision, and stays for other cars. The
-    worlds have the effects of what has begun from here on, but marks are not derived.
+    committed worlds have the effects of what has begun from here on, but marks are not derived.
     """
+    running, queues, space, depth = worlds.running, worlds.queues, worlds.space, worlds.depth
     for i in range(first, end):
-        w, turn = World(worlds.cells[i], worlds.cars[i], worlds.corrections), 0
+        w, now_s, turn = world_of(worlds.committed, i), worlds.time_s[i], 0
         for car in range(w.cars.shape[0]):
             turn = max(turn, running.turn[i, car])
         for place in range(order.shape[1]):
@@ -197,7 +263,7 @@ def decide(
             if depth != NO_HELPER:
                 due = due_of(w, car, due, queues[i, car], space, depth)
             turn += 1
-            result = WAITS
+            result, end_s = WAITS, now_s + durations.wait_s
             if due == STOP:
                 result = WAITS if actions[i, car] == STOP or queued else ILLEGAL
             else:
@@ -210,6 +276,9 @@ def decide(
                     if result == BEGUN:
                         apply(w, car, due)
                         running.n_claims[i, car] = count
+                        sloping = pose.slope > 0 or pose_of(w, car).slope > 0
+                        column = (2 if sloping else 0) + (1 if pose.load != AIR else 0)
+                        end_s = now_s + durations.nominal_s[due, column] * durations.factor[i, car]
             if depth != NO_HELPER and due != STOP:
                 if result == BEGUN:
                     if queues[i, car, 0] >= 0:
@@ -217,4 +286,129 @@ def decide(
                 elif result == ILLEGAL or not queued:
                     queues[i, car, :] = -1
             running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
+            note(worlds, durations, i, car, actions[i, car], result, end_s)
             out[i, car] = result
+
+
+@compiled
+def note(
+    worlds: AsynchronousWorlds, durations: Durations, i: int, car: int, asked: int, result: int, end_s: float
+) -> None:
+    """Write down a decision, whatever became of it."""
+    running, decisions = worlds.running, worlds.decisions
+    running.began_s[i, car] = worlds.time_s[i]
+    running.ends_s[i, car] = moment(end_s) if end_s < math.inf else end_s
+    running.fails[i, car] = result == BEGUN and durations.fails[i, car]
+    decisions.asked[i, car], decisions.outcome[i, car], decisions.earned[i, car] = asked, result, 0.0
+    decisions.made[i] += 1
+
+
+@compiled
+def following(running: Running, i: int, ended: Mask, turn: int) -> int:
+    """Return the car of a world whose action began next after a turn, of those that have ``ended``; -1 for none."""
+    found = -1
+    for car in range(running.action.shape[1]):
+        later = ended[i, car] and running.turn[i, car] > turn
+        if later and (found < 0 or running.turn[i, car] < running.turn[i, found]):
+            found = car
+    return found
+
+
+@compiled
+def advance(worlds: AsynchronousWorlds, ends: Ends) -> None:
+    """Advance each world, in which no car decides, to its next event.
+
+    What has ended is applied to the confirmed worlds in the order in which it began; a wait ends with any event. The
+    committed worlds stay, though something may have failed. Registered actions change nothing here. Marks are not
+    derived.
+    """
+    running, n_cars = worlds.running, worlds.running.action.shape[1]
+    for i in range(worlds.time_s.shape[0]):
+        now_s = running.ends_s[i, 0]
+        for car in range(1, n_cars):
+            now_s = min(now_s, running.ends_s[i, car])
+        ends.duration_s[i] = moment(now_s - worlds.time_s[i])
+        worlds.time_s[i] = now_s
+        for car in range(n_cars):
+            ends.doing[i, car] = running.action[i, car]
+            ends.ended[i, car] = running.action[i, car] == STOP or running.ends_s[i, car] <= now_s
+            ends.failed[i, car] = ends.ended[i, car] and running.fails[i, car]
+        w = world_of(worlds.confirmed, i)
+        car = following(running, i, ends.ended, 0)
+        while car >= 0:
+            if ends.failed[i, car]:
+                worlds.queues[i, car, :] = -1
+            elif running.action[i, car] < STOP:
+                apply(w, car, running.action[i, car])
+            running.action[i, car], running.n_claims[i, car] = DECIDES, 0
+            car = following(running, i, ends.ended, running.turn[i, car])
+
+
+@compiled
+def step(
+    worlds: AsynchronousWorlds,
+    durations: Durations,
+    order: NDArray[np.int64],
+    actions: NDArray[np.int64],
+    out: NDArray[np.int64],
+    ends: Ends,
+) -> None:
+    """Do both, :func:`decide` and :func:`advance`, for all worlds."""
+    decide(worlds, durations, order, actions, 0, worlds.time_s.shape[0], out)
+    advance(worlds, ends)
+
+
+@compiled
+def close(
+    running: Running,
+    decisions: Decisions,
+    time_s: NDArray[np.float64],
+    offered: NDArray[np.int8],
+    ended: Mask,
+    reward: NDArray[np.float64],
+    done: Mask,
+    elapsed_s: NDArray[np.float64],
+    earned: NDArray[np.float64],
+    waited: Mask,
+) -> None:
+    """Add the reward (B,) to what all decisions have earned; write of each that has ended, or whose episode is ``done``
+    (B,), the time since then and the sum, 0 for the others (B, n); and in which worlds there may be a deadlock.
+
+    That takes that all cars have waited, or are lost. Where none was offered anything else, (B, n, actions), that is so
+    still, and where one has asked in vain it can ask again.
+    """
+    for i in range(done.shape[0]):
+        waited[i], vain, stuck = True, False, True
+        for car in range(running.action.shape[1]):
+            decisions.earned[i, car] += reward[i]
+            elapsed_s[i, car] = earned[i, car] = 0.0
+            if ended[i, car] or done[i]:
+                elapsed_s[i, car] = moment(time_s[i] - running.began_s[i, car])
+                earned[i, car] = decisions.earned[i, car]
+            outcome = decisions.outcome[i, car]
+            lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf
+            waited[i] = waited[i] and (outcome in (WAITS, ILLEGAL) or lost)
+            vain = vain or outcome == ILLEGAL
+        if waited[i] and not vain:
+            for car in range(offered.shape[1]):
+                for action in range(offered.shape[2]):
+                    stuck = stuck and (action == STOP or offered[i, car, action] == 0)
+        waited[i] = waited[i] and (vain or stuck)
+
+
+@compiled
+def show(
+    running: Running, time_s: NDArray[np.float64], doing: NDArray[np.float32], out: NDArray[np.int8]
+) -> None:
+    """Write what each car does, action and seconds (B, n, 2), and 1 for each claimed cell (B, L, W, H + 1)."""
+    length, width, layers = out.shape[1:]
+    for i in range(out.shape[0]):
+        for car in range(doing.shape[1]):
+            action = running.action[i, car]
+            doing[i, car, 0] = action
+            doing[i, car, 1] = 0.0 if action == DECIDES else time_s[i] - running.began_s[i, car]
+            for k in range(running.n_claims[i, car]):
+                claim = running.claims[i, car, k]
+                x, y, z = claim[0], claim[1], claim[2]
+                if 0 <= x < length and 0 <= y < width and z < layers:
+                    out[i, x, y, z] = 1

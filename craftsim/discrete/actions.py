@@ -331,10 +331,7 @@ def _touching(touched: Touched) -> Callable[[Grid, Grid, int], Footprint]:
 def check_complete(parts: Mapping[Action, object], what: str, where: str) -> None:
     """Raise RuntimeError, with the action, if one that is performed has no part, or one has a part that is not.
 
-    Args:
-        parts: by action.
-        what: they are, such as ``skill``.
-        where: the file that lists them.
+    A part is ``what``, such as ``skill``; the file ``where`` lists them.
     """
     for action in Action:
         spec = ACTIONS[action]

@@ -384,17 +384,13 @@ def _in_the_way(grid: Grid, car: int, legal: Callable[[Grid], bool]) -> Iterator
         if legal(without):
             load = "" if row[CarField.LOAD] == Kind.AIR else f" with {NAMES[Kind(row[CarField.LOAD])]}"
             yield cell, f"car {other}{load} is in {cell}"
-    length, width, height = grid.size
-    for cx in range(max(x - _NEAR, 0), min(x + _NEAR + 1, length)):
-        for cy in range(max(y - _NEAR, 0), min(y + _NEAR + 1, width)):
-            for cz in range(max(z - 1, 1), min(z + 3, height + 1)):
-                kind = Kind(grid.kind[cx, cy, cz])
-                if kind == Kind.AIR or (cx, cy, cz) == (x, y, z):
-                    continue
-                without = grid.copy()
-                without.kind[cx, cy, cz] = Kind.AIR
-                if legal(without):
-                    yield (cx, cy, cz), f"{NAMES[kind]} is in {(cx, cy, cz)}"
+    first = np.maximum((x - _NEAR, y - _NEAR, z - 1), (0, 0, 1))
+    near = grid.kind[first[0] : x + _NEAR + 1, first[1] : y + _NEAR + 1, first[2] : z + 3]
+    for cell in map(tuple, (np.argwhere(near != Kind.AIR) + first).tolist()):
+        without = grid.copy()
+        without.kind[cell] = Kind.AIR
+        if cell != (x, y, z) and legal(without):
+            yield cell, f"{NAMES[Kind(grid.kind[cell])]} is in {cell}"
 
 
 class _Case(Formatter):

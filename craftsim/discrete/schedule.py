@@ -108,17 +108,13 @@ class Schedule:
     after: Constraints = field(default_factory=dict)
     """Order constraints of the plan."""
 
-    @property
-    def durations_s(self) -> list[float]:
-        """The nominal time of each step."""
-        return [step.duration_s for step in self.steps]
-
     def times(self, durations_s: Sequence[float] | None = None) -> NDArray[np.float64]:
         """Return the start and the end of each step in seconds, shape (n, 2): a longest path through the dependencies.
 
         A step starts as soon as all that it waits for has ended, and takes its own time, or the one that is given.
         """
-        durations_s = self.durations_s if durations_s is None else durations_s
+        if durations_s is None:
+            durations_s = [step.duration_s for step in self.steps]
         times, ends = np.zeros((len(self.steps), 2)), list[float]()
         for index, (step, duration_s) in enumerate(zip(self.steps, durations_s, strict=True)):
             start = max(map(ends.__getitem__, step.waits_for), default=0.0)
@@ -179,16 +175,9 @@ def make_schedule(
 ) -> Schedule:
     """Return the schedule of a plan's ticks, each a sequence of (car, action) in acting order, from a world.
 
-    Args:
-        grid: the world at the start.
-        ticks: of the plan.
-        rules: say what each action does.
-        order: how the actions follow each other.
-        first: number of the first tick.
-        after: order constraints of the plan. They come on top of what actions wait for anyway; one that names what the
-            rules forbid constrains nothing, because that is left out.
-
-    Raises InputError for an unknown order.
+    Ticks are counted from ``first``. The order constraints ``after`` come on top of what actions wait for anyway; one
+    that names what the rules forbid constrains nothing, because that is left out. Raises InputError for an unknown
+    order.
     """
     if order not in (known := get_args(Concurrency)):
         raise InputError(f"no order {order!r}{suggestion(str(order), known)} (orders: {', '.join(known)})")
@@ -255,9 +244,7 @@ def _needed(car: int, needs: Footprint) -> Iterator[object]:
 def incline_under(grid: Grid, car: NDArray[np.integer]) -> float:
     """Return the angle in radians by which the ground raises a car's nose: positive uphill, 0 on the flat.
 
-    Args:
-        grid: the world.
-        car: (7,) a row of ``grid.cars`` or of another grid with the same slopes.
+    ``car`` (7,) is a row of ``grid.cars`` or of another grid with the same slopes.
     """
     x, y, z, yaw, _, _, slope = car.tolist()
     if slope == 0:

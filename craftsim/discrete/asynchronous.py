@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import ACTIONS, built_in, carry_out, claims_of, footprint, is_own, own_reason
+from craftsim.discrete.actions import ACTIONS, built_in, carry_out, footprint, is_own, own_reason
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
@@ -235,9 +235,9 @@ class AsynchronousEpisodes(Episodes):
         before = self.grid(i)
         after = before.copy()
         if own_reason(before, self.corrections, car, action):
-            return ILLEGAL, after, claims_of({})
+            return ILLEGAL, after, self._row[:0]
         carry_out(after, car, action)
-        claims = claims_of(footprint(before, after, car, Action(action)))
+        claims = footprint(before, after, car, Action(action))
         clashes = any(self._clashes(i, other, claims) for other in range(self.n_cars))
         return BLOCKED if clashes else BEGUN, after, claims
 
@@ -475,8 +475,7 @@ class AsynchronousEpisodes(Episodes):
                 if other == car or other in found or one >= N_ACTIONS or one == _STOP:
                     continue
                 if not batch.reason(grid.cells, grid.cars, self.corrections, car, one):
-                    claims = claims_of(built_in(grid, car, one))
-                    if self._clashes(i, other, claims):
+                    if self._clashes(i, other, built_in(grid, car, one)):
                         found[other] = f"its claims stand against {one.name}"
                 elif not batch.reason(without.cells, without.cars, self.corrections, car, one):
                     found[other] = str(explain(grid, self.corrections, car, one))

@@ -21,10 +21,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import ACTIONS, Footprint, footprint
+from craftsim.discrete.actions import ACTIONS, footprint
 from craftsim.discrete.geometry import DIRECTIONS, INCLINE_RAD
 from craftsim.discrete.grid import CarField, Grid, Kind, cell_of
-from craftsim.discrete.kernel.claims import CHANGES, LOADS, RELIES, SPACE
+from craftsim.discrete.kernel.claims import CHANGES, LOADS, RELIES, SPACE, Claims
 from craftsim.discrete.kernel.state import AIR, F_LOAD, KIND
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -56,7 +56,8 @@ class ScheduledAction:
     """The predicted world when its turn comes in the order of the plan."""
     after: Grid
     """The predicted world right after it."""
-    footprint: Footprint = field(default_factory=dict)
+    footprint: Claims = field(default_factory=lambda: np.empty((0, 4), np.int16), compare=False)
+    """What it needs of the world while it runs."""
     waits_for: frozenset[int] = frozenset()
     """Indices of the earlier steps that must have ended."""
 
@@ -225,19 +226,19 @@ _CONFLICTS: Final = {SPACE: SPACE, CHANGES: CHANGES | RELIES, RELIES: CHANGES, L
 """By what an action claims of a cell, what another one that needs the same cell claims of it."""
 
 
-def _claimed(car: int, needs: Footprint) -> Iterator[object]:
+def _claimed(car: int, needs: Claims) -> Iterator[object]:
     """Yield the keys of what an action claims; of a load also in the next cells of the level."""
     yield car
-    for (x, y, z), bits in needs.items():
+    for x, y, z, bits in needs.tolist():
         yield from ((bit, x, y, z) for bit in (SPACE, CHANGES, RELIES, LOADS) if bits & bit)
         if bits & LOADS:
             yield from ((LOADS, x + dx, y + dy, z) for dx, dy in DIRECTIONS.tolist())
 
 
-def _needed(car: int, needs: Footprint) -> Iterator[object]:
+def _needed(car: int, needs: Claims) -> Iterator[object]:
     """Yield the keys of what an action must wait for."""
     yield car
-    for cell, bits in needs.items():
+    for *cell, bits in needs.tolist():
         yield from ((bit, *cell) for bit, against in _CONFLICTS.items() if bits & against)
 
 

@@ -23,7 +23,6 @@ from craftsim.discrete.kernel.events import (
     RUNS,
     WAITS,
     AsynchronousWorlds,
-    Decisions,
     Durations,
     Ends,
     Running,
@@ -120,12 +119,10 @@ class AsynchronousEpisodes(Episodes):
             np.zeros((b, n), np.bool_),
             np.zeros((b, n, MOST, 4), np.int16),
             np.zeros((b, n), np.int64),
-        )
-        self.decisions = Decisions(
             np.full((b, n), _STOP, np.int64),
             np.full((b, n), RUNS, np.int64),
-            np.zeros(b, np.int64),
             np.zeros((b, n)),
+            np.zeros(b, np.int64),
         )
         self._row = np.zeros((MOST, 4), np.int16)
         self._plan = np.zeros((self.depth or 0) + 1, np.int8)
@@ -144,7 +141,7 @@ class AsynchronousEpisodes(Episodes):
         """Start the episodes ``rows`` anew; all their cars decide."""
         super().begin(rows, starts)
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
-        self.time_s[rows], self.decisions.made[rows], self.decisions.outcome[rows] = 0.0, 0, RUNS
+        self.time_s[rows], self.running.decided[rows], self.running.outcome[rows] = 0.0, 0, RUNS
         self.running.action[rows], self.running.n_claims[rows] = DECIDES, 0
 
     @property
@@ -154,7 +151,6 @@ class AsynchronousEpisodes(Episodes):
             confirmed,
             committed,
             self.running,
-            self.decisions,
             self.queue,
             self.time_s,
             self._space,
@@ -286,8 +282,7 @@ class AsynchronousEpisodes(Episodes):
         elapsed_s, earned = np.empty(outcome.shape), np.empty(outcome.shape)
         waited, deadlock = np.empty(len(self), np.bool_), np.zeros(len(self), np.bool_)
         masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)
-        cars = self.running, self.decisions, self.time_s
-        events.close(*cars, masks, ends.ended, steps.reward, steps.done, elapsed_s, earned, waited)
+        events.close(self.running, self.time_s, masks, ends.ended, steps.done, elapsed_s, earned, waited)
         for i in np.flatnonzero(waited).tolist():
             deadlock[i] = self.deadlock(i) is not None
         return Event(
@@ -371,13 +366,13 @@ class AsynchronousEpisodes(Episodes):
             time_weight: cost of a second.
             problems: why the worlds cannot be read as grids any more.
         """
-        self.t = np.maximum(self.decisions.made - 1, 0) // max(self.n_cars, 1)
+        self.t = np.maximum(self.running.decided - 1, 0) // max(self.n_cars, 1)
         seen, applied, duration_s = [], ends.ended, ends.duration_s
         if self.corrections & DERIVED_MARKS and self.takes_functions:
             self.confirmed.derive_marks()
         if before is not None:
             # The rules forbid a STOP on a ramp.
-            stood = (self.decisions.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
+            stood = (self.running.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
             acted = ends.ended & (ends.doing != _STOP)
             applied = acted | (ends.ended & stood)
             took = np.where(acted, self.time_s[:, None] - self.running.began_s, 0.0)
@@ -388,11 +383,14 @@ class AsynchronousEpisodes(Episodes):
             ]
         potential, given, rule = self.potential, self.bonus_given, self.task.reward
         steps = self.score(applied, self.running.turn, not problems, seen)
+        reward = steps.reward
         if isinstance(rule, Reward) and rule.rule != "change":
             idle, _ = rule.of_tick(potential, potential, self.t, given)
-            more = np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
-            steps = replace(steps, reward=steps.reward + more)
-        return replace(steps, reward=steps.reward - time_weight * duration_s) if time_weight else steps
+            reward = reward + np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
+        if time_weight:
+            reward = reward - time_weight * duration_s
+        self.running.earned[:] += reward[:, None]
+        return replace(steps, reward=reward)
 
     @property
     def takes_functions(self) -> bool:
@@ -442,7 +440,7 @@ class AsynchronousEpisodes(Episodes):
         All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
         one that another car forbids.
         """
-        outcome, lost = self.decisions.outcome[i], self.lost[i]
+        outcome, lost = self.running.outcome[i], self.lost[i]
         idle = lost | (self.decides[i] & np.isin(outcome, (WAITS, ILLEGAL)))
         if not idle.all() or (self.queue[i, :, 0] >= 0).any():
             return None
@@ -451,7 +449,7 @@ class AsynchronousEpisodes(Episodes):
         if not stuck and (outcome != ILLEGAL)[~lost].any():
             return None
         cars = range(self.n_cars)
-        asked = [None if stuck else int(action) for action in self.decisions.asked[i]]
+        asked = [None if stuck else int(action) for action in self.running.asked[i]]
         found = [{} if lost[car] else self._waits_for(i, car, asked[car]) for car in cars]
         if not stuck and not all(found[car] for car in cars if not lost[car]):
             return None

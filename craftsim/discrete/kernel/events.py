@@ -45,7 +45,7 @@ it waits because the rules or a claim stand against the action."""
 
 
 class Running(NamedTuple):
-    """What the cars of B worlds are doing, by car."""
+    """What the cars of B worlds are doing, and their last decisions, by car."""
 
     action: NDArray[np.int64]
     """(B, n): the primitive or registered action, STOP while it waits, DECIDES while it has none."""
@@ -61,19 +61,14 @@ class Running(NamedTuple):
     """(B, n, rows, 4)."""
     n_claims: NDArray[np.int64]
     """(B, n): rows of these; none while a car waits or decides."""
-
-
-class Decisions(NamedTuple):
-    """The last decisions of the cars of B worlds."""
-
     asked: NDArray[np.int64]
-    """(B, n): the action that each car asked for."""
+    """(B, n): the action that each car asked for when it decided last."""
     outcome: NDArray[np.int64]
     """(B, n): what became of that; see above."""
-    made: NDArray[np.int64]
-    """(B,): how many have been made."""
     earned: NDArray[np.float64]
     """(B, n): the rewards since then."""
+    decided: NDArray[np.int64]
+    """(B,): how many decisions have been made."""
 
 
 class AsynchronousWorlds(NamedTuple):
@@ -84,7 +79,6 @@ class AsynchronousWorlds(NamedTuple):
     committed: World
     """The same, and the effects of all that runs."""
     running: Running
-    decisions: Decisions
     queues: Queues
     time_s: NDArray[np.float64]
     """(B,): now."""
@@ -295,12 +289,12 @@ def note(
     worlds: AsynchronousWorlds, durations: Durations, i: int, car: int, asked: int, result: int, end_s: float
 ) -> None:
     """Write down a decision, whatever became of it."""
-    running, decisions = worlds.running, worlds.decisions
+    running = worlds.running
     running.began_s[i, car] = worlds.time_s[i]
     running.ends_s[i, car] = moment(end_s) if end_s < math.inf else end_s
     running.fails[i, car] = result == BEGUN and durations.fails[i, car]
-    decisions.asked[i, car], decisions.outcome[i, car], decisions.earned[i, car] = asked, result, 0.0
-    decisions.made[i] += 1
+    running.asked[i, car], running.outcome[i, car], running.earned[i, car] = asked, result, 0.0
+    running.decided[i] += 1
 
 
 @compiled
@@ -361,18 +355,16 @@ def step(
 @compiled
 def close(
     running: Running,
-    decisions: Decisions,
     time_s: NDArray[np.float64],
     offered: NDArray[np.int8],
     ended: Mask,
-    reward: NDArray[np.float64],
     done: Mask,
     elapsed_s: NDArray[np.float64],
     earned: NDArray[np.float64],
     waited: Mask,
 ) -> None:
-    """Add the reward (B,) to what all decisions have earned; write of each that has ended, or whose episode is ``done``
-    (B,), the time since then and the sum, 0 for the others (B, n); and in which worlds there may be a deadlock.
+    """Write of each decision that has ended, or whose episode is ``done`` (B,), the time since then and what it has
+    earned, 0 for the others (B, n); and in which worlds there may be a deadlock.
 
     That takes that all cars have waited, or are lost. Where none was offered anything else, (B, n, actions), that is so
     still, and where one has asked in vain it can ask again.
@@ -380,12 +372,11 @@ def close(
     for i in range(done.shape[0]):
         waited[i], vain, stuck = True, False, True
         for car in range(running.action.shape[1]):
-            decisions.earned[i, car] += reward[i]
             elapsed_s[i, car] = earned[i, car] = 0.0
             if ended[i, car] or done[i]:
                 elapsed_s[i, car] = moment(time_s[i] - running.began_s[i, car])
-                earned[i, car] = decisions.earned[i, car]
-            outcome = decisions.outcome[i, car]
+                earned[i, car] = running.earned[i, car]
+            outcome = running.outcome[i, car]
             lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf
             waited[i] = waited[i] and (outcome in (WAITS, ILLEGAL) or lost)
             vain = vain or outcome == ILLEGAL

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Self
 
@@ -22,7 +22,6 @@ from craftsim.discrete.kernel.events import (
     ILLEGAL,
     RUNS,
     WAITS,
-    AsynchronousWorlds,
     Durations,
     Ends,
     Running,
@@ -109,8 +108,6 @@ class AsynchronousEpisodes(Episodes):
         b, n = len(self), self.n_cars
         self.confirmed = self.grids.copy()
         """What is so: the effects of all that has ended."""
-        self.time_s = np.zeros(b)
-        """(B,): since the episode began."""
         self.running = Running(
             np.full((b, n), DECIDES, np.int64),
             np.zeros((b, n)),
@@ -123,6 +120,7 @@ class AsynchronousEpisodes(Episodes):
             np.full((b, n), RUNS, np.int64),
             np.zeros((b, n)),
             np.zeros(b, np.int64),
+            np.zeros(b),
         )
         self._row = np.zeros((MOST, 4), np.int16)
         self._plan = np.zeros((self.depth or 0) + 1, np.int8)
@@ -131,6 +129,11 @@ class AsynchronousEpisodes(Episodes):
     def scored(self) -> Grid:
         """The confirmed worlds."""
         return self.confirmed
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """(B,): since the episode began."""
+        return self.running.time_s
 
     @property
     def decides(self) -> NDArray[np.bool_]:
@@ -143,19 +146,6 @@ class AsynchronousEpisodes(Episodes):
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
         self.time_s[rows], self.running.decided[rows], self.running.outcome[rows] = 0.0, 0, RUNS
         self.running.action[rows], self.running.n_claims[rows] = DECIDES, 0
-
-    @property
-    def _worlds(self) -> AsynchronousWorlds:
-        confirmed, committed = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
-        return AsynchronousWorlds(
-            confirmed,
-            committed,
-            self.running,
-            self.queue,
-            self.time_s,
-            self._space,
-            NO_HELPER if self.depth is None else self.depth,
-        )
 
     def grid(self, i: int) -> Grid:
         """Return a copy of a committed world, with its marks."""
@@ -180,15 +170,6 @@ class AsynchronousEpisodes(Episodes):
 
         What the rules forbid, or what a claim stands against, becomes a wait.
         """
-        durations, turns, acts, out = self._asked(actions, order, timed)
-        events.decide(self._worlds, durations, turns, acts, 0, len(self), out)
-        return out
-
-    def _asked(self, actions: Any, order: Any, timed: bool) -> tuple[Durations, Any, Any, NDArray[np.int64]]:
-        """Return durations, turns, actions and outcomes for compiled code.
-
-        In worlds in which one asks for a registered action, which is a user's code, all cars have decided then.
-        """
         turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
         timing, out = self.timing, np.full(acts.shape, RUNS, np.int64)
         if not timed:
@@ -198,15 +179,21 @@ class AsynchronousEpisodes(Episodes):
             nominal_s = timing.nominal_s
             drawn = timing.factors(self.rng, acts.shape), timing.fails(self.rng, acts.shape)
         durations = Durations(nominal_s, *drawn, timing.wait_s)
+        # In worlds in which one asks for a registered action, which is a user's code, the cars decide one by one.
         for i in np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else ():
             for car in turns[i].tolist():
                 queued = self.depth is not None and self.queue[i, car, 0] >= 0
                 if self.running.action[i, car] == DECIDES and acts[i, car] >= N_ACTIONS and not queued:
                     out[i, car] = self._decide_own(i, car, int(acts[i, car]), durations)
                 else:
-                    turn = np.full((len(acts), 1), car)
-                    events.decide(self._worlds, durations, turn, acts, i, i + 1, out)
-        return durations, turns, acts, out
+                    self._decide(durations, np.full((len(acts), 1), car), acts, i, i + 1, out)
+        self._decide(durations, turns, acts, 0, len(self), out)
+        return out
+
+    def _decide(self, durations: Durations, *decisions: Any) -> None:
+        """Let cars begin actions of the 15; ``decisions`` are the last arguments of the compiled function."""
+        helper = self.queue, self._space, NO_HELPER if self.depth is None else self.depth
+        events.decide(self.grids.world(self.corrections), self.running, *helper, durations, *decisions)
 
     def _decide_own(self, i: int, car: int, action: int, durations: Durations) -> int:
         running, before = self.running, self.grids.cars[i, car].copy()
@@ -223,7 +210,7 @@ class AsynchronousEpisodes(Episodes):
             self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
             column = int(situation(before, after.cars[car]))
             end_s = self.time_s[i] + durations.nominal_s[action, column] * durations.factor[i, car]
-        events.note(self._worlds, durations, i, car, action, result, end_s)
+        events.note(self.running, durations, i, car, action, result, end_s)
         return result
 
     def _try_own(self, i: int, car: int, action: int) -> tuple[int, Grid, Claims]:
@@ -244,17 +231,13 @@ class AsynchronousEpisodes(Episodes):
 
     def advance(self) -> Ends:
         """Let time pass in each world to its next event, for which all cars must have decided."""
-        return self._advance(events.advance)
-
-    def _advance(self, advance: Callable[..., None], *asked: Any) -> Ends:
-        """Do so with compiled code, which lets the cars decide before if it is given what they have ``asked`` for."""
         shape = self.running.action.shape
         masks = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
         ends = Ends(np.empty(len(self)), np.empty(shape, np.int64), *masks)
         # Registered actions do not end by themselves.
         own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else ()
         worlds = {i: self._marked(self.confirmed[i]) for i in own}
-        advance(self._worlds, *asked, ends)
+        events.advance(self.confirmed.world(self.corrections), self.running, self.queue, ends)
         for i, grid in worlds.items():
             done = np.where(ends.ended[i] & ~ends.failed[i], ends.doing[i], _STOP)
             self._enforce(grid[None], done[None], self.running.turn[i : i + 1])
@@ -276,13 +259,13 @@ class AsynchronousEpisodes(Episodes):
         ``time_weight``.
         """
         before = self.worlds_before()
-        asked = self._asked(actions, self.draw_order() if order is None else order, True)
-        ends, outcome = self._advance(events.step, *asked), asked[-1]
+        outcome = self.decide(actions, self.draw_order() if order is None else order)
+        ends = self.advance()
         steps = self.settle(before, ends, time_weight)
         elapsed_s, earned = np.empty(outcome.shape), np.empty(outcome.shape)
         waited, deadlock = np.empty(len(self), np.bool_), np.zeros(len(self), np.bool_)
         masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)
-        events.close(self.running, self.time_s, masks, ends.ended, steps.done, elapsed_s, earned, waited)
+        events.close(self.running, masks, ends.ended, steps.done, elapsed_s, earned, waited)
         for i in np.flatnonzero(waited).tolist():
             deadlock[i] = self.deadlock(i) is not None
         return Event(
@@ -418,7 +401,6 @@ class AsynchronousEpisodes(Episodes):
     def some(self, rows: NDArray[np.integer]) -> Self:
         """Return some of the episodes to look at; what is done to them is not done to these."""
         other = super().some(rows)
-        other.time_s = self.time_s[rows]
         other.running = Running._make(array[rows] for array in self.running)
         return other
 
@@ -487,7 +469,7 @@ class AsynchronousEpisodes(Episodes):
         """
         cars = self.running.action.shape
         doing, claimed = np.empty((*cars, 2), np.float32), np.zeros(self.grids.cells.shape[:4], np.int8)
-        events.show(self.running, self.time_s, doing, claimed)
+        events.show(self.running, doing, claimed)
         b, n = cars
         shared = np.broadcast_to(doing[:, None], (b, n, n, 2))
         return shared, np.broadcast_to(claimed[:, None], (b, n, *claimed.shape[1:]))

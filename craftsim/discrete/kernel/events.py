@@ -69,22 +69,8 @@ class Running(NamedTuple):
     """(B, n): the rewards since then."""
     decided: NDArray[np.int64]
     """(B,): how many decisions have been made."""
-
-
-class AsynchronousWorlds(NamedTuple):
-    """B asynchronous worlds, all of what time changes."""
-
-    confirmed: World
-    """The effects of all that has ended."""
-    committed: World
-    """The same, and the effects of all that runs."""
-    running: Running
-    queues: Queues
     time_s: NDArray[np.float64]
     """(B,): now."""
-    space: SearchBuffers
-    depth: int
-    """Of the action helper's search; NO_HELPER where it is off."""
 
 
 class Durations(NamedTuple):
@@ -231,7 +217,11 @@ def offer(
 
 @compiled
 def decide(
-    worlds: AsynchronousWorlds,
+    worlds: World,
+    running: Running,
+    queues: Queues,
+    space: SearchBuffers,
+    depth: int,
     durations: Durations,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
@@ -242,11 +232,10 @@ def decide(
     """Let the cars order[i] of the worlds from ``first`` to ``end`` begin what they have decided on, in their order.
 
     ``actions`` and ``out`` are by car, (B, n); out tells what became of each decision, and stays for other cars. The
-    committed worlds have the effects of what has begun from here on, but marks are not derived.
+    worlds, committed ones, have the effects of what has begun from here on, but marks are not derived.
     """
-    running, queues, space, depth = worlds.running, worlds.queues, worlds.space, worlds.depth
     for i in range(first, end):
-        w, now_s, turn = world_of(worlds.committed, i), worlds.time_s[i], 0
+        w, now_s, turn = world_of(worlds, i), running.time_s[i], 0
         for car in range(w.cars.shape[0]):
             turn = max(turn, running.turn[i, car])
         for place in range(order.shape[1]):
@@ -280,17 +269,16 @@ def decide(
                 elif result == ILLEGAL or not queued:
                     queues[i, car, :] = -1
             running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
-            note(worlds, durations, i, car, actions[i, car], result, end_s)
+            note(running, durations, i, car, actions[i, car], result, end_s)
             out[i, car] = result
 
 
 @compiled
 def note(
-    worlds: AsynchronousWorlds, durations: Durations, i: int, car: int, asked: int, result: int, end_s: float
+    running: Running, durations: Durations, i: int, car: int, asked: int, result: int, end_s: float
 ) -> None:
     """Write down a decision, whatever became of it."""
-    running = worlds.running
-    running.began_s[i, car] = worlds.time_s[i]
+    running.began_s[i, car] = running.time_s[i]
     running.ends_s[i, car] = moment(end_s) if end_s < math.inf else end_s
     running.fails[i, car] = result == BEGUN and durations.fails[i, car]
     running.asked[i, car], running.outcome[i, car], running.earned[i, car] = asked, result, 0.0
@@ -309,29 +297,28 @@ def following(running: Running, i: int, ended: Mask, turn: int) -> int:
 
 
 @compiled
-def advance(worlds: AsynchronousWorlds, ends: Ends) -> None:
+def advance(worlds: World, running: Running, queues: Queues, ends: Ends) -> None:
     """Advance each world, in which no car decides, to its next event.
 
-    What has ended is applied to the confirmed worlds in the order in which it began; a wait ends with any event. The
-    committed worlds stay, though something may have failed. Registered actions change nothing here. Marks are not
-    derived.
+    What has ended changes the worlds, confirmed ones, in the order in which it began; a wait ends with any event.
+    Registered actions change nothing here, and marks are not derived.
     """
-    running, n_cars = worlds.running, worlds.running.action.shape[1]
-    for i in range(worlds.time_s.shape[0]):
+    n_cars = running.action.shape[1]
+    for i in range(worlds.cells.shape[0]):
         now_s = running.ends_s[i, 0]
         for car in range(1, n_cars):
             now_s = min(now_s, running.ends_s[i, car])
-        ends.duration_s[i] = moment(now_s - worlds.time_s[i])
-        worlds.time_s[i] = now_s
+        ends.duration_s[i] = moment(now_s - running.time_s[i])
+        running.time_s[i] = now_s
         for car in range(n_cars):
             ends.doing[i, car] = running.action[i, car]
             ends.ended[i, car] = running.action[i, car] == STOP or running.ends_s[i, car] <= now_s
             ends.failed[i, car] = ends.ended[i, car] and running.fails[i, car]
-        w = world_of(worlds.confirmed, i)
+        w = world_of(worlds, i)
         car = following(running, i, ends.ended, 0)
         while car >= 0:
             if ends.failed[i, car]:
-                worlds.queues[i, car, :] = -1
+                queues[i, car, :] = -1
             elif running.action[i, car] < STOP:
                 apply(w, car, running.action[i, car])
             running.action[i, car], running.n_claims[i, car] = DECIDES, 0
@@ -339,23 +326,8 @@ def advance(worlds: AsynchronousWorlds, ends: Ends) -> None:
 
 
 @compiled
-def step(
-    worlds: AsynchronousWorlds,
-    durations: Durations,
-    order: NDArray[np.int64],
-    actions: NDArray[np.int64],
-    out: NDArray[np.int64],
-    ends: Ends,
-) -> None:
-    """Do both, :func:`decide` and :func:`advance`, for all worlds."""
-    decide(worlds, durations, order, actions, 0, worlds.time_s.shape[0], out)
-    advance(worlds, ends)
-
-
-@compiled
 def close(
     running: Running,
-    time_s: NDArray[np.float64],
     offered: NDArray[np.int8],
     ended: Mask,
     done: Mask,
@@ -374,7 +346,7 @@ def close(
         for car in range(running.action.shape[1]):
             elapsed_s[i, car] = earned[i, car] = 0.0
             if ended[i, car] or done[i]:
-                elapsed_s[i, car] = moment(time_s[i] - running.began_s[i, car])
+                elapsed_s[i, car] = moment(running.time_s[i] - running.began_s[i, car])
                 earned[i, car] = running.earned[i, car]
             outcome = running.outcome[i, car]
             lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf
@@ -388,16 +360,14 @@ def close(
 
 
 @compiled
-def show(
-    running: Running, time_s: NDArray[np.float64], doing: NDArray[np.float32], out: NDArray[np.int8]
-) -> None:
+def show(running: Running, doing: NDArray[np.float32], out: NDArray[np.int8]) -> None:
     """Write what each car does, action and seconds (B, n, 2), and 1 for each claimed cell (B, L, W, H + 1)."""
     length, width, layers = out.shape[1:]
     for i in range(out.shape[0]):
         for car in range(doing.shape[1]):
             action = running.action[i, car]
             doing[i, car, 0] = action
-            doing[i, car, 1] = 0.0 if action == DECIDES else time_s[i] - running.began_s[i, car]
+            doing[i, car, 1] = 0.0 if action == DECIDES else running.time_s[i] - running.began_s[i, car]
             for k in range(running.n_claims[i, car]):
                 claim = running.claims[i, car, k]
                 x, y, z = claim[0], claim[1], claim[2]

@@ -161,14 +161,11 @@ class AsynchronousEpisodes(Episodes):
     def decide(
         self, actions: NDArray[np.integer], order: NDArray[np.integer], timed: bool = True
     ) -> NDArray[np.int64]:
-        """Let cars begin what they have decided on; return (B, n), what became of each decision.
+        """Let the cars of ``order`` (B, k) begin what they decided on; return what became of each decision, (B, n).
 
-        Args:
-            actions: (B, n) by car; those of cars whose actions run are ignored.
-            order: (B, k), the cars that decide now, in their order; each is judged on what the earlier ones have begun.
-            timed: whether it is drawn here when an action ends, and whether it fails; else :meth:`finish` is to say so.
-
-        What the rules forbid, or what a claim stands against, becomes a wait.
+        ``actions`` (B, n) are by car; those of cars whose actions run are ignored. Each is judged on what the earlier
+        ones have begun; what the rules forbid, or what a claim stands against, becomes a wait. If it is not ``timed``
+        here when an action ends, and whether it fails, :meth:`finish` is to say so.
         """
         turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
         timing, out = self.timing, np.full(acts.shape, RUNS, np.int64)
@@ -288,12 +285,8 @@ class AsynchronousEpisodes(Episodes):
     ) -> NDArray[np.bool_]:
         """Bring a world to an event that something else has simulated; return which decisions have ended, (n,).
 
-        Args:
-            i: its number.
-            time_s: the time now; waits that end then have ended, and all waits if an action has.
-            cars: whose actions have ended.
-            confirmed: what is so now.
-            lost: cars that nothing can drive from now on; for good.
+        Those are the actions of ``cars`` and waits that end now, and all waits if an action has. Nothing can drive the
+        cars that are ``lost`` from now on, for good.
         """
         running, gone = self.running, np.zeros(self.n_cars, np.bool_)
         if lost:
@@ -341,13 +334,8 @@ class AsynchronousEpisodes(Episodes):
     ) -> Steps:
         """Score an event: as many decisions as cars count as a tick.
 
-        What a tick costs in which nothing changes is charged for each usual tick of time.
-
-        Args:
-            before: what :meth:`worlds_before` returned before it.
-            ends: what it has ended.
-            time_weight: cost of a second.
-            problems: why the worlds cannot be read as grids any more.
+        What a tick costs in which nothing changes is charged for each usual tick of time, and ``time_weight`` for each
+        second. ``before`` is from :meth:`worlds_before`; ``problems`` say why worlds cannot be read as grids any more.
         """
         self.t = np.maximum(self.running.decided - 1, 0) // max(self.n_cars, 1)
         seen, applied, duration_s = [], ends.ended, ends.duration_s

@@ -131,9 +131,9 @@ class Judge:
         for car, one in self._running.items():
             began = one.reading.grid
             grid.cars[car] = began.cars[car]
-            for cell, bits in one.step.footprint.items():
+            for *cell, bits in one.step.footprint.tolist():
                 if bits & CHANGES and all(0 <= at < n for at, n in zip(cell, grid.cells.shape, strict=False)):
-                    grid.cells[cell] = began.cells[cell]
+                    grid.cells[*cell] = began.cells[*cell]
         grid.derive_marks()
         return grid
 

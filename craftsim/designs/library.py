@@ -145,12 +145,7 @@ def sizes_of(name: str) -> dict[str, int]:
 
 
 def make_design(name: str, size: Sequence[int] = (), text: str | None = None) -> Design:
-    """Return a building of the library.
-
-    Args:
-        name: one of LIBRARY.
-        size: its sizes in the order of :func:`sizes_of`; those left out are as there.
-        text: of letters, and of nothing else.
+    """Return a building of the library; sizes are in the order of :func:`sizes_of`, and those left out as there.
 
     Raises InputError for a name, a number of sizes, a size or a text that there cannot be.
     """

@@ -107,20 +107,10 @@ def spread(
 ) -> Grid:
     """Return a world with things spread on the floor beside a design's columns.
 
-    Args:
-        design: what is to be built, in its place.
-        size: (L, W, H) of the area.
-        n_cars: number of cars.
-        rng: draws the places.
-        spare_blocks: blocks beyond those of the design.
-        spare_slopes: slopes beyond those of the design.
-        taken: columns that are left to other parts of the building, such as ramps that serve for building alone.
-        clear: columns of the free floor that nothing is put on.
-        walls: cells of walls.
-        fits: whether slopes can be carried where they are to go, asked of each world in the making; unless given, a
-            place is kept free where a car can turn with one.
-
-    Raises InputError where there is no room.
+    The design is in its place. Columns that are ``taken`` are left to other parts of the building, such as ramps that
+    serve for building alone, and nothing is put on those that are to be ``clear``. ``fits`` is asked of each world in
+    the making whether slopes can be carried where they are to go; unless given, a place is kept free where a car can
+    turn with one. Raises InputError where there is no room.
     """
     n_blocks, n_slopes = _things(design, spare_blocks, spare_slopes)
     if n_blocks + n_slopes > DESIGN_CELLS:

@@ -60,8 +60,7 @@ class DrawnDesigns:
 
     def draw(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n starts; raises InputError where designs find no room."""
-        pool = _pool(self)
-        return pool.take(rng.integers(len(pool), size=n))
+        return _pool(self).draw(rng, n)
 
     def fresh(self, rng: np.random.Generator, n: int) -> Starts:
         """Return n new starts with their designs."""

@@ -28,13 +28,6 @@ from craftsim.modules import note_registering
 
 _write_claims = seldom(write_claims)
 
-Footprint = dict[Cell, int]
-"""What an action needs of the world while it runs: cells (x, y, z), each with bits of its claims.
-
-Two actions of different cars may run at the same time when neither sweeps space that the other sweeps, neither changes
-an object that the other relies on, and no two loads in motion pass side by side, where 2.5 mm of air are too little
-for two moving machines.
-"""
 Legality = Callable[[Grid, int], str | None]
 """(grid, car) -> why the car cannot do it now, in words; None or "" if it can."""
 Effect = Callable[[Grid, int], None]
@@ -67,8 +60,8 @@ class ActionSpec:
     legality: Legality | None = None
     effect: Effect | None = None
     """Of a registered action; those of the 15 are compiled."""
-    footprint: Callable[[Grid, Grid, int], Footprint] | None = None
-    """The same: what it needs beyond what the car needs where it stands, (before, after, car) -> footprint."""
+    footprint: Callable[[Grid, Grid, int], Claims] | None = None
+    """The same: what it needs beyond what the car needs where it stands, (before, after, car) -> claims."""
     duration_s: float = 0.0
     """Nominal duration of a registered action, which has no row in the file."""
     skill: Callable[..., Any] | None = None
@@ -318,12 +311,12 @@ def _changed(before: Grid, after: Grid, car: int) -> Iterable[Cell]:
     return [(x, y, z) for x, y, z in np.argwhere(differs).tolist()]
 
 
-def _touching(touched: Touched) -> Callable[[Grid, Grid, int], Footprint]:
-    """Return the footprint of the cells that a user's function names: swept, changed, and a moving load in each."""
+def _touching(touched: Touched) -> Callable[[Grid, Grid, int], Claims]:
+    """Return the claims of the cells that a user's function names: swept, changed, and a moving load in each."""
 
-    def of_cells(before: Grid, after: Grid, car: int) -> Footprint:
-        cells = ((int(x), int(y), int(z)) for x, y, z in touched(before, after, car))
-        return dict.fromkeys(cells, SPACE | CHANGES | LOADS)
+    def of_cells(before: Grid, after: Grid, car: int) -> Claims:
+        rows = [(int(x), int(y), int(z), SPACE | CHANGES | LOADS) for x, y, z in touched(before, after, car)]
+        return np.array(rows, np.int16).reshape(-1, 4)
 
     return of_cells
 
@@ -331,10 +324,7 @@ def _touching(touched: Touched) -> Callable[[Grid, Grid, int], Footprint]:
 def check_complete(parts: Mapping[Action, object], what: str, where: str) -> None:
     """Raise RuntimeError, with the action, if one that is performed has no part, or one has a part that is not.
 
-    Args:
-        parts: by action.
-        what: they are, such as ``skill``.
-        where: the file that lists them.
+    A part is ``what``, such as ``skill``; the file ``where`` lists them.
     """
     for action in Action:
         spec = ACTIONS[action]
@@ -344,26 +334,16 @@ def check_complete(parts: Mapping[Action, object], what: str, where: str) -> Non
             raise RuntimeError(f"{action.name} has a {what} in {where}, but is never performed")
 
 
-def footprint(before: Grid, after: Grid, car: int, action: Action) -> Footprint:
-    """Return the footprint of a legal action, given the predicted worlds before and after it."""
+def footprint(before: Grid, after: Grid, car: int, action: Action) -> Claims:
+    """Return the claims of a legal action, given the predicted worlds before and after it; a cell may stand twice."""
     own = ACTIONS[action].footprint
     if own is None:
         return built_in(before, car, action)
-    found = own(before, after, car)
-    for ends in built_in(before, car, Action.STOP), built_in(after, car, Action.STOP):
-        found |= {cell: bits | found.get(cell, 0) for cell, bits in ends.items()}
-    return found
+    ends = (built_in(grid, car, Action.STOP) for grid in (before, after))
+    return np.concatenate([own(before, after, car), *ends])
 
 
-def built_in(grid: Grid, car: int, action: int) -> Footprint:
-    """Return what a legal action of the 15 needs in a world; STOP needs what the car needs where it stands."""
-    rows, found = np.empty((MOST, 4), np.int16), Footprint()
-    count = _write_claims(grid.cells, grid.cars, 0, car, int(action), rows)
-    for x, y, z, bits in rows[:count].tolist():
-        found[x, y, z] = bits | found.get((x, y, z), 0)
-    return found
-
-
-def claims_of(needs: Footprint) -> Claims:
-    """Return a footprint as claims (cells, 4), rows (x, y, z, bits)."""
-    return np.array([(*cell, bits) for cell, bits in sorted(needs.items())], np.int16).reshape(-1, 4)
+def built_in(grid: Grid, car: int, action: int) -> Claims:
+    """Return the claims of a legal action of the 15 in a world; STOP needs what the car needs where it stands."""
+    rows = np.empty((MOST, 4), np.int16)
+    return rows[: _write_claims(grid.cells, grid.cars, 0, car, int(action), rows)]

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import ACTIONS, built_in, carry_out, claims_of, footprint, is_own, own_reason
+from craftsim.discrete.actions import ACTIONS, built_in, carry_out, footprint, is_own, own_reason
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST, Claims
+from craftsim.discrete.kernel.claims import MOST, Claims, conflict
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -22,15 +22,13 @@ from craftsim.discrete.kernel.events import (
     ILLEGAL,
     RUNS,
     WAITS,
-    AsynchronousWorlds,
-    Decisions,
     Durations,
     Ends,
     Running,
 )
 from craftsim.discrete.kernel.state import DERIVED_MARKS
 from craftsim.discrete.kinds import Action
-from craftsim.discrete.rules import explain
+from craftsim.discrete.rules import enforce, explain
 from craftsim.discrete.schedule import SITUATIONS, nominal_durations, situation
 from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.discrete.tasks.rewards import Reward
@@ -110,8 +108,6 @@ class AsynchronousEpisodes(Episodes):
         b, n = len(self), self.n_cars
         self.confirmed = self.grids.copy()
         """What is so: the effects of all that has ended."""
-        self.time_s = np.zeros(b)
-        """(B,): since the episode began."""
         self.running = Running(
             np.full((b, n), DECIDES, np.int64),
             np.zeros((b, n)),
@@ -120,12 +116,11 @@ class AsynchronousEpisodes(Episodes):
             np.zeros((b, n), np.bool_),
             np.zeros((b, n, MOST, 4), np.int16),
             np.zeros((b, n), np.int64),
-        )
-        self.decisions = Decisions(
             np.full((b, n), _STOP, np.int64),
             np.full((b, n), RUNS, np.int64),
-            np.zeros(b, np.int64),
             np.zeros((b, n)),
+            np.zeros(b, np.int64),
+            np.zeros(b),
         )
         self._row = np.zeros((MOST, 4), np.int16)
         self._plan = np.zeros((self.depth or 0) + 1, np.int8)
@@ -136,6 +131,11 @@ class AsynchronousEpisodes(Episodes):
         return self.confirmed
 
     @property
+    def time_s(self) -> NDArray[np.float64]:
+        """(B,): since the episode began."""
+        return self.running.time_s
+
+    @property
     def decides(self) -> NDArray[np.bool_]:
         """(B, n): which cars have no action and decide."""
         return np.asarray(self.running.action == DECIDES)
@@ -144,22 +144,8 @@ class AsynchronousEpisodes(Episodes):
         """Start the episodes ``rows`` anew; all their cars decide."""
         super().begin(rows, starts)
         self.confirmed.cells[rows], self.confirmed.cars[rows] = starts.grids.cells, starts.grids.cars
-        self.time_s[rows], self.decisions.made[rows], self.decisions.outcome[rows] = 0.0, 0, RUNS
+        self.time_s[rows], self.running.decided[rows], self.running.outcome[rows] = 0.0, 0, RUNS
         self.running.action[rows], self.running.n_claims[rows] = DECIDES, 0
-
-    @property
-    def _worlds(self) -> AsynchronousWorlds:
-        confirmed, committed = self.confirmed.world(self.corrections), self.grids.world(self.corrections)
-        return AsynchronousWorlds(
-            confirmed,
-            committed,
-            self.running,
-            self.decisions,
-            self.queue,
-            self.time_s,
-            self._space,
-            NO_HELPER if self.depth is None else self.depth,
-        )
 
     def grid(self, i: int) -> Grid:
         """Return a copy of a committed world, with its marks."""
@@ -175,23 +161,11 @@ class AsynchronousEpisodes(Episodes):
     def decide(
         self, actions: NDArray[np.integer], order: NDArray[np.integer], timed: bool = True
     ) -> NDArray[np.int64]:
-        """Let cars begin what they have decided on; return (B, n), what became of each decision.
+        """Let the cars of ``order`` (B, k) begin what they decided on; return what became of each decision, (B, n).
 
-        Args:
-            actions: (B, n) by car; those of cars whose actions run are ignored.
-            order: (B, k), the cars that decide now, in their order; each is judged on what the earlier ones have begun.
-            timed: whether it is drawn here when an action ends, and whether it fails; else :meth:`finish` is to say so.
-
-        What the rules forbid, or what a claim stands against, becomes a wait.
-        """
-        durations, turns, acts, out = self._asked(actions, order, timed)
-        events.decide(self._worlds, durations, turns, acts, 0, len(self), out)
-        return out
-
-    def _asked(self, actions: Any, order: Any, timed: bool) -> tuple[Durations, Any, Any, NDArray[np.int64]]:
-        """Return durations, turns, actions and outcomes for compiled code.
-
-        In worlds in which one asks for a registered action, which is a user's code, all cars have decided then.
+        ``actions`` (B, n) are by car; those of cars whose actions run are ignored. Each is judged on what the earlier
+        ones have begun; what the rules forbid, or what a claim stands against, becomes a wait. If it is not ``timed``
+        here when an action ends, and whether it fails, :meth:`finish` is to say so.
         """
         turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
         timing, out = self.timing, np.full(acts.shape, RUNS, np.int64)
@@ -202,15 +176,21 @@ class AsynchronousEpisodes(Episodes):
             nominal_s = timing.nominal_s
             drawn = timing.factors(self.rng, acts.shape), timing.fails(self.rng, acts.shape)
         durations = Durations(nominal_s, *drawn, timing.wait_s)
+        # In worlds in which one asks for a registered action, which is a user's code, the cars decide one by one.
         for i in np.flatnonzero((acts >= N_ACTIONS).any(1)).tolist() if self.own else ():
             for car in turns[i].tolist():
                 queued = self.depth is not None and self.queue[i, car, 0] >= 0
                 if self.running.action[i, car] == DECIDES and acts[i, car] >= N_ACTIONS and not queued:
                     out[i, car] = self._decide_own(i, car, int(acts[i, car]), durations)
                 else:
-                    turn = np.full((len(acts), 1), car)
-                    events.decide(self._worlds, durations, turn, acts, i, i + 1, out)
-        return durations, turns, acts, out
+                    self._decide(durations, np.full((len(acts), 1), car), acts, i, i + 1, out)
+        self._decide(durations, turns, acts, 0, len(self), out)
+        return out
+
+    def _decide(self, durations: Durations, *decisions: Any) -> None:
+        """Let cars begin actions of the 15; ``decisions`` are the last arguments of the compiled function."""
+        helper = self.queue, self._space, NO_HELPER if self.depth is None else self.depth
+        events.decide(self.grids.world(self.corrections), self.running, *helper, durations, *decisions)
 
     def _decide_own(self, i: int, car: int, action: int, durations: Durations) -> int:
         running, before = self.running, self.grids.cars[i, car].copy()
@@ -227,7 +207,7 @@ class AsynchronousEpisodes(Episodes):
             self.grids.cells[i], self.grids.cars[i] = after.cells, after.cars
             column = int(situation(before, after.cars[car]))
             end_s = self.time_s[i] + durations.nominal_s[action, column] * durations.factor[i, car]
-        events.note(self._worlds, durations, i, car, action, result, end_s)
+        events.note(self.running, durations, i, car, action, result, end_s)
         return result
 
     def _try_own(self, i: int, car: int, action: int) -> tuple[int, Grid, Claims]:
@@ -235,30 +215,31 @@ class AsynchronousEpisodes(Episodes):
         before = self.grid(i)
         after = before.copy()
         if own_reason(before, self.corrections, car, action):
-            return ILLEGAL, after, claims_of({})
+            return ILLEGAL, after, self._row[:0]
         carry_out(after, car, action)
-        claims = claims_of(footprint(before, after, car, Action(action)))
-        clashes = any(events.clashes(self.running, i, other, claims) for other in range(self.n_cars))
+        claims = footprint(before, after, car, Action(action))
+        clashes = any(self._clashes(i, other, claims) for other in range(self.n_cars))
         return BLOCKED if clashes else BEGUN, after, claims
+
+    def _clashes(self, i: int, other: int, claims: Claims) -> bool:
+        """Return whether what a car of a world runs stands against an action with these claims."""
+        rows = self.running.claims[i, other, : self.running.n_claims[i, other]]
+        return any(conflict(claims, len(claims), *row) for row in rows)
 
     def advance(self) -> Ends:
         """Let time pass in each world to its next event, for which all cars must have decided."""
-        return self._advance(events.advance)
-
-    def _advance(self, advance: Callable[..., None], *asked: Any) -> Ends:
-        """Do so with compiled code, which lets the cars decide before if it is given what they have ``asked`` for."""
         shape = self.running.action.shape
         masks = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
         ends = Ends(np.empty(len(self)), np.empty(shape, np.int64), *masks)
         # Registered actions do not end by themselves.
         own = np.flatnonzero((self.running.action >= N_ACTIONS).any(1)).tolist() if self.own else ()
         worlds = {i: self._marked(self.confirmed[i]) for i in own}
-        advance(self._worlds, *asked, ends)
+        events.advance(self.confirmed.world(self.corrections), self.running, self.queue, ends)
         for i, grid in worlds.items():
-            for car in np.argsort(self.running.turn[i]).tolist():
-                if ends.ended[i, car] and not ends.failed[i, car]:
-                    self._enforce(grid, car, int(ends.doing[i, car]))
+            done = np.where(ends.ended[i] & ~ends.failed[i], ends.doing[i], _STOP)
+            self._enforce(grid[None], done[None], self.running.turn[i : i + 1])
             self.confirm(i, grid)
+        self._commit(np.flatnonzero(ends.failed.any(1)))
         return ends
 
     def step(
@@ -275,14 +256,13 @@ class AsynchronousEpisodes(Episodes):
         ``time_weight``.
         """
         before = self.worlds_before()
-        asked = self._asked(actions, self.draw_order() if order is None else order, True)
-        ends, outcome = self._advance(events.step, *asked), asked[-1]
+        outcome = self.decide(actions, self.draw_order() if order is None else order)
+        ends = self.advance()
         steps = self.settle(before, ends, time_weight)
         elapsed_s, earned = np.empty(outcome.shape), np.empty(outcome.shape)
         waited, deadlock = np.empty(len(self), np.bool_), np.zeros(len(self), np.bool_)
         masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)
-        cars = self.running, self.decisions, self.time_s
-        events.close(*cars, masks, ends.ended, steps.reward, steps.done, elapsed_s, earned, waited)
+        events.close(self.running, masks, ends.ended, steps.done, elapsed_s, earned, waited)
         for i in np.flatnonzero(waited).tolist():
             deadlock[i] = self.deadlock(i) is not None
         return Event(
@@ -305,12 +285,8 @@ class AsynchronousEpisodes(Episodes):
     ) -> NDArray[np.bool_]:
         """Bring a world to an event that something else has simulated; return which decisions have ended, (n,).
 
-        Args:
-            i: its number.
-            time_s: the time now; waits that end then have ended, and all waits if an action has.
-            cars: whose actions have ended.
-            confirmed: what is so now.
-            lost: cars that nothing can drive from now on; for good.
+        Those are the actions of ``cars`` and waits that end now, and all waits if an action has. Nothing can drive the
+        cars that are ``lost`` from now on, for good.
         """
         running, gone = self.running, np.zeros(self.n_cars, np.bool_)
         if lost:
@@ -329,39 +305,45 @@ class AsynchronousEpisodes(Episodes):
 
     def confirm(self, i: int, confirmed: Grid) -> None:
         """Replace a confirmed world, and make the committed one of it anew, with the effects of what runs."""
-        committed = self.grids[i]
-        for grid in (self.confirmed[i], committed):
-            grid.cells[:], grid.cars[:] = confirmed.cells, confirmed.cars
-        actions = self.running.action[i].tolist()
-        for car in np.argsort(self.running.turn[i]).tolist():
-            self._enforce(committed, car, actions[car])
+        self.confirmed.cells[i], self.confirmed.cars[i] = confirmed.cells, confirmed.cars
+        self._commit(np.array([i]))
 
-    def _enforce(self, grid: Grid, car: int, action: int) -> None:
-        if is_own(action):
-            carry_out(grid, car, action)
-        elif action not in (DECIDES, _STOP):
-            batch.enforce(grid.cells, grid.cars, self.corrections, car, action)
+    def _commit(self, rows: NDArray[np.integer]) -> None:
+        """Make committed worlds anew: the confirmed ones with the effects of what runs."""
+        if len(rows):
+            grids = self.confirmed[rows]
+            self._enforce(grids, self.running.action[rows], self.running.turn[rows])
+            self.put(rows, grids)
+
+    def _enforce(self, grids: Grid, actions: NDArray[np.int64], turn: NDArray[np.int64]) -> None:
+        """Change worlds as the actions (B, n) of their cars do, in the order of their turns, legal or not."""
+        turns = turn.argsort(1)
+        acting = np.take_along_axis(actions, turns, 1)
+        own = (acting >= N_ACTIONS).any(1)
+        for i in np.flatnonzero(own).tolist():
+            for one, action in zip(turns[i, :, None, None], acting[i, :, None, None], strict=True):
+                if is_own(int(action[0, 0])):
+                    carry_out(grids[i], int(one[0, 0]), int(action[0, 0]))
+                else:
+                    enforce(*grids[i : i + 1].world(self.corrections), one, action)
+        acting[own] = _STOP
+        enforce(*grids.world(self.corrections), turns, acting)
 
     def settle(
         self, before: Grid | None, ends: Ends, time_weight: float, problems: tuple[str, ...] = ()
     ) -> Steps:
         """Score an event: as many decisions as cars count as a tick.
 
-        What a tick costs in which nothing changes is charged for each usual tick of time.
-
-        Args:
-            before: what :meth:`worlds_before` returned before it.
-            ends: what it has ended.
-            time_weight: cost of a second.
-            problems: why the worlds cannot be read as grids any more.
+        What a tick costs in which nothing changes is charged for each usual tick of time, and ``time_weight`` for each
+        second. ``before`` is from :meth:`worlds_before`; ``problems`` say why worlds cannot be read as grids any more.
         """
-        self.t = np.maximum(self.decisions.made - 1, 0) // max(self.n_cars, 1)
+        self.t = np.maximum(self.running.decided - 1, 0) // max(self.n_cars, 1)
         seen, applied, duration_s = [], ends.ended, ends.duration_s
         if self.corrections & DERIVED_MARKS and self.takes_functions:
             self.confirmed.derive_marks()
         if before is not None:
             # The rules forbid a STOP on a ramp.
-            stood = (self.decisions.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
+            stood = (self.running.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
             acted = ends.ended & (ends.doing != _STOP)
             applied = acted | (ends.ended & stood)
             took = np.where(acted, self.time_s[:, None] - self.running.began_s, 0.0)
@@ -372,11 +354,14 @@ class AsynchronousEpisodes(Episodes):
             ]
         potential, given, rule = self.potential, self.bonus_given, self.task.reward
         steps = self.score(applied, self.running.turn, not problems, seen)
+        reward = steps.reward
         if isinstance(rule, Reward) and rule.rule != "change":
             idle, _ = rule.of_tick(potential, potential, self.t, given)
-            more = np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
-            steps = replace(steps, reward=steps.reward + more)
-        return replace(steps, reward=steps.reward - time_weight * duration_s) if time_weight else steps
+            reward = reward + np.minimum(idle, 0.0) * (duration_s / USUAL_TICK_S - 1.0)
+        if time_weight:
+            reward = reward - time_weight * duration_s
+        self.running.earned[:] += reward[:, None]
+        return replace(steps, reward=reward)
 
     @property
     def takes_functions(self) -> bool:
@@ -397,15 +382,13 @@ class AsynchronousEpisodes(Episodes):
         return self.legal() if self.depth is None else self.reachable()
 
     def begins(self, actions: NDArray[np.int8]) -> NDArray[np.bool_]:
-        """Return which of some actions a car that decides may begin now, as :meth:`Episodes.begins`."""
-        out = np.zeros(actions.shape, np.bool_)
-        events.unblocked(self.grids.world(self.corrections), self.running, self._row, actions, out)
-        return out
+        """Return which of some legal actions a car that decides may begin now, as :meth:`Episodes.begins`."""
+        may_begin = np.take_along_axis(self.legal(), np.maximum(actions, 0).astype(np.int64), axis=-1)
+        return may_begin & (actions >= 0) & self.decides[..., None]
 
     def some(self, rows: NDArray[np.integer]) -> Self:
         """Return some of the episodes to look at; what is done to them is not done to these."""
         other = super().some(rows)
-        other.time_s = self.time_s[rows]
         other.running = Running._make(array[rows] for array in self.running)
         return other
 
@@ -427,22 +410,17 @@ class AsynchronousEpisodes(Episodes):
         All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
         one that another car forbids.
         """
-        doing, outcome = self.running.action[i], self.decisions.outcome[i]
-        now = zip(doing.tolist(), outcome.tolist(), strict=True)
-        if not all(action == _STOP or (action == DECIDES and had in (WAITS, ILLEGAL)) for action, had in now):
-            return None
-        lost = self.lost[i]
-        if not ((doing == DECIDES) | lost).all() or (self.queue[i, :, 0] >= 0).any():
+        outcome, lost = self.running.outcome[i], self.lost[i]
+        idle = lost | (self.decides[i] & np.isin(outcome, (WAITS, ILLEGAL)))
+        if not idle.all() or (self.queue[i, :, 0] >= 0).any():
             return None
         offered = self.some(np.array([i])).offered()
         stuck = not np.delete(offered, _STOP, axis=-1).any()
         if not stuck and (outcome != ILLEGAL)[~lost].any():
             return None
-        asked = self.decisions.asked[i]
         cars = range(self.n_cars)
-        found = [
-            {} if lost[car] else self._waits_for(i, car, None if stuck else int(asked[car])) for car in cars
-        ]
+        asked = [None if stuck else int(action) for action in self.running.asked[i]]
+        found = [{} if lost[car] else self._waits_for(i, car, asked[car]) for car in cars]
         if not stuck and not all(found[car] for car in cars if not lost[car]):
             return None
         pairs = tuple((car, other) for car, others in enumerate(found) for other in others)
@@ -465,8 +443,7 @@ class AsynchronousEpisodes(Episodes):
                 if other == car or other in found or one >= N_ACTIONS or one == _STOP:
                     continue
                 if not batch.reason(grid.cells, grid.cars, self.corrections, car, one):
-                    claims = claims_of(built_in(grid, car, one))
-                    if events.clashes(self.running, i, other, claims):
+                    if self._clashes(i, other, built_in(grid, car, one)):
                         found[other] = f"its claims stand against {one.name}"
                 elif not batch.reason(without.cells, without.cars, self.corrections, car, one):
                     found[other] = str(explain(grid, self.corrections, car, one))
@@ -480,7 +457,7 @@ class AsynchronousEpisodes(Episodes):
         """
         cars = self.running.action.shape
         doing, claimed = np.empty((*cars, 2), np.float32), np.zeros(self.grids.cells.shape[:4], np.int8)
-        events.show(self.running, self.time_s, doing, claimed)
+        events.show(self.running, doing, claimed)
         b, n = cars
         shared = np.broadcast_to(doing[:, None], (b, n, n, 2))
         return shared, np.broadcast_to(claimed[:, None], (b, n, *claimed.shape[1:]))

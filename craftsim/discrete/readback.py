@@ -138,13 +138,7 @@ def nearest_yaw(heading: float) -> tuple[int, float]:
 
 
 def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
-    """Return the Grid that the poses show.
-
-    Args:
-        poses: what was measured.
-        size: (L, W, H) of the map.
-        walls: (n, 3) cells of fixed obstacles, in the Grid's own coordinates (level 1 is z = 1).
-    """
+    """Return the Grid of a size (L, W, H) that poses show; ``walls`` are the cells (n, 3) of fixed obstacles."""
     n_cars = len(poses.car_positions)
     grid = _bare(size, n_cars).copy()
     if len(walls):

@@ -45,13 +45,8 @@ def reordered(
     The rules allow every action in this order, the order constraints of the plan hold, and the world ends as it does in
     the plan. Where nothing is better, this is the schedule itself.
 
-    Args:
-        start: the world before the first step.
-        schedule: what is re-ordered.
-        durations_s: by (tick, car).
-        rules: of the schedule.
-        begun: number of steps that keep their places, the first ones.
-        horizon_s: conflicts that begin later keep their order.
+    ``start`` is the world before the first step, ``durations_s`` are by (tick, car). The first steps, ``begun`` of
+    them, keep their places, and conflicts that begin after ``horizon_s`` their order.
     """
     best, tried = schedule, set[tuple[int, ...]]()
     while True:

@@ -19,7 +19,7 @@ from craftsim.discrete.kernel import codes as code
 from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.jit import seldom
-from craftsim.discrete.kernel.search import search_buffers
+from craftsim.discrete.kernel.search import due_of, search_buffers
 from craftsim.discrete.kinds import MOVE_DIRECTION, NAMES, Action, Correction
 from craftsim.errors import InputError, suggestion
 
@@ -35,7 +35,7 @@ Joint = Sequence[tuple[int, int]]
 _search_buffers: Final = lru_cache(maxsize=2)(search_buffers)
 """They may take 20 MB for each map size."""
 _NO_SPACE: Final = search_buffers((1, 1, 1))
-_masks, _step = seldom(batch.masks), seldom(batch.step)
+_masks, _step, enforce = seldom(batch.masks), seldom(batch.step), seldom(batch.enforce)
 
 
 class Rules:
@@ -111,7 +111,8 @@ class Rules:
         if is_own(action):
             carry_out(after, car, action)
         else:
-            batch.enforce(after.cells, after.cars, int(self.corrections), car, int(action))
+            turns = np.array([[[car]], [[int(action)]]])
+            enforce(after.cells[None], after.cars[None], int(self.corrections), *turns)
         return after
 
     def tick(self, grid: Grid, joint: Joint) -> tuple[Grid, NDArray[np.bool_]]:
@@ -151,24 +152,23 @@ class Rules:
         if action not in MOVE_DIRECTION:
             raise ValueError(f"{action!r} is not one of the four moves")
         _check_car(grid, car)
-        steps = np.empty(depth + 1, np.int8)
-        world = grid.world(self.corrections)
-        length = batch.plan(world, car, int(action), _search_buffers(grid.size), depth, steps)
-        return None if length < 0 else tuple(Action(step) for step in steps[:length].tolist())
+        steps = np.full((grid.n_cars, depth + 1), -1, np.int8)
+        due = self._search(grid, steps, car, action)
+        return None if due == Action.STOP else tuple(map(Action, steps[car][steps[car] >= 0].tolist()))
 
     def due(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
         """Return the primitive that an action stands for now, and leave in ``queue`` what is to follow it.
 
         As a batch's steps choose it, for physical execution. ``queue`` is that of :func:`empty_queue`.
         """
-        if queue[car, 0] >= 0:
-            due, queue[car, :-1], queue[car, -1] = int(queue[car, 0]), queue[car, 1:].copy(), -1
-            return Action(due)
-        if action not in MOVE_DIRECTION:
-            return action
-        first, *rest = self.plan_move(grid, car, action, queue.shape[1] - 1) or (Action.STOP,)
-        queue[car, : len(rest)] = rest
-        return first
+        due = self._search(grid, queue, car, action)
+        queue[car, :-1], queue[car, -1] = queue[car, 1:].copy(), -1
+        return due
+
+    def _search(self, grid: Grid, queue: NDArray[np.int8], car: int, action: Action) -> Action:
+        """Return the primitive that is due; a plan that is made for that stays in the queue as a whole."""
+        world, depth = grid.world(self.corrections), queue.shape[1] - 1
+        return Action(due_of(world, car, int(action), queue[car], _search_buffers(grid.size), depth))
 
 
 def empty_queue(n_cars: int, depth: int) -> NDArray[np.int8]:
@@ -384,17 +384,13 @@ def _in_the_way(grid: Grid, car: int, legal: Callable[[Grid], bool]) -> Iterator
         if legal(without):
             load = "" if row[CarField.LOAD] == Kind.AIR else f" with {NAMES[Kind(row[CarField.LOAD])]}"
             yield cell, f"car {other}{load} is in {cell}"
-    length, width, height = grid.size
-    for cx in range(max(x - _NEAR, 0), min(x + _NEAR + 1, length)):
-        for cy in range(max(y - _NEAR, 0), min(y + _NEAR + 1, width)):
-            for cz in range(max(z - 1, 1), min(z + 3, height + 1)):
-                kind = Kind(grid.kind[cx, cy, cz])
-                if kind == Kind.AIR or (cx, cy, cz) == (x, y, z):
-                    continue
-                without = grid.copy()
-                without.kind[cx, cy, cz] = Kind.AIR
-                if legal(without):
-                    yield (cx, cy, cz), f"{NAMES[kind]} is in {(cx, cy, cz)}"
+    first = np.maximum((x - _NEAR, y - _NEAR, z - 1), (0, 0, 1))
+    near = grid.kind[first[0] : x + _NEAR + 1, first[1] : y + _NEAR + 1, first[2] : z + 3]
+    for cell in map(tuple, (np.argwhere(near != Kind.AIR) + first).tolist()):
+        without = grid.copy()
+        without.kind[cell] = Kind.AIR
+        if cell != (x, y, z) and legal(without):
+            yield cell, f"{NAMES[Kind(grid.kind[cell])]} is in {cell}"
 
 
 class _Case(Formatter):

@@ -21,10 +21,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import ACTIONS, Footprint, footprint
+from craftsim.discrete.actions import ACTIONS, footprint
 from craftsim.discrete.geometry import DIRECTIONS, INCLINE_RAD
 from craftsim.discrete.grid import CarField, Grid, Kind, cell_of
-from craftsim.discrete.kernel.claims import CHANGES, LOADS, RELIES, SPACE
+from craftsim.discrete.kernel.claims import CHANGES, LOADS, RELIES, SPACE, Claims
 from craftsim.discrete.kernel.state import AIR, F_LOAD, KIND
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -56,7 +56,8 @@ class ScheduledAction:
     """The predicted world when its turn comes in the order of the plan."""
     after: Grid
     """The predicted world right after it."""
-    footprint: Footprint = field(default_factory=dict)
+    footprint: Claims = field(default_factory=lambda: np.empty((0, 4), np.int16), compare=False)
+    """What it needs of the world while it runs."""
     waits_for: frozenset[int] = frozenset()
     """Indices of the earlier steps that must have ended."""
 
@@ -108,17 +109,13 @@ class Schedule:
     after: Constraints = field(default_factory=dict)
     """Order constraints of the plan."""
 
-    @property
-    def durations_s(self) -> list[float]:
-        """The nominal time of each step."""
-        return [step.duration_s for step in self.steps]
-
     def times(self, durations_s: Sequence[float] | None = None) -> NDArray[np.float64]:
         """Return the start and the end of each step in seconds, shape (n, 2): a longest path through the dependencies.
 
         A step starts as soon as all that it waits for has ended, and takes its own time, or the one that is given.
         """
-        durations_s = self.durations_s if durations_s is None else durations_s
+        if durations_s is None:
+            durations_s = [step.duration_s for step in self.steps]
         times, ends = np.zeros((len(self.steps), 2)), list[float]()
         for index, (step, duration_s) in enumerate(zip(self.steps, durations_s, strict=True)):
             start = max(map(ends.__getitem__, step.waits_for), default=0.0)
@@ -179,16 +176,9 @@ def make_schedule(
 ) -> Schedule:
     """Return the schedule of a plan's ticks, each a sequence of (car, action) in acting order, from a world.
 
-    Args:
-        grid: the world at the start.
-        ticks: of the plan.
-        rules: say what each action does.
-        order: how the actions follow each other.
-        first: number of the first tick.
-        after: order constraints of the plan. They come on top of what actions wait for anyway; one that names what the
-            rules forbid constrains nothing, because that is left out.
-
-    Raises InputError for an unknown order.
+    Ticks are counted from ``first``. The order constraints ``after`` come on top of what actions wait for anyway; one
+    that names what the rules forbid constrains nothing, because that is left out. Raises InputError for an unknown
+    order.
     """
     if order not in (known := get_args(Concurrency)):
         raise InputError(f"no order {order!r}{suggestion(str(order), known)} (orders: {', '.join(known)})")
@@ -236,28 +226,26 @@ _CONFLICTS: Final = {SPACE: SPACE, CHANGES: CHANGES | RELIES, RELIES: CHANGES, L
 """By what an action claims of a cell, what another one that needs the same cell claims of it."""
 
 
-def _claimed(car: int, needs: Footprint) -> Iterator[object]:
+def _claimed(car: int, needs: Claims) -> Iterator[object]:
     """Yield the keys of what an action claims; of a load also in the next cells of the level."""
     yield car
-    for (x, y, z), bits in needs.items():
+    for x, y, z, bits in needs.tolist():
         yield from ((bit, x, y, z) for bit in (SPACE, CHANGES, RELIES, LOADS) if bits & bit)
         if bits & LOADS:
             yield from ((LOADS, x + dx, y + dy, z) for dx, dy in DIRECTIONS.tolist())
 
 
-def _needed(car: int, needs: Footprint) -> Iterator[object]:
+def _needed(car: int, needs: Claims) -> Iterator[object]:
     """Yield the keys of what an action must wait for."""
     yield car
-    for cell, bits in needs.items():
+    for *cell, bits in needs.tolist():
         yield from ((bit, *cell) for bit, against in _CONFLICTS.items() if bits & against)
 
 
 def incline_under(grid: Grid, car: NDArray[np.integer]) -> float:
     """Return the angle in radians by which the ground raises a car's nose: positive uphill, 0 on the flat.
 
-    Args:
-        grid: the world.
-        car: (7,) a row of ``grid.cars`` or of another grid with the same slopes.
+    ``car`` (7,) is a row of ``grid.cars`` or of another grid with the same slopes.
     """
     x, y, z, yaw, _, _, slope = car.tolist()
     if slope == 0:

@@ -124,7 +124,6 @@ class AsynchronousCore(Core):
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)
         ends = Ends(np.array([duration_s]), doing, ended[None], failed[None])
         steps = episodes.settle(before, ends, self.options.time_weight, problems)
-        episodes.decisions.earned[:] += steps.reward
         self._look()
         self._stale = False
         self._show()
@@ -143,9 +142,9 @@ class AsynchronousCore(Core):
     ) -> list[dict[str, Any]]:
         """Return the infos by car after an event: ``ended`` (n,) are whose decisions have, ``failed`` whose actions."""
         episodes, over, wrong, failures = self.episodes, ended.tolist(), self._wrong.tolist(), failed.tolist()
-        time_s, running, decisions = float(episodes.time_s[0]), episodes.running, episodes.decisions
+        time_s, running = float(episodes.time_s[0]), episodes.running
         doing, began_s = running.action[0].tolist(), running.began_s[0].tolist()
-        outcome, earned = decisions.outcome[0].tolist(), decisions.earned[0].tolist()
+        outcome, earned = running.outcome[0].tolist(), running.earned[0].tolist()
         masks = self.masks.copy()
         return [
             {

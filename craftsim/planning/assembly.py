@@ -158,11 +158,8 @@ class Assembly:
     def find_order(self, goal: State, fixed: State, n_slopes: int, rng: np.random.Generator) -> Order | None:
         """Return an order in which the things of a goal can be put to their places, or None if none is found.
 
-        Args:
-            goal: the finished building.
-            fixed: those of its things that stand already.
-            n_slopes: how many slopes there are; those that the goal does not have may serve for building.
-            rng: decides between steps that are equally good.
+        Those that are ``fixed`` stand already. Of all slopes, ``n_slopes``, those that the goal does not have may serve
+        for building.
         """
         for _ in range(_SEARCHES):
             search = _Deconstruction(self, fixed, n_slopes, rng)

@@ -369,14 +369,9 @@ def vary(
     n_cars: int,
     rng: np.random.Generator,
 ) -> tuple[int, Turns]:
-    """Return a neighbour of a plan: how many turns stay as they are, and those that are tried after them.
+    """Return a neighbour of a plan: how many of its turns stay as they are, and those that are tried after them.
 
-    Args:
-        turns: of a plan, at least one.
-        critical: which of them the makespan depends on.
-        things: those of the start; one may be used in place of another.
-        n_cars: how many cars there are.
-        rng: decides what changes.
+    The makespan depends on those that are ``critical``. A thing of the start may be used in place of another.
     """
     chosen = critical if critical and rng.random() < _CRITICAL else range(len(turns))
     i = chosen[int(rng.integers(len(chosen)))]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from craftsim.discrete.actions import claims_of, footprint
+from craftsim.discrete.actions import footprint
 from craftsim.discrete.files.plan import read_plan
 from craftsim.discrete.files.shipped import shipped_plan
 from craftsim.discrete.geometry import INCLINE_RAD
@@ -22,7 +22,7 @@ from craftsim.discrete.tasks import make_task
 from craftsim.errors import InputError
 
 from .conftest import make_scene
-from .worldgen import conflict, play, random_world
+from .worldgen import by_cell, conflict, play, random_world
 
 RULES = Rules("physical")
 SEEDS = st.integers(0, 2**32 - 1)
@@ -31,7 +31,7 @@ PLENTY = settings(max_examples=120, deadline=None, suppress_health_check=list(He
 
 def needs(grid, car, action):
     assert RULES.legal(grid, car, action), f"the rules forbid {action.name} here"
-    return footprint(grid, RULES.apply(grid, car, action), car, action)
+    return by_cell(footprint(grid, RULES.apply(grid, car, action), car, action))
 
 
 def cells_of(needs, bit):
@@ -48,7 +48,7 @@ def random_steps(seed, ticks=8):
 @given(SEEDS)
 def test_what_an_action_changes_on_the_grid_is_in_its_footprint_within_three_cells_of_its_car(seed):
     for step in random_steps(seed):
-        before, after, own = step.before, step.after, step.footprint
+        before, after, own = step.before, step.after, by_cell(step.footprint)
         changed = np.argwhere((before.kind != after.kind) | (before.yaw != after.yaw))
         assert {tuple(cell) for cell in changed.tolist()} <= cells_of(own, CHANGES)
         for x, y, z in (cell_of(before, step.car), cell_of(after, step.car)):
@@ -71,10 +71,11 @@ def test_each_reason_for_a_conflict_is_enough_alone():
         ({here: SPACE}, {here: CHANGES}, False),
     ):
         for one, other in ((mine, theirs), (theirs, mine)):
+            one, other = (
+                np.array([(*cell, bits) for cell, bits in needs.items()], np.int16) for needs in (one, other)
+            )
             assert conflict(one, other) is expected, (mine, theirs)
-            claims = claims_of(one)
-            found = any(claims_conflict(claims, len(claims), *row) for row in claims_of(other).tolist())
-            assert found is expected
+            assert any(claims_conflict(one, len(one), *row) for row in other) is expected
 
 
 def test_a_flap_needs_the_columns_of_body_and_foot_and_the_cell_beyond(scene, car):

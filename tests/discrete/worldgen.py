@@ -11,8 +11,17 @@ from craftsim.discrete.kinds import Action
 MOVE_BY_DIRECTION = (Action.MOVE_RIGHT, Action.MOVE_FORWARD, Action.MOVE_LEFT, Action.MOVE_BACK)
 
 
+def by_cell(claims):
+    """Return the claims of an action as a dictionary, bits by cell."""
+    found = {}
+    for *cell, bits in claims.tolist():
+        found[*cell,] = found.get((*cell,), 0) | bits
+    return found
+
+
 def conflict(one, other):
     """Return whether two actions with these footprints must not run at the same time, cell by cell."""
+    one, other = by_cell(one), by_cell(other)
 
     def against(mine, theirs):
         changes = mine & CHANGES and theirs & (CHANGES | RELIES)

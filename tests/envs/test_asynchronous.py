@@ -76,7 +76,7 @@ def test_batches_of_equal_durations_give_what_ticks_give(task, n_cars, options):
         ):
             np.testing.assert_array_equal(a[same], b[same])
         compared += int(same.sum())
-        assert (events.time_s == events.decisions.made / made.layout.n_cars).all()
+        assert (events.time_s == events.running.decided / made.layout.n_cars).all()
         if depth is not None and not same.any():
             break
     assert compared > 10 * n

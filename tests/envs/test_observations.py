@@ -235,7 +235,7 @@ def test_a_choice_that_a_running_action_stands_against_is_not_offered():
             action = int(rng.choice(np.flatnonzero(mask)))
             env.step(action)
             if action > CONTINUE:
-                assert core.episodes.decisions.outcome[0, car] == BEGUN
+                assert core.episodes.running.outcome[0, car] == BEGUN
     assert withheld
 
 

@@ -39,12 +39,7 @@ class Design:
     def of(
         cls, name: str | Path, blocks: Iterable[Cell] = (), ramps: Iterable[tuple[Cell, int]] = ()
     ) -> Design:
-        """Return a design that is in no file.
-
-        Args:
-            name: what messages call it.
-            blocks: their cells.
-            ramps: the cell of the body of each unfolded slope, and its yaw, downhill.
+        """Return a design that is in no file, of blocks in some cells and ramps, each the cell of its body and its yaw.
 
         Raises BlueprintError for two things in one cell, for what lies outside of the largest area, and for more cells
         than a goal file can list.

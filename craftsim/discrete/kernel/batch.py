@@ -5,18 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.codes import N_ACTIONS
-from craftsim.discrete.kernel.jit import compiled, plain, seldom
+from craftsim.discrete.kernel.codes import FIRST_MOVE, N_ACTIONS
+from craftsim.discrete.kernel.jit import compiled, plain
 from craftsim.discrete.kernel.rules import REASON_BIT, act, legal_actions, load_below_walls, load_fits
-from craftsim.discrete.kernel.search import (
-    UNKNOWN,
-    SearchBuffers,
-    add_reachable,
-    due_of,
-    plan_move,
-    pop,
-    write_plan,
-)
+from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop
 from craftsim.discrete.kernel.state import (
     AIR,
     DERIVED_MARKS,
@@ -54,8 +46,10 @@ def masks(cells: Cells, cars: Cars, corrections: int, space: SearchBuffers, dept
             legal = legal_actions(w, car, pose_of(w, car), 0, N_ACTIONS - 1)
             for action in range(N_ACTIONS):
                 out[i, car, action] = legal & (1 << action) != 0
-        if depth != NO_HELPER:
-            add_reachable(w, space, depth, out[i])
+            wanted = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
+            for m in range(4):
+                if wanted & (1 << m):
+                    out[i, car, FIRST_MOVE + m] = plan_move(w, car, space, FIRST_MOVE + m, depth) >= 0
 
 
 @compiled
@@ -119,19 +113,18 @@ def reason(cells: Cells, cars: Cars, corrections: int, car: int, action: int) ->
     return legal_actions(w, car, pose_of(w, car), action, action) >> REASON_BIT
 
 
-@seldom
 @compiled
-def enforce(cells: Cells, cars: Cars, corrections: int, car: int, action: int) -> None:
-    """Change a single world as an action does, whether it is legal or not."""
-    apply(World(cells, cars, corrections), car, action)
+def enforce(
+    cells: Cells, cars: Cars, corrections: int, order: NDArray[np.int64], actions: NDArray[np.int64]
+) -> None:
+    """Change each world as the actions of the cars order[i] do, one after the other, whether they are legal or not.
 
-
-@compiled
-def plan(w: World, car: int, action: int, space: SearchBuffers, depth: int, out: NDArray[np.int8]) -> int:
-    """Write the primitives of the helper's plan for a MOVE of a single world's car; return how many, -1 if none."""
-    space.legal[:] = UNKNOWN
-    node = plan_move(w, car, space, action, depth)
-    return write_plan(space, node, out) if node >= 0 else -1
+    ``actions`` (B, k) are in this order; what is none of the 15 changes nothing, and marks are not derived.
+    """
+    for i in range(cells.shape[0]):
+        w = World(cells[i], cars[i], corrections)
+        for turn in range(order.shape[1]):
+            apply(w, order[i, turn], actions[i, turn])
 
 
 @plain

@@ -1,6 +1,8 @@
 """The claims of actions: which cells an action needs while it runs, and whether two actions need the same.
 
-A claim is a row (x, y, z, bits); an action has a list of them.
+A claim is a row (x, y, z, bits); an action has a list of them. Two actions of different cars may run at the same time
+when neither sweeps space that the other sweeps, neither changes an object that the other relies on, and no two loads in
+motion pass side by side, where 2.5 mm of air are too little for two moving machines.
 """
 
 from __future__ import annotations

@@ -42,10 +42,8 @@ _FORMAT: Final = 2
 def load(name: str, context: Any, bring: Callable[[Any], None]) -> Any:
     """Return the ``CompileResult`` of numba that was saved under a name; None if there is none, or a damaged one.
 
-    Args:
-        name: unique to the function and all that it depends on.
-        context: numba's target context, which loads the code.
-        bring: loads the functions that the code calls, ``needs`` of its library.
+    The name is unique to the function and all that it depends on. ``bring`` loads the functions that the code calls,
+    ``needs`` of its library.
     """
     # What compiling needs besides, which takes 0.4 s, is loaded by numba when something is compiled.
     rtsys.initialize(context)

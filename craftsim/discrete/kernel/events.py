@@ -22,15 +22,7 @@ from craftsim.discrete.kernel.codes import (
 )
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
-from craftsim.discrete.kernel.search import (
-    UNKNOWN,
-    SearchBuffers,
-    due_of,
-    near_enough,
-    plan_move,
-    pop,
-    write_plan,
-)
+from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop, write_plan
 from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
@@ -53,7 +45,7 @@ it waits because the rules or a claim stand against the action."""
 
 
 class Running(NamedTuple):
-    """What the cars of B worlds are doing, by car."""
+    """What the cars of B worlds are doing, and their last decisions, by car."""
 
     action: NDArray[np.int64]
     """(B, n): the primitive or registered action, STOP while it waits, DECIDES while it has none."""
@@ -69,36 +61,16 @@ class Running(NamedTuple):
     """(B, n, rows, 4)."""
     n_claims: NDArray[np.int64]
     """(B, n): rows of these; none while a car waits or decides."""
-
-
-class Decisions(NamedTuple):
-    """The last decisions of the cars of B worlds."""
-
     asked: NDArray[np.int64]
-    """(B, n): the action that each car asked for."""
+    """(B, n): the action that each car asked for when it decided last."""
     outcome: NDArray[np.int64]
     """(B, n): what became of that; see above."""
-    made: NDArray[np.int64]
-    """(B,): how many have been made."""
     earned: NDArray[np.float64]
     """(B, n): the rewards since then."""
-
-
-class AsynchronousWorlds(NamedTuple):
-    """B asynchronous worlds, all of what time changes."""
-
-    confirmed: World
-    """The effects of all that has ended."""
-    committed: World
-    """The same, and the effects of all that runs."""
-    running: Running
-    decisions: Decisions
-    queues: Queues
+    decided: NDArray[np.int64]
+    """(B,): how many decisions have been made."""
     time_s: NDArray[np.float64]
     """(B,): now."""
-    space: SearchBuffers
-    depth: int
-    """Of the action helper's search; NO_HELPER where it is off."""
 
 
 class Durations(NamedTuple):
@@ -203,16 +175,6 @@ def blocked(
 
 
 @compiled
-def clashes(running: Running, i: int, other: int, row: Claims) -> bool:
-    """Return whether what a car of a world runs stands against an action with the claims ``row``, for Python."""
-    for k in range(running.n_claims[i, other]):
-        claim = running.claims[i, other, k]
-        if conflict(row, len(row), claim[0], claim[1], claim[2], claim[3]):
-            return True
-    return False
-
-
-@compiled
 def offer(
     worlds: World,
     running: Running,
@@ -241,41 +203,25 @@ def offer(
                         action == STOP or not blocked(w, running, i, others, pose, action, row, 0)
                     ):
                         out[i, car, action] = some = True
-                missing = ~(legal >> FIRST_MOVE) & 15
-                if depth != NO_HELPER and missing != 0:
-                    space.legal[:] = UNKNOWN
-                    wanted = missing & near_enough(w, car, space, depth)
-                    for m in range(4):
-                        node = plan_move(w, car, space, FIRST_MOVE + m, depth) if wanted & (1 << m) else -1
-                        if node >= 0:
-                            write_plan(space, node, plan)
-                            first = int(np.int64(plan[0]))
-                            if not blocked(w, running, i, others, pose, first, row, 0):
-                                out[i, car, FIRST_MOVE + m] = some = True
+                wanted = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
+                for m in range(4):
+                    node = plan_move(w, car, space, FIRST_MOVE + m, depth) if wanted & (1 << m) else -1
+                    if node >= 0:
+                        write_plan(space, node, plan)
+                        first = int(np.int64(plan[0]))
+                        if not blocked(w, running, i, others, pose, first, row, 0):
+                            out[i, car, FIRST_MOVE + m] = some = True
             if not some:
                 out[i, car, STOP] = True
 
 
 @compiled
-def unblocked(worlds: World, running: Running, row: Claims, actions: NDArray[np.int8], out: Mask) -> None:
-    """Turn on in out (B, n, k) which of ``actions`` (B, n, k), legal ones or -1, a car that decides could begin now
-    beside what runs."""
-    for i in range(worlds.cells.shape[0]):
-        w = world_of(worlds, i)
-        for car in range(w.cars.shape[0]):
-            if running.action[i, car] != DECIDES:
-                continue
-            pose = pose_of(w, car)
-            others = neighbours(w, running, i, pose)
-            for k in range(actions.shape[2]):
-                action = int(np.int64(actions[i, car, k]))
-                if action >= 0 and not blocked(w, running, i, others, pose, action, row, 0):
-                    out[i, car, k] = True
-
-
-@compiled
 def decide(
-    worlds: AsynchronousWorlds,
+    worlds: World,
+    running: Running,
+    queues: Queues,
+    space: SearchBuffers,
+    depth: int,
     durations: Durations,
     order: NDArray[np.int64],
     actions: NDArray[np.int64],
@@ -286,11 +232,10 @@ def decide(
     """Let the cars order[i] of the worlds from ``first`` to ``end`` begin what they have decided on, in their order.
 
     ``actions`` and ``out`` are by car, (B, n); out tells what became of each decision, and stays for other cars. The
-    committed worlds have the effects of what has begun from here on, but marks are not derived.
+    worlds, committed ones, have the effects of what has begun from here on, but marks are not derived.
     """
-    running, queues, space, depth = worlds.running, worlds.queues, worlds.space, worlds.depth
     for i in range(first, end):
-        w, now_s, turn = world_of(worlds.committed, i), worlds.time_s[i], 0
+        w, now_s, turn = world_of(worlds, i), running.time_s[i], 0
         for car in range(w.cars.shape[0]):
             turn = max(turn, running.turn[i, car])
         for place in range(order.shape[1]):
@@ -324,116 +269,74 @@ def decide(
                 elif result == ILLEGAL or not queued:
                     queues[i, car, :] = -1
             running.turn[i, car], running.action[i, car] = turn, due if result == BEGUN else STOP
-            note(worlds, durations, i, car, actions[i, car], result, end_s)
+            note(running, durations, i, car, actions[i, car], result, end_s)
             out[i, car] = result
 
 
 @compiled
 def note(
-    worlds: AsynchronousWorlds, durations: Durations, i: int, car: int, asked: int, result: int, end_s: float
+    running: Running, durations: Durations, i: int, car: int, asked: int, result: int, end_s: float
 ) -> None:
     """Write down a decision, whatever became of it."""
-    running, decisions = worlds.running, worlds.decisions
-    running.began_s[i, car] = worlds.time_s[i]
+    running.began_s[i, car] = running.time_s[i]
     running.ends_s[i, car] = moment(end_s) if end_s < math.inf else end_s
     running.fails[i, car] = result == BEGUN and durations.fails[i, car]
-    decisions.asked[i, car], decisions.outcome[i, car], decisions.earned[i, car] = asked, result, 0.0
-    decisions.made[i] += 1
+    running.asked[i, car], running.outcome[i, car], running.earned[i, car] = asked, result, 0.0
+    running.decided[i] += 1
 
 
 @compiled
-def following(running: Running, i: int, ended: Mask, which: bool, turn: int) -> int:
-    """Return the car of a world whose action began next after a turn, of those that have ``ended`` or not; -1: none."""
+def following(running: Running, i: int, ended: Mask, turn: int) -> int:
+    """Return the car of a world whose action began next after a turn, of those that have ``ended``; -1 for none."""
     found = -1
     for car in range(running.action.shape[1]):
-        later = ended[i, car] == which and running.turn[i, car] > turn
+        later = ended[i, car] and running.turn[i, car] > turn
         if later and (found < 0 or running.turn[i, car] < running.turn[i, found]):
             found = car
     return found
 
 
 @compiled
-def advance(worlds: AsynchronousWorlds, ends: Ends) -> None:
+def advance(worlds: World, running: Running, queues: Queues, ends: Ends) -> None:
     """Advance each world, in which no car decides, to its next event.
 
-    What has ended is applied to the confirmed worlds in the order in which it began; a wait ends with any event. Where
-    something failed, the committed worlds are made anew. Registered actions change nothing here. Marks are not derived.
+    What has ended changes the worlds, confirmed ones, in the order in which it began; a wait ends with any event.
+    Registered actions change nothing here, and marks are not derived.
     """
-    running, n_cars = worlds.running, worlds.running.action.shape[1]
-    for i in range(worlds.time_s.shape[0]):
+    n_cars = running.action.shape[1]
+    for i in range(worlds.cells.shape[0]):
         now_s = running.ends_s[i, 0]
         for car in range(1, n_cars):
             now_s = min(now_s, running.ends_s[i, car])
-        ends.duration_s[i] = moment(now_s - worlds.time_s[i])
-        worlds.time_s[i] = now_s
-        any_failed = False
+        ends.duration_s[i] = moment(now_s - running.time_s[i])
+        running.time_s[i] = now_s
         for car in range(n_cars):
             ends.doing[i, car] = running.action[i, car]
             ends.ended[i, car] = running.action[i, car] == STOP or running.ends_s[i, car] <= now_s
             ends.failed[i, car] = ends.ended[i, car] and running.fails[i, car]
-            any_failed |= ends.failed[i, car]
-        w = world_of(worlds.confirmed, i)
-        car = following(running, i, ends.ended, True, 0)
+        w = world_of(worlds, i)
+        car = following(running, i, ends.ended, 0)
         while car >= 0:
             if ends.failed[i, car]:
-                worlds.queues[i, car, :] = -1
+                queues[i, car, :] = -1
             elif running.action[i, car] < STOP:
                 apply(w, car, running.action[i, car])
             running.action[i, car], running.n_claims[i, car] = DECIDES, 0
-            car = following(running, i, ends.ended, True, running.turn[i, car])
-        if any_failed:
-            commit(worlds, i, ends.ended)
-
-
-@compiled
-def step(
-    worlds: AsynchronousWorlds,
-    durations: Durations,
-    order: NDArray[np.int64],
-    actions: NDArray[np.int64],
-    out: NDArray[np.int64],
-    ends: Ends,
-) -> None:
-    """Do both, :func:`decide` and :func:`advance`, for all worlds."""
-    decide(worlds, durations, order, actions, 0, worlds.time_s.shape[0], out)
-    advance(worlds, ends)
-
-
-@compiled
-def commit(worlds: AsynchronousWorlds, i: int, ended: Mask) -> None:
-    """Make a committed world anew: the confirmed one with the effects of what runs, which has not ``ended``."""
-    confirmed, committed, running = worlds.confirmed, worlds.committed, worlds.running
-    for x in range(committed.cells.shape[1]):
-        for y in range(committed.cells.shape[2]):
-            for z in range(committed.cells.shape[3]):
-                for field in range(committed.cells.shape[4]):
-                    committed.cells[i, x, y, z, field] = confirmed.cells[i, x, y, z, field]
-    for car in range(committed.cars.shape[1]):
-        for field in range(committed.cars.shape[2]):
-            committed.cars[i, car, field] = confirmed.cars[i, car, field]
-    w = world_of(committed, i)
-    car = following(running, i, ended, False, 0)
-    while car >= 0:
-        if running.action[i, car] < STOP:
-            apply(w, car, running.action[i, car])
-        car = following(running, i, ended, False, running.turn[i, car])
+            car = following(running, i, ends.ended, running.turn[i, car])
 
 
 @compiled
 def close(
     running: Running,
-    decisions: Decisions,
-    time_s: NDArray[np.float64],
     offered: NDArray[np.int8],
     ended: Mask,
-    reward: NDArray[np.float64],
     done: Mask,
     elapsed_s: NDArray[np.float64],
     earned: NDArray[np.float64],
     waited: Mask,
 ) -> None:
-    """Add the reward (B,) to what all decisions have earned; write of each that has ended, or whose episode is ``done``
-    (B,), the time since then and the sum, 0 for the others (B, n); and in which worlds there may be a deadlock.
+    """Write of each decision that has ended, or whose episode is ``done`` (B,), the time since then and what it has
+    earned, 0 for the others (B, n); and in which worlds there may be a deadlock.
 
     That takes that all cars have waited, or are lost. Where none was offered anything else, (B, n, actions), that is so
     still, and where one has asked in vain it can ask again.
@@ -441,12 +344,11 @@ def close(
     for i in range(done.shape[0]):
         waited[i], vain, stuck = True, False, True
         for car in range(running.action.shape[1]):
-            decisions.earned[i, car] += reward[i]
             elapsed_s[i, car] = earned[i, car] = 0.0
             if ended[i, car] or done[i]:
-                elapsed_s[i, car] = moment(time_s[i] - running.began_s[i, car])
-                earned[i, car] = decisions.earned[i, car]
-            outcome = decisions.outcome[i, car]
+                elapsed_s[i, car] = moment(running.time_s[i] - running.began_s[i, car])
+                earned[i, car] = running.earned[i, car]
+            outcome = running.outcome[i, car]
             lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf
             waited[i] = waited[i] and (outcome in (WAITS, ILLEGAL) or lost)
             vain = vain or outcome == ILLEGAL
@@ -458,16 +360,14 @@ def close(
 
 
 @compiled
-def show(
-    running: Running, time_s: NDArray[np.float64], doing: NDArray[np.float32], out: NDArray[np.int8]
-) -> None:
+def show(running: Running, doing: NDArray[np.float32], out: NDArray[np.int8]) -> None:
     """Write what each car does, action and seconds (B, n, 2), and 1 for each claimed cell (B, L, W, H + 1)."""
     length, width, layers = out.shape[1:]
     for i in range(out.shape[0]):
         for car in range(doing.shape[1]):
             action = running.action[i, car]
             doing[i, car, 0] = action
-            doing[i, car, 1] = 0.0 if action == DECIDES else time_s[i] - running.began_s[i, car]
+            doing[i, car, 1] = 0.0 if action == DECIDES else running.time_s[i] - running.began_s[i, car]
             for k in range(running.n_claims[i, car]):
                 claim = running.claims[i, car, k]
                 x, y, z = claim[0], claim[1], claim[2]

@@ -61,11 +61,8 @@ def compiled(*, inline: bool = True, nogil: bool = False) -> Callable[[F], F]: .
 def compiled(function: F | None = None, *, inline: bool = True, nogil: bool = False) -> F | Callable[[F], F]:
     """Compile a function with numba at its first call; NUMBA_DISABLE_JIT=1 leaves it plain Python.
 
-    Args:
-        function: the function.
-        inline: whether its code is inlined into its callers. A large one with many callers is better not inlined: it is
-            then compiled once.
-        nogil: whether a call from Python releases the interpreter's lock.
+    Its code is inlined into its callers unless ``inline`` is off: a large one with many callers is better compiled
+    once. With ``nogil`` a call from Python releases the interpreter's lock.
     """
     options = {"forceinline": inline, "nogil": nogil}
 

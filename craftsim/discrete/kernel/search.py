@@ -204,12 +204,16 @@ def plan_move(w: World, me: int, space: SearchBuffers, action: int, limit: int) 
 
 
 @compiled
-def near_enough(w: World, me: int, space: SearchBuffers, limit: int) -> int:
-    """Return, as bits for the four MOVEs, whose goal cell may lie within limit + 1 steps: a quick sieve.
+def moves_to_plan(w: World, me: int, space: SearchBuffers, legal: int, limit: int) -> int:
+    """Return, as bits for the four MOVEs, which of those that are not legal are worth a search: a quick sieve.
 
-    Floods outwards step by step. All bits are set if some node is met in two slope states, for then what can be reached
-    depends on the order of the search.
+    Floods outwards step by step, as their goal cells must lie within limit + 1 steps. All bits are set if some node is
+    met in two slope states, for then what can be reached depends on the order of the search.
     """
+    missing = ~(legal >> FIRST_MOVE) & 15
+    if missing == 0:
+        return 0
+    space.legal[:] = UNKNOWN
     start = pose_of(w, me)
     goals = 0
     space.state[:] = UNSEEN
@@ -228,7 +232,7 @@ def near_enough(w: World, me: int, space: SearchBuffers, limit: int) -> int:
             if there and car.z == after(w, start, FIRST_MOVE + i).z:
                 goals |= 1 << i
         if goals == 15:
-            return 15
+            return missing
         if space.depth[node] > limit:
             continue
         legal = legal_from(w, me, space, node, car)
@@ -244,25 +248,8 @@ def near_enough(w: World, me: int, space: SearchBuffers, limit: int) -> int:
                 space.heap[tail] = next_node
                 tail += 1
             elif space.slope[next_node] != new.slope:
-                return 15
-    return goals
-
-
-@compiled
-def add_reachable(w: World, space: SearchBuffers, limit: int, mask: NDArray[np.bool_]) -> None:
-    """Turn a mask (n, 15) of legal actions into the helper's: a MOVE with a plan is on, too."""
-    for me in range(w.cars.shape[0]):
-        missing = 0
-        for i in range(4):
-            if not mask[me, FIRST_MOVE + i]:
-                missing |= 1 << i
-        if missing == 0:
-            continue
-        space.legal[:] = UNKNOWN
-        wanted = missing & near_enough(w, me, space, limit)
-        for i in range(4):
-            if wanted & (1 << i):
-                mask[me, FIRST_MOVE + i] = plan_move(w, me, space, FIRST_MOVE + i, limit) >= 0
+                return missing
+    return missing & goals
 
 
 @compiled

@@ -28,19 +28,10 @@ OBJECT = -2
 KIND, YAW, OCCUPANT, LANDING = map(int, CellField)
 F_X, F_Y, F_Z, F_YAW, F_LOAD, F_LOAD_YAW, F_SLOPE = map(int, CarField)
 
-DERIVED_MARKS = int(Correction.derived_marks)
-SWINGING_FLAP = int(Correction.swinging_flap)
-TURNING_LOAD = int(Correction.turning_load)
-LEANING_LOAD = int(Correction.leaning_load)
-OWN_RAMP = int(Correction.own_ramp)
-SECOND_RAMP = int(Correction.second_ramp)
-RAMP_BELOW_GEAR = int(Correction.ramp_below_gear)
-RUN_OUT = int(Correction.run_out)
-REACHING_LOAD = int(Correction.reaching_load)
-OVERHEAD_WALL = int(Correction.overhead_wall)
-CROSSING_GEAR = int(Correction.crossing_gear)
-LASTING_GEARS = int(Correction.lasting_gears)
-
+DERIVED_MARKS, SWINGING_FLAP, TURNING_LOAD, LEANING_LOAD, OWN_RAMP, SECOND_RAMP, *_ = map(int, Correction)
+*_, RAMP_BELOW_GEAR, RUN_OUT, REACHING_LOAD, OVERHEAD_WALL, CROSSING_GEAR, LASTING_GEARS = map(
+    int, Correction
+)
 
 Cells = NDArray[np.int16]
 """(L, W, H + 1, 4): fields as in CellField; of a batch with a leading axis."""
@@ -361,30 +352,17 @@ def after(w: World, car: Pose, action: int) -> Pose:
 
 
 @compiled
-def write_pose(w: World, me: int, car: Pose) -> None:
-    """Store a car's state."""
-    w.cars[me, F_X] = car.x
-    w.cars[me, F_Y] = car.y
-    w.cars[me, F_Z] = car.z
-    w.cars[me, F_YAW] = car.yaw
-    w.cars[me, F_LOAD] = car.load
-    w.cars[me, F_LOAD_YAW] = car.load_yaw
-    w.cars[me, F_SLOPE] = car.slope
-
-
-@compiled
 def apply(w: World, me: int, action: int) -> None:
     """Carry out an action that is legal; the diagonal moves never are, and STOP changes nothing."""
     car = pose_of(w, me)
     new = after(w, car, action)
+    row = w.cars[me]
+    row[F_X], row[F_Y], row[F_Z], row[F_YAW], row[F_LOAD], row[F_LOAD_YAW], row[F_SLOPE] = new
     if code.FIRST_MOVE <= action <= code.LAST_MOVE:
         # A gear left behind counts as an object here, though not elsewhere (docs/rules.md#gear-mark).
         left_air = kind_at(w, car.x, car.y, car.z) == AIR
         set_occupant(w, car.x, car.y, car.z - 1, NOTHING if left_air else OBJECT)
         set_occupant(w, new.x, new.y, new.z - 1, me)
-        write_pose(w, me, new)
-    elif action in (code.ROTATE_LEFT, code.ROTATE_RIGHT):
-        write_pose(w, me, new)
     elif action in (code.LIFT, code.DROP):
         # The object in the own cell, a slope with its gear, is taken up, or the load is put there.
         lifting = action == code.LIFT
@@ -395,7 +373,6 @@ def apply(w: World, me: int, action: int) -> None:
             put_gear(w, car.x + dir_x(yaw), car.y + dir_y(yaw), car.z, gear, 0 if lifting else yaw)
         if kind == BLOCK and not lifting and inside(w, car.x, car.y, car.z):
             w.cells[car.x, car.y, car.z, LANDING] = derived_landing(w, car.x, car.y, car.z)
-        write_pose(w, me, new)
         set_occupant(w, car.x, car.y, car.z - 1, me)
     elif action in (code.FOLD, code.UNFOLD):
         # The ramp in the own cell becomes a folded slope, or a folded slope a ramp behind the car. The landing of a

@@ -163,8 +163,6 @@ class Task:
             if self.draws_designs:
                 return starts
             grids = starts.grids
-        elif self.always_starts_the_same and (only := self._fixed[0]) is not None:
-            grids = only[None][np.zeros(n, np.int64)]
         else:
             which = (int(rng.integers(len(self.starts))) if len(self.starts) > 1 else 0 for _ in range(n))
             grids = Grid.stack([self._fixed[i] or self.starts[i].grid(rng, self.placement) for i in which])
@@ -309,16 +307,7 @@ def build_task(
     max_steps: int,
     design: Design | None = None,
 ) -> Task:
-    """Return a task with one of the three goals and the reward that has a name.
-
-    Args:
-        name: of the task.
-        starts: one of them is drawn for every episode.
-        goal: ``built``, ``flag_at_goal`` or ``one_platform``.
-        reward: see :func:`make_task`.
-        max_steps: the step limit.
-        design: the building that is the goal.
-    """
+    """Return a task with one of the goals ``built``, ``flag_at_goal`` and ``one_platform``; rewards as in make_task."""
     if reward not in (known := get_args(RewardName)):
         hint = suggestion(reward, known)
         raise InputError(f"unknown reward '{reward}'{hint}; there are {', '.join(known)}")

@@ -191,14 +191,11 @@ class AsynchronousParallel(ParallelConstruction):
         """
         self.core.require_episode()
         acting = self.agents_to_act
-        asked = {agent: actions.get(agent, _STOP) for agent in self.agents if agent not in acting}
-        asked |= {agent: actions[agent] for agent in acting if agent in actions}
-        ignored = set(actions) - set(acting)
-        agents = self.agents
-        observations, _, terminated, truncated, infos = super().step(asked)
-        rewards = {agent: infos[agent]["earned"] for agent in agents}
-        for agent in agents:
-            infos[agent]["ignored"] = agent in ignored
+        waiting = {agent: _STOP for agent in self.agents if agent not in acting}
+        observations, _, terminated, truncated, infos = super().step(waiting | actions)
+        for agent, info in infos.items():
+            info["ignored"] = agent in actions and agent not in acting
+        rewards = {agent: info["earned"] for agent, info in infos.items()}
         return observations, rewards, terminated, truncated, infos
 
 

@@ -61,7 +61,6 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
         return self.core.masks.astype(np.bool_).ravel()
 
     def _observe(self) -> Observation:
-        observation: Observation = {"observation": self.core.state(), "action_mask": self.core.masks.copy()}
-        observation |= {key: array.copy() for key, array in self.core.extras.items()}
+        observation = {key: array.copy() for key, array in self.core.seen.items()}
         images = self.core.options.images
         return observation if images is None else observation | images.of_all(self.core.images)

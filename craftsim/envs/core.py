@@ -16,6 +16,7 @@ from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel.events import moment
+from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import car_durations, situation
@@ -25,7 +26,7 @@ from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.discrete.tasks.rewards import Reward
 from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.actions import checked, illegal
-from craftsim.envs.observations import Observation, extras
+from craftsim.envs.observations import Observation, observed
 from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
 from craftsim.errors import InputError
 
@@ -255,21 +256,21 @@ class Core:
 
     def _look(self) -> None:
         """Bring what the cars observe up to date; callers get copies, for the next tick is judged by these."""
-        self.masks: NDArray[np.int8] = self.form.masks(self.episodes)[0]  # (n, n_actions): what is offered
-        self.rows: NDArray[np.int32] = self.episodes.entity_rows()[0]  # (n_observed, 13)
-        seen = extras(self.episodes, self.form, self.options.local_view)
-        self.extras: Observation = {key: array[0] for key, array in seen.items()}  # (n, ...), beside the rows
+        seen = observed(self.episodes, self.form, self.options.local_view)
+        self.seen: Observation = {key: array[0] for key, array in seen.items()}
+        self.masks: NDArray[np.int8] = self.seen["action_mask"]  # (n, n_actions): what is offered
         self.images: Observation = self.backend.images()  # of all cameras, by kind
 
     def vectors(self) -> NDArray[np.int32]:
         """Return (n, length): each car's observation, its own row first."""
-        return car_vectors(self.rows, self.n_cars)
+        return car_vectors(self.seen["observation"].reshape(-1, ROW), self.n_cars)
 
     def state(self) -> NDArray[np.int32]:
         """Return the global state: all rows, flattened, shape (13 * n_observed,). Raises InputError before a reset."""
         if self._episodes is None:
             raise InputError(_RESET_FIRST)
-        return self.rows.ravel().copy()
+        state: NDArray[np.int32] = self.seen["observation"].copy()
+        return state
 
     def require_episode(self) -> None:
         """Raise InputError where no episode runs."""

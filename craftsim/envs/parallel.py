@@ -51,19 +51,16 @@ class CarWorld(SingleWorld):
 
     def observe_all(self) -> dict[str, Observation]:
         """Return the observations of all agents."""
-        core, options = self.core, self.core.options
+        core, observe, images = self.core, self.core.options.observe, self.core.options.images
         seen: Any = core.vectors()
-        if options.observe is not None:
+        if observe is not None:
             grid = core.grid
-            seen = [options.observe.of(grid, car) for car in range(core.n_cars)]
-        of_cars = {
-            agent: {"observation": seen[car], "action_mask": mask}
-            | {key: array[car].copy() for key, array in core.extras.items()}
-            for car, (agent, mask) in enumerate(zip(self.possible_agents, core.masks.copy(), strict=True))
-        }
-        if options.images is not None:
-            for car, observation in enumerate(of_cars.values()):
-                observation |= options.images.of_car(core.images, car)
+            seen = [observe.of(grid, car) for car in range(core.n_cars)]
+        of_cars = {}
+        for car, agent in enumerate(self.possible_agents):
+            own = {key: array[car].copy() for key, array in core.seen.items() if key != "observation"}
+            shown = {} if images is None else images.of_car(core.images, car)
+            of_cars[agent] = {"observation": seen[car], **own, **shown}
         return Observations(of_cars, core.task, bool(core.episodes.t[0] == 0))
 
     def state(self) -> NDArray[np.int32]:

@@ -16,7 +16,7 @@ from craftsim.discrete.schedule import car_durations
 from craftsim.discrete.tasks import Task, as_task
 from craftsim.discrete.tasks.episodes import Episodes, Steps
 from craftsim.envs.actions import checked, illegal
-from craftsim.envs.observations import Observation, central_space, extras, joint_action_space
+from craftsim.envs.observations import Observation, central_space, joint_action_space, observed
 from craftsim.envs.options import BATCH_OPTIONS, BatchOptions, Options
 from craftsim.errors import InputError
 
@@ -113,7 +113,8 @@ class GridVectorEnv(TaskVectorEnv):
             over |= infos["deadlock"]
         ended = np.flatnonzero(over)
         if len(ended):
-            seen, last = self._seen(episodes.some(ended)), np.full(self.num_envs, None, object)
+            seen = observed(episodes.some(ended), self.form, self._radius)
+            last = np.full(self.num_envs, None, object)
             for place, i in enumerate(ended.tolist()):
                 last[i] = {key: array[place] for key, array in seen.items()}
             infos |= {"final_obs": last, "_final_obs": over}
@@ -154,15 +155,9 @@ class GridVectorEnv(TaskVectorEnv):
             "deadlock": event.deadlock,
         }
 
-    def _seen(self, episodes: Episodes) -> Observation:
-        """Return what is observed of worlds."""
-        rows, masks = episodes.entity_rows().reshape(len(episodes), -1), self.form.masks(episodes)
-        seen: Observation = {"observation": rows, "action_mask": masks}
-        return seen | extras(episodes, self.form, self._radius)
-
     def _look(self, infos: dict[str, Any]) -> tuple[Observation, dict[str, Any]]:
         """Return what is observed of all worlds, and infos that say who decides next."""
-        seen = self._seen(self.episodes)
+        seen = observed(self.episodes, self.form, self._radius)
         self._masks = seen["action_mask"].copy()  # by which the next step is judged
         if isinstance(self.episodes, AsynchronousEpisodes):
             infos["decides"] = self.episodes.decides

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from craftsim.storage.limits import LARGEST_WEIGHT
 from craftsim.training.features import Seen
-from craftsim.training.networks import CarNet, restore_adam, restore_module
+from craftsim.training.networks import Bounds, CarNet
 from craftsim.training.rollouts import Rollout
 from craftsim.training.settings import Settings
 
@@ -44,21 +44,23 @@ class Learner(ABC):
         nn.utils.clip_grad_norm_(group["params"], self.settings.max_gradient)
         self.optimizer.step()
 
-    def state(self) -> dict[str, Any]:
-        """Return the complete state for a checkpoint: tensors and plain values."""
-        return {
-            "modules": self.modules.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-            "memory": {},
-        }
+    def tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:
+        """Return all that it has learnt and remembers, by name, for a checkpoint, and bounds of what is no weight.
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restore what :meth:`state` returned.
-
-        Raises InputError, or another error for invalid content; the learner is then unusable.
+        Whoever changes these tensors changes the learner.
         """
-        restore_module(self.modules, state["modules"])
-        restore_adam(self.optimizer, state["optimizer"])
+        found, bounds = self.modules.state_dict(prefix="modules."), dict[str, Bounds]()
+        (group,) = self.optimizer.param_groups
+        for number, weight in enumerate(group["params"]):
+            averages = self.optimizer.state[weight]
+            if not averages:
+                # As Adam begins with the first gradient.
+                averages |= {"step": torch.zeros(())}
+                averages |= {name: torch.zeros_like(weight) for name in ("exp_avg", "exp_avg_sq")}
+            name = f"optimizer.{number}."
+            found |= {f"{name}{key}": average for key, average in averages.items()}
+            bounds |= {f"{name}step": (0, 2**31), f"{name}exp_avg_sq": (0, LARGEST_WEIGHT)}
+        return found, bounds
 
 
 def drawn(logits: Tensor) -> Tensor:

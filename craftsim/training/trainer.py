@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from craftsim.choices import Engine
 from craftsim.discrete.tasks import Task, known_task
@@ -26,8 +27,9 @@ from craftsim.training.checkpoint import (
     TABLE,
     PolicyHead,
     RunHead,
-    open_run,
+    naming,
     read_policy,
+    read_run,
     save_policy,
     save_run,
 )
@@ -36,7 +38,7 @@ from craftsim.training.curve import CURVE_FILE, CurvePoint, EvaluationResult, wr
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.features import RelativeEncoder
 from craftsim.training.learner import Learner
-from craftsim.training.networks import CarNet, first_net, numbers
+from craftsim.training.networks import Bounds, CarNet, first_net, restore
 from craftsim.training.policy import PACKAGES, POLICY_FILE, policy_file
 from craftsim.training.policy_gradient import COMALearner, PPOLearner, imitate
 from craftsim.training.q_learning import PQNLearner, QLearner
@@ -237,7 +239,12 @@ class Trainer:
         write_curve(folder / CURVE_FILE, self.curve)
         so_far = self.iteration, self.wall_s, self.cpu_s, self.curve
         run = RunHead(self.config, self.identity, self.starts, made_with, *so_far)
-        save_run(folder / RUN_FILE, run, self.learner.state(), torch.from_numpy(self.counts))
+        save_run(folder / RUN_FILE, run, self._tensors()[0])
+
+    def _tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:
+        """Return all tensors of the run, and bounds of those that are no weights."""
+        tensors, bounds = self.learner.tensors()
+        return tensors | {"novelty": torch.from_numpy(self.counts)}, bounds | {"novelty": (0, 2**30)}
 
     @classmethod
     def resume(
@@ -254,7 +261,8 @@ class Trainer:
             config: what the run must have been begun with; anything unless given.
             given: further arguments of the constructor.
         """
-        with open_run(folder / RUN_FILE) as (head, learner, novelty):
+        with naming(folder / RUN_FILE):
+            head, arrays = read_run(folder / RUN_FILE)
             if config is not None and head.config != config:
                 raise InputError(f"it was begun with {head.config}, not with {config}")
             trainer = cls(head.config, starts, **given)
@@ -263,14 +271,8 @@ class Trainer:
             if head.starts != trainer.starts:
                 begun = "other starts" if head.starts else "no other starts"
                 raise InputError(f"the run was begun with {begun} than these; give the --starts of then")
-            try:
-                counts = numbers(novelty, "novelty", torch.from_numpy(trainer.counts), 0, 2**30)
-                trainer.counts = counts.clone().numpy()
-                trainer.learner.restore(learner)
-            except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
-                raise InputError(
-                    f"damaged: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
-                ) from error
+            tensors, bounds = trainer._tensors()
+            restore(tensors, arrays, bounds)
             trainer.iteration, trainer.curve = head.iteration, head.curve
             trainer.wall_s, trainer.cpu_s = head.wall_s, head.cpu_s
         return trainer

@@ -13,7 +13,6 @@ from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, Async
 from craftsim.discrete.kernel.events import DECIDES, Ends
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.actions import checked
 from craftsim.envs.core import Core, CoreStep
 from craftsim.envs.observations import Observation
@@ -30,12 +29,6 @@ class AsynchronousCore(Core):
     :attr:`turns` lists the cars that decide, in their order; each decides with :meth:`begin`, and when all have,
     :meth:`advance` runs to the next event, at which at least one action or wait ends.
     """
-
-    def _first(self, start: Starts) -> AsynchronousEpisodes:
-        kind = self.options.rule_set, self.options.helper_depth
-        return AsynchronousEpisodes(
-            self.task, self._rng, 1, *kind, start, self.rules.own, timing=self.options.timing
-        )
 
     @property
     def episodes(self) -> AsynchronousEpisodes:

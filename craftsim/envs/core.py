@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.asynchronous import Timing
+from craftsim.discrete.asynchronous import Timing, make_episodes
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
@@ -226,7 +226,8 @@ class Core:
         seen = self.backend.start(start.grid(0), self._backend_rng, own)
         start = Starts(seen[None], start.designs)
         if self._episodes is None:
-            self._episodes = self._first(start)
+            how = self.options.rule_set, self.options.helper_depth, start, self.rules.own
+            self._episodes = make_episodes(self.task, self._rng, 1, *how, timing=self.options.timing)
         else:
             self._episodes.begin(_ONE, start)
         self._runs = True
@@ -234,10 +235,6 @@ class Core:
         self.pictures.clear()
         self._show()
         return [{"action_mask": mask} for mask in self.masks.copy()]
-
-    def _first(self, start: Starts) -> Episodes:
-        kind = self.options.rule_set, self.options.helper_depth
-        return Episodes(self.task, self._rng, 1, *kind, start, self.rules.own)
 
     def _episode_of(self, options: dict[str, Any]) -> Task:
         """Return the task of a new episode, from which its start is drawn."""

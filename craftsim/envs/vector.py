@@ -10,11 +10,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from craftsim.discrete.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes
+from craftsim.discrete.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, make_episodes
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import car_durations
 from craftsim.discrete.tasks import Task, as_task
-from craftsim.discrete.tasks.episodes import Episodes, Steps
+from craftsim.discrete.tasks.episodes import Steps
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.observations import Observation, central_space, joint_action_space, observed
 from craftsim.envs.options import BATCH_OPTIONS, BatchOptions, Options
@@ -72,13 +72,10 @@ class GridVectorEnv(TaskVectorEnv):
                 raise InputError(f"a batch of grid worlds knows no '{name}'; leave it out")
         super().__init__(task, BatchOptions(num_envs).num_envs, chosen)
         self.time_weight = chosen.time_weight
-        rng, kind = np.random.default_rng(), (chosen.rule_set, chosen.helper_depth)
-        if chosen.timing is None:
-            self.episodes = Episodes(self.task, rng, num_envs, *kind, actions=self.form.own)
-        else:
-            self.episodes = AsynchronousEpisodes(
-                self.task, rng, num_envs, *kind, actions=self.form.own, timing=chosen.timing
-            )
+        how = chosen.rule_set, chosen.helper_depth, None, self.form.own
+        self.episodes = make_episodes(
+            self.task, np.random.default_rng(), num_envs, *how, timing=chosen.timing
+        )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

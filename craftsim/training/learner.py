@@ -12,17 +12,22 @@ from craftsim.training.features import Seen
 from craftsim.training.networks import Bounds, CarNet
 from craftsim.training.rollouts import Rollout
 from craftsim.training.settings import Settings
+from craftsim.training.shape import Shape
 
 
 class Learner(ABC):
     """An algorithm with its networks and optimiser."""
 
-    net: CarNet  # the policy: from a car's observation to one number per action, higher is better
     modules: nn.Module  # all modules with weights, including target networks
     optimizer: torch.optim.Optimizer
     settings: Settings
-    ticks: int  # length of a rollout: ticks of each world between updates
-    learnt: int = 0  # ticks so far over all worlds, counted by the trainer
+
+    def __init__(self, shape: Shape, ticks: int, algo: str, settings: Settings) -> None:
+        """Make the policy; subclasses make what else is learned."""
+        self.algo, self.settings = algo, settings
+        self.ticks = ticks  # length of a rollout: ticks of each world between updates
+        self.learnt = 0  # ticks so far over all worlds, counted by the trainer
+        self.net = CarNet(shape)  # from a car's observation to one number per action, higher is better
 
     def begin(self, worlds: Tensor) -> None:  # noqa: B027
         """Take note of the worlds (B,) in which an episode begins, as a mask."""

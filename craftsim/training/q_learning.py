@@ -20,7 +20,7 @@ from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.training.features import Seen, joined
 from craftsim.training.learner import Learner, drawn_offers, of_actions
-from craftsim.training.networks import Bounds, CarNet, JointNet, QMixer, RecurrentState, follow
+from craftsim.training.networks import Bounds, JointNet, QMixer, RecurrentState, follow
 from craftsim.training.rollouts import Rollout, distinct, lambda_returns
 from craftsim.training.settings import PQNSettings, QSettings
 from craftsim.training.shape import Shape
@@ -75,10 +75,11 @@ class ReplayMemory:
 class QLearner(Learner):
     """Learns the value of each action of a car."""
 
+    settings: QSettings
+
     def __init__(self, shape: Shape, ticks: int, algo: str, settings: QSettings) -> None:
-        self.settings: QSettings = settings
-        self.algo, self.ticks, self.n_cars = algo, ticks, shape.n_cars
-        self.net = CarNet(shape)
+        super().__init__(shape, ticks, algo, settings)
+        self.n_cars = shape.n_cars
         self.team = {"qmix": QMixer, "qtran": JointNet}.get(algo, lambda shape: nn.Identity())(shape)
         self.online = nn.ModuleDict({"net": self.net, "team": self.team})
         self.target_net, self.target_team = deepcopy(self.net), deepcopy(self.team)
@@ -181,10 +182,10 @@ class PQNLearner(Learner):
     and layer normalisation, take the place of replay and target networks.
     """
 
-    def __init__(self, shape: Shape, ticks: int, settings: PQNSettings) -> None:
-        self.settings: PQNSettings = settings
-        self.ticks = ticks
-        self.net = CarNet(shape)
+    settings: PQNSettings
+
+    def __init__(self, shape: Shape, ticks: int, algo: str, settings: PQNSettings) -> None:
+        super().__init__(shape, ticks, algo, settings)
         self.modules: nn.Module = self.net
         self.optimizer = torch.optim.RAdam(self.net.parameters(), settings.learning_rate)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from craftsim.choices import Execution
-from craftsim.discrete.asynchronous import USUAL_TICK_S, AsynchronousEpisodes, Timing
+from craftsim.discrete.asynchronous import USUAL_TICK_S, AsynchronousEpisodes, Timing, make_episodes
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.exploration import hashes
@@ -57,25 +56,26 @@ class Rollout:
         return self.rewards.numel()
 
 
-def make_episodes(
-    task: Task,
-    rng: np.random.Generator,
-    n: int,
-    rules: RuleSet = "physical",
-    helper_depth: int | None = None,
-    execution: Execution = "synchronous",
-) -> Episodes:
-    """Return n episodes on the grid, in ticks or, in asynchronous execution, from event to event."""
-    if execution == "synchronous":
-        return Episodes(task, rng, n, rules, helper_depth)
-    return AsynchronousEpisodes(task, rng, n, rules, helper_depth, timing=Timing(jitter=TRAINED_JITTER))
+TIMINGS: Final[Mapping[Execution, Timing | None]] = {
+    "synchronous": None,
+    "asynchronous": Timing(jitter=TRAINED_JITTER),
+}
+"""How long actions take in training, where that plays a part."""
 
 
 class GridWorlds:
-    """B parallel worlds of one task on the grid; ``how`` as of :func:`make_episodes`."""
+    """B parallel worlds of one task on the grid."""
 
-    def __init__(self, task: Task, n: int, *how: Any) -> None:
-        self.episodes = make_episodes(task, np.random.default_rng(), n, *how)
+    def __init__(
+        self,
+        task: Task,
+        n: int,
+        rules: RuleSet = "physical",
+        helper_depth: int | None = None,
+        execution: Execution = "synchronous",
+    ) -> None:
+        how = rules, helper_depth
+        self.episodes = make_episodes(task, np.random.default_rng(), n, *how, timing=TIMINGS[execution])
         self._over = np.zeros(n, np.bool_)
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from functools import cached_property
@@ -51,7 +51,14 @@ from craftsim.training.rollouts import (
     WorldBatch,
     play,
 )
-from craftsim.training.settings import COMASettings, PPOSettings, PQNSettings, QSettings, settings_of
+from craftsim.training.settings import (
+    COMASettings,
+    PPOSettings,
+    PQNSettings,
+    QSettings,
+    Settings,
+    settings_of,
+)
 from craftsim.training.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.training.starts import Guidance, Progress, check_guidance, guidance_of, silent
 from craftsim.workers.actor import defer_sigint
@@ -61,6 +68,13 @@ if TYPE_CHECKING:
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next, unless its configuration says after how many ticks."""
+LEARNERS: Final[Mapping[type[Settings], Callable[..., Learner]]] = {
+    PPOSettings: PPOLearner,
+    COMASettings: COMALearner,
+    QSettings: QLearner,
+    PQNSettings: PQNLearner,
+}
+"""By the kind of their hyperparameters."""
 _ROLLOUT, _EVALUATION, _FINAL, _GUIDANCE = range(4)
 
 
@@ -111,7 +125,9 @@ class Trainer:
             torch.manual_seed(config.seed)
             # Where cars decide one by one, most events are a single car's.
             turns = self.task.layout.n_cars if config.execution == "asynchronous" else 1
-            self.learner = make_learner(config, self.shape, (self.task.max_steps + 2) * turns)
+            ticks = (self.task.max_steps + 2) * turns
+            settings = settings_of(config.algo, config.hyperparameters)
+            self.learner = LEARNERS[type(settings)](self.shape, ticks, config.algo, settings)
             begun = begin_as_pretrained(self.learner.net, self.shape, config) if config.pretrained else ""
             self.pretrained = begun  # digest of the policy that it began with
         # How often buildings were seen, where there is a bonus for new ones.
@@ -276,20 +292,6 @@ class Trainer:
             trainer.iteration, trainer.curve = head.iteration, head.curve
             trainer.wall_s, trainer.cpu_s = head.wall_s, head.cpu_s
         return trainer
-
-
-def make_learner(config: TrainConfig, shape: Shape, ticks: int) -> Learner:
-    """Return the algorithm that a configuration names, for episodes of at most ``ticks`` ticks."""
-    match settings_of(config.algo, config.hyperparameters):
-        case PPOSettings() as settings:
-            return PPOLearner(shape, ticks, config.algo == "mappo", settings)
-        case COMASettings() as settings:
-            return COMALearner(shape, ticks, settings)
-        case PQNSettings() as settings:
-            return PQNLearner(shape, ticks, settings)
-        case QSettings() as settings:
-            return QLearner(shape, ticks, config.algo, settings)
-    raise AssertionError(config.algo)
 
 
 def begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:

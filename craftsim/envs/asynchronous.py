@@ -17,7 +17,7 @@ from craftsim.envs.actions import checked
 from craftsim.envs.core import Core, CoreStep
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import Options
-from craftsim.envs.parallel import CarWorld, ParallelConstruction
+from craftsim.envs.parallel import CarWorld, Infos, ParallelConstruction, Step
 from craftsim.errors import InputError
 
 _STOP = int(Action.STOP)
@@ -172,12 +172,12 @@ class AsynchronousParallel(ParallelConstruction):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, Observation], Infos]:
         """Begin an episode, in which all agents decide first."""
         observations, infos = super().reset(seed, options)
         return observations, {agent: info | {"ignored": False} for agent, info in infos.items()}
 
-    def step(self, actions: dict[str, int]) -> tuple[Any, ...]:
+    def step(self, actions: dict[str, int]) -> Step:
         """Let the agents that decide begin their actions, and run to the next event.
 
         Raises InputError where no episode runs, and if such an agent's action is missing or none.

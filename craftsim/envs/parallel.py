@@ -15,6 +15,10 @@ from craftsim.envs.core import Backend, SingleWorld
 from craftsim.envs.observations import Observation, car_space, state_space
 from craftsim.envs.options import Options
 
+Infos = dict[str, dict[str, Any]]
+Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]
+"""By agent: observations, rewards, whether they are terminated and truncated, infos."""
+
 
 class Observations(dict[str, Observation]):
     """The observations of all agents, by agent, with their task, and whether an episode begins."""
@@ -73,21 +77,13 @@ class ParallelConstruction(CarWorld, ParallelEnv[str, Observation, int]):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, Observation], Infos]:
         """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
         infos = self.core.reset(seed, options)
         self.agents = self.possible_agents[:]
         return self.observe_all(), dict(zip(self.agents, infos, strict=True))
 
-    def step(
-        self, actions: dict[str, int]
-    ) -> tuple[
-        dict[str, Observation],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, dict[str, Any]],
-    ]:
+    def step(self, actions: dict[str, int]) -> Step:
         """Let all cars act once.
 
         Raises InputError where no episode runs, and if an agent's action is missing or no number from 0 to 14.

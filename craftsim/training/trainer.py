@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from craftsim.choices import Engine
@@ -42,15 +41,7 @@ from craftsim.training.networks import Bounds, CarNet, first_net, restore
 from craftsim.training.policy import PACKAGES, POLICY_FILE, policy_file
 from craftsim.training.policy_gradient import COMALearner, PPOLearner, imitate
 from craftsim.training.q_learning import PQNLearner, QLearner
-from craftsim.training.rollouts import (
-    BUCKETS,
-    GridWorlds,
-    Novelty,
-    PhysicsWorlds,
-    Rollout,
-    WorldBatch,
-    play,
-)
+from craftsim.training.rollouts import GridWorlds, Novelty, PhysicsWorlds, Rollout, WorldBatch, play
 from craftsim.training.settings import (
     COMASettings,
     PPOSettings,
@@ -130,8 +121,7 @@ class Trainer:
             self.learner = LEARNERS[type(settings)](self.shape, ticks, config.algo, settings)
             begun = begin_as_pretrained(self.learner.net, self.shape, config) if config.pretrained else ""
             self.pretrained = begun  # digest of the policy that it began with
-        # How often buildings were seen, where there is a bonus for new ones.
-        self.counts: NDArray[np.int32] = np.zeros(BUCKETS if config.novelty else 0, np.int32)
+        self.novelty = Novelty(config.novelty, self.shape) if config.novelty else None
 
     @cached_property
     def guidance(self) -> Guidance:
@@ -223,9 +213,7 @@ class Trainer:
         """Return a rollout, after seeding worlds and torch's default generator."""
         torch.manual_seed(seed)
         self.worlds.reset(seed)
-        learner, weight = self.learner, self.config.novelty
-        bonus = Novelty(weight, self.shape, self.counts) if weight else None
-        return play(self.worlds, learner.net.encoder, learner.act, learner.ticks, learner.begin, bonus)
+        return play(self.worlds, self.learner, self.novelty)
 
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
@@ -260,7 +248,9 @@ class Trainer:
     def _tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:
         """Return all tensors of the run, and bounds of those that are no weights."""
         tensors, bounds = self.learner.tensors()
-        return tensors | {"novelty": torch.from_numpy(self.counts)}, bounds | {"novelty": (0, 2**30)}
+        if self.novelty is not None:
+            tensors["novelty"], bounds["novelty"] = torch.from_numpy(self.novelty.counts), (0, 2**30)
+        return tensors, bounds
 
     @classmethod
     def resume(

@@ -115,7 +115,7 @@ RUNS = {
     "a time": (("head", "cpu_s", -1.0), "-1.0 s of CPU; allowed: 0 or more"),
     "an older file": (("format", "run 9"), "written in format run 9, this version reads run 10"),
     "a configuration": (("head", "config", "width", 10**9), "key 'config.width': 1000000000 is out of range"),
-    "novelty": ((T, "novelty", torch.zeros(5)), "'novelty' is torch.float32"),
+    "novelty": ((T, "novelty", torch.zeros(5)), "'novelty' is missing or unknown"),
 }  # fmt: skip
 
 

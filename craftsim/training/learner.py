@@ -8,10 +8,10 @@ import torch
 from torch import Tensor, nn
 
 from craftsim.storage.limits import LARGEST_WEIGHT
+from craftsim.training.config import Settings
 from craftsim.training.features import Seen
 from craftsim.training.networks import Bounds, CarNet
 from craftsim.training.rollouts import Rollout
-from craftsim.training.settings import Settings
 from craftsim.training.shape import Shape
 
 

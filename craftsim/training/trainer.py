@@ -32,7 +32,16 @@ from craftsim.training.checkpoint import (
     save_policy,
     save_run,
 )
-from craftsim.training.config import WITH_PROBABILITIES, TrainConfig
+from craftsim.training.config import (
+    WITH_PROBABILITIES,
+    COMASettings,
+    PPOSettings,
+    PQNSettings,
+    QSettings,
+    Settings,
+    TrainConfig,
+    settings_of,
+)
 from craftsim.training.curve import CURVE_FILE, CurvePoint, EvaluationResult, write_curve
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.features import RelativeEncoder
@@ -42,14 +51,6 @@ from craftsim.training.policy import PACKAGES, POLICY_FILE, policy_file
 from craftsim.training.policy_gradient import COMALearner, PPOLearner, imitate
 from craftsim.training.q_learning import PQNLearner, QLearner
 from craftsim.training.rollouts import GridWorlds, Novelty, PhysicsWorlds, Rollout, WorldBatch, play
-from craftsim.training.settings import (
-    COMASettings,
-    PPOSettings,
-    PQNSettings,
-    QSettings,
-    Settings,
-    settings_of,
-)
 from craftsim.training.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.training.starts import Guidance, Progress, check_guidance, guidance_of, silent
 from craftsim.workers.actor import defer_sigint

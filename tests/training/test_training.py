@@ -22,12 +22,11 @@ from craftsim.discrete.tasks import as_task, make_task
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.errors import InputError
 from craftsim.training.checkpoint import RUN_FILE
-from craftsim.training.config import ALGO_NAMES, NEVER, TrainConfig
+from craftsim.training.config import ALGO_NAMES, NEVER, TrainConfig, settings_of
 from craftsim.training.curve import last_fifth
 from craftsim.training.networks import CarNet
 from craftsim.training.policy import SHIPPED
 from craftsim.training.rollouts import Seen
-from craftsim.training.settings import settings_of
 from craftsim.training.shape import Shape
 from craftsim.training.starts import with_starts
 from craftsim.training.trainer import Trainer

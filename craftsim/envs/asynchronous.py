@@ -43,7 +43,6 @@ class AsynchronousCore(Core):
         self._zero_s = self.backend.advance(0.0).time_s
         self._wrong = np.zeros(self.n_cars, np.bool_)
         self._found: list[dict[str, Any]] = [{} for _ in range(self.n_cars)]
-        self._stale = False
         self._take_turns()
         shared = {"success": False, "duration_s": 0.0, "problems": (), "deadlock": None}
         return self._infos(shared, *np.zeros((2, self.n_cars), np.bool_))
@@ -78,13 +77,7 @@ class AsynchronousCore(Core):
             begun = Action(episodes.running.action[0, car])
             self.backend.begin(car, begun, before, episodes.grids.cars[0, car])
         del self.turns[0]
-        self._stale = True
-
-    def refresh(self) -> None:
-        """Bring what is observed up to date with what has begun since the last event."""
-        if self._stale:
-            self._look()
-            self._stale = False
+        self._seen = None
 
     def step(self, actions: Any) -> CoreStep:
         """Let the cars that decide begin their actions, and run to the next event; ``actions`` (n,) by car."""
@@ -119,7 +112,6 @@ class AsynchronousCore(Core):
         steps = episodes.settle(before, ends, self.options.time_weight, problems)
         episodes.decisions.earned[:] += steps.reward
         self._look()
-        self._stale = False
         self._show()
         success, over = bool(steps.success[0]), bool(steps.done[0]) or bool(problems)
         deadlock = None if over or (success and self.task.ends_on_success) else episodes.deadlock(0)
@@ -218,7 +210,6 @@ class AsynchronousConstruction(CarWorld, AECEnv[str, Observation, int]):
 
     def observe(self, agent: str) -> Observation:
         """Return what an agent observes now, what has begun already included."""
-        self.core.refresh()
         return self.observe_all()[agent]
 
     def step(self, action: int | None) -> None:
@@ -242,13 +233,7 @@ class AsynchronousConstruction(CarWorld, AECEnv[str, Observation, int]):
             self.truncations = dict.fromkeys(self.agents, result.truncated)
             self.infos = dict(zip(self.agents, result.infos, strict=True))
         else:
-            self.core.refresh()
             for car, mask in enumerate(self.core.masks.copy()):
                 self.infos[self.possible_agents[car]]["action_mask"] = mask
         self._accumulate_rewards()
         self.agent_selection = self.possible_agents[self.core.turns[0]] if self.core.turns else self.agents[0]
-
-    def state(self) -> NDArray[np.int32]:
-        """Return the global state: the rows of all entities, flattened."""
-        self.core.refresh()
-        return super().state()

@@ -183,6 +183,7 @@ class Core:
         self.played = self.task
         """The task of the running episode: the task, or where each has a design of its own, the one with that."""
         self._episodes: Episodes | None = None
+        self._seen: Observation | None = None
         self._runs = False
         self.pictures: list[NDArray[np.uint8]] = []
         self._seed(None)
@@ -252,11 +253,22 @@ class Core:
         return self.task.starting_from([grid], options.get("design"))
 
     def _look(self) -> None:
-        """Bring what the cars observe up to date; callers get copies, for the next tick is judged by these."""
-        seen = observed(self.episodes, self.form, self.options.local_view)
-        self.seen: Observation = {key: array[0] for key, array in seen.items()}
-        self.masks: NDArray[np.int8] = self.seen["action_mask"]  # (n, n_actions): what is offered
+        """Take note that there is something new to observe."""
+        self._seen = None
         self.images: Observation = self.backend.images()  # of all cameras, by kind
+
+    @property
+    def seen(self) -> Observation:
+        """What an agent of all cars observes, images aside; hand out copies, for the next tick is judged by these."""
+        if self._seen is None:
+            seen = observed(self.episodes, self.form, self.options.local_view)
+            self._seen = {key: array[0] for key, array in seen.items()}
+        return self._seen
+
+    @property
+    def masks(self) -> NDArray[np.int8]:
+        """(n, n_actions): what each car is offered."""
+        return self.seen["action_mask"]
 
     def vectors(self) -> NDArray[np.int32]:
         """Return (n, length): each car's observation, its own row first."""
@@ -264,8 +276,6 @@ class Core:
 
     def state(self) -> NDArray[np.int32]:
         """Return the global state: all rows, flattened, shape (13 * n_observed,). Raises InputError before a reset."""
-        if self._episodes is None:
-            raise InputError(_RESET_FIRST)
         state: NDArray[np.int32] = self.seen["observation"].copy()
         return state
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.observation import car_vectors
-from craftsim.envs.central import CentralConstruction
+from craftsim.envs.central import OF_WORLD, CentralConstruction
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import BatchOptions
 from craftsim.envs.vector import Batch, TaskVectorEnv
@@ -27,8 +27,6 @@ from craftsim.workers.actor import Actor, WorkerDiedError
 from craftsim.workers.pool import Engine
 from craftsim.workers.ray_actor import RayActor, processors
 
-_OF_WORLD: Final = ("success", "duration_s", "problems", "deadlock")
-"""Infos that a world has one of; of the others it has one per car."""
 _CLOSE_S: Final = 10.0
 """How long worlds may take to write their records, and to close."""
 
@@ -259,7 +257,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
 
 def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
     """Return an info of some worlds as an array (k,), or (k, n) where it is the cars'; texts are objects in it."""
-    by_car = key not in _OF_WORLD
+    by_car = key not in OF_WORLD
     first = values[0][0] if by_car else values[0]
     if isinstance(first, bool | np.bool_ | float | int):
         return np.array(values)

@@ -73,15 +73,7 @@ class PlannerPolicy:
     """
 
     def __init__(self, env: SingleWorld, rounds: int = ROUNDS, seed: int = 0) -> None:
-        """Play in an environment, whose whole world is looked at.
-
-        Args:
-            env: runs the episodes.
-            rounds: attempts at each plan.
-            seed: of the plans.
-
-        Raises InputError for a task that has no goal.
-        """
+        """Play in an environment, whose whole world is looked at. Raises InputError for a task that has no goal."""
         if not env.core.task.has_goal:
             raise InputError(
                 f"task '{env.core.task.name}' has no goal to plan for; give it a design, or choose another policy"

@@ -103,8 +103,8 @@ def save_policy(path: Path, head: PolicyHead, net: CarNet) -> None:
 
 def read_policy(path: Path) -> tuple[PolicyHead, CarNet]:
     """Return what :func:`save_policy` wrote; raises InputError for any other file."""
+    head, arrays = _read(path, _POLICY)
     with naming(path):
-        head, arrays = _read(path, _POLICY)
         return head, _net(head, arrays)
 
 
@@ -158,6 +158,12 @@ def _read(path: Path, kind: _Kind) -> tuple[Any, dict[str, Any]]:
     """Return the head of a file, and its arrays by name."""
     with open_file(path, kind.limits) as file:
         start = file.read(8)
+    with naming(path):
+        return _content(path, start, kind)
+
+
+def _content(path: Path, start: bytes, kind: _Kind) -> tuple[Any, dict[str, Any]]:
+    """Return the same; ``start`` are the first bytes."""
     if start.startswith(b"PK"):
         raise InputError(
             f"written by craftsim 0.2 or older, whose {kind.several} this version does not read; train it again"

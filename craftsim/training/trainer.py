@@ -83,20 +83,12 @@ class Trainer:
         progress: Progress = silent,
         stages: Sequence[Task] | None = None,
     ) -> None:
-        """Prepare a run; close it when it is done with.
+        """Prepare a run; close it when it is done with. Raises InputError where there is no such task.
 
-        Args:
-            config: what decides the run.
-            starts: the task with other starts to train from, where they are not its own.
-            task: the task itself; looked up by its name in the configuration unless given. A configuration may come
-                from a file, so that nothing is imported for a name in it: what Python code makes has to be given.
-            workers: how many processes share the worlds in physics; one for each processor unless given.
-            engine: processes of this machine, or actors of an existing Ray cluster.
-            progress: shows how many plans have been made, where plans are imitated.
-            stages: the tasks of the stages themselves, as ``task``.
-
-        Raises:
-            InputError: there is no such task.
+        ``starts`` is the task with other starts to train from, where they are not its own. ``task`` and the tasks of
+        the ``stages`` are looked up by their names in the configuration unless given. That may come from a file, so
+        that nothing is imported for a name in it: what Python code makes has to be given. ``workers`` and ``engine``
+        share the worlds in physics, as those of :class:`craftsim.envs.options.BatchOptions`.
         """
         self.config, self._shared = config, {"workers": workers, "engine": engine}
         self.task = task or _named(config.task, config)
@@ -257,19 +249,13 @@ class Trainer:
     def resume(
         cls, folder: Path, starts: Task | None = None, config: TrainConfig | None = None, **given: Any
     ) -> Trainer:
-        """Return the run that a folder holds, as it was when it was saved.
+        """Return the run that a folder holds, as it was when it was saved; ``given`` is as of the constructor.
 
-        Raises InputError for a file that is none or damaged, and where the configuration, the task or the other starts
-        are not those that the run was begun with.
-
-        Args:
-            folder: holds the run.
-            starts: the task with other starts to train from, where they are not its own.
-            config: what the run must have been begun with; anything unless given.
-            given: further arguments of the constructor.
+        Raises InputError for a file that is none or damaged, and where the task, the other starts or, if it is given,
+        the configuration are not those that the run was begun with.
         """
+        head, arrays = read_run(folder / RUN_FILE)
         with naming(folder / RUN_FILE):
-            head, arrays = read_run(folder / RUN_FILE)
             if config is not None and head.config != config:
                 raise InputError(f"it was begun with {head.config}, not with {config}")
             trainer = cls(head.config, starts, **given)

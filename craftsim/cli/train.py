@@ -173,8 +173,7 @@ def _settings_of(words: Iterable[str]) -> dict[str, Any]:
 
 def _config(given: dict[str, Any], besides: dict[str, Any], run: Protocol, **flags: Any) -> TrainConfig:
     """Return the configuration that flags and --set ask for; a preset settles the rest."""
-    from craftsim.training.config import TrainConfig
-    from craftsim.training.settings import KINDS, read_settings
+    from craftsim.training.config import KINDS, TrainConfig, read_settings
 
     if run.settings and ({"imitate", "pretrained"} & {*given} or "starts" in besides):
         raise InputError("a --preset learns from nothing; leave starts, imitate and pretrained out")

@@ -94,6 +94,13 @@ class Event(Steps):
     """(B,): nothing can go on, for :meth:`AsynchronousEpisodes.deadlock` says why."""
 
 
+def make_episodes(*arguments: Any, timing: Timing | None = None, **more: Any) -> Episodes:
+    """Return episodes in ticks, or with a timing asynchronous ones; other arguments are those of :class:`Episodes`."""
+    if timing is None:
+        return Episodes(*arguments, **more)
+    return AsynchronousEpisodes(*arguments, timing=timing, **more)
+
+
 class AsynchronousEpisodes(Episodes):
     """B asynchronous episodes of one task. All state is in public attributes.
 

@@ -13,12 +13,11 @@ from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, Async
 from craftsim.discrete.kernel.events import DECIDES, Ends
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.actions import checked
 from craftsim.envs.core import Core, CoreStep
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import Options
-from craftsim.envs.parallel import CarWorld, ParallelConstruction
+from craftsim.envs.parallel import CarWorld, Infos, ParallelConstruction, Step
 from craftsim.errors import InputError
 
 _STOP = int(Action.STOP)
@@ -30,12 +29,6 @@ class AsynchronousCore(Core):
     :attr:`turns` lists the cars that decide, in their order; each decides with :meth:`begin`, and when all have,
     :meth:`advance` runs to the next event, at which at least one action or wait ends.
     """
-
-    def _first(self, start: Starts) -> AsynchronousEpisodes:
-        kind = self.options.rule_set, self.options.helper_depth
-        return AsynchronousEpisodes(
-            self.task, self._rng, 1, *kind, start, self.rules.own, timing=self.options.timing
-        )
 
     @property
     def episodes(self) -> AsynchronousEpisodes:
@@ -50,7 +43,6 @@ class AsynchronousCore(Core):
         self._zero_s = self.backend.advance(0.0).time_s
         self._wrong = np.zeros(self.n_cars, np.bool_)
         self._found: list[dict[str, Any]] = [{} for _ in range(self.n_cars)]
-        self._stale = False
         self._take_turns()
         shared = {"success": False, "duration_s": 0.0, "problems": (), "deadlock": None}
         return self._infos(shared, *np.zeros((2, self.n_cars), np.bool_))
@@ -85,13 +77,7 @@ class AsynchronousCore(Core):
             begun = Action(episodes.running.action[0, car])
             self.backend.begin(car, begun, before, episodes.grids.cars[0, car])
         del self.turns[0]
-        self._stale = True
-
-    def refresh(self) -> None:
-        """Bring what is observed up to date with what has begun since the last event."""
-        if self._stale:
-            self._look()
-            self._stale = False
+        self._seen = None
 
     def step(self, actions: Any) -> CoreStep:
         """Let the cars that decide begin their actions, and run to the next event; ``actions`` (n,) by car."""
@@ -125,7 +111,6 @@ class AsynchronousCore(Core):
         ends = Ends(np.array([duration_s]), doing, ended[None], failed[None])
         steps = episodes.settle(before, ends, self.options.time_weight, problems)
         self._look()
-        self._stale = False
         self._show()
         success, over = bool(steps.success[0]), bool(steps.done[0]) or bool(problems)
         deadlock = None if over or (success and self.task.ends_on_success) else episodes.deadlock(0)
@@ -178,26 +163,23 @@ class AsynchronousParallel(ParallelConstruction):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, Observation], Infos]:
         """Begin an episode, in which all agents decide first."""
         observations, infos = super().reset(seed, options)
         return observations, {agent: info | {"ignored": False} for agent, info in infos.items()}
 
-    def step(self, actions: dict[str, int]) -> tuple[Any, ...]:
+    def step(self, actions: dict[str, int]) -> Step:
         """Let the agents that decide begin their actions, and run to the next event.
 
         Raises InputError where no episode runs, and if such an agent's action is missing or none.
         """
         self.core.require_episode()
         acting = self.agents_to_act
-        asked = {agent: actions.get(agent, _STOP) for agent in self.agents if agent not in acting}
-        asked |= {agent: actions[agent] for agent in acting if agent in actions}
-        ignored = set(actions) - set(acting)
-        agents = self.agents
-        observations, _, terminated, truncated, infos = super().step(asked)
-        rewards = {agent: infos[agent]["earned"] for agent in agents}
-        for agent in agents:
-            infos[agent]["ignored"] = agent in ignored
+        waiting = {agent: _STOP for agent in self.agents if agent not in acting}
+        observations, _, terminated, truncated, infos = super().step(waiting | actions)
+        for agent, info in infos.items():
+            info["ignored"] = agent in actions and agent not in acting
+        rewards = {agent: info["earned"] for agent, info in infos.items()}
         return observations, rewards, terminated, truncated, infos
 
 
@@ -227,7 +209,6 @@ class AsynchronousConstruction(CarWorld, AECEnv[str, Observation, int]):
 
     def observe(self, agent: str) -> Observation:
         """Return what an agent observes now, what has begun already included."""
-        self.core.refresh()
         return self.observe_all()[agent]
 
     def step(self, action: int | None) -> None:
@@ -251,13 +232,7 @@ class AsynchronousConstruction(CarWorld, AECEnv[str, Observation, int]):
             self.truncations = dict.fromkeys(self.agents, result.truncated)
             self.infos = dict(zip(self.agents, result.infos, strict=True))
         else:
-            self.core.refresh()
             for car, mask in enumerate(self.core.masks.copy()):
                 self.infos[self.possible_agents[car]]["action_mask"] = mask
         self._accumulate_rewards()
         self.agent_selection = self.possible_agents[self.core.turns[0]] if self.core.turns else self.agents[0]
-
-    def state(self) -> NDArray[np.int32]:
-        """Return the global state: the rows of all entities, flattened."""
-        self.core.refresh()
-        return super().state()

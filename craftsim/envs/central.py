@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import gymnasium
 import numpy as np
@@ -13,6 +13,9 @@ from craftsim.envs.core import SingleWorld
 from craftsim.envs.observations import Observation, central_space, joint_action_space
 from craftsim.envs.options import Options
 from craftsim.errors import InputError
+
+OF_WORLD: Final = ("success", "duration_s", "problems", "deadlock")
+"""Infos that a world has one of; of the others it has one per car."""
 
 
 class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
@@ -51,7 +54,7 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
         keys = dict.fromkeys(key for of_car in result.infos for key in of_car)
         info: dict[str, Any] = {key: tuple(of_car.get(key) for of_car in result.infos) for key in keys}
         info["action_mask"] = self.core.masks.copy()
-        for key in {"success", "duration_s", "problems", "deadlock"} & set(keys):
+        for key in keys.keys() & set(OF_WORLD):
             info[key] = info[key][0]
         return self._observe(), result.reward, result.terminated, result.truncated, info
 
@@ -61,7 +64,6 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
         return self.core.masks.astype(np.bool_).ravel()
 
     def _observe(self) -> Observation:
-        observation: Observation = {"observation": self.core.state(), "action_mask": self.core.masks.copy()}
-        observation |= {key: array.copy() for key, array in self.core.extras.items()}
+        observation = {key: array.copy() for key, array in self.core.seen.items()}
         images = self.core.options.images
         return observation if images is None else observation | images.of_all(self.core.images)

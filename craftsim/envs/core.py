@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.asynchronous import Timing
+from craftsim.discrete.asynchronous import Timing, make_episodes
 from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kernel.events import moment
+from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import car_durations, situation
@@ -25,7 +26,7 @@ from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.discrete.tasks.rewards import Reward
 from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.actions import checked, illegal
-from craftsim.envs.observations import Observation, extras
+from craftsim.envs.observations import Observation, observed
 from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
 from craftsim.errors import InputError
 
@@ -182,6 +183,7 @@ class Core:
         self.played = self.task
         """The task of the running episode: the task, or where each has a design of its own, the one with that."""
         self._episodes: Episodes | None = None
+        self._seen: Observation | None = None
         self._runs = False
         self.pictures: list[NDArray[np.uint8]] = []
         self._seed(None)
@@ -225,7 +227,8 @@ class Core:
         seen = self.backend.start(start.grid(0), self._backend_rng, own)
         start = Starts(seen[None], start.designs)
         if self._episodes is None:
-            self._episodes = self._first(start)
+            how = self.options.rule_set, self.options.helper_depth, start, self.rules.own
+            self._episodes = make_episodes(self.task, self._rng, 1, *how, timing=self.options.timing)
         else:
             self._episodes.begin(_ONE, start)
         self._runs = True
@@ -233,10 +236,6 @@ class Core:
         self.pictures.clear()
         self._show()
         return [{"action_mask": mask} for mask in self.masks.copy()]
-
-    def _first(self, start: Starts) -> Episodes:
-        kind = self.options.rule_set, self.options.helper_depth
-        return Episodes(self.task, self._rng, 1, *kind, start, self.rules.own)
 
     def _episode_of(self, options: dict[str, Any]) -> Task:
         """Return the task of a new episode, from which its start is drawn."""
@@ -254,22 +253,31 @@ class Core:
         return self.task.starting_from([grid], options.get("design"))
 
     def _look(self) -> None:
-        """Bring what the cars observe up to date; callers get copies, for the next tick is judged by these."""
-        self.masks: NDArray[np.int8] = self.form.masks(self.episodes)[0]  # (n, n_actions): what is offered
-        self.rows: NDArray[np.int32] = self.episodes.entity_rows()[0]  # (n_observed, 13)
-        seen = extras(self.episodes, self.form, self.options.local_view)
-        self.extras: Observation = {key: array[0] for key, array in seen.items()}  # (n, ...), beside the rows
+        """Take note that there is something new to observe."""
+        self._seen = None
         self.images: Observation = self.backend.images()  # of all cameras, by kind
+
+    @property
+    def seen(self) -> Observation:
+        """What an agent of all cars observes, images aside; hand out copies, for the next tick is judged by these."""
+        if self._seen is None:
+            seen = observed(self.episodes, self.form, self.options.local_view)
+            self._seen = {key: array[0] for key, array in seen.items()}
+        return self._seen
+
+    @property
+    def masks(self) -> NDArray[np.int8]:
+        """(n, n_actions): what each car is offered."""
+        return self.seen["action_mask"]
 
     def vectors(self) -> NDArray[np.int32]:
         """Return (n, length): each car's observation, its own row first."""
-        return car_vectors(self.rows, self.n_cars)
+        return car_vectors(self.seen["observation"].reshape(-1, ROW), self.n_cars)
 
     def state(self) -> NDArray[np.int32]:
         """Return the global state: all rows, flattened, shape (13 * n_observed,). Raises InputError before a reset."""
-        if self._episodes is None:
-            raise InputError(_RESET_FIRST)
-        return self.rows.ravel().copy()
+        state: NDArray[np.int32] = self.seen["observation"].copy()
+        return state
 
     def require_episode(self) -> None:
         """Raise InputError where no episode runs."""

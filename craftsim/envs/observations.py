@@ -100,9 +100,13 @@ def _extra_spaces(task: Task, options: Options, form: ActionForm) -> dict[str, s
     return found
 
 
-def extras(episodes: Episodes, form: ActionForm, radius: int | None) -> Observation:
-    """Return what :func:`_extra_spaces` are the spaces of, each (B, n, ...), after the masks."""
-    found = dict(form.observed(episodes))
+def observed(episodes: Episodes, form: ActionForm, radius: int | None) -> Observation:
+    """Return what :func:`central_space` is the space of, for each of B worlds; images aside."""
+    found: Observation = {
+        "observation": episodes.entity_rows().reshape(len(episodes), -1),
+        "action_mask": form.masks(episodes),
+        **form.observed(episodes),
+    }
     if radius is not None:
         found["local_view"] = local_views(episodes.grids, episodes.designs, radius)
     if isinstance(episodes, AsynchronousEpisodes):

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, InstanceOf
 
+from craftsim.choices import Execution
 from craftsim.discrete.actions import ACTIONS, as_own
 from craftsim.discrete.asynchronous import Timing
 from craftsim.discrete.kinds import Action
@@ -28,7 +29,6 @@ from craftsim.storage.records import record
 from craftsim.workers.pool import Engine
 
 BackendName = Literal["physics", "grid"]
-Execution = Literal["synchronous", "asynchronous"]
 Durations = Literal["nominal", "equal"]
 RenderMode = Literal["rgb_array", "rgb_array_list", "human", "ansi"]
 RENDER_MODES: Final[tuple[str, ...]] = get_args(RenderMode)

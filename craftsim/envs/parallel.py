@@ -15,6 +15,10 @@ from craftsim.envs.core import Backend, SingleWorld
 from craftsim.envs.observations import Observation, car_space, state_space
 from craftsim.envs.options import Options
 
+Infos = dict[str, dict[str, Any]]
+Step = tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]
+"""By agent: observations, rewards, whether they are terminated and truncated, infos."""
+
 
 class Observations(dict[str, Observation]):
     """The observations of all agents, by agent, with their task, and whether an episode begins."""
@@ -51,19 +55,16 @@ class CarWorld(SingleWorld):
 
     def observe_all(self) -> dict[str, Observation]:
         """Return the observations of all agents."""
-        core, options = self.core, self.core.options
+        core, observe, images = self.core, self.core.options.observe, self.core.options.images
         seen: Any = core.vectors()
-        if options.observe is not None:
+        if observe is not None:
             grid = core.grid
-            seen = [options.observe.of(grid, car) for car in range(core.n_cars)]
-        of_cars = {
-            agent: {"observation": seen[car], "action_mask": mask}
-            | {key: array[car].copy() for key, array in core.extras.items()}
-            for car, (agent, mask) in enumerate(zip(self.possible_agents, core.masks.copy(), strict=True))
-        }
-        if options.images is not None:
-            for car, observation in enumerate(of_cars.values()):
-                observation |= options.images.of_car(core.images, car)
+            seen = [observe.of(grid, car) for car in range(core.n_cars)]
+        of_cars = {}
+        for car, agent in enumerate(self.possible_agents):
+            own = {key: array[car].copy() for key, array in core.seen.items() if key != "observation"}
+            shown = {} if images is None else images.of_car(core.images, car)
+            of_cars[agent] = {"observation": seen[car], **own, **shown}
         return Observations(of_cars, core.task, bool(core.episodes.t[0] == 0))
 
     def state(self) -> NDArray[np.int32]:
@@ -76,21 +77,13 @@ class ParallelConstruction(CarWorld, ParallelEnv[str, Observation, int]):
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, Observation], Infos]:
         """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
         infos = self.core.reset(seed, options)
         self.agents = self.possible_agents[:]
         return self.observe_all(), dict(zip(self.agents, infos, strict=True))
 
-    def step(
-        self, actions: dict[str, int]
-    ) -> tuple[
-        dict[str, Observation],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, dict[str, Any]],
-    ]:
+    def step(self, actions: dict[str, int]) -> Step:
         """Let all cars act once.
 
         Raises InputError where no episode runs, and if an agent's action is missing or no number from 0 to 14.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.observation import car_vectors
-from craftsim.envs.central import CentralConstruction
+from craftsim.envs.central import OF_WORLD, CentralConstruction
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import BatchOptions
 from craftsim.envs.vector import Batch, TaskVectorEnv
@@ -27,8 +27,6 @@ from craftsim.workers.actor import Actor, WorkerDiedError
 from craftsim.workers.pool import Engine
 from craftsim.workers.ray_actor import RayActor, processors
 
-_OF_WORLD: Final = ("success", "duration_s", "problems", "deadlock")
-"""Infos that a world has one of; of the others it has one per car."""
 _CLOSE_S: Final = 10.0
 """How long worlds may take to write their records, and to close."""
 
@@ -169,29 +167,18 @@ class PhysicsVectorEnv(TaskVectorEnv):
         Raises CraftsimError where a world could not be closed, as it could not write its records.
         """
         self._acting[:] = False
-        idle = {number: actor for number, actor in enumerate(self._actors) if not actor.due}
-        self._ask(
-            {
-                world: (CentralConstruction.close, ())
-                for world in range(self.num_envs)
-                if world % self.workers in idle
-            }
-        )
+        left = [actor for actor in self._actors if not actor.due]
+        for actor in left:
+            actor.send(None)
         problems: list[CraftsimError] = []
-        end_s, left = time.monotonic() + _CLOSE_S, list(idle.values())
+        end_s = time.monotonic() + _CLOSE_S
         # Of a cluster that is gone, and of workers that have died, nothing is left to be closed.
         with suppress(InputError):
-            while left := [actor for actor in left if actor.due]:
-                ready = self._kind.wait(left, max(0.0, end_s - time.monotonic()))
-                if not ready:
-                    break
+            while left and (ready := self._kind.wait(left, max(0.0, end_s - time.monotonic()))):
                 for actor in ready:
-                    try:
-                        answer = actor.recv()[1]
-                    except WorkerDiedError:
-                        left.remove(actor)
-                    else:
-                        problems += [answer] if isinstance(answer, CraftsimError) else []
+                    left.remove(actor)
+                    with suppress(WorkerDiedError):
+                        problems += actor.recv()
         while self._actors:
             self._actors.pop().kill()
         for problem in problems:
@@ -270,7 +257,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
 
 def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
     """Return an info of some worlds as an array (k,), or (k, n) where it is the cars'; texts are objects in it."""
-    by_car = key not in _OF_WORLD
+    by_car = key not in OF_WORLD
     first = values[0][0] if by_car else values[0]
     if isinstance(first, bool | np.bool_ | float | int):
         return np.array(values)
@@ -290,15 +277,22 @@ class _Holder:
     def __init__(self, make: Callable[[], CentralConstruction], worlds: Iterable[int]) -> None:
         self._envs = {world: make() for world in worlds}
 
-    def __call__(self, asked: tuple[int, Callable[..., Any], tuple[Any, ...]]) -> tuple[int, Any]:
-        """Return the number of a world and what a call comes to; what that raises is its answer, too."""
+    def __call__(self, asked: tuple[int, Callable[..., Any], tuple[Any, ...]] | None) -> Any:
+        """Return the number of a world and what a call comes to; asked for nothing, close all and return errors."""
+        if asked is None:
+            closed = [self._answer(world, CentralConstruction.close) for world in self._envs]
+            return [answer for answer in closed if isinstance(answer, CraftsimError)]
         world, call, arguments = asked
+        return world, self._answer(world, call, *arguments)
+
+    def _answer(self, world: int, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Return what a call comes to; what it raises is an answer, too."""
         try:
-            return world, call(self._envs[world], *arguments)
+            return call(self._envs[world], *arguments)
         except CraftsimError as error:
-            return world, error
+            return error
         except Exception:
-            return world, CraftsimError(f"a world in physics broke down:\n{traceback.format_exc()}")
+            return CraftsimError(f"a world in physics broke down:\n{traceback.format_exc()}")
 
 
 def _act(env: CentralConstruction, actions: NDArray[np.int64]) -> tuple[Any, ...]:

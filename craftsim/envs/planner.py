@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Any, Final
 
@@ -19,19 +19,16 @@ ROUNDS: Final = 60
 """Attempts at each plan; more of them take longer and find shorter ones."""
 
 
-class _Carried:
-    """A schedule that is being carried out: each car acts as soon as the actions that its own depends on are done."""
+def _due(left: dict[int, ScheduledAction]) -> dict[int, Action]:
+    """Take what cars are to do now out of what is left of a schedule, by car; any acting order of it will do.
 
-    def __init__(self, steps: Sequence[ScheduledAction] = ()) -> None:
-        self._left = dict(enumerate(steps))
-
-    def due(self) -> dict[int, Action]:
-        """Return what cars are to do now, by car, and count it as done; any acting order of it will do."""
-        ready: dict[int, int] = {}
-        for index, step in self._left.items():
-            if self._left.keys().isdisjoint(step.waits_for):
-                ready.setdefault(step.car, index)
-        return {car: self._left.pop(index).action for car, index in ready.items()}
+    Each car acts as soon as the actions that its own depends on are done.
+    """
+    ready: dict[int, int] = {}
+    for index, step in left.items():
+        if left.keys().isdisjoint(step.waits_for):
+            ready.setdefault(step.car, index)
+    return {car: left.pop(index).action for car, index in ready.items()}
 
 
 def _answer(chosen: Mapping[int, Action], agents: Iterable[str]) -> dict[str, int]:
@@ -47,14 +44,15 @@ class PlanPolicy:
 
     def __init__(self, env: SingleWorld, plan: Plan) -> None:
         self._env, self._plan = env, plan
-        self._carried: _Carried | None = None
+        self._left: dict[int, ScheduledAction] | None = None
 
     def __call__(self, observations: Mapping[str, Any]) -> dict[str, int]:
         """Return one action for each agent."""
-        if self._carried is None:
+        if self._left is None:
             core, plan = self._env.core, self._plan
-            self._carried = _Carried(make_schedule(core.grid, plan.ticks, core.rules, after=plan.after).steps)
-        return _answer(self._carried.due(), observations)
+            schedule = make_schedule(core.grid, plan.ticks, core.rules, after=plan.after)
+            self._left = dict(enumerate(schedule.steps))
+        return _answer(_due(self._left), observations)
 
 
 class PlannerPolicy:
@@ -75,32 +73,26 @@ class PlannerPolicy:
     """
 
     def __init__(self, env: SingleWorld, rounds: int = ROUNDS, seed: int = 0) -> None:
-        """Play in an environment, whose whole world is looked at.
-
-        Args:
-            env: runs the episodes.
-            rounds: attempts at each plan.
-            seed: of the plans.
-
-        Raises InputError for a task that has no goal.
-        """
+        """Play in an environment, whose whole world is looked at. Raises InputError for a task that has no goal."""
         if not env.core.task.has_goal:
             raise InputError(
                 f"task '{env.core.task.name}' has no goal to plan for; give it a design, or choose another policy"
             )
         self._env, self._rounds, self._seed = env, rounds, seed
         self._predicted: Grid | None = None
-        self._carried = _Carried()
+        self._left: dict[int, ScheduledAction] = {}
 
     def __call__(self, observations: Mapping[str, Any]) -> dict[str, int]:
         """Return one action for each agent."""
         core, grid = self._env.core, self._env.core.grid
         if self._predicted is None or not self._predicted.same_visible(grid):
             how: Any = {"rounds": self._rounds, "time_s": math.inf, "seed": self._seed}
-            self._carried = _Carried()
+            self._left = {}
             with suppress(NoPlanError):
-                self._carried = _Carried(plan_building(grid, core.played, core.rules, **how).schedule.steps)
-        chosen = self._carried.due()
+                self._left = dict(
+                    enumerate(plan_building(grid, core.played, core.rules, **how).schedule.steps)
+                )
+        chosen = _due(self._left)
         for car, action in chosen.items():
             grid = core.rules.apply(grid, car, action)
         self._predicted = grid

@@ -10,13 +10,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from craftsim.discrete.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes
+from craftsim.discrete.asynchronous import BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, make_episodes
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.schedule import car_durations
 from craftsim.discrete.tasks import Task, as_task
-from craftsim.discrete.tasks.episodes import Episodes, Steps
+from craftsim.discrete.tasks.episodes import Steps
 from craftsim.envs.actions import checked, illegal
-from craftsim.envs.observations import Observation, central_space, extras, joint_action_space
+from craftsim.envs.observations import Observation, central_space, joint_action_space, observed
 from craftsim.envs.options import BATCH_OPTIONS, BatchOptions, Options
 from craftsim.errors import InputError
 
@@ -72,13 +72,10 @@ class GridVectorEnv(TaskVectorEnv):
                 raise InputError(f"a batch of grid worlds knows no '{name}'; leave it out")
         super().__init__(task, BatchOptions(num_envs).num_envs, chosen)
         self.time_weight = chosen.time_weight
-        rng, kind = np.random.default_rng(), (chosen.rule_set, chosen.helper_depth)
-        if chosen.timing is None:
-            self.episodes = Episodes(self.task, rng, num_envs, *kind, actions=self.form.own)
-        else:
-            self.episodes = AsynchronousEpisodes(
-                self.task, rng, num_envs, *kind, actions=self.form.own, timing=chosen.timing
-            )
+        how = chosen.rule_set, chosen.helper_depth, None, self.form.own
+        self.episodes = make_episodes(
+            self.task, np.random.default_rng(), num_envs, *how, timing=chosen.timing
+        )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -113,7 +110,8 @@ class GridVectorEnv(TaskVectorEnv):
             over |= infos["deadlock"]
         ended = np.flatnonzero(over)
         if len(ended):
-            seen, last = self._seen(episodes.some(ended)), np.full(self.num_envs, None, object)
+            seen = observed(episodes.some(ended), self.form, self._radius)
+            last = np.full(self.num_envs, None, object)
             for place, i in enumerate(ended.tolist()):
                 last[i] = {key: array[place] for key, array in seen.items()}
             infos |= {"final_obs": last, "_final_obs": over}
@@ -154,15 +152,9 @@ class GridVectorEnv(TaskVectorEnv):
             "deadlock": event.deadlock,
         }
 
-    def _seen(self, episodes: Episodes) -> Observation:
-        """Return what is observed of worlds."""
-        rows, masks = episodes.entity_rows().reshape(len(episodes), -1), self.form.masks(episodes)
-        seen: Observation = {"observation": rows, "action_mask": masks}
-        return seen | extras(episodes, self.form, self._radius)
-
     def _look(self, infos: dict[str, Any]) -> tuple[Observation, dict[str, Any]]:
         """Return what is observed of all worlds, and infos that say who decides next."""
-        seen = self._seen(self.episodes)
+        seen = observed(self.episodes, self.form, self._radius)
         self._masks = seen["action_mask"].copy()  # by which the next step is judged
         if isinstance(self.episodes, AsynchronousEpisodes):
             infos["decides"] = self.episodes.decides

@@ -48,7 +48,7 @@ HEADER: Final = _plain("campaign.json", 4 * MIB)
 SESSION: Final = _plain("session.db", 64 * 1024 * MIB)
 TRIALS: Final = _plain("trials.jsonl", 64 * 1024 * MIB, line_bytes=16 * MIB)
 POLICY: Final = _plain("policy file", 128 * MIB)
-RUN: Final = Limits("run file", 4096 * MIB, 4096 * MIB, members=1024)
+RUN: Final = _plain("run file", 4096 * MIB)
 TABLE: Final = _plain("CSV table", 16 * MIB)
 LOG: Final = _plain("log", 64 * MIB, line_bytes=4 * KIB)
 PICTURE: Final = _plain("picture of a level", MIB)
@@ -89,10 +89,8 @@ MAX_ERROR_CHARACTERS: Final = 8000
 
 POLICY_HEAD_BYTES: Final = MIB
 """Size of the head of a policy file."""
-PICKLE_BYTES: Final = 4 * MIB
-"""Size of the table of contents of a run file."""
-PICKLE_STEPS: Final = 500_000
-"""Approximate number of values in that table."""
+RUN_HEAD_BYTES: Final = 4 * MIB
+"""Size of the head of a run file."""
 CURVE_POINTS: Final = 20_000
 """Number of points of a learning curve."""
 LARGEST_WEIGHT: Final = 1e4

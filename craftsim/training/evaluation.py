@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from craftsim.choices import Execution
-from craftsim.discrete.asynchronous import AsynchronousEpisodes
+from craftsim.discrete.asynchronous import AsynchronousEpisodes, make_episodes
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Steps
@@ -23,7 +23,7 @@ from craftsim.training.config import Acting
 from craftsim.training.curve import EvaluationResult
 from craftsim.training.exploration import hashes
 from craftsim.training.networks import CarNet, RecurrentState
-from craftsim.training.rollouts import make_episodes
+from craftsim.training.rollouts import TIMINGS
 
 _FACTOR: Final = np.int64(6364136223846793005)
 """Of Knuth's linear congruential generator; numbers are taken modulo 2**64."""
@@ -44,7 +44,9 @@ def evaluate(
     Where a task has a list of held-out starts, episodes take one after the other. In asynchronous execution a tick is
     an event, and a deadlock ends an episode.
     """
-    worlds = make_episodes(task, np.random.default_rng(seed), episodes, rules, helper_depth, execution)
+    worlds = make_episodes(
+        task, np.random.default_rng(seed), episodes, rules, helper_depth, timing=TIMINGS[execution]
+    )
     if task.split == "test" and isinstance(listed := task.sampler, Starts):
         rows = np.arange(episodes)
         worlds.begin(rows, listed.take(rows % len(listed)))

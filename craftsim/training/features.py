@@ -183,10 +183,7 @@ class RelativeEncoder(Encoder):
         """Take over what another encoder of the same width has learnt, whatever its area.
 
         Things that lie alike from a car are looked up alike. The own cell is the one as far from the nearer borders.
-
-        Args:
-            other: the other encoder.
-            learnt: (places,), which rows of its table it has learnt.
+        ``learnt`` (places,) says which rows of its table the other one has learnt.
         """
         self.mask.load_state_dict(other.mask.state_dict())
         self.inner.load_state_dict(other.inner.state_dict())

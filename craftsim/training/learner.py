@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from craftsim.storage.limits import LARGEST_WEIGHT
+from craftsim.training.config import Settings
 from craftsim.training.features import Seen
-from craftsim.training.networks import CarNet, restore_adam, restore_module
+from craftsim.training.networks import Bounds, CarNet
 from craftsim.training.rollouts import Rollout
-from craftsim.training.settings import Settings
+from craftsim.training.shape import Shape
 
 
 class Learner(ABC):
     """An algorithm with its networks and optimiser."""
 
-    net: CarNet  # the policy: from a car's observation to one number per action, higher is better
     modules: nn.Module  # all modules with weights, including target networks
     optimizer: torch.optim.Optimizer
     settings: Settings
-    ticks: int  # length of a rollout: ticks of each world between updates
-    learnt: int = 0  # ticks so far over all worlds, counted by the trainer
+
+    def __init__(self, shape: Shape, ticks: int, algo: str, settings: Settings) -> None:
+        """Make the policy; subclasses make what else is learned."""
+        self.algo, self.settings = algo, settings
+        self.ticks = ticks  # length of a rollout: ticks of each world between updates
+        self.learnt = 0  # ticks so far over all worlds, counted by the trainer
+        self.net = CarNet(shape)  # from a car's observation to one number per action, higher is better
 
     def begin(self, worlds: Tensor) -> None:  # noqa: B027
         """Take note of the worlds (B,) in which an episode begins, as a mask."""
@@ -44,21 +49,23 @@ class Learner(ABC):
         nn.utils.clip_grad_norm_(group["params"], self.settings.max_gradient)
         self.optimizer.step()
 
-    def state(self) -> dict[str, Any]:
-        """Return the complete state for a checkpoint: tensors and plain values."""
-        return {
-            "modules": self.modules.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-            "memory": {},
-        }
+    def tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:
+        """Return all that it has learnt and remembers, by name, for a checkpoint, and bounds of what is no weight.
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restore what :meth:`state` returned.
-
-        Raises InputError, or another error for invalid content; the learner is then unusable.
+        Whoever changes these tensors changes the learner.
         """
-        restore_module(self.modules, state["modules"])
-        restore_adam(self.optimizer, state["optimizer"])
+        found, bounds = self.modules.state_dict(prefix="modules."), dict[str, Bounds]()
+        (group,) = self.optimizer.param_groups
+        for number, weight in enumerate(group["params"]):
+            averages = self.optimizer.state[weight]
+            if not averages:
+                # As Adam begins with the first gradient.
+                averages |= {"step": torch.zeros(())}
+                averages |= {name: torch.zeros_like(weight) for name in ("exp_avg", "exp_avg_sq")}
+            name = f"optimizer.{number}."
+            found |= {f"{name}{key}": average for key, average in averages.items()}
+            bounds |= {f"{name}step": (0, 2**31), f"{name}exp_avg_sq": (0, LARGEST_WEIGHT)}
+        return found, bounds
 
 
 def drawn(logits: Tensor) -> Tensor:

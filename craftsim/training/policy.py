@@ -16,9 +16,8 @@ from craftsim.storage.paths import exists
 if TYPE_CHECKING:
     from craftsim.discrete.rules import RuleSet
     from craftsim.discrete.tasks import Task
-    from craftsim.training.config import TrainConfig
+    from craftsim.training.checkpoint import PolicyHead
     from craftsim.training.networks import CarNet, RecurrentState
-    from craftsim.training.shape import Shape, TaskIdentity
 
 PACKAGES: Final = ("torch",)
 """Whose versions decide what a run learns."""
@@ -43,11 +42,9 @@ def need_torch() -> None:
 class TrainedPolicy:
     """A policy: for each car the highest rated action, or a sample, as its configuration says."""
 
-    def __init__(
-        self, config: TrainConfig, identity: TaskIdentity, shape: Shape, net: CarNet, seed: int = 0
-    ) -> None:
-        self.config, self.identity, self.shape, self.net = config, identity, shape, net
-        self._draws = np.random.default_rng(seed) if config.acting == "sampled" else None
+    def __init__(self, head: PolicyHead, net: CarNet, seed: int = 0) -> None:
+        self.config, self.identity, self.shape, self.net = head.config, head.task, head.shape, net
+        self._draws = np.random.default_rng(seed) if head.config.acting == "sampled" else None
         self._checked: Task | None = None
         self._memory: RecurrentState | None = None
 
@@ -154,5 +151,4 @@ def load_policy(path: str | Path, seed: int = 0) -> TrainedPolicy:
     if str(path).isidentifier() and path not in names and not exists(path):
         close = suggestion(str(path)[:80], names)
         raise InputError(f"{path}: no such file{close}; shipped policies are {', '.join(names)}")
-    head, net = read_policy(policy_file(path))
-    return TrainedPolicy(head.config, head.task, head.shape, net, seed)
+    return TrainedPolicy(*read_policy(policy_file(path)), seed)

@@ -18,11 +18,11 @@ from torch.nn.functional import mse_loss, smooth_l1_loss
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
+from craftsim.training.config import COMASettings, PPOSettings
 from craftsim.training.features import Seen, joined
 from craftsim.training.learner import Learner, drawn, of_actions
-from craftsim.training.networks import CarNet, Critic, OthersNet, follow
+from craftsim.training.networks import Critic, OthersNet, follow
 from craftsim.training.rollouts import Rollout, distinct
-from craftsim.training.settings import COMASettings, PPOSettings
 from craftsim.training.shape import Shape
 from craftsim.training.starts import NOT_SHOWN, Demonstrations
 
@@ -44,11 +44,11 @@ class PPOLearner(Learner):
     Actor and critic share the encoder. Repeated observations in a batch are evaluated once.
     """
 
-    def __init__(self, shape: Shape, ticks: int, sees_team: bool, settings: PPOSettings) -> None:
-        self.settings: PPOSettings = settings
-        self.ticks = ticks
-        self.net = CarNet(shape)
-        self.critic = Critic(shape, sees_team)
+    settings: PPOSettings
+
+    def __init__(self, shape: Shape, ticks: int, algo: str, settings: PPOSettings) -> None:
+        super().__init__(shape, ticks, algo, settings)
+        self.critic = Critic(shape, sees_team=algo == "mappo")
         self.modules = nn.ModuleDict({"net": self.net, "critic": self.critic})
         self.optimizer = torch.optim.Adam(self.modules.parameters(), settings.learning_rate, fused=True)
 
@@ -122,10 +122,10 @@ class COMALearner(Learner):
     Passes over each rollout, whose actions are those of the policy that learns from them.
     """
 
-    def __init__(self, shape: Shape, ticks: int, settings: COMASettings) -> None:
-        self.settings: COMASettings = settings
-        self.ticks = ticks
-        self.net = CarNet(shape)
+    settings: COMASettings
+
+    def __init__(self, shape: Shape, ticks: int, algo: str, settings: COMASettings) -> None:
+        super().__init__(shape, ticks, algo, settings)
         self.critic = OthersNet(shape)
         self.target = deepcopy(self.critic).requires_grad_(False)
         self.modules = nn.ModuleDict({"net": self.net, "critic": self.critic, "target": self.target})

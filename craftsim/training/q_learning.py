@@ -11,7 +11,6 @@ import math
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -19,12 +18,11 @@ from torch.nn.functional import mse_loss
 
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.tasks import ROW
-from craftsim.errors import InputError
+from craftsim.training.config import PQNSettings, QSettings
 from craftsim.training.features import Seen, joined
 from craftsim.training.learner import Learner, drawn_offers, of_actions
-from craftsim.training.networks import CarNet, JointNet, QMixer, RecurrentState, follow, numbers
+from craftsim.training.networks import Bounds, JointNet, QMixer, RecurrentState, follow
 from craftsim.training.rollouts import Rollout, distinct, lambda_returns
-from craftsim.training.settings import PQNSettings, QSettings
 from craftsim.training.shape import Shape
 
 
@@ -35,7 +33,12 @@ class ReplayMemory:
         """Make room for so many rollouts of one world; ``absent`` is the last row of the encoder's table."""
         n, rows = shape.n_cars, shape.vector_length // ROW
         self.size = size
-        self.bounds = {"places": (0, absent), "actions": (0, N_ACTIONS - 1)}
+        self.bounds: dict[str, Bounds] = {
+            "places": (0, absent),
+            "actions": (0, N_ACTIONS - 1),
+            "rewards": (-1e9, 1e9),
+            "total": (0, 2**60),
+        }
         self.columns = {
             "places": torch.zeros(size, ticks, 2, n, rows, dtype=torch.int32),
             "offers": torch.zeros(size, ticks, 2, n, N_ACTIONS, dtype=torch.bool),
@@ -44,12 +47,12 @@ class ReplayMemory:
             "terminated": torch.zeros(size, ticks, dtype=torch.bool),
             "done": torch.zeros(size, ticks, dtype=torch.bool),
         }
-        self.total = 0
+        self.total = torch.zeros((), dtype=torch.int64)
         """Rollouts of one world that were ever put here."""
 
     def __len__(self) -> int:
         """Return how many are remembered."""
-        return min(self.total, self.size)
+        return min(int(self.total), self.size)
 
     def add(self, rollout: Rollout) -> None:
         """Remember what was played in each world, and forget the oldest."""
@@ -72,19 +75,18 @@ class ReplayMemory:
 class QLearner(Learner):
     """Learns the value of each action of a car."""
 
+    settings: QSettings
+
     def __init__(self, shape: Shape, ticks: int, algo: str, settings: QSettings) -> None:
-        self.settings: QSettings = settings
-        self.algo, self.ticks, self.n_cars = algo, ticks, shape.n_cars
-        self.net = CarNet(shape)
+        super().__init__(shape, ticks, algo, settings)
+        self.n_cars = shape.n_cars
         self.team = {"qmix": QMixer, "qtran": JointNet}.get(algo, lambda shape: nn.Identity())(shape)
         self.online = nn.ModuleDict({"net": self.net, "team": self.team})
         self.target_net, self.target_team = deepcopy(self.net), deepcopy(self.team)
         self.target = nn.ModuleDict({"net": self.target_net, "team": self.target_team})
-        self.rewards = nn.Module()  # how many there were so far, their sum, and that of their squares
-        self.rewards.register_buffer("sums", torch.zeros(3, dtype=torch.float64))
-        self.modules = nn.ModuleDict(
-            {"online": self.online, "target": self.target.requires_grad_(False), "rewards": self.rewards}
-        )
+        self.modules = nn.ModuleDict({"online": self.online, "target": self.target.requires_grad_(False)})
+        self.rewards = torch.zeros(3, dtype=torch.float64)
+        """How many there were so far, their sum, and that of their squares."""
         self.loss = self.transformed if algo == "qtran" else self.mixed
         self.optimizer = torch.optim.Adam(self.online.parameters(), settings.learning_rate, fused=True)
         self.replay = ReplayMemory(shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent)
@@ -108,8 +110,8 @@ class QLearner(Learner):
     def update(self, rollout: Rollout) -> None:
         """Remember what was played and learn from batches of what is remembered."""
         self.replay.add(rollout)
-        own, sums = rollout.rewards.double(), self.rewards.get_buffer("sums")
-        sums += torch.stack([own.new_tensor(own.numel()), own.sum(), own.square().sum()])
+        own = rollout.rewards.double()
+        self.rewards += torch.stack([own.new_tensor(own.numel()), own.sum(), own.square().sum()])
         worlds = max(1, round(self.settings.batch / self.ticks))
         for _ in range(math.ceil(len(rollout) * self.settings.replays / (worlds * self.ticks))):
             self.minimize(self.loss(self.replay.sample(worlds)))
@@ -159,29 +161,18 @@ class QLearner(Learner):
 
     def _target(self, batch: Rollout, follows: Tensor) -> Tensor:
         if self.settings.standardize:
-            n, total, squares = self.rewards.get_buffer("sums")
+            n, total, squares = self.rewards
             deviation = (squares / n - (total / n) ** 2).clamp(min=1e-4).sqrt().float()
             batch = replace(batch, rewards=batch.rewards / deviation)
         return lambda_returns(batch, follows, self.settings.gamma, self.settings.td_lambda)
 
-    def state(self) -> dict[str, Any]:
-        """Return the complete state, with the rollouts that are remembered, and how many ever were."""
-        kept = {name: column[: len(self.replay)] for name, column in self.replay.columns.items()}
-        return super().state() | {"memory": {"total": torch.tensor(self.replay.total), **kept}}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restore what :meth:`state` returned: only its total says how many rollouts it holds."""
-        memory = state["memory"]
-        total = memory["total"] if isinstance(memory, dict) else None
-        if not isinstance(total, Tensor) or total.shape != () or not 0 <= int(total) < 2**60:
-            raise InputError(
-                f"'total' is {str(total)[:40]}; allowed: the number of rollouts that were remembered"
-            )
-        super().restore(state)
-        self.replay.total = int(total)
-        for name, column in self.replay.columns.items():
-            kept = column[: len(self.replay)]
-            kept.copy_(numbers(memory[name], name, kept, *self.replay.bounds.get(name, (-1e9, 1e9))))
+    def tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:
+        """Return what every learner does, and the rollouts that are remembered."""
+        found, bounds = super().tensors()
+        memory = self.replay.columns | {"total": self.replay.total}
+        found |= {f"memory.{name}": column for name, column in memory.items()} | {"rewards": self.rewards}
+        bounds |= {f"memory.{name}": limits for name, limits in self.replay.bounds.items()}
+        return found, bounds | {"rewards": (-1e18, 1e18)}
 
 
 class PQNLearner(Learner):
@@ -191,10 +182,10 @@ class PQNLearner(Learner):
     and layer normalisation, take the place of replay and target networks.
     """
 
-    def __init__(self, shape: Shape, ticks: int, settings: PQNSettings) -> None:
-        self.settings: PQNSettings = settings
-        self.ticks = ticks
-        self.net = CarNet(shape)
+    settings: PQNSettings
+
+    def __init__(self, shape: Shape, ticks: int, algo: str, settings: PQNSettings) -> None:
+        super().__init__(shape, ticks, algo, settings)
         self.modules: nn.Module = self.net
         self.optimizer = torch.optim.RAdam(self.net.parameters(), settings.learning_rate)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from craftsim.choices import Execution
-from craftsim.discrete.asynchronous import USUAL_TICK_S, AsynchronousEpisodes, Timing
+from craftsim.discrete.asynchronous import USUAL_TICK_S, AsynchronousEpisodes, Timing, make_episodes
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
-from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.exploration import hashes
-from craftsim.training.features import Encoder, Seen, joined
+from craftsim.training.features import Seen, joined
 from craftsim.training.shape import Shape
+
+if TYPE_CHECKING:
+    from craftsim.training.learner import Learner
 
 _HASH_SEED: Final = 2
 BUCKETS: Final = 1 << 20
@@ -57,25 +59,26 @@ class Rollout:
         return self.rewards.numel()
 
 
-def make_episodes(
-    task: Task,
-    rng: np.random.Generator,
-    n: int,
-    rules: RuleSet = "physical",
-    helper_depth: int | None = None,
-    execution: Execution = "synchronous",
-) -> Episodes:
-    """Return n episodes on the grid, in ticks or, in asynchronous execution, from event to event."""
-    if execution == "synchronous":
-        return Episodes(task, rng, n, rules, helper_depth)
-    return AsynchronousEpisodes(task, rng, n, rules, helper_depth, timing=Timing(jitter=TRAINED_JITTER))
+TIMINGS: Final[Mapping[Execution, Timing | None]] = {
+    "synchronous": None,
+    "asynchronous": Timing(jitter=TRAINED_JITTER),
+}
+"""How long actions take in training, where that plays a part."""
 
 
 class GridWorlds:
-    """B parallel worlds of one task on the grid; ``how`` as of :func:`make_episodes`."""
+    """B parallel worlds of one task on the grid."""
 
-    def __init__(self, task: Task, n: int, *how: Any) -> None:
-        self.episodes = make_episodes(task, np.random.default_rng(), n, *how)
+    def __init__(
+        self,
+        task: Task,
+        n: int,
+        rules: RuleSet = "physical",
+        helper_depth: int | None = None,
+        execution: Execution = "synchronous",
+    ) -> None:
+        how = rules, helper_depth
+        self.episodes = make_episodes(task, np.random.default_rng(), n, *how, timing=TIMINGS[execution])
         self._over = np.zeros(n, np.bool_)
 
     @property
@@ -159,12 +162,13 @@ class PhysicsWorlds:
 class Novelty:
     """A bonus: a weight divided by the root of how often an arrangement of things was seen.
 
-    Count-based exploration by hashing (Tang et al., "#Exploration", NeurIPS 2017): it fades as ``counts`` (BUCKETS,)
-    grow, and evaluations never see it. Where the cars are plays no part.
+    Count-based exploration by hashing (Tang et al., "#Exploration", NeurIPS 2017): it fades as ``counts``
+    grow; evaluations never see it. Where the cars are plays no part.
     """
 
-    def __init__(self, weight: float, shape: Shape, counts: NDArray[np.int32]) -> None:
-        self.weight, self.counts, self._skip = weight, counts, ROW * (1 + shape.n_cars)
+    def __init__(self, weight: float, shape: Shape) -> None:
+        self.weight, self._skip = weight, ROW * (1 + shape.n_cars)
+        self.counts = np.zeros(BUCKETS, np.int32)
 
     def __call__(self, vectors: NDArray[np.integer]) -> NDArray[np.float64]:
         """Count what is observed, (B, n, vector_length), and return (B,)."""
@@ -177,33 +181,15 @@ class Novelty:
 WorldBatch = GridWorlds | PhysicsWorlds
 
 
-def _ignore(_worlds: Tensor) -> None: ...
-
-
 @torch.no_grad()
-def play(
-    worlds: WorldBatch,
-    encoder: Encoder,
-    act: Callable[[Seen], Tensor],
-    ticks: int,
-    begin: Callable[[Tensor], None] = _ignore,
-    bonus: Callable[[NDArray[np.integer]], NDArray[np.float64]] | None = None,
-) -> Rollout:
-    """Return a rollout of all worlds from their present states.
-
-    Args:
-        worlds: what is played.
-        encoder: of the network.
-        act: from observations to actions (B, n).
-        ticks: how many are played.
-        begin: gets a mask (B,) of the worlds in which an episode begins.
-        bonus: from the observations after a tick to what is added to its rewards.
-    """
+def play(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> Rollout:
+    """Return what a learner plays in all worlds, from their present states, until its next update."""
     columns: list[tuple[Any, ...]] = []
+    encoder = learner.net.encoder
     now = encoder.look(*worlds.observe())
-    begin(torch.ones(len(now.places), dtype=torch.bool))
-    for _ in range(ticks):
-        decides, actions = worlds.decides, act(now)
+    learner.begin(torch.ones(len(now.places), dtype=torch.bool))
+    for _ in range(learner.ticks):
+        decides, actions = worlds.decides, learner.act(now)
         reward, terminated, done, elapsed = worlds.step(actions.numpy())
         vectors, masks = worlds.observe()
         after = encoder.look(vectors, masks)
@@ -217,7 +203,7 @@ def play(
         if done.any():
             worlds.restart()
             now = encoder.look(*worlds.observe())
-            begin(torch.from_numpy(done.copy()))
+            learner.begin(torch.from_numpy(done.copy()))
     nows, afters, *rest = zip(*columns, strict=True)
     stacked: Any = (None if column[0] is None else torch.stack(column) for column in rest)
     return Rollout(joined(nows, torch.stack), joined(afters, torch.stack), *stacked)

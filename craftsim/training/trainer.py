@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from functools import cached_property
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from torch import Tensor
 
 from craftsim.choices import Engine
 from craftsim.discrete.tasks import Task, known_task
@@ -26,30 +26,31 @@ from craftsim.training.checkpoint import (
     TABLE,
     PolicyHead,
     RunHead,
-    open_run,
+    naming,
     read_policy,
+    read_run,
     save_policy,
     save_run,
 )
-from craftsim.training.config import WITH_PROBABILITIES, TrainConfig
+from craftsim.training.config import (
+    WITH_PROBABILITIES,
+    COMASettings,
+    PPOSettings,
+    PQNSettings,
+    QSettings,
+    Settings,
+    TrainConfig,
+    settings_of,
+)
 from craftsim.training.curve import CURVE_FILE, CurvePoint, EvaluationResult, write_curve
 from craftsim.training.evaluation import evaluate, evaluate_in_physics
 from craftsim.training.features import RelativeEncoder
 from craftsim.training.learner import Learner
-from craftsim.training.networks import CarNet, first_net, numbers
+from craftsim.training.networks import Bounds, CarNet, first_net, restore
 from craftsim.training.policy import PACKAGES, POLICY_FILE, policy_file
 from craftsim.training.policy_gradient import COMALearner, PPOLearner, imitate
 from craftsim.training.q_learning import PQNLearner, QLearner
-from craftsim.training.rollouts import (
-    BUCKETS,
-    GridWorlds,
-    Novelty,
-    PhysicsWorlds,
-    Rollout,
-    WorldBatch,
-    play,
-)
-from craftsim.training.settings import COMASettings, PPOSettings, PQNSettings, QSettings, settings_of
+from craftsim.training.rollouts import GridWorlds, Novelty, PhysicsWorlds, Rollout, WorldBatch, play
 from craftsim.training.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.training.starts import Guidance, Progress, check_guidance, guidance_of, silent
 from craftsim.workers.actor import defer_sigint
@@ -59,6 +60,13 @@ if TYPE_CHECKING:
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next, unless its configuration says after how many ticks."""
+LEARNERS: Final[Mapping[type[Settings], Callable[..., Learner]]] = {
+    PPOSettings: PPOLearner,
+    COMASettings: COMALearner,
+    QSettings: QLearner,
+    PQNSettings: PQNLearner,
+}
+"""By the kind of their hyperparameters."""
 _ROLLOUT, _EVALUATION, _FINAL, _GUIDANCE = range(4)
 
 
@@ -75,20 +83,12 @@ class Trainer:
         progress: Progress = silent,
         stages: Sequence[Task] | None = None,
     ) -> None:
-        """Prepare a run; close it when it is done with.
+        """Prepare a run; close it when it is done with. Raises InputError where there is no such task.
 
-        Args:
-            config: what decides the run.
-            starts: the task with other starts to train from, where they are not its own.
-            task: the task itself; looked up by its name in the configuration unless given. A configuration may come
-                from a file, so that nothing is imported for a name in it: what Python code makes has to be given.
-            workers: how many processes share the worlds in physics; one for each processor unless given.
-            engine: processes of this machine, or actors of an existing Ray cluster.
-            progress: shows how many plans have been made, where plans are imitated.
-            stages: the tasks of the stages themselves, as ``task``.
-
-        Raises:
-            InputError: there is no such task.
+        ``starts`` is the task with other starts to train from, where they are not its own. ``task`` and the tasks of
+        the ``stages`` are looked up by their names in the configuration unless given. That may come from a file, so
+        that nothing is imported for a name in it: what Python code makes has to be given. ``workers`` and ``engine``
+        share the worlds in physics, as those of :class:`craftsim.envs.options.BatchOptions`.
         """
         self.config, self._shared = config, {"workers": workers, "engine": engine}
         self.task = task or _named(config.task, config)
@@ -109,11 +109,12 @@ class Trainer:
             torch.manual_seed(config.seed)
             # Where cars decide one by one, most events are a single car's.
             turns = self.task.layout.n_cars if config.execution == "asynchronous" else 1
-            self.learner = make_learner(config, self.shape, (self.task.max_steps + 2) * turns)
+            ticks = (self.task.max_steps + 2) * turns
+            settings = settings_of(config.algo, config.hyperparameters)
+            self.learner = LEARNERS[type(settings)](self.shape, ticks, config.algo, settings)
             begun = begin_as_pretrained(self.learner.net, self.shape, config) if config.pretrained else ""
             self.pretrained = begun  # digest of the policy that it began with
-        # How often buildings were seen, where there is a bonus for new ones.
-        self.counts: NDArray[np.int32] = np.zeros(BUCKETS if config.novelty else 0, np.int32)
+        self.novelty = Novelty(config.novelty, self.shape) if config.novelty else None
 
     @cached_property
     def guidance(self) -> Guidance:
@@ -205,9 +206,7 @@ class Trainer:
         """Return a rollout, after seeding worlds and torch's default generator."""
         torch.manual_seed(seed)
         self.worlds.reset(seed)
-        learner, weight = self.learner, self.config.novelty
-        bonus = Novelty(weight, self.shape, self.counts) if weight else None
-        return play(self.worlds, learner.net.encoder, learner.act, learner.ticks, learner.begin, bonus)
+        return play(self.worlds, self.learner, self.novelty)
 
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
@@ -237,24 +236,26 @@ class Trainer:
         write_curve(folder / CURVE_FILE, self.curve)
         so_far = self.iteration, self.wall_s, self.cpu_s, self.curve
         run = RunHead(self.config, self.identity, self.starts, made_with, *so_far)
-        save_run(folder / RUN_FILE, run, self.learner.state(), torch.from_numpy(self.counts))
+        save_run(folder / RUN_FILE, run, self._tensors()[0])
+
+    def _tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:
+        """Return all tensors of the run, and bounds of those that are no weights."""
+        tensors, bounds = self.learner.tensors()
+        if self.novelty is not None:
+            tensors["novelty"], bounds["novelty"] = torch.from_numpy(self.novelty.counts), (0, 2**30)
+        return tensors, bounds
 
     @classmethod
     def resume(
         cls, folder: Path, starts: Task | None = None, config: TrainConfig | None = None, **given: Any
     ) -> Trainer:
-        """Return the run that a folder holds, as it was when it was saved.
+        """Return the run that a folder holds, as it was when it was saved; ``given`` is as of the constructor.
 
-        Raises InputError for a file that is none or damaged, and where the configuration, the task or the other starts
-        are not those that the run was begun with.
-
-        Args:
-            folder: holds the run.
-            starts: the task with other starts to train from, where they are not its own.
-            config: what the run must have been begun with; anything unless given.
-            given: further arguments of the constructor.
+        Raises InputError for a file that is none or damaged, and where the task, the other starts or, if it is given,
+        the configuration are not those that the run was begun with.
         """
-        with open_run(folder / RUN_FILE) as (head, learner, novelty):
+        head, arrays = read_run(folder / RUN_FILE)
+        with naming(folder / RUN_FILE):
             if config is not None and head.config != config:
                 raise InputError(f"it was begun with {head.config}, not with {config}")
             trainer = cls(head.config, starts, **given)
@@ -263,31 +264,11 @@ class Trainer:
             if head.starts != trainer.starts:
                 begun = "other starts" if head.starts else "no other starts"
                 raise InputError(f"the run was begun with {begun} than these; give the --starts of then")
-            try:
-                counts = numbers(novelty, "novelty", torch.from_numpy(trainer.counts), 0, 2**30)
-                trainer.counts = counts.clone().numpy()
-                trainer.learner.restore(learner)
-            except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
-                raise InputError(
-                    f"damaged: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
-                ) from error
+            tensors, bounds = trainer._tensors()
+            restore(tensors, arrays, bounds)
             trainer.iteration, trainer.curve = head.iteration, head.curve
             trainer.wall_s, trainer.cpu_s = head.wall_s, head.cpu_s
         return trainer
-
-
-def make_learner(config: TrainConfig, shape: Shape, ticks: int) -> Learner:
-    """Return the algorithm that a configuration names, for episodes of at most ``ticks`` ticks."""
-    match settings_of(config.algo, config.hyperparameters):
-        case PPOSettings() as settings:
-            return PPOLearner(shape, ticks, config.algo == "mappo", settings)
-        case COMASettings() as settings:
-            return COMALearner(shape, ticks, settings)
-        case PQNSettings() as settings:
-            return PQNLearner(shape, ticks, settings)
-        case QSettings() as settings:
-            return QLearner(shape, ticks, config.algo, settings)
-    raise AssertionError(config.algo)
 
 
 def begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:

@@ -35,7 +35,7 @@ from craftsim.models.sensing import ASSUMED
 from craftsim.skills.gains import SECTIONS, load_gains
 from craftsim.storage import limits
 from craftsim.storage.limits import Range, size_text
-from craftsim.training.settings import KINDS, Settings
+from craftsim.training.config import KINDS, Settings
 from craftsim.validation.builders import BuilderCase, chosen_rows
 
 HELP_COLUMNS: Final = "110"

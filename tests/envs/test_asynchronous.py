@@ -197,7 +197,7 @@ def test_a_batch_is_its_worlds_one_by_one(helper_depth):
             last = infos["final_obs"][i] if over else {key: value[i] for key, value in seen.items()}
             np.testing.assert_array_equal(one.core.state(), last["observation"])
             for key in ("doing", "claimed"):
-                np.testing.assert_allclose(one.core.extras[key], last[key], atol=1e-5)
+                np.testing.assert_allclose(one.core.seen[key], last[key], atol=1e-5)
             for car, info in enumerate(result.infos):
                 assert info["duration_s"] == pytest.approx(infos["duration_s"][i])
                 for key in ("illegal", "blocked") if decides[i, car] else ():

@@ -193,18 +193,18 @@ def _database(document: list[Any]) -> bytes:
         return database.serialize()
 
 
-def _content(ending: str) -> Codec:
+def _content() -> Codec:
     """Return the codec of a file of training; its tensors are arrays in the document."""
 
     def unpack(data: bytes) -> Any:
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"a{ending}"
+            path = Path(folder) / "a.safetensors"
             path.write_bytes(data)
             return _mapped(read_content(path), torch.Tensor, lambda tensor: tensor.numpy().copy())
 
     def pack(document: Any) -> bytes:
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"a{ending}"
+            path = Path(folder) / "a.safetensors"
             write_content(path, _mapped(document, np.ndarray, torch.tensor))
             return path.read_bytes()
 
@@ -234,8 +234,8 @@ CODECS: dict[str, tuple[Codec, ...]] = {
     ".npz": ((_arrays, _archive), _ZIP),
     ".db": ((_records, _database),),
     ".msgpack": ((msgpack.unpackb, lambda document: msgpack.packb(document, default=str)),),
-    ".safetensors": (_content(".safetensors"),),
-    ".pt": (_content(".pt"), _ZIP),
+    ".safetensors": (_content(),),
+    ".pt": (_content(),),
     ".mcap": (_one(loose_bag),),
 }
 """By the ending of a file's name: what unpacks and packs."""

@@ -41,8 +41,7 @@ from craftsim.skills.gains import load_gains
 from craftsim.skills.skill import Command
 from craftsim.studies.study import read_study
 from craftsim.training.checkpoint import POLICY_FILE, RUN_FILE, read_policy
-from craftsim.training.config import TrainConfig
-from craftsim.training.settings import read_settings
+from craftsim.training.config import TrainConfig, read_settings
 from craftsim.training.trainer import Trainer
 from craftsim.validation.policies import make_policy
 from craftsim.validation.validation import record_once

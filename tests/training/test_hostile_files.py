@@ -92,17 +92,15 @@ def test_what_others_write_as_safetensors_is_no_policy(tmp_path):
 
 
 POINT = {"successes": 5, "mean_return": 0.0, "mean_ticks": 1.0}
-MEMORY = ("learner", "memory")
+T = "tensors"
 RUNS = {
-    "other weights": (("learner", "modules", {}), "missing or unknown"),
-    "no modules": (("learner", {}), "damaged: KeyError: 'memory'"),
-    "the optimiser's averages": (("learner", "optimizer", "state", 0, "exp_avg_sq", lambda t: t - 1), "exp_avg_sq"),
-    "its steps": (("learner", "optimizer", "state", 0, "step", torch.tensor(-1.0)), "'step' has numbers"),
-    "averages of nothing": (("learner", "optimizer", "state", lambda t: t | {99: t[0]}), "damaged: KeyError: 99"),
-    "what is remembered": ((*MEMORY, "actions", lambda t: t + 99), "'actions' has numbers"),
-    "what was seen": ((*MEMORY, "places", lambda t: t - 1), "'places' has numbers"),
-    "how much": ((*MEMORY, "total", torch.tensor(10**9)), r"'places' is torch.int32 \(2, 20, "),
-    "less than nothing": ((*MEMORY, "total", torch.tensor(-1)), "'total' is"),
+    "other weights": ((T, {}), "missing or unknown"),
+    "the optimiser's averages": ((T, "optimizer.0.exp_avg_sq", lambda t: t - 1), "exp_avg_sq' has numbers"),
+    "its steps": ((T, "optimizer.0.step", torch.tensor(-1.0)), "step' has numbers"),
+    "averages of nothing": ((T, lambda t: t | {"optimizer.99.step": torch.tensor(1.0)}), "optimizer.99.step"),
+    "what is remembered": ((T, "memory.actions", lambda t: t + 99), "'memory.actions' has numbers"),
+    "what was seen": ((T, "memory.places", lambda t: t - 1), "'memory.places' has numbers"),
+    "how much": ((T, "memory.total", torch.tensor(-1)), "'memory.total' has numbers"),
     "a curve of numbers": (("head", "curve", [1, 2]), r"key 'curve\[0\]'"),
     "a point of it": (
         (
@@ -115,9 +113,9 @@ RUNS = {
     "a long curve": (("head", "curve", [0] * 30_000), "key 'curve"),
     "a count": (("head", "iteration", "seven"), "key 'iteration'"),
     "a time": (("head", "cpu_s", -1.0), "-1.0 s of CPU; allowed: 0 or more"),
-    "an older file": (("craftsim", 7), "written in format 7, by another version of craftsim; this version reads 9"),
+    "an older file": (("format", "run 9"), "written in format run 9, this version reads run 10"),
     "a configuration": (("head", "config", "width", 10**9), "key 'config.width': 1000000000 is out of range"),
-    "novelty": (("novelty", torch.zeros(5)), "'novelty' is torch.float32"),
+    "novelty": ((T, "novelty", torch.zeros(5)), "'novelty' is missing or unknown"),
 }  # fmt: skip
 
 
@@ -143,25 +141,6 @@ def _pickle(path, data):
         archive.writestr("archive/version", "3\n")
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"\x80\x02c__builtin__\nbytearray\nJ\xff\xff\xff\x7f\x85R.",
-        b"\x80\x02cbuiltins\nbytearray\nJ\xff\xff\xff\x7f\x85R.",
-        b"\x80\x04\x96\xff\xff\xff\xff\x00\x00\x00\x00.",
-        b"\x80\x02Nr\xff\xff\xff\x7f.",
-        b"\x80\x02" + b"N0" * 300_000 + b".",
-        b"\x80\x02" + b"]" * 400_000 + b"N.",
-        b"\x80\x02]q\x00h\x00a.",
-    ],
-    ids=["old bytearray", "bytearray", "bytes", "memo", "pops", "lists", "cycle"],
-)
-def test_a_pickle_that_asks_for_much_gets_nothing(data, tmp_path):
-    _pickle(tmp_path / RUN_FILE, data)
-    with pytest.raises(InputError, match=r"not a (file that|run file)"):
-        Trainer.resume(tmp_path)
-
-
 def test_what_is_no_policy_is_refused_before_torch_is_loaded(tmp_path):
     (tmp_path / "text").write_text("no policy")
     os.mkfifo(tmp_path / "pipe")
@@ -182,18 +161,6 @@ def test_what_is_no_policy_is_refused_before_torch_is_loaded(tmp_path):
     assert loaded == "False"
 
 
-def test_a_run_file_that_unpacks_to_more_or_has_many_parts_is_refused(tmp_path):
-    with zipfile.ZipFile(tmp_path / RUN_FILE, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("archive/data.pkl", b" " * 10**6)
-    with pytest.raises(InputError, match="not a file that"):
-        Trainer.resume(tmp_path)
-    with zipfile.ZipFile(tmp_path / RUN_FILE, "w") as archive:
-        for number in range(3000):
-            archive.writestr(f"archive/data/{number}", b"")
-    with pytest.raises(InputError, match="allowed: at most 1024"):
-        Trainer.resume(tmp_path)
-
-
 def test_a_full_disk_is_one_message_and_leaves_what_was_there(saved, tmp_path):
     before = {name: (saved / name).read_bytes() for name in (POLICY_FILE, RUN_FILE)}
     for name, data in before.items():
@@ -208,3 +175,10 @@ def test_a_full_disk_is_one_message_and_leaves_what_was_there(saved, tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_long_run_goes_on(saved, tmp_path):
+    trainer = Trainer.resume(saved, config=CONFIG)
+    trainer.learner.rewards[:] = torch.tensor([1e8, 3e7, 2e7])
+    trainer.save(tmp_path)
+    assert Trainer.resume(tmp_path, config=CONFIG).learner.rewards.tolist() == [1e8, 3e7, 2e7]

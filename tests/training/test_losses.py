@@ -7,13 +7,12 @@ import pytest
 import torch
 from torch import nn
 
-from craftsim.training.config import TrainConfig
+from craftsim.training.config import QSettings, TrainConfig
 from craftsim.training.features import Seen
 from craftsim.training.networks import JointNet, OthersNet, QMixer
 from craftsim.training.policy_gradient import advantages, counterfactual
 from craftsim.training.q_learning import QLearner
 from craftsim.training.rollouts import Rollout, lambda_returns
-from craftsim.training.settings import QSettings
 from craftsim.training.shape import Shape
 from craftsim.training.trainer import Trainer
 

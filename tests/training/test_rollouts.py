@@ -2,6 +2,7 @@
 
 from contextlib import closing
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from craftsim.training.evaluation import choose_actions
 from craftsim.training.features import Seen, make_encoder
 from craftsim.training.learner import drawn, drawn_offers
 from craftsim.training.policy import load_policy
-from craftsim.training.rollouts import BUCKETS, GridWorlds, Novelty, PhysicsWorlds, distinct, play
+from craftsim.training.rollouts import GridWorlds, Novelty, PhysicsWorlds, distinct, play
 from craftsim.training.shape import Shape
 from craftsim.training.trainer import Trainer
 
@@ -27,15 +28,22 @@ def _encoder(task):
     return make_encoder(Shape.of(task, 4))
 
 
-def _random_legal(seen):
-    return drawn_offers(seen.offers)
+def _played(worlds, encoder, ticks):
+    """Return what is played by random legal actions."""
+    learner = SimpleNamespace(
+        net=SimpleNamespace(encoder=encoder),
+        act=lambda seen: drawn_offers(seen.offers),
+        begin=lambda begun: None,
+        ticks=ticks,
+    )
+    return play(worlds, learner)
 
 
 def test_a_rollout_is_what_the_episodes_do():
     task = make_task("simple_two_story", max_steps=3)
     worlds, twin, encoder = GridWorlds(task, 8), Episodes(task, np.random.default_rng(5), 8), _encoder(task)
     worlds.reset(5)
-    played = play(worlds, encoder, _random_legal, 12)
+    played = _played(worlds, encoder, 12)
     twin.reset()
 
     def same(seen):
@@ -58,7 +66,7 @@ def test_a_rollout_in_physics_keeps_the_last_observations_and_begins_each_episod
     encoder = _encoder(task)
     with closing(PhysicsWorlds(task, 2, workers=1)) as worlds:
         worlds.reset(3)
-        played = play(worlds, encoder, _random_legal, 4)
+        played = _played(worlds, encoder, 4)
         worlds.reset(3)
         start = encoder.places(torch.from_numpy(worlds.observe()[0].astype(np.int64)))
     assert played.done.T.tolist() == [[False, True, False, True]] * 2
@@ -78,7 +86,7 @@ def test_an_asynchronous_rollout_is_what_the_cars_decide_one_by_one():
     for _ in range(2):
         torch.manual_seed(0)
         worlds.reset(5)
-        rollouts.append(play(worlds, encoder, _random_legal, 30))
+        rollouts.append(_played(worlds, encoder, 30))
     played, again = rollouts
     assert all(
         torch.equal(getattr(played, name), getattr(again, name)) for name in ("actions", "decides", "elapsed")
@@ -124,13 +132,12 @@ def test_actions_are_drawn_with_the_probabilities_of_their_logits_and_only_where
 
 def test_the_bonus_for_new_buildings_fades_and_does_not_depend_on_where_cars_are():
     task = make_task("strip")
-    worlds, counts = GridWorlds(task, 2), np.zeros(BUCKETS, np.int32)
-    novelty = Novelty(1.0, Shape.of(task, 4), counts)
+    worlds, novelty = GridWorlds(task, 2), Novelty(1.0, Shape.of(task, 4))
     worlds.reset(0)
     for k in range(1, 5):  # nothing is built: cars stand or drive
         worlds.step(np.full((2, 2), int(Action.STOP)))
         assert np.allclose(novelty(worlds.observe()[0]), (2 * k) ** -0.5)
-    assert counts.sum() == 8
+    assert novelty.counts.sum() == 8
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ from craftsim.cli import main
 from craftsim.errors import InputError
 from craftsim.storage.records import type_and_range
 from craftsim.training.checkpoint import POLICY_FILE, read_policy
-from craftsim.training.config import ALGO_NAMES
-from craftsim.training.settings import KINDS, read_settings, settings_of
+from craftsim.training.config import ALGO_NAMES, KINDS, read_settings, settings_of
 
 
 def _file(tmp_path, text):

@@ -21,13 +21,12 @@ from craftsim.discrete.kernel.tasks import IS_BLOCK, IS_CAR, IS_GOAL, ROW
 from craftsim.discrete.tasks import as_task, make_task
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.errors import InputError
-from craftsim.training.checkpoint import RUN_FILE, RUN_FORMAT
-from craftsim.training.config import ALGO_NAMES, NEVER, TrainConfig
+from craftsim.training.checkpoint import RUN_FILE
+from craftsim.training.config import ALGO_NAMES, NEVER, TrainConfig, settings_of
 from craftsim.training.curve import last_fifth
 from craftsim.training.networks import CarNet
 from craftsim.training.policy import SHIPPED
 from craftsim.training.rollouts import Seen
-from craftsim.training.settings import settings_of
 from craftsim.training.shape import Shape
 from craftsim.training.starts import with_starts
 from craftsim.training.trainer import Trainer
@@ -297,7 +296,7 @@ class _Evil:
 
 def test_a_run_file_with_code_in_it_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    torch.save({"craftsim": RUN_FORMAT, "head": "{}", "learner": _Evil()}, tmp_path / RUN_FILE)
-    with pytest.raises(InputError, match="not a file that 'craftsim train' wrote"):
+    torch.save({"craftsim": 9, "head": "{}", "learner": _Evil()}, tmp_path / RUN_FILE)
+    with pytest.raises(InputError, match=r"written by craftsim 0\.2 or older, whose runs"):
         Trainer.resume(tmp_path)
     assert not (tmp_path / "owned").exists()

@@ -28,7 +28,7 @@ from craftsim.models.measuring import Records
 from craftsim.models.parts import Joint
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.extrapolation import Extrapolation
-from craftsim.robots.fleet import Harness
+from craftsim.robots.fleet import RemoteCars
 from craftsim.robots.messages import (
     COPIES,
     Ack,
@@ -174,8 +174,8 @@ def _inside(size: Cell, places: Sequence[Sequence[float]]) -> bool:
     return bool(((at >= -_AROUND_M) & (at <= ends + _AROUND_M)).all())
 
 
-class Link(Harness):
-    """A connection to robots: what stands on its wires is sent to them, and what they will measure is read."""
+class Link(RemoteCars):
+    """A connection to robots: what they are commanded is sent to them, and what they will measure is read."""
 
     def __init__(
         self,
@@ -250,11 +250,11 @@ class Link(Harness):
         self._predict()
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
-        """Send what stands on the wires, and wait until a control period of the robots is over."""
+        """Send the commands, and wait until a control period of the robots is over."""
         if self.lost:
             return
         self._number += 1
-        message = Commands(self._number, self._due_s + self._lead_s, self.commands())
+        message = Commands(self._number, self._due_s + self._lead_s, self.commands)
         for _ in range(COPIES):
             self._transport.send(pack(message))
         self._sent.append((self._lead_s, message))
@@ -272,13 +272,13 @@ class Link(Harness):
         self._predict()
         self._show()
 
-    def stop(self, car: int, slope: int) -> None:
-        """Command a car's motors to zero, and the hinge of a slope; tell the robots at once, unless it is lost."""
-        super().stop(car, slope)
+    def stop(self, car: int) -> None:
+        """Command a car's motors to zero, and the hinge of its slope; tell the robots at once, unless it is lost."""
+        super().stop(car)
         if car in self.lost_cars:
             return
         self._number += 1
-        self._transport.send(pack(Commands(self._number, 0.0, self.commands())))
+        self._transport.send(pack(Commands(self._number, 0.0, self.commands)))
 
     def close(self) -> None:
         """Let go of the robots, and close the connection."""

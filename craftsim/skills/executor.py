@@ -90,7 +90,6 @@ class Executor:
         if not assumed.exact_pose:
             self._estimator = PoseEstimator(assumed, period, machines, self.gains.localisation, physics.size)
         self._cars = records(n, CAR)
-        self._cars["docked"] = -1
         for car, setup in zip(self._cars, self._setups, strict=True):
             car["known"] = setup.constants[0]
             assume_delay(car["lag"]["mismatches"], *_ASSUMED_LAG)
@@ -98,7 +97,7 @@ class Executor:
             shares = (1 - math.exp(-period / (k * LAG_STEP_S)) for k in range(1, N_LAGS))
             car["lag"]["shares"] = [1.0, *shares]
         self._angles = np.zeros((n, n_angles(self.gains, period)))
-        self._step_cars = bound(step_cars, self._cars, self._angles, self.fleet.wires)
+        self._step_cars = bound(step_cars, self._cars, self._angles)
         self._tries: dict[int, Tries] = {}
         """By car, while its action runs."""
         self._own: dict[int, Skill] = {}
@@ -194,6 +193,7 @@ class Executor:
             self._cars["command"][car] = (command.wheels, command.board, command.hinge)
         n_ended = self._step_cars(readings)
         ended = self._end(readings) if self._own or n_ended else {}
+        self.fleet.command(self._cars)
         self.fleet.advance(self.step_observer)
         if self._estimator is not None:
             self._estimator.update(self.fleet.read())
@@ -232,7 +232,7 @@ class Executor:
             stopped[car] = Outcome(reason, elapsed_s, detail)
             del self._tries[car]
             record["command"] = np.zeros((), COMMAND)
-            self.fleet.stop(car, int(record["docked"]))
+            self.fleet.stop(car)
             self._park(car, self.readings())
         return stopped
 

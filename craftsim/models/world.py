@@ -8,9 +8,10 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from itertools import chain
+from types import SimpleNamespace
 from typing import Any, Final
 
 import mujoco
@@ -39,43 +40,36 @@ _STAY_AWAKE = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 _MAY_SLEEP = int(mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED)
 
 
-@dataclass(frozen=True)
-class Baseline:
-    """Parameters of a model that effects, randomization and tests change, apart from what an effect makes of them."""
+_VARIED: Final = (
+    *("geom_friction", "geom_pos", "geom_size", "body_mass", "body_inertia", "body_pos", "body_quat"),
+    *("actuator_forcerange", "actuator_gainprm", "actuator_biasprm", "actuator_gear"),
+    *("dof_frictionloss", "dof_damping", "hfield_data", "gravity"),
+)
 
-    geom_friction: NDArray[np.float64]
-    body_mass: NDArray[np.float64]
-    body_inertia: NDArray[np.float64]
-    actuator_forcerange: NDArray[np.float64]
-    actuator_gainprm: NDArray[np.float64]
-    actuator_biasprm: NDArray[np.float64]
-    dof_frictionloss: NDArray[np.float64]
-    dof_damping: NDArray[np.float64]
-    actuator_gear: NDArray[np.float64]
-    body_pos: NDArray[np.float64]
-    body_quat: NDArray[np.float64]
-    geom_pos: NDArray[np.float64]
-    geom_size: NDArray[np.float64]
-    hfield_data: NDArray[np.float32]
-    gravity: NDArray[np.float64]
+
+class Baseline(SimpleNamespace):
+    """Parameters of a model that effects, randomization and tests change, apart from what an effect makes of them.
+
+    Arrays, by their names in MjModel, or in its options.
+    """
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Baseline:
         """Return copies of the parameters of a model."""
-        return cls(**{name: array.copy() for name, array in cls._arrays(model).items()})
+        return cls(**_varied(model)).copy()
 
     def write(self, model: mujoco.MjModel) -> None:
         """Put the parameters into a model."""
-        for name, array in self._arrays(model).items():
+        for name, array in _varied(model).items():
             array[:] = getattr(self, name)
 
     def copy(self) -> Baseline:
         """Return a copy, to be changed."""
         return Baseline(**{name: array.copy() for name, array in vars(self).items()})
 
-    @classmethod
-    def _arrays(cls, model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
-        return {f.name: getattr(model.opt if f.name == "gravity" else model, f.name) for f in fields(cls)}
+
+def _varied(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
+    return {name: getattr(model.opt if name == "gravity" else model, name) for name in _VARIED}
 
 
 @dataclass(frozen=True)

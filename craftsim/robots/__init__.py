@@ -39,13 +39,12 @@ def robots_at(address: str, timeout_s: float = 1.0) -> Iterator[SetUp]:
     from craftsim.checking.setup import Setup, judge_on
     from craftsim.discrete.grid import Grid
     from craftsim.discrete.kinds import Action
-    from craftsim.models.sensing import NOISY
     from craftsim.models.world import PhysicsWorld
     from craftsim.robots.link import Link, connect
     from craftsim.robots.sockets import Caller
 
     # What is compiled at its first use is compiled now: robots do not wait for it.
-    judge = judge_on(PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1)), Setup(assumed=NOISY))
+    judge = judge_on(PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1)), Setup())
     judge.executor.paths()
     judge.perform(0, Action.MOVE_RIGHT)
     with ExitStack() as connected:

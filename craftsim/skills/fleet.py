@@ -84,8 +84,8 @@ class PhysicsFleet:
         self.sensors, self.motors = sensors or Sensors(physics), motors or Motors(physics)
         self._docked = np.full(len(physics.cars), -1)
         """(n,): the slope that a car commands, or -1."""
-        motors = self.motors.speeds, np.array([self.motors.share]), physics.data.ctrl
-        self._command = bound(_command, self.sensors.cars, self.sensors.plugs, motors, self._docked)
+        servos = self.motors.speeds, np.array([self.motors.share]), physics.data.ctrl
+        self._command = bound(_command, self.sensors.cars, self.sensors.plugs, servos, self._docked)
 
     def read(self) -> Records:
         """Return the newest readings of all cars."""
@@ -113,9 +113,9 @@ class PhysicsFleet:
 
 @compiled
 def _command(
-    wiring: Records, plugs: Records, motors: Arrays, docked: NDArray[np.int64], cars: Records
+    wiring: Records, plugs: Records, servos: Arrays, docked: NDArray[np.int64], cars: Records
 ) -> None:
-    speeds, share, ctrl = motors
+    speeds, share, ctrl = servos
     for i in range(len(cars)):
         command, slope = cars[i].command, cars[i].now.slope
         drive_wheels(command.wheels, speeds[i], share[0], wiring[i], ctrl)

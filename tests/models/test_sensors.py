@@ -7,14 +7,16 @@ from itertools import count
 import numpy as np
 import pytest
 
-from craftsim.checking.setup import Setup, set_up
+from craftsim.checking.setup import RANDOMIZE, Setup, set_up
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.measuring import CarMeasurement, Motors, write_reading
 from craftsim.models.randomization import NONE, load_noise
-from craftsim.models.sensing import EXACT, NOISY, SensorNoise, Sensors, measure
+from craftsim.models.sensing import EXACT, SensorNoise, Sensors, measure
 from craftsim.models.world import PhysicsWorld
+
+NOISY = RANDOMIZE["strong"][1].sensors
 
 PERIOD_S = 0.02
 N = 1500

@@ -332,11 +332,10 @@ class Drift:
     of :meth:`leave`: many small movements add up. It is checked after each control period.
     """
 
-    def __init__(self, physics: PhysicsWorld, places: NDArray[np.intp]) -> None:
-        """Take the places where everything is now; ``places`` says where their poses, (n, 7), lie in qpos."""
+    def __init__(self, physics: PhysicsWorld) -> None:
+        """Take the places where everything is now."""
+        places, self._speeds = physics.pose_places, physics.speed_places
         self._qpos, self._qvel, self._places = physics.data.qpos, physics.data.qvel, places
-        joints = np.searchsorted(physics.model.jnt_qposadr, places[:, 0])
-        self._speeds = physics.model.jnt_dofadr[joints].astype(np.intp)[:, None] + np.arange(3)
         self._left, self.furthest = np.zeros((len(places), 7)), np.zeros((len(places), 2))
         """(n, 2): the largest distance in metres, and angle in radians, of each machine from its place."""
         n_cars = len(physics.cars)

@@ -82,7 +82,7 @@ class Judge:
             executor.step_observer = self.log.look
             # Not a method of this object: a cycle would keep the whole simulation until garbage is collected.
             executor.guard = self.log.is_unsafe
-        self._drift = Drift(self.physics, self.physics.pose_places)
+        self._drift = Drift(self.physics)
         executor.observers.append(self._drift.look)
         if self.physics.uneven:
             drift = self._drift

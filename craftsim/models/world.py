@@ -176,6 +176,8 @@ class PhysicsWorld:
         bases = [car.base for car in self.cars], self.tables, [slope.base for slope in self.slopes]
         self.pose_places = np.array([body.qpos for body in chain(*bases)], np.intp)[:, None] + np.arange(7)
         """(n, 7): where in qpos the pose lies of everything that moves: cars by id; then tables and slopes."""
+        self.speed_places = np.array([body.dof for body in chain(*bases)], np.intp)[:, None] + np.arange(3)
+        """(n, 3): where in qvel their speeds lie."""
         self.machine_names = MachineNames.of(self.model)
         """The machines by their geoms."""
         self.compiled = Baseline.of(self.model)

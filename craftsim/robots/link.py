@@ -12,7 +12,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from itertools import chain
 from typing import Final, Protocol
 
 import numpy as np
@@ -25,7 +24,6 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.measuring import Records
-from craftsim.models.parts import Joint
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.extrapolation import Extrapolation
 from craftsim.robots.fleet import RemoteCars
@@ -123,14 +121,12 @@ class Mirror:
     def __init__(self, physics: PhysicsWorld) -> None:
         self.physics = physics
         self._seen: deque[TruePoses] = deque(maxlen=_KEPT)
-        bases = [car.base for car in physics.cars], physics.tables, [slope.base for slope in physics.slopes]
-        self._bodies: list[Joint] = [*chain(*bases)]
 
     def take(self, poses: TruePoses) -> None:
         """Keep poses that are newer; raise MessageError for what cannot be of this world."""
         n_cars, n_slopes = len(self.physics.cars), len(self.physics.slopes)
         came = len(poses.cars), len(poses.things), len(poses.hinges)
-        there = n_cars, len(self._bodies) - n_cars, n_slopes
+        there = n_cars, len(self.physics.pose_places) - n_cars, n_slopes
         if came != there:
             raise MessageError(
                 "{} cars, {} things and {} hinges; there are {}, {} and {}".format(*came, *there)
@@ -152,12 +148,14 @@ class Mirror:
                 f"the referee's clock shows {poses.time_s:g} s where the robots measure {measured.time_s:g} s"
             )
         physics, data = self.physics, self.physics.data
-        passed_s = poses.time_s - data.time
-        for body, pose in zip(self._bodies, (*poses.cars, *poses.things), strict=True):
-            if passed_s > 0:
-                way = np.array(pose[:3]) - data.qpos[body.qpos : body.qpos + 3]
-                data.qvel[body.dof : body.dof + 3] = way / passed_s
-            data.qpos[body.qpos : body.qpos + 7] = pose
+        places, shown, passed_s = (
+            physics.pose_places,
+            np.array((*poses.cars, *poses.things)),
+            poses.time_s - data.time,
+        )
+        if passed_s > 0:
+            data.qvel[physics.speed_places] = (shown[:, :3] - data.qpos[places[:, :3]]) / passed_s
+        data.qpos[places] = shown
         for slope, hinge in zip(physics.slopes, poses.hinges, strict=True):
             data.qpos[slope.hinge.qpos] = hinge
         for car, now in zip(physics.cars, measured.cars, strict=True):

@@ -316,12 +316,8 @@ def _drive_law(car: Record) -> None:
         if drive.rest_periods >= gains.rest_periods:
             _end(task, state.SUCCEEDED, 0.0, 0.0)
         elif elapsed_s > drive.profile.duration_s + gains.settle_allowance:
-            _end(
-                task,
-                state.RESTS_OFF_TARGET if drive.at_rest else state.MOVES_OFF_TARGET,
-                offset * 1e3,
-                turn * 1e3,
-            )
+            status = state.RESTS_OFF_TARGET if drive.at_rest else state.MOVES_OFF_TARGET
+            _end(task, status, offset * 1e3, turn * 1e3)
     if task.status == state.RUNNING and drive.there_periods <= gains.brake_periods:
         _command_wheels(car, error)
     if drive.waits:

@@ -83,11 +83,7 @@ class Area:
     def reach_m(self, direction: Triple) -> float:
         """Return how far a car may go from the centre in a direction of its own frame."""
         along, across, turn = direction
-        ways = [
-            (self.length_m, along),
-            (self.width_m, across),
-            (min(self.length_m, self.width_m), bool(turn)),
-        ]
+        ways = (self.length_m, along), (self.width_m, across), (min(self.length_m, self.width_m), bool(turn))
         return min((side / 2 - _CLEAR_M) / abs(share) for side, share in ways if share)
 
 

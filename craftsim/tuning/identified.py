@@ -14,17 +14,7 @@ from craftsim.logs.log import Log
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.sensing import SensorNoise
 from craftsim.rendering.plots.style import DPI, ROW_IN, WIDTH_IN, paper, save
-from craftsim.reports.report import (
-    Cell,
-    Column,
-    DataTable,
-    Headline,
-    KeyFigure,
-    Report,
-    Section,
-    Tone,
-    count,
-)
+from craftsim.reports.report import Cell, Column, DataTable, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.identification import Identification, Identified
 from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor, machines_of
@@ -196,6 +186,7 @@ def identified_report(
     badge, tone = ("Identified", Tone.GOOD) if identified else ("Nothing identified", Tone.CAUTION)
     logs = {"fitted_log": "the log that was fitted to", "held_out_log": "the held-out log"}
     about = "What was assumed before, what the log says, and how sure it is."
+    lacking = "What the log cannot say, and why."
     predicted = "Errors of predictions over 1.5 s, with the car as assumed and as identified."
     unidentified = [f"Unidentifiable: {text}" for text in figures["untold"]]
     unidentified += [f"Not in parameters.yaml: {text}" for text in figures["left_out"]]
@@ -212,13 +203,7 @@ def identified_report(
         [
             Section("parameters", "Parameters", about, [_estimates(found.estimates)], terminal=True),
             Section("prediction", "Prediction", predicted, predictions, terminal=True),
-            Section(
-                "unidentified",
-                "Not identified",
-                "What the log cannot say, and why.",
-                unidentified,
-                terminal=True,
-            ),
+            Section("unidentified", "Not identified", lacking, unidentified, terminal=True),
         ],
         files=files,
         document=document,

@@ -65,12 +65,8 @@ class Unknown:
 
     def start(self, machines: Machines) -> float:
         """Return what is assumed of it: where the search starts."""
-        match self.section:
-            case "smartcar":
-                return float(getattr(machines.car(0), self.name))
-            case "block":
-                return float(getattr(machines.block, self.name))
-        return self.assumed
+        parts = {"smartcar": machines.car(0), "block": machines.block}
+        return float(getattr(parts[self.section], self.name)) if self.of_machine else self.assumed
 
     def value(self, start: float, number: float) -> float:
         """Return what it is where it is so many common errors from its start, as the search counts."""
@@ -215,7 +211,8 @@ class Predictor:
         pose = motion[:, :3].copy()
         pose[:, 0] += c * ahead - s * left
         pose[:, 1] += s * ahead + c * left
-        pose = self._late(pose, values.get("noise.delay_s", 0.0))
+        seen_at = np.arange(len(pose)) - values.get("noise.delay_s", 0.0) / self.period_s
+        pose = np.column_stack([np.interp(seen_at, np.arange(len(pose)), signal) for signal in pose.T])
         lagged = self._lagged(motion[:, 3:7], values.get("noise.encoder_lag_s", 0.0))
         found = np.empty((len(self.segments), *self.measured[self.segments[0]].shape))
         for number, rows in enumerate(self.segments):
@@ -225,10 +222,6 @@ class Predictor:
             found[number, :, 3:7] = measured[:, 3:7] - lagged[rows]
             found[number, :, 7:] = measured[:, 7:] - motion[rows, 7:]
         return found
-
-    def _late(self, pose: Floats, delay_s: float) -> Floats:
-        rows = np.arange(len(pose)) - delay_s / self.period_s
-        return np.column_stack([np.interp(rows, np.arange(len(pose)), pose[:, k]) for k in range(3)])
 
     def _lagged(self, speeds: Floats, lag_s: float) -> Floats:
         from scipy.signal import lfilter

@@ -24,6 +24,7 @@ from craftsim.models.measuring import Arrays, Floats, Motors, Records, drive_whe
 from craftsim.models.parts import Joint
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld
+from craftsim.skills.skill import Command
 from craftsim.skills.state import GRAVITY
 
 SHOVE_S: Final = 1.0
@@ -103,12 +104,18 @@ class PhysicsFleet:
         self.physics.advance(observe)
         self.sensors.observe()
 
+    def drive(self, car: int, command: Command, slope: int) -> None:
+        """Command the motors of one car, and the hinge of the slope that it is docked to, -1 for none."""
+        self.motors.drive(car, command.wheels)
+        self.physics.move_board(car, command.board)
+        before, self._docked[car] = int(self._docked[car]), slope
+        for one, speed in ((before, 0.0), (slope, command.hinge)):
+            if one >= 0:
+                self.physics.turn_hinge(one, speed)
+
     def stop(self, car: int) -> None:
         """Command a car's motors to zero, and the hinge of its slope."""
-        self.motors.drive(car, (0.0, 0.0, 0.0, 0.0))
-        self.physics.move_board(car, 0.0)
-        if self._docked[car] >= 0:
-            self.physics.turn_hinge(self._docked[car], 0.0)
+        self.drive(car, Command(), int(self._docked[car]))
 
 
 @compiled

@@ -194,10 +194,7 @@ _MAX_WORDS: Final = 64
 
 @dataclass(frozen=True)
 class Seed:
-    """Where a random generator starts: entropy and spawn key of NumPy's SeedSequence.
-
-    Raises InputError for what NumPy does not take.
-    """
+    """Where a random generator starts: entropy and spawn key of NumPy's SeedSequence."""
 
     entropy: tuple[int, ...]
     spawn_key: tuple[int, ...] = ()
@@ -287,11 +284,9 @@ def judge_on(
     watch_contacts: bool = True,
     fleet: Fleet | None = None,
 ) -> Judge:
-    """Return the judge on a world in its present state, with its own machines and simulation.
+    """Return the judge on a world in its present state. Raises StartError if solids overlapped at its start.
 
     ``sensors`` are exact unless given; a ``fleet`` are robots elsewhere, whose poses the PhysicsWorld shows.
-
-    Raises StartError if solids overlapped when the PhysicsWorld was reset.
     """
     check_start(physics)
     physics.set_drivetrain(setup.randomization.drivetrain)

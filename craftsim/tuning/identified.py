@@ -172,14 +172,7 @@ def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -
 def identified_report(
     found: Identification, log: str, document: Mapping[str, Any], files: Mapping[str, str | Path]
 ) -> Report:
-    """Return the report of an identification.
-
-    Args:
-        found: its result.
-        log: name of the log.
-        document: what ``report.json`` holds.
-        files: what was written, by what it is.
-    """
+    """Return the report of an identification: of a ``log``, with its ``document`` and, by what they are, its ``files``."""
     figures = document["figures"]
     identified, n = sum(one.identified for one in found.estimates), len(found.estimates)
     sentence = f"{identified} of {count(n, 'parameter')} identified from {log}."

@@ -94,10 +94,7 @@ situation: its own place on the map, physics and noise."""
 
 
 def try_gains(job: Job) -> Result:
-    """Try a candidate in every situation of its blocks: the same places, physics and noise for all candidates.
-
-    Left out, for all candidates alike, are worlds that cannot be as they were drawn.
-    """
+    """Try a candidate in every situation of its blocks, the same for all candidates; but not in worlds that cannot be."""
     group, setup, seed, blocks = job
     wanted = product(blocks, range(len(situations(group))))
     trials = [trial for block, number in wanted if (trial := _try(group, setup, seed, block, number))]
@@ -199,7 +196,7 @@ def _ratio(
 
 
 def need_cma() -> None:
-    """Raise InputError with the command that installs what is missing."""
+    """Raise InputError where cma is missing."""
     need("tune", "tuning needs", "cma")
 
 
@@ -408,14 +405,12 @@ def tune(
     Args:
         group: which gains.
         setup: configuration of the physics, with the gains to start from.
-        out: the folder.
+        out: the folder; raises InputError for one that holds something else.
         goal: what is wanted.
         evaluations: candidates to try, about: whole generations of each search, at least one.
         trials: of each situation, for every candidate.
         seed: decides the candidates, and the physics and noise of all trials.
         options: how.
-
-    Raises InputError where cma is missing, and for a folder that holds something else.
     """
     need_cma()
     started = time.perf_counter()

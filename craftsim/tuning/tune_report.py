@@ -39,14 +39,7 @@ if TYPE_CHECKING:
 
 
 def tune_report(tuned: Tuned, gains: Path, command: str, workers: int) -> Report:
-    """Return the report of a tuning.
-
-    Args:
-        tuned: its result.
-        gains: the file of gains that it wrote.
-        command: how it can be run again.
-        workers: how many it took.
-    """
+    """Return the report of a tuning, by a command and some workers, that wrote a file of ``gains``."""
     figures = {
         "verdict": tuned.verdict,
         "gains": {
@@ -243,12 +236,7 @@ def _search(tuned: Tuned) -> Section:
 
 
 def write_gains(out: Path, tuned: Tuned, command: str) -> Path:
-    """Write ``gains.yaml`` into a folder and return its path.
-
-    It holds all gains, and in comments what they come from: command, seed, budget, versions, and the verdict.
-
-    Raises InputError where the disk does not take it.
-    """
+    """Write all gains, with comments on where they come from, as ``gains.yaml`` into a folder; return its path."""
     verdict, config = tuned.verdict, tuned.config
     before, after = verdict.before, verdict.after
     nothing = "Nothing better than the start was found: these are the gains that it began with."

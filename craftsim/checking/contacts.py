@@ -323,7 +323,7 @@ def note_motion(qpos: Floats, qvel: Floats, motion: Record, worst: Record) -> No
 class Drift:
     """The distances of cars and things from the places where they should stand, and of driving cars from their paths.
 
-    A place is the pose at the start, or at the last :meth:`leave`: many small movements add up. Rows are those of poses.
+    A place is the pose at the start, or at the last :meth:`leave`: many small movements add up.
     """
 
     def __init__(self, physics: PhysicsWorld) -> None:
@@ -359,7 +359,7 @@ class Drift:
         self._note_away()
 
     def stray(self, paths: Floats) -> None:
-        """Note each driving car's distance from the last segment of its path, given set points, (n, 3) of an executor."""
+        """Note each driving car's distance from the last segment of its path, given an executor's set points (n, 3)."""
         path, start = paths[:, :2], self.path
         at = self._qpos[self._places[: len(path), :2]]
         way = path - start

@@ -425,7 +425,7 @@ class Judge:
         return thing.height_m - lift_m(self.poses.kinds[index], machines.car(thing.carrier), machines)
 
     def _bystanders(self, one: Watched, acting: set[int], swaying: set[int]) -> Bystanders:
-        """Return the largest of each error of bystanders, and the bystander's name; not of what is still ``swaying``."""
+        """Return the largest of each error of bystanders, and the bystander's name; what still sways is left out."""
         n_cars, rows = self._n_cars, self._rows
         excused = acting | one.meant | swaying
         for reading in (one.reading, self.reading):

@@ -172,7 +172,7 @@ def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -
 def identified_report(
     found: Identification, log: str, document: Mapping[str, Any], files: Mapping[str, str | Path]
 ) -> Report:
-    """Return the report of an identification: of a ``log``, with its ``document`` and, by what they are, its ``files``."""
+    """Return the report of what was ``found`` in a log of this name; ``document`` is what ``report.json`` holds."""
     figures = document["figures"]
     identified, n = sum(one.identified for one in found.estimates), len(found.estimates)
     sentence = f"{identified} of {count(n, 'parameter')} identified from {log}."

@@ -96,15 +96,13 @@ def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:
     return tuple(found)
 
 
-def with_values(
-    start: Gains, tunable: Sequence[TunableGain], values: Mapping[str, float], source: str = "tuned"
-) -> Gains:
+def with_values(start: Gains, tunable: Sequence[TunableGain], values: Mapping[str, float]) -> Gains:
     """Return gains with other values for some of them, by name; the others are those of ``start``."""
     sections: dict[str, Any] = {}
     for section in dict.fromkeys(one.section for one in tunable):
         own = {k.field: values[k.name] for k in tunable if k.section == section and k.name in values}
         sections[section] = replace(getattr(start, section), **own)
-    return replace(start, **sections, source=source)
+    return replace(start, **sections, source="tuned")
 
 
 def values_at(tunable: Sequence[TunableGain], positions: Iterable[float]) -> dict[str, float]:

@@ -225,7 +225,7 @@ def cma_es(
 
 
 class Tuning:
-    """A tuning: its evaluations, known before it begins; its phases, each of which depends on those before; its results."""
+    """A tuning: its evaluations, known before it begins; phases, each of which depends on those before; and results."""
 
     searched: list[Candidate]
     """All that were tried, in order; first the start."""
@@ -305,7 +305,7 @@ class Tuning:
         return found, means
 
     def _finals(self, means: Sequence[Values]) -> list[Candidate]:
-        """Try the best again on fresh seeds; return the chosen one first, then the others, of a front those still on it."""
+        """Try the best again on fresh seeds; return the chosen one, then the others, of a front those still on it."""
         goal, blocks = self.goal, range(self.trials, self.trials + FINAL_BLOCKS)
         again = [(own, Score.of(_joined(self._try_apart(own, blocks)))) for own in self._finalists(means)]
         if not goal.front:

@@ -327,7 +327,6 @@ class Drift:
     """
 
     def __init__(self, physics: PhysicsWorld) -> None:
-        """Take the places where everything is now."""
         places, self._speeds = physics.pose_places, physics.speed_places
         self._qpos, self._qvel, self._places = physics.data.qpos, physics.data.qvel, places
         self._left, self.furthest = np.zeros((len(places), 7)), np.zeros((len(places), 2))

@@ -91,11 +91,8 @@ FLAT: Final = Floor()
 
 @lru_cache(maxsize=8)
 def _layout(floor: Floor, size: Cell) -> tuple[float, Floats, int]:
-    """Return how the tiles of a floor lie under an area of ``size`` cells. Raises InputError for too many of them.
-
-    Returns the radius in metres of the circle that they cover however they lie; their centres, (n, 2) metres; and the
-    number of points along each side of a tile.
-    """
+    """Return the radius in metres of the circle that tiles cover however they lie, their centres, (n, 2) in metres,
+    and the number of points along each side of a tile. Raises InputError for too many tiles."""
     radius = CELL_PITCH_M * math.hypot(*(n / 2 + _MARGIN_CELLS for n in size[:2]))
     # A tile may be shifted by half of its diagonal, and reaches as far from its centre.
     reach = radius + math.sqrt(2) * floor.tile_m

@@ -94,10 +94,7 @@ def world_digest(grid: Grid) -> str:
 def connect(
     transport: Messenger, grid: Grid, setup: Setup, goals: Sequence[Cell] = (), timeout_s: float = TIMEOUT_S
 ) -> Judge:
-    """Return the judge of robots that should stand in a world; its executor drives them until the fleet is closed.
-
-    Contacts are not seen from outside. ``goals`` are marked on the world that the judge sees. Without a message for
-    ``timeout_s`` the robots count as lost.
+    """Return the judge, blind to contacts, of robots that should stand in a world, driven until the fleet is closed.
 
     Raises InputError where they do not answer or refuse, or where no referee shows their world.
     """
@@ -113,9 +110,9 @@ def connect(
 
 
 class Mirror:
-    """Shows on a PhysicsWorld, which is never stepped, where everything truly is, for a judge to look at.
+    """Shows on a PhysicsWorld, which is never stepped, where everything truly is, and boards where they were measured.
 
-    Wheels stand still; boards stand where they were measured; velocities are what changed since what was shown before.
+    Velocities are what changed since what was shown before; wheels stand still.
     """
 
     def __init__(self, physics: PhysicsWorld) -> None:
@@ -186,13 +183,8 @@ class Link(RemoteCars):
     ) -> None:
         """Say hello to the robots, and listen for half a second how long messages take.
 
-        Args:
-            transport: reaches them.
-            n_cars: how many there should be.
-            machines: their parameters.
-            world: digest of the world in which they should stand.
-            timeout_s: without a message of use for so long they are lost, and so is a car whose clock stands so long.
-            mirror: shows what their referee says.
+        ``world`` is the digest of that in which they should stand; without a message of use for ``timeout_s`` they are
+        lost, and so is a car whose clock stands so long; ``mirror`` shows what their referee says.
 
         Raises InputError where nobody answers, or they refuse.
         """

@@ -35,7 +35,6 @@ class Line:
     """One connection: bytes become messages, and messages bytes."""
 
     def __init__(self, connected: socket.socket) -> None:
-        """Take a socket that is connected."""
         connected.setblocking(False)
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):

@@ -110,10 +110,7 @@ class Executor:
     def run(
         self, actions: Mapping[int, Action], terrain: Mapping[int, Terrain] | None = None
     ) -> dict[int, Outcome]:
-        """Perform one action for each given car, and return the outcomes by car.
-
-        ``terrain`` gives the ground of the moves that are not on the flat, by car.
-        """
+        """Perform one action for each given car, on some ``terrain`` or on the flat, and return the outcomes by car."""
         for car, action in actions.items():
             self.begin(car, action, (terrain or {}).get(car))
         outcomes: dict[int, Outcome] = {}
@@ -183,10 +180,7 @@ class Executor:
             begin_task(performer, setup, now, record["task"])
 
     def advance(self) -> dict[int, Outcome]:
-        """Run all skills for one control period, and return the outcomes of the actions that have ended.
-
-        Idle cars on an incline are held.
-        """
+        """Run all skills for one control period, idle cars held on inclines; return the outcomes of what has ended."""
         readings = self.readings()
         for car, skill in self._own.items():
             command = step_own(skill, measurement_of(readings[car]))

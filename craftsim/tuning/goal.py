@@ -142,12 +142,7 @@ class Goal:
     def of(
         cls, words: Sequence[str] = (), objectives: Sequence[Objective] = (), choice: Choice = "knee"
     ) -> Goal:
-        """Return the goal that options stand for.
-
-        Args:
-            words: ``NAME=WEIGHT`` each, for one product; time=1, error=0.2 and margin=0.2 unless anything is given.
-            objectives: those of a front.
-            choice: of a front.
+        """Return the goal of options: ``NAME=WEIGHT`` words of a product, or objectives and choice of a front.
 
         Raises InputError for both at once, and for what is no objective, no weight or no choice.
         """

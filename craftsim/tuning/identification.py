@@ -62,9 +62,7 @@ class Unidentified:
 def unidentified_directions(jacobian: Floats, unknowns: Sequence[Unknown]) -> list[Unidentified]:
     """Return what a log does not tell, worst first.
 
-    Args:
-        jacobian: (m, n) of the residuals in terms of their noise, by unknowns in terms of their common errors.
-        unknowns: (n,) the unknowns.
+    ``jacobian`` (m, n) is of the residuals in terms of their noise, by unknowns in terms of their common errors.
     """
     scale = np.array([1 / one.usual if one.scales else 0.0 for one in unknowns])
     free, found = list(range(len(unknowns))), list[Unidentified]()

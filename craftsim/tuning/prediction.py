@@ -153,10 +153,7 @@ class Predictor:
     """Predicts a log; it is resampled to a regular period that physics can be stepped at."""
 
     def __init__(self, log: Log, machines: Machines, loaded: bool = False) -> None:
-        """Take a log; ``loaded``: a block stood over the car at its start.
-
-        Raises InputError for a log without poses and wheel speeds.
-        """
+        """Take a log; ``loaded``: a block stood over the car. Raises InputError for one without poses and speeds."""
         if log.duration_s > IDENTIFIED_S:
             raise InputError(
                 f"the log is {log.duration_s:.0f} s long; allowed: {IDENTIFIED_S:g}; give a part of it"

@@ -241,18 +241,10 @@ def set_up(
     reuse: PhysicsWorld | None = None,
     watch_contacts: bool = True,
 ) -> Judge:
-    """Return a world in physics, ready for actions.
+    """Return a world in physics, ready for actions. Raises StartError if solids would overlap.
 
-    Args:
-        grid: the start.
-        setup: everything that is configured.
-        seed: of randomization and noise.
-        goals: cells to mark.
-        reuse: a PhysicsWorld of an equal grid, simulation, floor and goals, which saves compiling; results are the same
-            as with a new one.
-        watch_contacts: as of :class:`Judge`.
-
-    Raises StartError if solids would overlap.
+    ``goals`` are cells to mark. ``reuse`` is a PhysicsWorld of an equal grid, simulation, floor and goals, which saves
+    compiling; results are the same as with a new one. ``watch_contacts`` is as of :class:`Judge`.
     """
     drawn, sensors, hits = (np.random.default_rng(s) for s in seed.sequence().spawn(3))
     physics = reuse or compile_world(grid, setup, goals)

@@ -28,10 +28,7 @@ def need_network() -> None:
 def robots_at(address: str, timeout_s: float = 1.0) -> Iterator[SetUp]:
     """Yield what sets up a world by connecting to the robots in it, anew each time; let go of them at the end.
 
-    Args:
-        address: of the robots, ``HOST:PORT`` or ``tcp://HOST:PORT``.
-        timeout_s: without a message from them for so long they count as lost, and a car that does not answer for so
-            long, too.
+    The address is ``HOST:PORT`` or ``tcp://HOST:PORT``. Robots, or a car, that say nothing for ``timeout_s`` are lost.
 
     Raises InputError where what it takes is not installed; and so does what is yielded, where no robots answer.
     """

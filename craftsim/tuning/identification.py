@@ -114,15 +114,13 @@ Tell = Callable[[int, int], None]
 def identify(
     log: Log, machines: Machines, loaded: bool = False, tell: Tell = lambda number, total: None
 ) -> Identification:
-    """Identify one car from its log.
+    """Identify one car from its log. Raises InputError for a log that says nothing of a car.
 
     Args:
         log: of one car.
         machines: what is assumed: the start of the search, and what is held; its drive is that of the simulation.
         loaded: a block stood over the car at the start, and was lifted.
         tell: is called as each fit begins, with its number and how many there are.
-
-    Raises InputError for a log that says nothing of a car.
     """
     predictor = Predictor(log, machines, loaded)
     if not predictor.segments:

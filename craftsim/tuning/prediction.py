@@ -196,10 +196,7 @@ class Predictor:
     def errors(self, machines: Machines, values: Values, lead: float = 1.0) -> Floats:
         """Return by how much each segment differs from what is predicted: (segments, rows, 9), nan where unknown.
 
-        Args:
-            machines: the car.
-            values: what sensors and motors do, by key; what is missing does not.
-            lead: share of each segment, from its start, to which the prediction is fitted.
+        ``values`` are of sensors and motors, by key; the prediction is fitted to the first share ``lead`` of a segment.
         """
         motion = self._motion(machines, values.get("noise.motor_lag_s", 0.0))
         bias = values.get("mounting.heading_bias_rad", 0.0)

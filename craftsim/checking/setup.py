@@ -22,7 +22,7 @@ from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, load_machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.measuring import Motors
 from craftsim.models.parts import ALLOWED_M
-from craftsim.models.randomization import NONE, DomainRandomization, load_noise, randomize
+from craftsim.models.randomization import NONE, DomainRandomization, randomize
 from craftsim.models.sensing import ASSUMED, SensorNoise, Sensors
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
@@ -174,7 +174,7 @@ def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> Sen
         return declared if given is None else given
     if _is_preset(given, "noise"):
         return RANDOMIZE[cast(Randomize, given)][1].sensors
-    return load_noise(given, declared)
+    return read_document(Path(given)).over(asdict(declared)).to(SensorNoise)
 
 
 def _is_preset(given: str | Path, what: str) -> bool:

@@ -314,17 +314,10 @@ class Service:
             self._deliver(now_s)
 
     def _true_poses(self, now_s: float) -> TruePoses:
-        physics = self._fleet.physics
-        poses = physics.poses()
-        cars = np.hstack([poses.car_positions, poses.car_quaternions])
-        things = np.hstack([poses.positions, poses.quaternions])
-        return TruePoses(
-            now_s,
-            tuple(map(tuple, cars.tolist())),
-            tuple(map(tuple, things.tolist())),
-            tuple(poses.hinges[len(poses.hinges) - len(physics.slopes) :].tolist()),
-            physics.capped_steps,
-        )
+        physics, n_cars = self._fleet.physics, len(self.robots)
+        poses = tuple(map(tuple, physics.data.qpos[physics.pose_places].tolist()))
+        hinges = tuple(float(physics.data.qpos[slope.hinge.qpos]) for slope in physics.slopes)
+        return TruePoses(now_s, poses[:n_cars], poses[n_cars:], hinges, physics.capped_steps)
 
     def _act(self, now_s: float) -> None:
         before = self.inbox.stops

@@ -85,8 +85,9 @@ class PhysicsFleet:
         self.sensors, self.motors = sensors or Sensors(physics), motors or Motors(physics)
         self._docked = np.full(len(physics.cars), -1)
         """(n,): the slope that a car commands, or -1."""
-        servos = self.motors.speeds, np.array([self.motors.share]), physics.data.ctrl
-        self._command = bound(_command, self.sensors.cars, self.sensors.plugs, servos, self._docked)
+        self._cars: Records | None = None
+        self._command: Callable[[], None]
+        """Commands these cars."""
 
     def read(self) -> Records:
         """Return the newest readings of all cars."""
@@ -97,7 +98,11 @@ class PhysicsFleet:
 
     def command(self, cars: Records) -> None:
         """Command the motors of all cars, and the hinges of the slopes that they are docked to."""
-        self._command(cars)
+        if self._cars is not cars:
+            servos = self.motors.speeds, np.array([self.motors.share]), self.physics.data.ctrl
+            wiring = self.sensors.cars, self.sensors.plugs
+            self._cars, self._command = cars, bound(_command, wiring, servos, self._docked, cars)
+        self._command()
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Let one control period pass."""
@@ -120,13 +125,14 @@ class PhysicsFleet:
 
 @compiled
 def _command(
-    wiring: Records, plugs: Records, servos: Arrays, docked: NDArray[np.int64], cars: Records
+    wiring: tuple[Records, Records], servos: Arrays, docked: NDArray[np.int64], cars: Records
 ) -> None:
+    motors, plugs = wiring
     speeds, share, ctrl = servos
     for i in range(len(cars)):
         command, slope = cars[i].command, cars[i].now.slope
-        drive_wheels(command.wheels, speeds[i], share[0], wiring[i], ctrl)
-        ctrl[wiring[i].board_motor] = command.board
+        drive_wheels(command.wheels, speeds[i], share[0], motors[i], ctrl)
+        ctrl[motors[i].board_motor] = command.board
         # A slope that loses its car loses the command.
         if docked[i] >= 0 and docked[i] != slope:
             ctrl[plugs[docked[i]].motor] = 0.0

@@ -257,8 +257,7 @@ def turned_motors(world: PhysicsWorld, wheels: Records) -> TurnedMotors:
     """Let motors and gears of the reduced drive, which push their car in its own frame, act on its free joint.
 
     In MJCF they act on a site of the car, for which MuJoCo works out Jacobians in each step. A motor of the free joint
-    pushes along the axes of the world; turned with the car before each step, it does the same without them
-    (tests/models/test_driving.py). On rollers there are none.
+    pushes along the axes of the world; turned with the car before each step, it does the same. On rollers are none.
     """
     model = world.model
     if world.machines.drive == "rollers":

@@ -110,10 +110,7 @@ def _layout(floor: Floor, size: Cell) -> tuple[float, Floats, int]:
 
 
 def add_tiles(spec: mujoco.MjSpec, floor: Floor, size: Cell) -> None:
-    """Put the tiles of a floor under an area of ``size`` cells: they touch as the ground does, its plane lies below.
-
-    Raises InputError for too many of them.
-    """
+    """Put the tiles of a floor, which touch as the ground does, above it. Raises InputError for too many of them."""
     _, centres, count = _layout(floor, size)
     ground = spec.geom(GROUND)
     depth_m = (floor.joint_depth_m if floor.joint_m else 0.0) or _BELOW_M
@@ -142,10 +139,7 @@ def tiles_body(model: mujoco.MjModel) -> int:
 
 
 def lay(model: mujoco.MjModel, floor: Floor, size: Cell, rng: np.random.Generator) -> float:
-    """Draw the floor of a compiled model; return the height of its highest point in metres.
-
-    The same is drawn for all parameters of one layout.
-    """
+    """Draw the floor of a compiled model, alike for all parameters of a layout; return its largest height in metres."""
     layout = _layout(floor, size)
     turn_rad = rng.uniform(0, math.tau)
     x, y = floor.tile_m * rng.uniform(-0.5, 0.5, 2)

@@ -23,10 +23,7 @@ from craftsim.storage.records import record
 
 @record()
 class Making:
-    """Tolerances of making: half-widths of uniform distributions, drawn for each machine; hashable.
-
-    Raises InputError for a figure outside [0, 1).
-    """
+    """Tolerances of making: half-widths below 1 of uniform distributions, drawn for each machine; hashable."""
 
     wheel_radius_m: Amount = 0.0
     """Of each wheel by itself."""

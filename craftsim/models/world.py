@@ -48,10 +48,7 @@ _VARIED: Final = (
 
 
 class Baseline(SimpleNamespace):
-    """Parameters of a model that effects, randomization and tests change, apart from what an effect makes of them.
-
-    Arrays, by their names in MjModel, or in its options.
-    """
+    """Parameters of a model that randomization and tests change, without what effects make of them; MuJoCo's names."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Baseline:
@@ -306,10 +303,7 @@ class PhysicsWorld:
         self.run(n_steps, observe)
 
     def run(self, n_steps: int, observe: Callable[[], None] | None = None) -> None:
-        """Run physics steps under the commands that stand; ``observe`` is called after each.
-
-        It is the one place where physics goes on. Raises FatalError of MuJoCo for an error that it finds in a step.
-        """
+        """Run physics steps, which nothing else does; ``observe`` is called after each. Raises FatalError of MuJoCo."""
         effects = self._step_effects
         at_once = 1 if effects or observe is not None else max(n_steps, 1)
         for _ in range(n_steps // at_once):
@@ -346,10 +340,7 @@ class PhysicsWorld:
         self._rouse()
 
     def awake_copy(self) -> mujoco.MjData:
-        """Return a copy of the state in which contacts between sleeping machines, which MuJoCo leaves out, show.
-
-        The next call overwrites it.
-        """
+        """Return a copy, until the next call, of the state with contacts of sleeping machines, which MuJoCo omits."""
         mujoco.mj_copyData(self._spare, self.model, self.data)
         self._stepping.run(0)
         flags = self.model.opt.enableflags

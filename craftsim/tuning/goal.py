@@ -91,8 +91,7 @@ def _scaled(costs: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def knee(costs: NDArray[np.float64]) -> int:
-    """Return the row of costs (n, k), logarithms, that is nearest to the best of each column, all scaled to a range
-    of 1: beyond it a little of one objective costs much of another."""
+    """Return the row of costs (n, k), logarithms scaled to a range of 1, that is nearest to the best of each column."""
     scaled = _scaled(costs)
     return int(np.argmin((scaled * scaled).sum(axis=1)))
 

@@ -77,10 +77,7 @@ class Messenger(Protocol):
         """Send a message; it may be lost."""
 
     def receive(self, timeout_s: float) -> bytes | None:
-        """Return the next message that comes, or None where none does in time.
-
-        Raises ConnectionError where none can come any more.
-        """
+        """Return the next message that comes in time, or None; raise ConnectionError where none can come any more."""
 
     def close(self) -> None:
         """Close the connection."""

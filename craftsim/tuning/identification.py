@@ -133,10 +133,7 @@ def identify(
 
 
 class Identification:
-    """What a log says of a car, by fits after each other.
-
-    Vectors are the unknowns less their starts, in terms of common errors.
-    """
+    """What a log says of a car, by fits of vectors: the unknowns less their starts, in terms of common errors."""
 
     def __init__(
         self, predictor: Predictor, machines: Machines, unknowns: Sequence[Unknown], tell: Tell

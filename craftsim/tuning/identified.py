@@ -141,10 +141,7 @@ _ROWS: Final = (
 
 
 def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -> list[Path]:
-    """Draw measured and predicted signals of a log over time into a PNG and a PDF, and return their paths.
-
-    Raises InputError where the disk does not take them.
-    """
+    """Draw measured and predicted signals of a log over time into a PNG and a PDF, and return their paths."""
     from matplotlib.figure import Figure
 
     errors = predictor.errors(found.machines, found.values)

@@ -120,10 +120,7 @@ def unknowns_of(machines: Machines, loaded: bool) -> list[Unknown]:
 
 
 def machines_of(machines: Machines, values: Values) -> Machines:
-    """Return machines of one car, the first, with some of their parameters replaced.
-
-    They are not checked, for they need not fit under blocks and slopes: none is near.
-    """
+    """Return machines of the first car with some parameters replaced; unchecked, for no block or slope is near."""
     car, block, made = copy(machines.car(0)), copy(machines.block), copy(machines)
     for key, value in values.items():
         section, _, name = key.partition(".")

@@ -163,11 +163,11 @@ def compile_world(spec: mujoco.MjSpec) -> mujoco.MjModel:
     return model
 
 
-def machine_spec(kind: str, machines: Machines, number: int = 0, visual: bool = True) -> mujoco.MjSpec:
-    """Return the spec of one of MACHINES on the floor, or of the floor alone; ``number`` is of the car."""
+def machine_spec(kind: str, machines: Machines, visual: bool = True) -> mujoco.MjSpec:
+    """Return the spec of one of MACHINES, the first car, on the floor, or of the floor alone."""
     config = SimulationConfig(sleep=False)
     spec = _floor_spec(kind, machines, config, (0.0, 0.0, 0.05), (0.0, 0.0, 0.0), visual)
-    _add(spec, kind, "", ORIGIN, machines, number, visual)
+    _add(spec, kind, "", ORIGIN, machines, 0, visual)
     return spec
 
 

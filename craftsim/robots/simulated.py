@@ -51,7 +51,7 @@ class SimulatedRobot:
 
 
 def simulated_robots(world: PhysicsFleet, silent: Iterable[tuple[int, float]] = ()) -> tuple[Robot, ...]:
-    """Return a robot for each car; some fall silent, each at a second of its clock. Raises InputError for no such car."""
+    """Return a robot for each car; some fall silent, at a second of their clocks. Raises InputError for no such car."""
     cars, since_s = range(len(world.physics.cars)), dict(silent)
     if unknown := since_s.keys() - cars:
         raise InputError(f"no car {min(unknown)} to fall silent; there are cars 0 to {cars[-1]}")

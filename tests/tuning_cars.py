@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 from craftsim import Machines, SmartcarParameters
-from craftsim.checking.setup import Seed, setup_of
-from craftsim.models.sensing import MILD
+from craftsim.checking.setup import RANDOMIZE, Seed, setup_of
 from craftsim.tuning.excitation import Area, drive, excitation, free_area
 
 HIDDEN = {
@@ -17,7 +16,7 @@ HIDDEN = {
 NOMINAL = Machines(drive="reduced")
 
 
-def log_of(hidden, time_s, noise=MILD, seed=0):
+def log_of(hidden, time_s, noise=RANDOMIZE["mild"][1].sensors, seed=0):
     car = {key.partition(".")[2]: value for key, value in hidden.items() if key.startswith("smartcar.")}
     delay_s, lag_s = hidden.get("noise.delay_s", 0.0), hidden.get("noise.motor_lag_s", 0.0)
     noise = replace(noise, min_delay_s=delay_s, max_delay_s=delay_s, motor_lag_s=lag_s)

@@ -1,7 +1,6 @@
 """Contacts, tilt, vertical speed and drift of machines while an action runs; and what of it is unsafe.
 
-Contacts are read after every physics step, motion after every control period, at 50 Hz: a thing that falls by 25 mm or
-more is then faster than 0.5 m/s.
+Contacts are read after every physics step, motion after every control period, at 50 Hz.
 """
 
 from __future__ import annotations
@@ -32,8 +31,7 @@ from craftsim.skills.state import GRAVITY
 from craftsim.storage.writing import whole
 
 TIPPED_RAD: Final = INCLINE_RAD + TILT_TOLERANCE_RAD
-"""Limit of the tilt of anything: the incline and the tolerance of standing on it. What should stand still has narrower
-limits (:class:`Drift`)."""
+"""Limit of the tilt of anything: the incline and the tolerance of standing on it; :class:`Drift` has narrower ones."""
 FALL_M_S: Final = 0.5
 """Limit of the downward speed of anything: a drop of 13 mm. Descents and boards stay below 0.14 m/s."""
 
@@ -69,10 +67,7 @@ class Contact(NamedTuple):
 
 
 class ContactLog:
-    """Contacts between the machines of a PhysicsWorld, and their motion, from :meth:`begin` on.
-
-    Contacts inside one machine, such as of a slope's flap with its base, are left out.
-    """
+    """Contacts between the machines of a PhysicsWorld, not inside one, and their motion, from :meth:`begin` on."""
 
     def __init__(self, physics: PhysicsWorld, force: float = 1.0) -> None:
         """Prepare for a world, and begin; ``force`` is the limit as a share of :func:`impact_limit_n`."""
@@ -328,15 +323,12 @@ def note_motion(qpos: Floats, qvel: Floats, motion: Record, worst: Record) -> No
 class Drift:
     """The distances of cars and things from the places where they should stand, and of driving cars from their paths.
 
-    Machines are numbered as poses are: cars by id, then objects. A place is the pose at the start, or at the last call
-    of :meth:`leave`: many small movements add up. It is checked after each control period.
+    A place is the pose at the start, or at the last :meth:`leave`: many small movements add up.
     """
 
-    def __init__(self, physics: PhysicsWorld, places: NDArray[np.intp]) -> None:
-        """Take the places where everything is now; ``places`` says where their poses, (n, 7), lie in qpos."""
+    def __init__(self, physics: PhysicsWorld) -> None:
+        places, self._speeds = physics.pose_places, physics.speed_places
         self._qpos, self._qvel, self._places = physics.data.qpos, physics.data.qvel, places
-        joints = np.searchsorted(physics.model.jnt_qposadr, places[:, 0])
-        self._speeds = physics.model.jnt_dofadr[joints].astype(np.intp)[:, None] + np.arange(3)
         self._left, self.furthest = np.zeros((len(places), 7)), np.zeros((len(places), 2))
         """(n, 2): the largest distance in metres, and angle in radians, of each machine from its place."""
         n_cars = len(physics.cars)
@@ -366,10 +358,7 @@ class Drift:
         self._note_away()
 
     def stray(self, paths: Floats) -> None:
-        """Note the distance of each driving car from the last segment of its path; call it after each control period.
-
-        ``paths`` (n, 3) are the set points of an executor.
-        """
+        """Note each driving car's distance from the last segment of its path, given an executor's set points (n, 3)."""
         path, start = paths[:, :2], self.path
         at = self._qpos[self._places[: len(path), :2]]
         way = path - start
@@ -412,8 +401,7 @@ def unexpected_contacts(
 ) -> tuple[Contact, ...]:
     """Return the contacts that the prediction does not explain, largest force first.
 
-    A car and what it handles may touch each other, and what bears them before and after the action. ``names`` are those
-    of the objects, ``cars`` those that act.
+    Cars that act, and the objects (``names``) that they handle, may touch each other and what bears them.
     """
     if not contacts:
         return ()

@@ -35,7 +35,7 @@ from craftsim.storage.writing import LEFT_OUT_IF_EMPTY
 
 @dataclass(frozen=True)
 class Act:
-    """The action of one car. Raises InputError for an unknown action."""
+    """The action of one car."""
 
     car: int
     action: str
@@ -49,11 +49,7 @@ class Act:
 
 @dataclass(frozen=True)
 class Step:
-    """One action; or, with an ``order``, one tick of many cars, or a whole plan.
-
-    Raises InputError for several actions without an order, for an intended world with one, for a car that acts twice
-    in a tick, for more actions than allowed, and for times that are not one a tick.
-    """
+    """One action; or, with an ``order``, one tick of many cars, or a whole plan."""
 
     ticks: Listed[Listed[Act]]
     """In each tick every car acts once at most, in acting order."""
@@ -107,10 +103,7 @@ class Step:
         order: Concurrency = "concurrent",
         after: Constraints | None = None,
     ) -> Step:
-        """Return the step of many cars: one tick, or several as one schedule with its order constraints.
-
-        ``tick`` numbers the first one.
-        """
+        """Return the step of many cars: one tick, or several as one schedule; ``tick`` numbers the first one."""
         acts = tuple(tuple(Act(car, action.name) for car, action in joint) for joint in ticks)
         pairs = tuple((act, other) for act, others in (after or {}).items() for other in others)
         return cls(acts, order, None, tick, pairs)
@@ -158,10 +151,7 @@ def run_up(recipe: Recipe, reuse: PhysicsWorld | None = None) -> Judge:
 
 
 def start(recipe: Recipe, reuse: PhysicsWorld | None = None) -> Judge:
-    """Return the world of a recipe before its first step; ``reuse`` as of :func:`set_up`.
-
-    Raises InputError where something in the recipe does not fit together.
-    """
+    """Return the world of a recipe before its first step. Raises InputError for an invalid recipe."""
     grid = check_recipe(recipe)
     return set_up(grid, recipe.setup, recipe.seed, recipe.goals, reuse)
 
@@ -356,8 +346,7 @@ class OverrunError(InputError):
 def limit_time(judge: Judge, most_s: float, what: str) -> Callable[[], float]:
     """Limit the simulated time of what is done next in a world; return a function that returns the time passed.
 
-    OverrunError names ``what`` takes longer. Control periods are counted, because the simulation's clock starts over
-    when the simulation diverges.
+    Control periods are counted, because the clock starts over when the simulation diverges.
     """
     n_periods, period_s = 0, judge.physics.config.control_period_s
 

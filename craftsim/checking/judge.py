@@ -82,7 +82,7 @@ class Judge:
             executor.step_observer = self.log.look
             # Not a method of this object: a cycle would keep the whole simulation until garbage is collected.
             executor.guard = self.log.is_unsafe
-        self._drift = Drift(self.physics, self.physics.pose_places)
+        self._drift = Drift(self.physics)
         executor.observers.append(self._drift.look)
         if self.physics.uneven:
             drift = self._drift
@@ -209,13 +209,10 @@ class Judge:
         self.on_change(self.running)
 
     def next(self, until_s: float | None = None) -> tuple[Attempt, ...]:
-        """Run to the next ending and return the attempts of all that ended then; with none, to a time.
+        """Run to the next ending, or at most to a time, and return the attempts of all that ended then.
 
         An action is judged by its own part of the world; what else is otherwise than predicted is seen where nothing
         runs any more, and held against what has ended since an action last began.
-
-        Args:
-            until_s: simulated time to which this runs at most; without one, something must run.
         """
         assert self._running or until_s is not None, "nothing runs"
         if not self._running:
@@ -428,10 +425,7 @@ class Judge:
         return thing.height_m - lift_m(self.poses.kinds[index], machines.car(thing.carrier), machines)
 
     def _bystanders(self, one: Watched, acting: set[int], swaying: set[int]) -> Bystanders:
-        """Return the largest of each error of bystanders, and the name of the bystander, by field.
-
-        What sways under a car that still drives counts for that car's action.
-        """
+        """Return the largest of each error of bystanders, and the bystander's name; what still sways is left out."""
         n_cars, rows = self._n_cars, self._rows
         excused = acting | one.meant | swaying
         for reading in (one.reading, self.reading):

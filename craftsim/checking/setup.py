@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Final, Literal, cast
+from typing import Final, Literal, cast, get_args
 
 import numpy as np
 
@@ -22,8 +22,8 @@ from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, load_machines
 from craftsim.models.config import SimulationConfig
 from craftsim.models.measuring import Motors
 from craftsim.models.parts import ALLOWED_M
-from craftsim.models.randomization import NONE, DomainRandomization, load_noise, randomize
-from craftsim.models.sensing import ASSUMED, MILD, NOISY, SensorNoise, Sensors
+from craftsim.models.randomization import NONE, DomainRandomization, randomize
+from craftsim.models.sensing import ASSUMED, SensorNoise, Sensors
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.executor import Executor
 from craftsim.skills.fleet import Disturbance, DisturbedFleet, Fleet
@@ -66,26 +66,9 @@ class Setup:
 
 Randomize = Literal["none", "mild", "strong", "lab_floor", "workshop_floor"]
 
-_STRONG: Final = DomainRandomization(sensors=NOISY)
-_MILD: Final = DomainRandomization(
-    *(0.5 * _STRONG.friction, 0.5 * _STRONG.mass, 0.5 * _STRONG.motor, 0.5 * _STRONG.joint_friction),
-    tilt_rad=0.5 * _STRONG.tilt_rad,
-    sensors=MILD,
-)
-"""Half of the noise and randomization of strong; limits are halved where that leaves them above those without noise."""
-# Three times the noise of strong; half of that for mild. Two things at these limits can touch in the gap between their
-# cells; they then displace each other, which bystander_m bounds.
-_MILD_LIMITS: Final = Thresholds(0.0015, 0.0045, 0.002, 0.001, 0.002, placed_heading_rad=0.0075)
-_STRONG_LIMITS: Final = Thresholds(
-    *(0.003, 0.009, 0.004, 0.002, 0.003), tilt_rad=0.015, placed_heading_rad=0.015, bystander_rad=0.008
-)
-
 _Terms = tuple[Thresholds, DomainRandomization]
-_BASES: Final[dict[Randomize, _Terms]] = {
-    "none": (Thresholds(), NONE),
-    "mild": (_MILD_LIMITS, _MILD),
-    "strong": (_STRONG_LIMITS, _STRONG),
-}
+RANDOMIZE: Final[dict[Randomize, _Terms]] = {"none": (Thresholds(), NONE)}
+"""The presets of ``--randomize``: limits, before they are widened, and randomization."""
 
 
 @record(kw_only=True)
@@ -96,26 +79,20 @@ class _File(DomainRandomization):
     limits: Thresholds
 
 
-def _read(file: str | Path, bases: Mapping[Randomize, _Terms]) -> _Terms:
+def _read(file: str | Path) -> _Terms:
     document = read_document(Path(file))
     base = document.plain.get("base", "none")
-    limits, randomization = next((terms for name, terms in bases.items() if name == base), bases["none"])
+    limits, randomization = next(
+        (terms for name, terms in RANDOMIZE.items() if name == base), RANDOMIZE["none"]
+    )
     read = document.over({**asdict(randomization), "limits": asdict(limits)}).to(_File)
     parts = {one.name: getattr(read, one.name) for one in fields(DomainRandomization)}
     return read.limits, DomainRandomization(**parts)
 
 
-def _shipped(name: str) -> _Terms:
-    with as_file(files("craftsim.data").joinpath(f"randomizations/{name}.yaml")) as file:
-        return _read(file, _BASES)
-
-
-RANDOMIZE: Final[Mapping[Randomize, _Terms]] = {
-    **_BASES,
-    "lab_floor": _shipped("lab_floor"),
-    "workshop_floor": _shipped("workshop_floor"),
-}
-"""The presets of ``--randomize``: limits, before they are widened, and randomization."""
+for _preset in get_args(Randomize)[1:]:
+    with as_file(files("craftsim.data").joinpath(f"randomizations/{_preset}.yaml")) as _file:
+        RANDOMIZE[_preset] = _read(_file)
 
 
 def widened(limits: Thresholds, randomization: DomainRandomization) -> Thresholds:
@@ -176,9 +153,10 @@ def setup_of(
         machines = NOMINAL if machines is None else load_machines(Path(machines))
     if drive is not None:
         machines = replace(machines, drive=drive)
-    thresholds, randomization = _randomization(randomize)
-    declared = randomization.sensors
-    randomization = replace(randomization, sensors=_noise(noise, declared))
+    given = preset_of_level(randomize) if isinstance(randomize, str) else randomize
+    terms = RANDOMIZE[cast(Randomize, given)] if _is_preset(given, "randomization") else _read(given)
+    thresholds, randomization = terms
+    randomization = replace(randomization, sensors=_noise(noise, randomization.sensors))
     return Setup(
         rules,
         widened(thresholds, randomization),
@@ -191,19 +169,12 @@ def setup_of(
     )
 
 
-def _randomization(given: Randomize | str | Path) -> _Terms:
-    given = preset_of_level(given) if isinstance(given, str) else given
-    if _is_preset(given, "randomization"):
-        return RANDOMIZE[cast(Randomize, given)]
-    return _read(given, RANDOMIZE)
-
-
 def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> SensorNoise:
     if given is None or isinstance(given, SensorNoise):
         return declared if given is None else given
     if _is_preset(given, "noise"):
         return RANDOMIZE[cast(Randomize, given)][1].sensors
-    return load_noise(given, declared)
+    return read_document(Path(given)).over(asdict(declared)).to(SensorNoise)
 
 
 def _is_preset(given: str | Path, what: str) -> bool:
@@ -223,10 +194,7 @@ _MAX_WORDS: Final = 64
 
 @dataclass(frozen=True)
 class Seed:
-    """Where a random generator starts: entropy and spawn key of NumPy's SeedSequence.
-
-    Raises InputError for what NumPy does not take.
-    """
+    """Where a random generator starts: entropy and spawn key of NumPy's SeedSequence."""
 
     entropy: tuple[int, ...]
     spawn_key: tuple[int, ...] = ()
@@ -273,18 +241,10 @@ def set_up(
     reuse: PhysicsWorld | None = None,
     watch_contacts: bool = True,
 ) -> Judge:
-    """Return a world in physics, ready for actions.
+    """Return a world in physics, ready for actions. Raises StartError if solids would overlap.
 
-    Args:
-        grid: the start.
-        setup: everything that is configured.
-        seed: of randomization and noise.
-        goals: cells to mark.
-        reuse: a PhysicsWorld of an equal grid, simulation, floor and goals, which saves compiling; results are the same
-            as with a new one.
-        watch_contacts: as of :class:`Judge`.
-
-    Raises StartError if solids would overlap.
+    ``goals`` are cells to mark. ``reuse`` is a PhysicsWorld of an equal grid, simulation, floor and goals, which saves
+    compiling; results are the same as with a new one. ``watch_contacts`` is as of :class:`Judge`.
     """
     drawn, sensors, hits = (np.random.default_rng(s) for s in seed.sequence().spawn(3))
     physics = reuse or compile_world(grid, setup, goals)
@@ -316,11 +276,9 @@ def judge_on(
     watch_contacts: bool = True,
     fleet: Fleet | None = None,
 ) -> Judge:
-    """Return the judge on a world in its present state, with its own machines and simulation.
+    """Return the judge on a world in its present state. Raises StartError if solids overlapped at its start.
 
     ``sensors`` are exact unless given; a ``fleet`` are robots elsewhere, whose poses the PhysicsWorld shows.
-
-    Raises StartError if solids overlapped when the PhysicsWorld was reset.
     """
     check_start(physics)
     physics.set_drivetrain(setup.randomization.drivetrain)

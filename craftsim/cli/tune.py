@@ -194,7 +194,7 @@ def excite(
     import numpy as np
 
     from craftsim.checking.setup import Seed
-    from craftsim.logs.files import write_commands, write_table
+    from craftsim.logs.files import COMMANDS, write_table
     from craftsim.reports.json_file import write_report
     from craftsim.tuning.excitation import Area, drive, excitation, free_area
 
@@ -209,7 +209,7 @@ def excite(
     figures = {"rows": len(log), "period_s": period_s, "reach_m": reach, "end_m": way[-1]}
     figures["stayed"] = bool((reach < [length / 2, width / 2]).all())
     write_table(out / "log.csv", {0: log})
-    write_commands(out / "commands.csv", {0: log})
+    write_table(out / "commands.csv", {0: log}, COMMANDS)
     config = {"setup": setup, "time_s": duration, "length_m": length, "width_m": width, "load": load}
     config |= {"digests": setup.digests}
     report = write_report(out, figures, command="excite", seed=physics.seed, config=config)

@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import field
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import IO, Annotated, Any, Final
 
@@ -312,41 +313,15 @@ def _log(series: Series, names: Topics) -> Log:
     return Log.of_columns(columns)
 
 
-_DEFINITIONS: Final = {
-    _ODOMETRY: """std_msgs/Header header
-string child_frame_id
-geometry_msgs/PoseWithCovariance pose
-geometry_msgs/TwistWithCovariance twist""",
-    _POSE: """std_msgs/Header header
-geometry_msgs/Pose pose""",
-    _JOINT_STATE: """std_msgs/Header header
-string[] name
-float64[] position
-float64[] velocity
-float64[] effort""",
-    _ARRAY: """std_msgs/MultiArrayLayout layout
-float64[] data""",
-}
-"""By type, as in https://github.com/ros2/common_interfaces."""
-_PARTS: Final = {
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-    "std_msgs/MultiArrayLayout": "std_msgs/MultiArrayDimension[] dim\nuint32 data_offset",
-    "std_msgs/MultiArrayDimension": "string label\nuint32 size\nuint32 stride",
-    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
-    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
-    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
-    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
-    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
-}
-
-
 @cache
 def _decoder(kind: str, encoding: str) -> Callable[[bytes], Any]:
-    """Return what makes objects of messages' contents; each is built once, however many channels a bag claims."""
-    parts = [_DEFINITIONS[kind], *(f"MSG: {name}\n{text}" for name, text in _PARTS.items())]
-    definition = f"\n{'=' * 80}\n".join(parts).encode()
+    """Return what makes objects of messages' contents; each is built once, however many channels a bag claims.
+
+    Definitions of types are as in https://github.com/ros2/common_interfaces.
+    """
+    texts = files("craftsim.data").joinpath("ros2")
+    own, parts = (texts.joinpath(f"{name}.msg").read_text() for name in (kind.rpartition("/")[2], "parts"))
+    definition = f"{own}{'=' * 80}\n{parts}".encode()
     made = DecoderFactory().decoder_for(encoding, Schema(1, definition, "ros2msg", kind))
     if made is None:
         raise InputError(f"messages are encoded as '{encoding}'; allowed: cdr, as ROS 2 does")

@@ -92,17 +92,8 @@ def _read_table(path: Path) -> dict[int, Log]:
     return logs
 
 
-def write_table(path: str | Path, logs: Mapping[int, Log]) -> Path:
-    """Write logs atomically into a CSV file and return its path. Raises InputError if the disk fails."""
-    return write_whole(path, _text(COLUMNS, logs))
-
-
-def write_commands(path: str | Path, logs: Mapping[int, Log]) -> Path:
-    """Write only the commands of logs, to be replayed, as :func:`write_table` does."""
-    return write_whole(path, _text(COMMANDS, logs))
-
-
-def _text(names: tuple[str, ...], logs: Mapping[int, Log]) -> str:
+def write_table(path: str | Path, logs: Mapping[int, Log], names: tuple[str, ...] = COLUMNS) -> Path:
+    """Write logs, or some columns, atomically into a CSV file; return its path. Raises InputError if the disk fails."""
     parts = [np.empty((0, len(names)))]
     for car, log in logs.items():
         columns = log.columns | {CAR: np.full(len(log), car)}
@@ -110,7 +101,8 @@ def _text(names: tuple[str, ...], logs: Mapping[int, Log]) -> str:
     table = np.vstack(parts)
     table = table[np.lexsort((table[:, 1], table[:, 0]))]
     form = ",".join(["%.9g"] * len(names)) + "\n"
-    return ",".join(names) + "\n" + "".join(form % tuple(row) for row in table.tolist()).replace("nan", "")
+    text = ",".join(names) + "\n" + "".join(form % tuple(row) for row in table.tolist()).replace("nan", "")
+    return write_whole(path, text)
 
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:

@@ -153,10 +153,7 @@ class Log:
 
     @classmethod
     def of_columns(cls, columns: dict[str, Floats]) -> Self:
-        """Return the log of some columns by their names; those that are missing were not measured.
-
-        NEEDED must be there; a command to board or hinge that is missing is 0.
-        """
+        """Return the log of columns by name, NEEDED among them; others that are missing are 0 or were not measured."""
         n = len(columns[TIME])
         groups = {
             group: np.column_stack(
@@ -180,10 +177,7 @@ class Log:
         return replace(self, **{field.name: getattr(self, field.name)[kept] for field in fields(self)})
 
     def resampled(self, period_s: float) -> Self:
-        """Return the log with a row each so many seconds.
-
-        Commands are held; what was measured is interpolated, and nan in gaps of more than three rows.
-        """
+        """Return the log with a row each so many seconds: commands held, the rest interpolated, nan in longer gaps."""
         n = int(self.duration_s / period_s + 1e-6) + 1
         time = np.minimum(self.time_s[0] + period_s * np.arange(n), self.time_s[-1])
         latest = np.searchsorted(self.time_s, time + 1e-9, side="right") - 1
@@ -219,7 +213,6 @@ class LogRecorder:
     """Records the measurements and commands of all cars in every control period."""
 
     def __init__(self, executor: Executor) -> None:
-        """Start recording the cars of an executor."""
         self._executor = executor
         self._readings = [executor.fleet.read().tobytes()]
         self._commands: list[bytes] = []

@@ -54,9 +54,7 @@ def add_block(
     Four legs and a deck over a frame of four bars, which leaves a pocket for a smartcar's boss; the deck's mass is
     shared by volume. Legs end in round rubber feet at their outer corners: one point of contact each, on as wide a
     stand and, by ``foot_stiffness_ratio``, as firm. The frame stands on a board by its front and back bars; the other
-    two, a little higher, only stop the boss, by its bevel.
-
-    ``name`` is which of :data:`TABLE_NAMES`; the other arguments are as of :func:`craftsim.mjcf.car.add_car`.
+    two, a little higher, only stop the boss, by its bevel. Other arguments are as of :func:`craftsim.mjcf.car.add_car`.
     """
     block, contact, table = machines.block, machines.contact, TABLES[TABLE_NAMES[name]]
     of_solid = {"type": mujoco.mjtGeom.mjGEOM_BOX, "rgba": [*table.rgb, 0.4]}

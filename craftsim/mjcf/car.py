@@ -124,15 +124,9 @@ def _boss(car: SmartcarParameters) -> list[Point]:
 def add_car(
     spec: mujoco.MjSpec, prefix: str, pose: Pose, machines: Machines, number: int = 0, visual: bool = True
 ) -> None:
-    """Add a smartcar to a spec.
+    """Add a smartcar to a spec; ``prefix`` begins the names of its parts, its number decides its parameters and colour.
 
-    Args:
-        spec: of the world.
-        prefix: begins the names of all its parts.
-        pose: where it stands.
-        machines: the parameters, of contacts and the drive, too.
-        number: of the car: decides its own parameters and its colour.
-        visual: whether it has what is only seen, and its camera.
+    ``visual`` is whether it has what is only seen, and its camera.
     """
     car, contact = machines.car(number), machines.contact
     of_solid = {**TOUCHES["hulls"], **surface(contact, car.chassis_friction)}

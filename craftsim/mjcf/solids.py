@@ -60,11 +60,9 @@ class ClosedSolid(NamedTuple):
 
 
 def loft(rings: Sequence[Ring]) -> ClosedSolid:
-    """Return the closed solid through rings of equally many points, its ends closed by fans.
+    """Return the closed solid through two or more rings of equally many points, which are joined point by point.
 
-    Args:
-        rings: two or more; neighbouring rings are joined point by point. The first and the last outline must
-            be star-shaped about their mean point.
+    Fans close its ends, whose outlines must be star-shaped about their mean points.
     """
     count = len(rings[0])
     points = np.concatenate([*rings, [rings[0].mean(axis=0)], [rings[-1].mean(axis=0)]])

@@ -108,10 +108,9 @@ def world_spec(
     floor: Floor = FLAT,
     visual: bool = True,
 ) -> mujoco.MjSpec:
-    """Return the spec of a world at its start, before anything of it is drawn from a seed.
+    """Return the spec of a world at its start, of the arguments of a PhysicsWorld, before anything is drawn.
 
-    The arguments are those of :class:`craftsim.PhysicsWorld`; ``visual`` adds what is only seen, which changes no
-    number of the physics. Raises InputError for a floor that is too fine.
+    ``visual`` adds what is only seen, which changes no number. Raises InputError for a floor that is too fine.
     """
     middle, half = ground_pose_and_size(grid.size)
     spec = _floor_spec("site", machines, config, half, middle, visual)
@@ -164,11 +163,11 @@ def compile_world(spec: mujoco.MjSpec) -> mujoco.MjModel:
     return model
 
 
-def machine_spec(kind: str, machines: Machines, number: int = 0, visual: bool = True) -> mujoco.MjSpec:
-    """Return the spec of one of MACHINES on the floor, or of the floor alone; ``number`` is of the car."""
+def machine_spec(kind: str, machines: Machines, visual: bool = True) -> mujoco.MjSpec:
+    """Return the spec of one of MACHINES, the first car, on the floor, or of the floor alone."""
     config = SimulationConfig(sleep=False)
     spec = _floor_spec(kind, machines, config, (0.0, 0.0, 0.05), (0.0, 0.0, 0.0), visual)
-    _add(spec, kind, "", ORIGIN, machines, number, visual)
+    _add(spec, kind, "", ORIGIN, machines, 0, visual)
     return spec
 
 
@@ -213,10 +212,7 @@ def ground_pose_and_size(size: Cell) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 
 def check_extent(grid: Grid, goals: Sequence[Cell] = ()) -> None:
-    """Raise InputError for a world that is too large for physics, and for goals outside of it.
-
-    Raises StartError for two cars in one cell.
-    """
+    """Raise InputError for a world that is too large for physics, or goals outside; StartError for cars in one cell."""
     loads = int((grid.cars[:, CarField.LOAD] != Kind.AIR).sum())
     parts = grid.n_cars + loads + int(np.isin(grid.kind, STANDING).sum())
     length, width, height = grid.size

@@ -69,10 +69,7 @@ IDEAL: Final = Drivetrain()
 
 
 class StepEffect:
-    """Something that changes parameters of a world's model; a new one is made for each baseline.
-
-    What an effect remembers is in :attr:`state`; all else it works out from the world.
-    """
+    """Something that changes parameters of a world's model; a new one is made for each baseline."""
 
     state: Floats = np.zeros(0)
     """What it remembers beyond the state of MuJoCo; saved and restored with it."""
@@ -90,8 +87,7 @@ class StepEffect:
 
 
 def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> tuple[list[StepEffect], TurnedMotors]:
-    """Return the effects of a world with its present baseline, in the order in which they act; and its motors that are
-    turned."""
+    """Return the effects of a world with its present baseline, in their order, and its motors that are turned."""
     wheels = _wheels(world)
     found: list[StepEffect] = [] if drivetrain == IDEAL else [DrivetrainLosses(world, wheels, drivetrain)]
     found.append(Bearings(world) if world.machines.drive == "rollers" else Grip(world, wheels))
@@ -261,8 +257,7 @@ def turned_motors(world: PhysicsWorld, wheels: Records) -> TurnedMotors:
     """Let motors and gears of the reduced drive, which push their car in its own frame, act on its free joint.
 
     In MJCF they act on a site of the car, for which MuJoCo works out Jacobians in each step. A motor of the free joint
-    pushes along the axes of the world; turned with the car before each step, it does the same without them
-    (tests/models/test_driving.py). On rollers there are none.
+    pushes along the axes of the world; turned with the car before each step, it does the same. On rollers are none.
     """
     model = world.model
     if world.machines.drive == "rollers":

@@ -68,10 +68,7 @@ def machine_texts() -> dict[str, str]:
 
 
 def write_mjcf(path: Path, spec: mujoco.MjSpec) -> Path:
-    """Write a machine, or the start of a world before it settles, as one file; return its path.
-
-    Raises InputError where the disk does not take the file.
-    """
+    """Write a machine, or the start of a world before it settles, as one file; return its path."""
     return write_whole(new_file(path), text_of(spec))
 
 
@@ -83,10 +80,7 @@ def new_file(path: Path) -> Path:
 
 
 def write_urdf(path: Path, spec: mujoco.MjSpec) -> Path:
-    """Write a spec as URDF, and its meshes into a folder beside it; return the path.
-
-    Raises InputError where the disk does not take a file.
-    """
+    """Write a spec as URDF, and its meshes into a folder beside it; return the path."""
     path, model = new_file(path), spec.compile()
     folder, meshes = f"{path.stem}_meshes", dict[str, str]()
     if exists(path.parent / folder) and not is_folder(path.parent / folder):

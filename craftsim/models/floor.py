@@ -91,11 +91,8 @@ FLAT: Final = Floor()
 
 @lru_cache(maxsize=8)
 def _layout(floor: Floor, size: Cell) -> tuple[float, Floats, int]:
-    """Return how the tiles of a floor lie under an area of ``size`` cells. Raises InputError for too many of them.
-
-    Returns the radius in metres of the circle that they cover however they lie; their centres, (n, 2) metres; and the
-    number of points along each side of a tile.
-    """
+    """Return the radius in metres of the circle that tiles cover however they lie, their centres, (n, 2) in metres,
+    and the number of points along each side of a tile. Raises InputError for too many tiles."""
     radius = CELL_PITCH_M * math.hypot(*(n / 2 + _MARGIN_CELLS for n in size[:2]))
     # A tile may be shifted by half of its diagonal, and reaches as far from its centre.
     reach = radius + math.sqrt(2) * floor.tile_m
@@ -113,10 +110,7 @@ def _layout(floor: Floor, size: Cell) -> tuple[float, Floats, int]:
 
 
 def add_tiles(spec: mujoco.MjSpec, floor: Floor, size: Cell) -> None:
-    """Put the tiles of a floor under an area of ``size`` cells: they touch as the ground does, its plane lies below.
-
-    Raises InputError for too many of them.
-    """
+    """Put the tiles of a floor, which touch as the ground does, above it. Raises InputError for too many of them."""
     _, centres, count = _layout(floor, size)
     ground = spec.geom(GROUND)
     depth_m = (floor.joint_depth_m if floor.joint_m else 0.0) or _BELOW_M
@@ -145,10 +139,7 @@ def tiles_body(model: mujoco.MjModel) -> int:
 
 
 def lay(model: mujoco.MjModel, floor: Floor, size: Cell, rng: np.random.Generator) -> float:
-    """Draw the floor of a compiled model; return the height of its highest point in metres.
-
-    The same is drawn for all parameters of one layout.
-    """
+    """Draw the floor of a compiled model, alike for all parameters of a layout; return its largest height in metres."""
     layout = _layout(floor, size)
     turn_rad = rng.uniform(0, math.tau)
     x, y = floor.tile_m * rng.uniform(-0.5, 0.5, 2)

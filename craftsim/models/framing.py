@@ -56,10 +56,7 @@ class Aim:
         return quaternion
 
     def project(self, points: ArrayLike, aspect: float) -> NDArray[np.float64]:
-        """Return where points (n, 3) lie in a picture of an aspect ratio (width over height).
-
-        Returns (n, 2): -1 to 1 from the left to the right edge, and from the lower to the upper one.
-        """
+        """Return where points (n, 3) lie in a picture (aspect: width over height), (n, 2) from -1 to 1 right and up."""
         seen = (np.asarray(points, float) - self.position) @ self.axes
         high = math.tan(math.radians(self.fovy_deg) / 2)
         return seen[:, :2] / (-seen[:, 2:] * [high * aspect, high])

@@ -64,10 +64,7 @@ Line = Annotated[float, Range(-1.0), Field(allow_inf_nan=True), AfterValidator(_
 
 
 class CarMeasurement(NamedTuple):
-    """One car's view of itself at one instant; world frame, metres and radians.
-
-    The bounds are those of what a robot may send.
-    """
+    """One car's view of itself at one instant, bounded by what a robot may send; world frame, metres and radians."""
 
     time_s: Annotated[float, Range(0.0, 1e9)]
     x: Metres
@@ -154,10 +151,7 @@ def wire_undersides(physics: PhysicsWorld) -> Records:
 
 
 def exact_reader(physics: PhysicsWorld, cars: Records, undersides: Records) -> Callable[..., Any]:
-    """Return a function that measures all cars exactly, as they are now.
-
-    It takes the time in seconds, and records, (n,) of READING, for what is measured.
-    """
+    """Return a function of the time in seconds that measures all cars exactly into records, (n,) of READING."""
     model, data = physics.model, physics.data
     speeds = data.qvel if physics.machines.drive == "rollers" else data.actuator_velocity
     state = data.qpos, data.qvel, data.act, speeds

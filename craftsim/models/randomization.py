@@ -1,12 +1,10 @@
-"""How far a real world is from the nominal one: what may differ, drawn from a seed, and read from files."""
+"""How far a real world is from the nominal one: what may differ, drawn from a seed."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
-from pathlib import Path
 from typing import Final
 
 import mujoco
@@ -21,15 +19,11 @@ from craftsim.models.parts import GROUND, Car
 from craftsim.models.sensing import EXACT, SensorNoise
 from craftsim.models.world import Baseline, PhysicsWorld
 from craftsim.storage.records import record
-from craftsim.storage.yaml import read_document
 
 
 @record()
 class Making:
-    """Tolerances of making: half-widths of uniform distributions, drawn for each machine; hashable.
-
-    Raises InputError for a figure outside [0, 1).
-    """
+    """Tolerances of making: half-widths below 1 of uniform distributions, drawn for each machine; hashable."""
 
     wheel_radius_m: Amount = 0.0
     """Of each wheel by itself."""
@@ -242,17 +236,3 @@ def _machine_and_part(name: str) -> tuple[str, str]:
 
 def _geoms(model: mujoco.MjModel, machine: str, parts: tuple[str, ...]) -> list[int]:
     return [model.geom(f"{machine}/{part}").id for part in parts]
-
-
-def load_noise(path: Path | str, nominal: SensorNoise = EXACT) -> SensorNoise:
-    """Return the sensor noise of a YAML file; what it leaves out is that of ``nominal``.
-
-    Raises InputError, naming the file, line and figure, for an unknown figure and one out of range.
-
-    Example:
-        >>> from craftsim.models.randomization import load_noise
-        >>> _ = (folder / "late.yaml").write_text("{min_delay_s: 0.06, max_delay_s: 0.08}")
-        >>> load_noise(folder / "late.yaml").max_delay_s
-        0.08
-    """
-    return read_document(Path(path)).over(asdict(nominal)).to(SensorNoise)

@@ -114,29 +114,6 @@ class SensorNoise:
 EXACT = SensorNoise()
 """No noise, no delay, no lag."""
 
-NOISY = SensorNoise(
-    position_m=0.001,
-    heading_rad=0.003,
-    min_delay_s=0.02,
-    max_delay_s=0.04,
-    encoder_lag_s=0.01,
-    motor_lag_s=0.01,
-    # An accelerometer of 400 ug/sqrt(Hz) (data sheet of the InvenSense MPU-6050) over the 25 Hz that 50 readings a
-    # second can hold: 2 mg, which is the tilt in mrad.
-    tilt_rad=0.002,
-    # Assumed: the lead screw is counted at its motor, a few micrometres a count.
-    board_m=0.000005,
-    # Assumed: felt by the current of the board's motor, 5 % of what it lifts with a block.
-    board_force_n=0.3,
-    # A magnetic encoder of 12 bits (ams AS5600, 0.015 degrees RMS in its slow filter mode).
-    hinge_rad=0.00026,
-    # Assumed: a row of reflex sensors 8 mm apart, interpolated.
-    line_m=0.0004,
-    # Assumed: spring contacts that chatter.
-    undocked_share=0.001,
-)
-"""The noise under which skills are validated."""
-
 ASSUMED = SensorNoise(
     position_m=0.001,
     heading_rad=0.003,
@@ -151,9 +128,6 @@ ASSUMED = SensorNoise(
 )
 """The noise that cars assume of their sensors unless configured otherwise: where they start from before they find out.
 Only what the pose estimate uses is in it."""
-
-MILD = SensorNoise(**{field.name: getattr(NOISY, field.name) / 2 for field in fields(SensorNoise)})
-"""Half of it."""
 
 
 def measure(physics: PhysicsWorld, car: int) -> CarMeasurement:

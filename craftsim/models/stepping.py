@@ -103,10 +103,7 @@ class Stepping:
         self._run = bound(_run_steps, self._call, motors, self._world[1].solver_niter, limit)
 
     def run(self, n_steps: int) -> int:
-        """Run physics steps, none to turn the motors alone; return in how many of them a solver gave up.
-
-        Raises FatalError of MuJoCo for an error in a step, as its bindings do.
-        """
+        """Run physics steps, or none; return in how many a solver gave up. Raises FatalError as MuJoCo does."""
         n_capped = self._run(n_steps)
         if n_capped < 0:
             raise mujoco.FatalError(_LIBRARY.mjb_error(self._batch, 0).decode())

@@ -8,9 +8,10 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from itertools import chain
+from types import SimpleNamespace
 from typing import Any, Final
 
 import mujoco
@@ -39,43 +40,33 @@ _STAY_AWAKE = int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER)
 _MAY_SLEEP = int(mujoco.mjtSleepPolicy.mjSLEEP_ALLOWED)
 
 
-@dataclass(frozen=True)
-class Baseline:
-    """Parameters of a model that effects, randomization and tests change, apart from what an effect makes of them."""
+_VARIED: Final = (
+    *("geom_friction", "geom_pos", "geom_size", "body_mass", "body_inertia", "body_pos", "body_quat"),
+    *("actuator_forcerange", "actuator_gainprm", "actuator_biasprm", "actuator_gear"),
+    *("dof_frictionloss", "dof_damping", "hfield_data", "gravity"),
+)
 
-    geom_friction: NDArray[np.float64]
-    body_mass: NDArray[np.float64]
-    body_inertia: NDArray[np.float64]
-    actuator_forcerange: NDArray[np.float64]
-    actuator_gainprm: NDArray[np.float64]
-    actuator_biasprm: NDArray[np.float64]
-    dof_frictionloss: NDArray[np.float64]
-    dof_damping: NDArray[np.float64]
-    actuator_gear: NDArray[np.float64]
-    body_pos: NDArray[np.float64]
-    body_quat: NDArray[np.float64]
-    geom_pos: NDArray[np.float64]
-    geom_size: NDArray[np.float64]
-    hfield_data: NDArray[np.float32]
-    gravity: NDArray[np.float64]
+
+class Baseline(SimpleNamespace):
+    """Parameters of a model that randomization and tests change, without what effects make of them; MuJoCo's names."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Baseline:
         """Return copies of the parameters of a model."""
-        return cls(**{name: array.copy() for name, array in cls._arrays(model).items()})
+        return cls(**_varied(model)).copy()
 
     def write(self, model: mujoco.MjModel) -> None:
         """Put the parameters into a model."""
-        for name, array in self._arrays(model).items():
+        for name, array in _varied(model).items():
             array[:] = getattr(self, name)
 
     def copy(self) -> Baseline:
         """Return a copy, to be changed."""
         return Baseline(**{name: array.copy() for name, array in vars(self).items()})
 
-    @classmethod
-    def _arrays(cls, model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
-        return {f.name: getattr(model.opt if f.name == "gravity" else model, f.name) for f in fields(cls)}
+
+def _varied(model: mujoco.MjModel) -> dict[str, NDArray[Any]]:
+    return {name: getattr(model.opt if name == "gravity" else model, name) for name in _VARIED}
 
 
 @dataclass(frozen=True)
@@ -182,6 +173,8 @@ class PhysicsWorld:
         bases = [car.base for car in self.cars], self.tables, [slope.base for slope in self.slopes]
         self.pose_places = np.array([body.qpos for body in chain(*bases)], np.intp)[:, None] + np.arange(7)
         """(n, 7): where in qpos the pose lies of everything that moves: cars by id; then tables and slopes."""
+        self.speed_places = np.array([body.dof for body in chain(*bases)], np.intp)[:, None] + np.arange(3)
+        """(n, 3): where in qvel their speeds lie."""
         self.machine_names = MachineNames.of(self.model)
         """The machines by their geoms."""
         self.compiled = Baseline.of(self.model)
@@ -310,10 +303,7 @@ class PhysicsWorld:
         self.run(n_steps, observe)
 
     def run(self, n_steps: int, observe: Callable[[], None] | None = None) -> None:
-        """Run physics steps under the commands that stand; ``observe`` is called after each.
-
-        It is the one place where physics goes on. Raises FatalError of MuJoCo for an error that it finds in a step.
-        """
+        """Run physics steps, which nothing else does; ``observe`` is called after each. Raises FatalError of MuJoCo."""
         effects = self._step_effects
         at_once = 1 if effects or observe is not None else max(n_steps, 1)
         for _ in range(n_steps // at_once):
@@ -350,10 +340,7 @@ class PhysicsWorld:
         self._rouse()
 
     def awake_copy(self) -> mujoco.MjData:
-        """Return a copy of the state in which contacts between sleeping machines, which MuJoCo leaves out, show.
-
-        The next call overwrites it.
-        """
+        """Return a copy, until the next call, of the state with contacts of sleeping machines, which MuJoCo omits."""
         mujoco.mj_copyData(self._spare, self.model, self.data)
         self._stepping.run(0)
         flags = self.model.opt.enableflags

@@ -28,10 +28,7 @@ def need_network() -> None:
 def robots_at(address: str, timeout_s: float = 1.0) -> Iterator[SetUp]:
     """Yield what sets up a world by connecting to the robots in it, anew each time; let go of them at the end.
 
-    Args:
-        address: of the robots, ``HOST:PORT`` or ``tcp://HOST:PORT``.
-        timeout_s: without a message from them for so long they count as lost, and a car that does not answer for so
-            long, too.
+    The address is ``HOST:PORT`` or ``tcp://HOST:PORT``. Robots, or a car, that say nothing for ``timeout_s`` are lost.
 
     Raises InputError where what it takes is not installed; and so does what is yielded, where no robots answer.
     """
@@ -39,13 +36,12 @@ def robots_at(address: str, timeout_s: float = 1.0) -> Iterator[SetUp]:
     from craftsim.checking.setup import Setup, judge_on
     from craftsim.discrete.grid import Grid
     from craftsim.discrete.kinds import Action
-    from craftsim.models.sensing import NOISY
     from craftsim.models.world import PhysicsWorld
     from craftsim.robots.link import Link, connect
     from craftsim.robots.sockets import Caller
 
     # What is compiled at its first use is compiled now: robots do not wait for it.
-    judge = judge_on(PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1)), Setup(assumed=NOISY))
+    judge = judge_on(PhysicsWorld(Grid.empty((2, 1, 1), n_cars=1)), Setup())
     judge.executor.paths()
     judge.perform(0, Action.MOVE_RIGHT)
     with ExitStack() as connected:

@@ -29,7 +29,6 @@ class Extrapolation:
     """The motion of one car over a few control periods."""
 
     def __init__(self, car: SmartcarParameters, machines: Machines, period_s: float) -> None:
-        """Take the figures of the car and of what it handles."""
         self._car, self._slope, self._period_s = car, machines.slope, period_s
         self._kinematics = Mecanum(car)
         self._droop_rad_s = car.gear_friction_nm / car.wheel_gain_nms_rad

@@ -9,14 +9,11 @@ from typing import Final, Protocol
 import numpy as np
 
 from craftsim.discrete.kernel.jit import records
-from craftsim.models.measuring import READING, UNDERSIDE, WIRING, CarMeasurement, Records, write_reading
-from craftsim.skills.fleet import Wires
+from craftsim.models.measuring import READING, CarMeasurement, Records, write_reading
 from craftsim.skills.skill import Command
 
 PATIENCE: Final = 50
 """Control periods, 1 s of the usual ones, after which a car that does not answer is lost."""
-_MOTORS: Final = 5
-"""Motors of a car: four wheels and the board."""
 
 
 class Robot(Protocol):
@@ -58,54 +55,45 @@ class RealClock:
         self._end_s += self._period_s
 
 
-class Harness:
-    """Records and arrays through which compiled laws measure and command n cars, and the hinges of some slopes."""
+class RemoteCars:
+    """What n cars that are not of a PhysicsWorld measured last, and are commanded."""
 
     def __init__(self, n_cars: int, n_slopes: int, patience: int = PATIENCE) -> None:
-        """Lay the wires; nothing is commanded. A car whose clock stands for ``patience`` periods is lost."""
-        cars, plugs = records(n_cars, WIRING), records(n_slopes, UNDERSIDE)
-        motors = np.arange(_MOTORS * n_cars).reshape(n_cars, _MOTORS)
-        cars["wheel_motors"], cars["board_motor"] = motors[:, :4], motors[:, 4]
-        plugs["motor"] = range(_MOTORS * n_cars, _MOTORS * n_cars + n_slopes)
-        ctrl = np.zeros(_MOTORS * n_cars + n_slopes)
-        self.wires = Wires(cars, plugs, np.zeros((n_cars, 4)), np.ones(1), ctrl)
+        """Command nothing. A car whose clock stands for ``patience`` periods is lost."""
         self.readings: Records = records(n_cars, READING)
         """(n,) READING: what was measured last."""
+        self.commands: tuple[Command, ...] = (Command(),) * n_cars
+        self._n_slopes = n_slopes
         self.lost_cars: Mapping[int, str] = {}
         self._patience, self._silent = patience, np.zeros(n_cars, np.int64)
         """After how many periods without an answer a car is lost, and for how many there has been none."""
 
     def measured(self, measurements: Sequence[CarMeasurement]) -> None:
         """Take a measurement of each car. Raises ValueError for other slopes than there are."""
-        n_slopes, before = len(self.wires.plugs), self.readings["time_s"].copy()
+        before = self.readings["time_s"].copy()
         for car, now in enumerate(measurements):
-            if now.slope is not None and not 0 <= now.slope < n_slopes:
-                raise ValueError(f"car {car} is docked to slope {now.slope}, and there are {n_slopes}")
+            if now.slope is not None and not 0 <= now.slope < self._n_slopes:
+                raise ValueError(f"car {car} is docked to slope {now.slope}, and there are {self._n_slopes}")
             write_reading(now, self.readings[car : car + 1])
         self._silent = np.where(self.readings["time_s"] == before, self._silent + 1, 0)
         for car in np.flatnonzero(self._silent >= self._patience).tolist():
             why = f"car {car} has not answered since {before[car]:.2f} s of its clock"
             self.lost_cars = {car: why, **self.lost_cars}
 
-    def commands(self) -> tuple[Command, ...]:
-        """Return what stands on the wires, for each car; a hinge's is that of the car that is docked to its slope."""
-        ctrl, found = self.wires.ctrl.tolist(), []
-        hinges = ctrl[_MOTORS * len(self.readings) :]
-        for car, slope in enumerate(self.readings["slope"].tolist()):
-            fl, fr, rl, rr, board = ctrl[_MOTORS * car : _MOTORS * (car + 1)]
-            found.append(Command((fl, fr, rl, rr), board, hinges[slope] if slope >= 0 else 0.0))
-        return tuple(found)
+    def command(self, cars: Records) -> None:
+        """Take the commands of all cars; that of a hinge needs a slope."""
+        found = zip(cars["command"].tolist(), cars["now"]["slope"].tolist(), strict=True)
+        self.commands = tuple(
+            Command(tuple(wheels.tolist()), board, hinge if slope >= 0 else 0.0)
+            for (wheels, board, hinge), slope in found
+        )
 
-    def stop(self, car: int, slope: int) -> None:
-        """Command a car's motors to zero, and the hinge of a slope, -1 for none."""
-        wires = self.wires
-        wires.speeds[car] = 0.0
-        wires.ctrl[_MOTORS * car : _MOTORS * (car + 1)] = 0.0
-        if slope >= 0:
-            wires.ctrl[wires.plugs[slope]["motor"]] = 0.0
+    def stop(self, car: int) -> None:
+        """Command a car's motors to zero, and the hinge of its slope."""
+        self.commands = (*self.commands[:car], Command(), *self.commands[car + 1 :])
 
 
-class RobotFleet(Harness):
+class RobotFleet(RemoteCars):
     """Some robots with a common clock, each control period measured at its start and commanded at once."""
 
     lost = ""
@@ -132,7 +120,7 @@ class RobotFleet(Harness):
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Command the robots, wait until the control period is over, and measure; there are no physics steps."""
-        for robot, command in zip(self._robots, self.commands(), strict=True):
+        for robot, command in zip(self._robots, self.commands, strict=True):
             robot.command(command)
         self._wait()
         self.attend()

@@ -12,7 +12,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from itertools import chain
 from typing import Final, Protocol
 
 import numpy as np
@@ -25,10 +24,9 @@ from craftsim.discrete.grid import Cell, Grid
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.measuring import Records
-from craftsim.models.parts import Joint
 from craftsim.models.world import PhysicsWorld
 from craftsim.robots.extrapolation import Extrapolation
-from craftsim.robots.fleet import Harness
+from craftsim.robots.fleet import RemoteCars
 from craftsim.robots.messages import (
     COPIES,
     Ack,
@@ -79,10 +77,7 @@ class Messenger(Protocol):
         """Send a message; it may be lost."""
 
     def receive(self, timeout_s: float) -> bytes | None:
-        """Return the next message that comes, or None where none does in time.
-
-        Raises ConnectionError where none can come any more.
-        """
+        """Return the next message that comes in time, or None; raise ConnectionError where none can come any more."""
 
     def close(self) -> None:
         """Close the connection."""
@@ -96,10 +91,7 @@ def world_digest(grid: Grid) -> str:
 def connect(
     transport: Messenger, grid: Grid, setup: Setup, goals: Sequence[Cell] = (), timeout_s: float = TIMEOUT_S
 ) -> Judge:
-    """Return the judge of robots that should stand in a world; its executor drives them until the fleet is closed.
-
-    Contacts are not seen from outside. ``goals`` are marked on the world that the judge sees. Without a message for
-    ``timeout_s`` the robots count as lost.
+    """Return the judge, blind to contacts, of robots that should stand in a world, driven until the fleet is closed.
 
     Raises InputError where they do not answer or refuse, or where no referee shows their world.
     """
@@ -115,22 +107,20 @@ def connect(
 
 
 class Mirror:
-    """Shows on a PhysicsWorld, which is never stepped, where everything truly is, for a judge to look at.
+    """Shows on a PhysicsWorld, which is never stepped, where everything truly is, and boards where they were measured.
 
-    Wheels stand still; boards stand where they were measured; velocities are what changed since what was shown before.
+    Velocities are what changed since what was shown before; wheels stand still.
     """
 
     def __init__(self, physics: PhysicsWorld) -> None:
         self.physics = physics
         self._seen: deque[TruePoses] = deque(maxlen=_KEPT)
-        bases = [car.base for car in physics.cars], physics.tables, [slope.base for slope in physics.slopes]
-        self._bodies: list[Joint] = [*chain(*bases)]
 
     def take(self, poses: TruePoses) -> None:
         """Keep poses that are newer; raise MessageError for what cannot be of this world."""
         n_cars, n_slopes = len(self.physics.cars), len(self.physics.slopes)
         came = len(poses.cars), len(poses.things), len(poses.hinges)
-        there = n_cars, len(self._bodies) - n_cars, n_slopes
+        there = n_cars, len(self.physics.pose_places) - n_cars, n_slopes
         if came != there:
             raise MessageError(
                 "{} cars, {} things and {} hinges; there are {}, {} and {}".format(*came, *there)
@@ -152,12 +142,14 @@ class Mirror:
                 f"the referee's clock shows {poses.time_s:g} s where the robots measure {measured.time_s:g} s"
             )
         physics, data = self.physics, self.physics.data
-        passed_s = poses.time_s - data.time
-        for body, pose in zip(self._bodies, (*poses.cars, *poses.things), strict=True):
-            if passed_s > 0:
-                way = np.array(pose[:3]) - data.qpos[body.qpos : body.qpos + 3]
-                data.qvel[body.dof : body.dof + 3] = way / passed_s
-            data.qpos[body.qpos : body.qpos + 7] = pose
+        places, shown, passed_s = (
+            physics.pose_places,
+            np.array((*poses.cars, *poses.things)),
+            poses.time_s - data.time,
+        )
+        if passed_s > 0:
+            data.qvel[physics.speed_places] = (shown[:, :3] - data.qpos[places[:, :3]]) / passed_s
+        data.qpos[places] = shown
         for slope, hinge in zip(physics.slopes, poses.hinges, strict=True):
             data.qpos[slope.hinge.qpos] = hinge
         for car, now in zip(physics.cars, measured.cars, strict=True):
@@ -174,8 +166,8 @@ def _inside(size: Cell, places: Sequence[Sequence[float]]) -> bool:
     return bool(((at >= -_AROUND_M) & (at <= ends + _AROUND_M)).all())
 
 
-class Link(Harness):
-    """A connection to robots: what stands on its wires is sent to them, and what they will measure is read."""
+class Link(RemoteCars):
+    """A connection to robots: what they are commanded is sent to them, and what they will measure is read."""
 
     def __init__(
         self,
@@ -188,13 +180,8 @@ class Link(Harness):
     ) -> None:
         """Say hello to the robots, and listen for half a second how long messages take.
 
-        Args:
-            transport: reaches them.
-            n_cars: how many there should be.
-            machines: their parameters.
-            world: digest of the world in which they should stand.
-            timeout_s: without a message of use for so long they are lost, and so is a car whose clock stands so long.
-            mirror: shows what their referee says.
+        ``world`` is the digest of that in which they should stand; without a message of use for ``timeout_s`` they are
+        lost, and so is a car whose clock stands so long; ``mirror`` shows what their referee says.
 
         Raises InputError where nobody answers, or they refuse.
         """
@@ -250,11 +237,11 @@ class Link(Harness):
         self._predict()
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:
-        """Send what stands on the wires, and wait until a control period of the robots is over."""
+        """Send the commands, and wait until a control period of the robots is over."""
         if self.lost:
             return
         self._number += 1
-        message = Commands(self._number, self._due_s + self._lead_s, self.commands())
+        message = Commands(self._number, self._due_s + self._lead_s, self.commands)
         for _ in range(COPIES):
             self._transport.send(pack(message))
         self._sent.append((self._lead_s, message))
@@ -272,13 +259,13 @@ class Link(Harness):
         self._predict()
         self._show()
 
-    def stop(self, car: int, slope: int) -> None:
-        """Command a car's motors to zero, and the hinge of a slope; tell the robots at once, unless it is lost."""
-        super().stop(car, slope)
+    def stop(self, car: int) -> None:
+        """Command a car's motors to zero, and the hinge of its slope; tell the robots at once, unless it is lost."""
+        super().stop(car)
         if car in self.lost_cars:
             return
         self._number += 1
-        self._transport.send(pack(Commands(self._number, 0.0, self.commands())))
+        self._transport.send(pack(Commands(self._number, 0.0, self.commands)))
 
     def close(self) -> None:
         """Let go of the robots, and close the connection."""

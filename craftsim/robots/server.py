@@ -57,10 +57,7 @@ _AT_ONCE: Final = 128
 
 @dataclass(frozen=True)
 class Network:
-    """What becomes of messages on their way, in each direction, and which cars fall silent.
-
-    Raises InputError for what cannot be.
-    """
+    """What becomes of messages on their way, in each direction, and which cars fall silent."""
 
     delay_s: float = 0.0
     """How long a message takes on average."""
@@ -88,7 +85,6 @@ class Channel:
     """One direction of a network: messages come late, by a time that varies, so they may overtake each other."""
 
     def __init__(self, network: Network, rng: np.random.Generator) -> None:
-        """Draw what becomes of each message from a generator; nothing is on its way."""
         self._network, self._rng = network, rng
         self._under_way: list[tuple[float, int, Any]] = []
         self._sent = 0
@@ -121,7 +117,6 @@ class Inbox:
     """The commands of one driver, numbered by it: which is to be obeyed now, and whether too long none has come."""
 
     def __init__(self) -> None:
-        """Wait for a driver; the robots stand."""
         self.heard_s = 0.0
         """When the newest command came."""
         self.stops = self.dropped = 0
@@ -187,8 +182,7 @@ class Service:
             robots: in the order of their cars' ids.
             fleet: of their cars.
             send: sends (to whom, what).
-            network: what commands go through, and what measurements go through.
-            rngs: draw what becomes of commands, and of measurements.
+            network: the way of commands and of measurements; ``rngs`` draw what becomes of these, and of those.
             world: digest of the world, which a driver's must equal; empty for any.
             waits: whether their time stands still until each measurement has been answered.
             tell: says who comes, when the robots stop, and why a message was dropped.
@@ -320,17 +314,10 @@ class Service:
             self._deliver(now_s)
 
     def _true_poses(self, now_s: float) -> TruePoses:
-        physics = self._fleet.physics
-        poses = physics.poses()
-        cars = np.hstack([poses.car_positions, poses.car_quaternions])
-        things = np.hstack([poses.positions, poses.quaternions])
-        return TruePoses(
-            now_s,
-            tuple(map(tuple, cars.tolist())),
-            tuple(map(tuple, things.tolist())),
-            tuple(poses.hinges[len(poses.hinges) - len(physics.slopes) :].tolist()),
-            physics.capped_steps,
-        )
+        physics, n_cars = self._fleet.physics, len(self.robots)
+        poses = tuple(map(tuple, physics.data.qpos[physics.pose_places].tolist()))
+        hinges = tuple(float(physics.data.qpos[slope.hinge.qpos]) for slope in physics.slopes)
+        return TruePoses(now_s, poses[:n_cars], poses[n_cars:], hinges, physics.capped_steps)
 
     def _act(self, now_s: float) -> None:
         before = self.inbox.stops
@@ -368,11 +355,7 @@ class Server:
         patience_s: float = PATIENCE_S,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Serve robots over sockets.
-
-        ``pace`` is the seconds of their time in a second; those in lock-step wait ``patience_s`` for an answer, by the
-        clock ``now``.
-        """
+        """Serve robots over sockets, ``pace`` seconds of their time in one; in lock-step wait so long for an answer."""
         self._service, self._sockets, self._pace, self._patience_s = service, sockets, pace, patience_s
         self._now = now
         self.behind_s = 0.0

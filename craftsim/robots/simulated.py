@@ -31,7 +31,6 @@ class SimulatedRobot:
         """Take car number ``car`` with its sensors and motors; from ``silent_s`` of its clock on it does not answer."""
         self._world, self._car, self._silent_s = world, car, silent_s
         self._last = self._now
-        self._slope: int | None = None
 
     @property
     def _now(self) -> CarMeasurement:
@@ -45,23 +44,14 @@ class SimulatedRobot:
 
     def command(self, command: Command) -> None:
         """Give its motors these speeds, none once it is silent; a hinge turns while its plug is felt."""
-        physics = self._world.physics
+        slope = self.measure().slope
         if self._now.time_s >= self._silent_s:
             command = Command()
-        self._world.motors.drive(self._car, command.wheels)
-        physics.move_board(self._car, command.board)
-        before, self._slope = self._slope, self.measure().slope
-        if before is not None and before != self._slope:
-            physics.turn_hinge(before, 0.0)
-        if self._slope is not None:
-            physics.turn_hinge(self._slope, command.hinge)
+        self._world.drive(self._car, command, -1 if slope is None else slope)
 
 
 def simulated_robots(world: PhysicsFleet, silent: Iterable[tuple[int, float]] = ()) -> tuple[Robot, ...]:
-    """Return a robot for each car of a PhysicsWorld; some fall silent, each at a second of its clock.
-
-    Raises InputError for a car that there is not.
-    """
+    """Return a robot for each car; some fall silent, at a second of their clocks. Raises InputError for no such car."""
     cars, since_s = range(len(world.physics.cars)), dict(silent)
     if unknown := since_s.keys() - cars:
         raise InputError(f"no car {min(unknown)} to fall silent; there are cars 0 to {cars[-1]}")

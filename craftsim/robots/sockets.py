@@ -35,7 +35,6 @@ class Line:
     """One connection: bytes become messages, and messages bytes."""
 
     def __init__(self, connected: socket.socket) -> None:
-        """Take a socket that is connected."""
         connected.setblocking(False)
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
@@ -151,10 +150,7 @@ class Caller:
             self._first.append(data)
 
     def receive(self, timeout_s: float) -> bytes | None:
-        """Return the next message that comes, or None where none does in time.
-
-        Raises ConnectionError once the other side has closed the connection.
-        """
+        """Return the next message that comes in time, or None; raise ConnectionError once the other side has closed."""
         deadline = time.monotonic() + timeout_s
         line = self._line or self._call(deadline)
         while line is not None:
@@ -191,10 +187,7 @@ class Host:
     """The socket of robots, and the connections to it."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Listen on a port, any free one if it is 0.
-
-        Raises InputError for an address or a port that cannot be had.
-        """
+        """Listen on a port, any free one if it is 0. Raises InputError for a place that cannot be had."""
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
             if not host:

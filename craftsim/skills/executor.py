@@ -90,7 +90,6 @@ class Executor:
         if not assumed.exact_pose:
             self._estimator = PoseEstimator(assumed, period, machines, self.gains.localisation, physics.size)
         self._cars = records(n, CAR)
-        self._cars["docked"] = -1
         for car, setup in zip(self._cars, self._setups, strict=True):
             car["known"] = setup.constants[0]
             assume_delay(car["lag"]["mismatches"], *_ASSUMED_LAG)
@@ -98,7 +97,7 @@ class Executor:
             shares = (1 - math.exp(-period / (k * LAG_STEP_S)) for k in range(1, N_LAGS))
             car["lag"]["shares"] = [1.0, *shares]
         self._angles = np.zeros((n, n_angles(self.gains, period)))
-        self._step_cars = bound(step_cars, self._cars, self._angles, self.fleet.wires)
+        self._step_cars = bound(step_cars, self._cars, self._angles)
         self._tries: dict[int, Tries] = {}
         """By car, while its action runs."""
         self._own: dict[int, Skill] = {}
@@ -111,10 +110,7 @@ class Executor:
     def run(
         self, actions: Mapping[int, Action], terrain: Mapping[int, Terrain] | None = None
     ) -> dict[int, Outcome]:
-        """Perform one action for each given car, and return the outcomes by car.
-
-        ``terrain`` gives the ground of the moves that are not on the flat, by car.
-        """
+        """Perform one action for each given car, on some ``terrain`` or on the flat, and return the outcomes by car."""
         for car, action in actions.items():
             self.begin(car, action, (terrain or {}).get(car))
         outcomes: dict[int, Outcome] = {}
@@ -184,16 +180,14 @@ class Executor:
             begin_task(performer, setup, now, record["task"])
 
     def advance(self) -> dict[int, Outcome]:
-        """Run all skills for one control period, and return the outcomes of the actions that have ended.
-
-        Idle cars on an incline are held.
-        """
+        """Run all skills for one control period, idle cars held on inclines; return the outcomes of what has ended."""
         readings = self.readings()
         for car, skill in self._own.items():
             command = step_own(skill, measurement_of(readings[car]))
             self._cars["command"][car] = (command.wheels, command.board, command.hinge)
         n_ended = self._step_cars(readings)
         ended = self._end(readings) if self._own or n_ended else {}
+        self.fleet.command(self._cars)
         self.fleet.advance(self.step_observer)
         if self._estimator is not None:
             self._estimator.update(self.fleet.read())
@@ -232,7 +226,7 @@ class Executor:
             stopped[car] = Outcome(reason, elapsed_s, detail)
             del self._tries[car]
             record["command"] = np.zeros((), COMMAND)
-            self.fleet.stop(car, int(record["docked"]))
+            self.fleet.stop(car)
             self._park(car, self.readings())
         return stopped
 

@@ -9,18 +9,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple, Protocol
+from typing import Final, Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Cell, Kind, beside
+from craftsim.discrete.kernel.bound import bound
+from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.readback import read_grid
 from craftsim.errors import InputError
-from craftsim.models.measuring import Floats, Motors, Records
+from craftsim.models.measuring import Arrays, Floats, Motors, Records, drive_wheels
 from craftsim.models.parts import Joint
 from craftsim.models.sensing import Sensors
 from craftsim.models.world import PhysicsWorld
+from craftsim.skills.skill import Command
 from craftsim.skills.state import GRAVITY
 
 SHOVE_S: Final = 1.0
@@ -33,25 +37,9 @@ _LIFTED: Final = 0.5
 """Share of the block's weight that the hand takes."""
 
 
-class Wires(NamedTuple):
-    """Where compiled laws write the motors' commands (:func:`craftsim.skills.laws.step_cars`)."""
-
-    cars: Records
-    """(n,) WIRING: indices of a car's motors in ``ctrl``."""
-    plugs: Records
-    """(n_slopes,) UNDERSIDE: the index of each slope's hinge motor."""
-    speeds: Floats
-    """(n, 4) rad/s: the present commands of the wheels' servos."""
-    share: Floats
-    """(1,): the share by which these approach a new command in a control period."""
-    ctrl: Floats
-    """The commands."""
-
-
 class Fleet(Protocol):
     """Cars that can be measured and commanded, one control period after the other."""
 
-    wires: Wires
     lost: str
     """Why the cars cannot be driven any more; empty while they can."""
 
@@ -69,14 +57,17 @@ class Fleet(Protocol):
     def attend(self) -> None:
         """Measure anew: cars that were idle are about to act."""
 
+    def command(self, cars: Records) -> None:
+        """Take the commands of all cars, (n,) of CAR; a hinge's is for the slope that the car is docked to."""
+
     def advance(self, observe: Callable[[], None] | None = None) -> None:
-        """Execute the commands on the wires for one control period, and measure; do nothing once :attr:`lost`.
+        """Execute the commands for one control period, and measure; do nothing once :attr:`lost`.
 
         ``observe`` is called after every physics step, if there are any.
         """
 
-    def stop(self, car: int, slope: int) -> None:
-        """Command the motors of a car to zero, and the hinge of the slope that it commands, -1 for none."""
+    def stop(self, car: int) -> None:
+        """Command the motors of a car to zero at once, and the hinge that it commands."""
 
 
 class PhysicsFleet:
@@ -92,8 +83,11 @@ class PhysicsFleet:
         """Measure and command with these sensors and motors: exact and prompt ones unless given."""
         self.physics = physics
         self.sensors, self.motors = sensors or Sensors(physics), motors or Motors(physics)
-        cars, share = self.sensors.cars, np.array([self.motors.share])
-        self.wires = Wires(cars, self.sensors.plugs, self.motors.speeds, share, physics.data.ctrl)
+        self._docked = np.full(len(physics.cars), -1)
+        """(n,): the slope that a car commands, or -1."""
+        self._cars: Records | None = None
+        self._command: Callable[[], None]
+        """Commands these cars."""
 
     def read(self) -> Records:
         """Return the newest readings of all cars."""
@@ -102,17 +96,49 @@ class PhysicsFleet:
     def attend(self) -> None:
         """Do nothing: no time passes while cars are idle."""
 
+    def command(self, cars: Records) -> None:
+        """Command the motors of all cars, and the hinges of the slopes that they are docked to."""
+        if self._cars is not cars:
+            servos = self.motors.speeds, np.array([self.motors.share]), self.physics.data.ctrl
+            wiring = self.sensors.cars, self.sensors.plugs
+            self._cars, self._command = cars, bound(_command, wiring, servos, self._docked, cars)
+        self._command()
+
     def advance(self, observe: Callable[[], None] | None = None) -> None:
         """Let one control period pass."""
         self.physics.advance(observe)
         self.sensors.observe()
 
-    def stop(self, car: int, slope: int) -> None:
-        """Command a car's motors to zero, and the hinge of a slope."""
-        self.motors.drive(car, (0.0, 0.0, 0.0, 0.0))
-        self.physics.move_board(car, 0.0)
+    def drive(self, car: int, command: Command, slope: int) -> None:
+        """Command the motors of one car, and the hinge of the slope that it is docked to, -1 for none."""
+        self.motors.drive(car, command.wheels)
+        self.physics.move_board(car, command.board)
+        before, self._docked[car] = int(self._docked[car]), slope
+        for one, speed in ((before, 0.0), (slope, command.hinge)):
+            if one >= 0:
+                self.physics.turn_hinge(one, speed)
+
+    def stop(self, car: int) -> None:
+        """Command a car's motors to zero, and the hinge of its slope."""
+        self.drive(car, Command(), int(self._docked[car]))
+
+
+@compiled
+def _command(
+    wiring: tuple[Records, Records], servos: Arrays, docked: NDArray[np.int64], cars: Records
+) -> None:
+    motors, plugs = wiring
+    speeds, share, ctrl = servos
+    for i in range(len(cars)):
+        command, slope = cars[i].command, cars[i].now.slope
+        drive_wheels(command.wheels, speeds[i], share[0], motors[i], ctrl)
+        ctrl[motors[i].board_motor] = command.board
+        # A slope that loses its car loses the command.
+        if docked[i] >= 0 and docked[i] != slope:
+            ctrl[plugs[docked[i]].motor] = 0.0
         if slope >= 0:
-            self.physics.turn_hinge(slope, 0.0)
+            ctrl[plugs[slope].motor] = command.hinge
+        docked[i] = slope
 
 
 @dataclass(frozen=True)
@@ -156,7 +182,7 @@ class DisturbedFleet(PhysicsFleet):
         if not self.happened and self.physics.time_s >= self.disturbance.start_s:
             self._begin()
         if self._dead is not None:
-            self.stop(self._dead, int(self.sensors.read()[self._dead]["slope"]))
+            self.stop(self._dead)
         if self._shove is None:
             super().advance(observe)
             return

@@ -13,10 +13,9 @@ from typing import Final
 
 from craftsim.discrete.kernel.jit import Record, compiled
 from craftsim.discrete.kernel.rotation import wrap
-from craftsim.models.measuring import Floats, Records, drive_wheels
+from craftsim.models.measuring import Floats, Records
 from craftsim.skills import state
 from craftsim.skills.estimator import delay_of, update_floor
-from craftsim.skills.fleet import Wires
 from craftsim.skills.mecanum import Triple, body_twist, on_wheels, wrench_of
 
 LAG_STEP_S: Final = 0.01
@@ -101,34 +100,22 @@ _feels_load = compiled(feels_load)
 
 
 @compiled
-def step_cars(cars: Records, angles: Floats, wires: Wires, readings: Records) -> int:
-    """Step all cars that are not idle, and command their motors; return how many compiled tasks have ended.
+def step_cars(cars: Records, angles: Floats, readings: Records) -> int:
+    """Write the commands of all cars that are not idle, (n,) of CAR; return how many compiled tasks have ended.
 
-    Args:
-        cars: (n,) CAR.
-        angles: (n, m) of hinges over the last periods, as :func:`_hinge_law` remembers them.
-        wires: take the commands.
-        readings: (n,) READING: what the cars believe to measure.
+    ``angles`` (n, m) are of hinges over the last periods, as :func:`_hinge_law` remembers them, ``readings`` (n,) of
+    READING what the cars believe to measure.
     """
-    ended, ctrl, plugs = 0, wires.ctrl, wires.plugs
+    ended = 0
     for i in range(len(cars)):
-        car, wiring = cars[i], wires.cars[i]
+        car = cars[i]
         car.now = readings[i]
         level = update_floor(car)
-        law, command, slope = car.task.law, car.command, car.now.slope
-        if law == state.IDLE:
+        if car.task.law == state.IDLE:
             continue
-        if law != state.OWN:
+        if car.task.law != state.OWN:
             ended += step_task(car, angles[i])
         compensate_lag(car, level)
-        drive_wheels(command.wheels, wires.speeds[i], wires.share[0], wiring, ctrl)
-        ctrl[wiring.board_motor] = command.board
-        # A slope that loses its car loses the command.
-        if car.docked >= 0 and car.docked != slope:
-            ctrl[plugs[car.docked].motor] = 0.0
-        if slope >= 0:
-            ctrl[plugs[slope].motor] = command.hinge
-        car.docked = slope
     return ended
 
 
@@ -329,12 +316,8 @@ def _drive_law(car: Record) -> None:
         if drive.rest_periods >= gains.rest_periods:
             _end(task, state.SUCCEEDED, 0.0, 0.0)
         elif elapsed_s > drive.profile.duration_s + gains.settle_allowance:
-            _end(
-                task,
-                state.RESTS_OFF_TARGET if drive.at_rest else state.MOVES_OFF_TARGET,
-                offset * 1e3,
-                turn * 1e3,
-            )
+            status = state.RESTS_OFF_TARGET if drive.at_rest else state.MOVES_OFF_TARGET
+            _end(task, status, offset * 1e3, turn * 1e3)
     if task.status == state.RUNNING and drive.there_periods <= gains.brake_periods:
         _command_wheels(car, error)
     if drive.waits:

@@ -109,10 +109,7 @@ def check_known(own: Sequence[OwnSkill]) -> None:
 
 
 def performers(own: Sequence[OwnSkill], n_cars: int) -> list[dict[Action, Performer]]:
-    """Return the skill of each action, for each car; skills for further cars are left out.
-
-    Raises InputError for a name that is no skill's.
-    """
+    """Return the skill of each action, for each of these cars. Raises InputError for a name that is no skill's."""
     found: list[dict[Action, Performer]] = [dict(BUILT_IN) for _ in range(n_cars)]
     # Those for one car come after those for all.
     for one in sorted(own, key=lambda one: one.car is not None):

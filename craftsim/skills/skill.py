@@ -286,10 +286,8 @@ class LawSkill(Skill):
     def __init__(self, setup: SkillSetup, begin: Begin) -> None:
         super().__init__(setup)
         self._begin = begin
-        self._cars, self._angles = (
-            records(1, state.CAR),
-            np.zeros((1, state.n_angles(setup.gains, setup.period_s))),
-        )
+        self._cars = records(1, state.CAR)
+        self._angles = np.zeros((1, state.n_angles(setup.gains, setup.period_s)))
         self._cars["known"] = setup.constants
         self._cars["task"] = state.NO_TASK
 

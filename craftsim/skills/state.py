@@ -93,8 +93,8 @@ FLOOR: Final = layout(f8="pitch roll variance", i8="n_read suspected uneven")
 """The floor estimate: mean pitch and roll in radians, the variance of both together, and the number of readings;
 whether the mean is too large, but may be noise; whether it was ever significantly too large."""
 
-CAR: Final = layout(known=KNOWN, now=READING, task=TASK, command=COMMAND, lag=LAG, floor=FLOOR, i8="docked")
-"""All of one car. ``now`` is its reading with the estimated pose, ``docked`` the slope that it commands or -1."""
+CAR: Final = layout(known=KNOWN, now=READING, task=TASK, command=COMMAND, lag=LAG, floor=FLOOR)
+"""All of one car; ``now`` is its reading with the estimated pose. The command of an idle car is zero."""
 
 
 @lru_cache(maxsize=64)

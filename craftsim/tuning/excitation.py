@@ -21,6 +21,7 @@ from craftsim.mjcf.parameters import SmartcarParameters
 from craftsim.models.measuring import READING
 from craftsim.skills.fleet import PhysicsFleet
 from craftsim.skills.mecanum import Mecanum, Triple
+from craftsim.skills.skill import Command
 from craftsim.skills.state import COMMAND
 
 _DIRECTIONS: Final[tuple[Triple, ...]] = (
@@ -83,11 +84,7 @@ class Area:
     def reach_m(self, direction: Triple) -> float:
         """Return how far a car may go from the centre in a direction of its own frame."""
         along, across, turn = direction
-        ways = [
-            (self.length_m, along),
-            (self.width_m, across),
-            (min(self.length_m, self.width_m), bool(turn)),
-        ]
+        ways = (self.length_m, along), (self.width_m, across), (min(self.length_m, self.width_m), bool(turn))
         return min((side / 2 - _CLEAR_M) / abs(share) for side, share in ways if share)
 
 
@@ -190,16 +187,13 @@ def drive(grid: Grid, setup: Setup, seed: Seed, commands: Floats) -> Log:
     executor = set_up(grid, setup, seed, watch_contacts=False).executor
     physics, fleet = executor.physics, executor.fleet
     assert isinstance(fleet, PhysicsFleet)
-    sensors, motors = fleet.sensors, fleet.motors
     readings, commanded = np.zeros(len(commands), READING), np.zeros(len(commands), COMMAND)
     time = np.zeros(len(commands))
     for row, command in enumerate(commands):
-        readings[row], time[row] = sensors.read()[0], physics.time_s
+        readings[row], time[row] = fleet.read()[0], physics.time_s
         wheels, board = tuple(command[:4].tolist()), float(command[4])
         commanded[row] = (wheels, board, 0.0)
-        motors.drive(0, wheels)
-        physics.move_board(0, board)
-        physics.advance()
-        sensors.observe()
+        fleet.drive(0, Command(wheels, board), -1)
+        fleet.advance()
     log = log_of(time, readings, commanded)
     return replace(log, time_s=log.time_s - log.time_s[0])

@@ -91,8 +91,7 @@ def _scaled(costs: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def knee(costs: NDArray[np.float64]) -> int:
-    """Return the row of costs (n, k), logarithms, that is nearest to the best of each column, all scaled to a range
-    of 1: beyond it a little of one objective costs much of another."""
+    """Return the row of costs (n, k), logarithms scaled to a range of 1, that is nearest to the best of each column."""
     scaled = _scaled(costs)
     return int(np.argmin((scaled * scaled).sum(axis=1)))
 
@@ -142,12 +141,7 @@ class Goal:
     def of(
         cls, words: Sequence[str] = (), objectives: Sequence[Objective] = (), choice: Choice = "knee"
     ) -> Goal:
-        """Return the goal that options stand for.
-
-        Args:
-            words: ``NAME=WEIGHT`` each, for one product; time=1, error=0.2 and margin=0.2 unless anything is given.
-            objectives: those of a front.
-            choice: of a front.
+        """Return the goal of options: ``NAME=WEIGHT`` words of a product, or objectives and choice of a front.
 
         Raises InputError for both at once, and for what is no objective, no weight or no choice.
         """

@@ -62,9 +62,7 @@ class Unidentified:
 def unidentified_directions(jacobian: Floats, unknowns: Sequence[Unknown]) -> list[Unidentified]:
     """Return what a log does not tell, worst first.
 
-    Args:
-        jacobian: (m, n) of the residuals in terms of their noise, by unknowns in terms of their common errors.
-        unknowns: (n,) the unknowns.
+    ``jacobian`` (m, n) is of the residuals in terms of their noise, by unknowns in terms of their common errors.
     """
     scale = np.array([1 / one.usual if one.scales else 0.0 for one in unknowns])
     free, found = list(range(len(unknowns))), list[Unidentified]()
@@ -110,45 +108,19 @@ class Identified:
         return self.half_width is not None and not self.at_bound
 
 
-@dataclass(frozen=True)
-class Identification:
-    """What a log says of a car."""
-
-    estimates: tuple[Identified, ...]
-    unidentified: tuple[Unidentified, ...]
-    noise: dict[str, float]
-    """Standard deviation of what is left, by channel that was measured."""
-    outliers: int
-    """Values that were left out."""
-    n_values: int
-    n_segments: int
-    machines: Machines
-    """With what was found."""
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Of all unknowns, by key."""
-        return {one.unknown.key: one.value for one in self.estimates}
-
-    def __getitem__(self, key: str) -> Identified:
-        return next(one for one in self.estimates if one.unknown.key == key)
-
-
 Tell = Callable[[int, int], None]
 
 
 def identify(
     log: Log, machines: Machines, loaded: bool = False, tell: Tell = lambda number, total: None
 ) -> Identification:
-    """Identify one car from its log.
+    """Identify one car from its log. Raises InputError for a log that says nothing of a car.
 
     Args:
         log: of one car.
         machines: what is assumed: the start of the search, and what is held; its drive is that of the simulation.
         loaded: a block stood over the car at the start, and was lifted.
         tell: is called as each fit begins, with its number and how many there are.
-
-    Raises InputError for a log that says nothing of a car.
     """
     predictor = Predictor(log, machines, loaded)
     if not predictor.segments:
@@ -157,46 +129,60 @@ def identify(
         raise InputError(
             "no wheel is ever commanded in this log; 'craftsim robot excite' makes a drive that tells much"
         )
-    return _Fit(predictor, machines, unknowns_of(machines, loaded), tell).run()
+    return Identification(predictor, machines, unknowns_of(machines, loaded), tell)
 
 
-class _Fit:
-    """The fits of one log, after each other: vectors are the unknowns less their starts, in terms of common errors."""
+class Identification:
+    """What a log says of a car, by fits of vectors: the unknowns less their starts, in terms of common errors."""
 
     def __init__(
         self, predictor: Predictor, machines: Machines, unknowns: Sequence[Unknown], tell: Tell
     ) -> None:
-        self.predictor, self.machines, self.unknowns, self.tell = predictor, machines, unknowns, tell
-        self.starts = [one.start(machines) for one in unknowns]
-        self.low, self.high = np.array([*map(Unknown.bounds, unknowns, self.starts)]).T
-        self.vector = np.zeros(len(unknowns))
-        self.noise = np.empty(N_COLUMNS)
+        self._predictor, self._assumed, self._unknowns = predictor, machines, unknowns
+        self._starts = [one.start(machines) for one in unknowns]
+        self._low, self._high = np.array([*map(Unknown.bounds, unknowns, self._starts)]).T
+        self._vector = np.zeros(len(unknowns))
+        self._noise = np.empty(N_COLUMNS)
         for name, (_, columns) in CHANNELS.items():
-            self.noise[columns] = _NOISE[name][0]
-        self.kept = np.isfinite(self._errors(self.vector))
+            self._noise[columns] = _NOISE[name][0]
+        self._kept = np.isfinite(self._errors(self._vector))
         """Which values count."""
-        self.unidentified: list[Unidentified] = []
-
-    def run(self) -> Identification:
-        outliers = 0
+        self.outliers = 0
+        """Values that were left out."""
         for number, tolerance in enumerate(_ROUNDS):
-            self.tell(number + 1, len(_ROUNDS))
-            looked_at = self._jacobian(self._with_assumed_forces(), range(len(self.unknowns)))
-            self.unidentified = unidentified_directions(looked_at, self.unknowns)
+            tell(number + 1, len(_ROUNDS))
+            looked_at = self._jacobian(self._with_assumed_forces(), range(len(unknowns)))
+            self.unidentified = unidentified_directions(looked_at, unknowns)
             held = {one.held for one in self.unidentified}
             # What is held is held where it is assumed to be, wherever an earlier fit has taken it.
-            self.vector[[k for k, one in enumerate(self.unknowns) if one.key in held]] = 0.0
-            free = [k for k, one in enumerate(self.unknowns) if one.key not in held]
+            self._vector[[k for k, one in enumerate(unknowns) if one.key in held]] = 0.0
+            free = [k for k, one in enumerate(unknowns) if one.key not in held]
             if not free:
                 break
-            self.vector[free] = self._fitted(free, tolerance)
-            outliers += self._weigh()
-        return self._result(free, outliers)
+            self._vector[free] = self._fitted(free, tolerance)
+            self.outliers += self._weigh()
+        self.values = self._values(self._vector)
+        """Of all unknowns, by key."""
+        self.machines = machines_of(machines, self.values)
+        """With what was found."""
+        of_channels = ((name, columns) for name, (_, columns) in CHANNELS.items())
+        seen = ((name, columns) for name, columns in of_channels if self._kept[..., columns].any())
+        self.noise = {name: float(self._noise[columns][0]) for name, columns in seen}
+        """Standard deviation of what is left, by channel that was measured."""
+        self.n_values = int(self._kept.sum())
+        self._segment = np.broadcast_to(np.arange(len(self._kept))[:, None, None], self._kept.shape)[
+            self._kept
+        ]
+        self.n_segments = len(np.unique(self._segment))
+        self.estimates = self._estimates(free)
+
+    def __getitem__(self, key: str) -> Identified:
+        return next(one for one in self.estimates if one.unknown.key == key)
 
     def _fitted(self, free: list[int], tolerance: float) -> Floats:
         from scipy.optimize import least_squares
 
-        low, high, vector = self.low[free], self.high[free], self.vector.copy()
+        low, high, vector = self._low[free], self._high[free], self._vector.copy()
 
         def put(numbers: Floats) -> Floats:
             vector[free] = numbers
@@ -204,7 +190,7 @@ class _Fit:
 
         fitted: Floats = least_squares(
             lambda numbers: self._residuals(put(numbers)),
-            np.clip(self.vector[free], low + 1e-6, high - 1e-6),
+            np.clip(self._vector[free], low + 1e-6, high - 1e-6),
             jac=lambda numbers: self._jacobian(put(numbers), free),
             bounds=(low, high),
             loss="huber",
@@ -221,28 +207,28 @@ class _Fit:
 
         Where a search has gone astray, to servos so stiff that they ring, everything seems to be identified.
         """
-        vector = self.vector.copy()
-        vector[[one.scales for one in self.unknowns]] = 0.0
+        vector = self._vector.copy()
+        vector[[one.scales for one in self._unknowns]] = 0.0
         return vector
 
     def _values(self, vector: Floats) -> dict[str, float]:
-        values = map(Unknown.value, self.unknowns, self.starts, vector.tolist())
-        return {one.key: value for one, value in zip(self.unknowns, values, strict=True)}
+        values = map(Unknown.value, self._unknowns, self._starts, vector.tolist())
+        return {one.key: value for one, value in zip(self._unknowns, values, strict=True)}
 
     def _errors(self, vector: Floats) -> Floats:
         values = self._values(vector)
-        return self.predictor.errors(machines_of(self.machines, values), values)
+        return self._predictor.errors(machines_of(self._assumed, values), values)
 
     def _residuals(self, vector: Floats) -> Floats:
-        found: Floats = (self._errors(vector) / self.noise)[self.kept]
+        found: Floats = (self._errors(vector) / self._noise)[self._kept]
         return found
 
     def _jacobian(self, vector: Floats, columns: Sequence[int]) -> Floats:
         base = self._residuals(vector)
         found = np.empty((len(base), len(columns)))
         for place, column in enumerate(columns):
-            moved, step = vector.copy(), self.unknowns[column].step
-            if vector[column] + step > self.high[column]:
+            moved, step = vector.copy(), self._unknowns[column].step
+            if vector[column] + step > self._high[column]:
                 step = -step
             moved[column] += step
             found[:, place] = (self._residuals(moved) - base) / step
@@ -250,55 +236,38 @@ class _Fit:
 
     def _weigh(self) -> int:
         """Take each channel's noise from what is left, and leave out what is far beyond it; return how many."""
-        errors = self._errors(self.vector)
-        was = int(self.kept.sum())
+        errors = self._errors(self._vector)
+        was = int(self._kept.sum())
         for name, (_, columns) in CHANNELS.items():
-            left = errors[..., columns][self.kept[..., columns]]
+            left = errors[..., columns][self._kept[..., columns]]
             if left.size:
                 spread, least = 1.4826 * float(np.median(np.abs(left))), _NOISE[name][1]
                 inside = left[np.abs(left) < _OUTLIER * max(spread, least)]
-                self.noise[columns] = max(float(inside.std()), least)
-        self.kept &= np.abs(errors) < _OUTLIER * self.noise
-        return was - int(self.kept.sum())
+                self._noise[columns] = max(float(inside.std()), least)
+        self._kept &= np.abs(errors) < _OUTLIER * self._noise
+        return was - int(self._kept.sum())
 
-    def _result(self, free: list[int], outliers: int) -> Identification:
+    def _estimates(self, free: list[int]) -> list[Identified]:
         from scipy.stats import t
 
-        jacobian, left = self._jacobian(self.vector, free), self._residuals(self.vector)
+        n_segments = self.n_segments
+        jacobian, left = self._jacobian(self._vector, free), self._residuals(self._vector)
         inverse = np.linalg.inv(jacobian.T @ jacobian)
         independent = inverse * (left @ left) / max(1, len(left) - len(free))
-        segment = np.broadcast_to(np.arange(len(self.kept))[:, None, None], self.kept.shape)[self.kept]
-        pulls = np.zeros((len(self.kept), len(free)))
-        np.add.at(pulls, segment, jacobian * left[:, None])
-        n_segments = len(np.unique(segment))
+        pulls = np.zeros((len(self._kept), len(free)))
+        np.add.at(pulls, self._segment, jacobian * left[:, None])
         sandwich = inverse @ (pulls.T @ pulls) @ inverse * n_segments / max(1, n_segments - 1)
         # What is held may be off by its common error, except for forces: the rest is known in proportion to those.
-        unsure = [k for k, one in enumerate(self.unknowns) if k not in free and not one.scales]
+        unsure = [k for k, one in enumerate(self._unknowns) if k not in free and not one.scales]
         elsewhere = self._jacobian(self._with_assumed_forces(), [*free, *unsure])
         known = np.linalg.inv(elsewhere.T @ elsewhere + np.eye(elsewhere.shape[1]))[: len(free), : len(free)]
         spread = np.sqrt(np.max([np.diag(independent), np.diag(sandwich), np.diag(known)], axis=0))
         wide = dict(zip(free, spread * t.ppf(0.5 + CONFIDENCE / 2, max(1, n_segments - 1)), strict=True))
-        values = self._values(self.vector)
-        estimates = [
-            Identified(one, start, values[one.key], None)
-            for one, start in zip(self.unknowns, self.starts, strict=True)
-        ]
+        starts = zip(self._unknowns, self._starts, strict=True)
+        estimates = [Identified(one, start, self.values[one.key], None) for one, start in starts]
         for k, width in wide.items():
-            one, value = self.unknowns[k], estimates[k].value
+            one, value = self._unknowns[k], estimates[k].value
             half = float(width * one.usual * (value if one.of_machine else 1.0))
-            edge = not self.low[k] + 1e-3 < self.vector[k] < self.high[k] - 1e-3
+            edge = not self._low[k] + 1e-3 < self._vector[k] < self._high[k] - 1e-3
             estimates[k] = replace(estimates[k], half_width=half, at_bound=edge)
-        noise = {
-            name: float(self.noise[columns][0])
-            for name, (_, columns) in CHANNELS.items()
-            if self.kept[..., columns].any()
-        }
-        return Identification(
-            tuple(estimates),
-            tuple(self.unidentified),
-            noise,
-            outliers,
-            int(self.kept.sum()),
-            n_segments,
-            machines_of(self.machines, values),
-        )
+        return estimates

@@ -14,17 +14,7 @@ from craftsim.logs.log import Log
 from craftsim.mjcf.parameters import Machines
 from craftsim.models.sensing import SensorNoise
 from craftsim.rendering.plots.style import DPI, ROW_IN, WIDTH_IN, paper, save
-from craftsim.reports.report import (
-    Cell,
-    Column,
-    DataTable,
-    Headline,
-    KeyFigure,
-    Report,
-    Section,
-    Tone,
-    count,
-)
+from craftsim.reports.report import Cell, Column, DataTable, Headline, KeyFigure, Report, Section, Tone, count
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.identification import Identification, Identified
 from craftsim.tuning.prediction import CHANNELS, SEGMENT_S, Predictor, machines_of
@@ -151,10 +141,7 @@ _ROWS: Final = (
 
 
 def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -> list[Path]:
-    """Draw measured and predicted signals of a log over time into a PNG and a PDF, and return their paths.
-
-    Raises InputError where the disk does not take them.
-    """
+    """Draw measured and predicted signals of a log over time into a PNG and a PDF, and return their paths."""
     from matplotlib.figure import Figure
 
     errors = predictor.errors(found.machines, found.values)
@@ -182,20 +169,14 @@ def draw_prediction(folder: Path, found: Identification, predictor: Predictor) -
 def identified_report(
     found: Identification, log: str, document: Mapping[str, Any], files: Mapping[str, str | Path]
 ) -> Report:
-    """Return the report of an identification.
-
-    Args:
-        found: its result.
-        log: name of the log.
-        document: what ``report.json`` holds.
-        files: what was written, by what it is.
-    """
+    """Return the report of what was ``found`` in a log of this name; ``document`` is what ``report.json`` holds."""
     figures = document["figures"]
     identified, n = sum(one.identified for one in found.estimates), len(found.estimates)
     sentence = f"{identified} of {count(n, 'parameter')} identified from {log}."
     badge, tone = ("Identified", Tone.GOOD) if identified else ("Nothing identified", Tone.CAUTION)
     logs = {"fitted_log": "the log that was fitted to", "held_out_log": "the held-out log"}
     about = "What was assumed before, what the log says, and how sure it is."
+    lacking = "What the log cannot say, and why."
     predicted = "Errors of predictions over 1.5 s, with the car as assumed and as identified."
     unidentified = [f"Unidentifiable: {text}" for text in figures["untold"]]
     unidentified += [f"Not in parameters.yaml: {text}" for text in figures["left_out"]]
@@ -212,13 +193,7 @@ def identified_report(
         [
             Section("parameters", "Parameters", about, [_estimates(found.estimates)], terminal=True),
             Section("prediction", "Prediction", predicted, predictions, terminal=True),
-            Section(
-                "unidentified",
-                "Not identified",
-                "What the log cannot say, and why.",
-                unidentified,
-                terminal=True,
-            ),
+            Section("unidentified", "Not identified", lacking, unidentified, terminal=True),
         ],
         files=files,
         document=document,

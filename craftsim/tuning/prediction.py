@@ -65,12 +65,8 @@ class Unknown:
 
     def start(self, machines: Machines) -> float:
         """Return what is assumed of it: where the search starts."""
-        match self.section:
-            case "smartcar":
-                return float(getattr(machines.car(0), self.name))
-            case "block":
-                return float(getattr(machines.block, self.name))
-        return self.assumed
+        parts = {"smartcar": machines.car(0), "block": machines.block}
+        return float(getattr(parts[self.section], self.name)) if self.of_machine else self.assumed
 
     def value(self, start: float, number: float) -> float:
         """Return what it is where it is so many common errors from its start, as the search counts."""
@@ -124,10 +120,7 @@ def unknowns_of(machines: Machines, loaded: bool) -> list[Unknown]:
 
 
 def machines_of(machines: Machines, values: Values) -> Machines:
-    """Return machines of one car, the first, with some of their parameters replaced.
-
-    They are not checked, for they need not fit under blocks and slopes: none is near.
-    """
+    """Return machines of the first car with some parameters replaced; unchecked, for no block or slope is near."""
     car, block, made = copy(machines.car(0)), copy(machines.block), copy(machines)
     for key, value in values.items():
         section, _, name = key.partition(".")
@@ -157,10 +150,7 @@ class Predictor:
     """Predicts a log; it is resampled to a regular period that physics can be stepped at."""
 
     def __init__(self, log: Log, machines: Machines, loaded: bool = False) -> None:
-        """Take a log; ``loaded``: a block stood over the car at its start.
-
-        Raises InputError for a log without poses and wheel speeds.
-        """
+        """Take a log; ``loaded``: a block stood over the car. Raises InputError for one without poses and speeds."""
         if log.duration_s > IDENTIFIED_S:
             raise InputError(
                 f"the log is {log.duration_s:.0f} s long; allowed: {IDENTIFIED_S:g}; give a part of it"
@@ -203,10 +193,7 @@ class Predictor:
     def errors(self, machines: Machines, values: Values, lead: float = 1.0) -> Floats:
         """Return by how much each segment differs from what is predicted: (segments, rows, 9), nan where unknown.
 
-        Args:
-            machines: the car.
-            values: what sensors and motors do, by key; what is missing does not.
-            lead: share of each segment, from its start, to which the prediction is fitted.
+        ``values`` are of sensors and motors, by key; the prediction is fitted to the first share ``lead`` of a segment.
         """
         motion = self._motion(machines, values.get("noise.motor_lag_s", 0.0))
         bias = values.get("mounting.heading_bias_rad", 0.0)
@@ -215,7 +202,8 @@ class Predictor:
         pose = motion[:, :3].copy()
         pose[:, 0] += c * ahead - s * left
         pose[:, 1] += s * ahead + c * left
-        pose = self._late(pose, values.get("noise.delay_s", 0.0))
+        seen_at = np.arange(len(pose)) - values.get("noise.delay_s", 0.0) / self.period_s
+        pose = np.column_stack([np.interp(seen_at, np.arange(len(pose)), signal) for signal in pose.T])
         lagged = self._lagged(motion[:, 3:7], values.get("noise.encoder_lag_s", 0.0))
         found = np.empty((len(self.segments), *self.measured[self.segments[0]].shape))
         for number, rows in enumerate(self.segments):
@@ -225,10 +213,6 @@ class Predictor:
             found[number, :, 3:7] = measured[:, 3:7] - lagged[rows]
             found[number, :, 7:] = measured[:, 7:] - motion[rows, 7:]
         return found
-
-    def _late(self, pose: Floats, delay_s: float) -> Floats:
-        rows = np.arange(len(pose)) - delay_s / self.period_s
-        return np.column_stack([np.interp(rows, np.arange(len(pose)), pose[:, k]) for k in range(3)])
 
     def _lagged(self, speeds: Floats, lag_s: float) -> Floats:
         from scipy.signal import lfilter

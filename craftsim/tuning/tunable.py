@@ -25,26 +25,14 @@ GROUPS: Final[Mapping[GainGroup, tuple[str, ...]]] = {
 }
 """The sections of the gains that are tuned together."""
 
-_WHY_FIXED: Final = {
-    "how exact an action must end: what is asked for, not how it is done": "*_tolerance *.reached",
-    "how sure a car must be before it says that it has arrived": "*_certainty",
-    "what counts as rest": "*_at_rest *.rest_periods *.brake_periods *.still* stop.*rest*",
-    "when a skill gives up: nothing is won by giving up later or earlier": (
-        "drive.settle_allowance drive.blocked_* drive.slip_* *.allowance *.undocked stop.* health.*"
-    ),
-    "what a car assumes of its odometry: a matter of identification": "localisation.*",
-    "what a stack bears under a car: it shows on stacks that are taller than those tried here": "*.rocking",
-    "what a car does that is stuck or has failed: an uneven floor shows it, and not the flat one here": (
-        "drive.shake_* recovery.*"
-    ),
-    "what a car does on an uneven floor: no effect on the flat one here": "*.astray uneven.*",
-    "of parked cars, whose hold no objective measures": "hold.*",
-}
-"""Names of gains, as patterns, by the reason; of several the first counts."""
 FIXED: Final[Mapping[str, str]] = {
     name: reasons[0]
     for name in (f"{section}.{field.name}" for section, kind in SECTIONS.items() for field in fields(kind))
-    if (reasons := [why for why, of in _WHY_FIXED.items() if any(fnmatchcase(name, p) for p in of.split())])
+    if (
+        reasons := [
+            w for w, of in shipped("fixed_gains.yaml").items() if any(fnmatchcase(name, p) for p in of)
+        ]
+    )
 }
 """The gains that are never tuned, with the reason; all others are."""
 
@@ -108,15 +96,13 @@ def tunable_gains(group: GainGroup, start: Gains) -> tuple[TunableGain, ...]:
     return tuple(found)
 
 
-def with_values(
-    start: Gains, tunable: Sequence[TunableGain], values: Mapping[str, float], source: str = "tuned"
-) -> Gains:
+def with_values(start: Gains, tunable: Sequence[TunableGain], values: Mapping[str, float]) -> Gains:
     """Return gains with other values for some of them, by name; the others are those of ``start``."""
     sections: dict[str, Any] = {}
     for section in dict.fromkeys(one.section for one in tunable):
         own = {k.field: values[k.name] for k in tunable if k.section == section and k.name in values}
         sections[section] = replace(getattr(start, section), **own)
-    return replace(start, **sections, source=source)
+    return replace(start, **sections, source="tuned")
 
 
 def values_at(tunable: Sequence[TunableGain], positions: Iterable[float]) -> dict[str, float]:

@@ -29,7 +29,7 @@ from craftsim.extras import need
 from craftsim.models.world import PhysicsWorld
 from craftsim.skills.gains import Gains, load_gains
 from craftsim.tuning.goal import Goal, Objective, Score, spread, undominated
-from craftsim.tuning.tunable import GainGroup, TunableGain, situations, tunable_gains, values_at, with_values
+from craftsim.tuning.tunable import GainGroup, situations, tunable_gains, values_at, with_values
 
 COMMAND: Final = "tune"
 GAINS_FILE: Final = "gains.yaml"
@@ -94,10 +94,7 @@ situation: its own place on the map, physics and noise."""
 
 
 def try_gains(job: Job) -> Result:
-    """Try a candidate in every situation of its blocks: the same places, physics and noise for all candidates.
-
-    Left out, for all candidates alike, are worlds that cannot be as they were drawn.
-    """
+    """Try a candidate in every situation of its blocks, alike for all candidates, but not in worlds that cannot be."""
     group, setup, seed, blocks = job
     wanted = product(blocks, range(len(situations(group))))
     trials = [trial for block, number in wanted if (trial := _try(group, setup, seed, block, number))]
@@ -199,7 +196,7 @@ def _ratio(
 
 
 def need_cma() -> None:
-    """Raise InputError with the command that installs what is missing."""
+    """Raise InputError where cma is missing."""
     need("tune", "tuning needs", "cma")
 
 
@@ -228,15 +225,30 @@ def cma_es(
 
 
 class Tuning:
-    """The evaluations of a tuning, known before it begins, and its phases, each of which depends on those before."""
+    """A tuning: its evaluations, known before it begins; phases, each of which depends on those before; and results."""
+
+    searched: list[Candidate]
+    """All that were tried, in order; first the start."""
+    finalists: list[Candidate]
+    """On fresh seeds, first the chosen one; of a front those that are on it."""
+    verdict: HeldOut
+    failures: list[tuple[str, Mapping[str, Any]]]
+    """The trials on held-out seeds that failed, with the gains that they were tried with: before, after or shipped."""
+    gains: Gains
+    """The best; those of the start where nothing better was found."""
+    sensitivity: dict[str, tuple[float, float]]
+    """What moving each gain of these alone by SENSITIVITY_STEP does to the goal's product, on the search's seeds:
+    factors, for smaller and for larger values."""
+    config: Mapping[str, Any]
+    wall_s: float
 
     def __init__(
         self, group: GainGroup, setup: Setup, goal: Goal, evaluations: int, trials: int, seed: int
     ) -> None:
         self.group, self.setup, self.goal, self.trials, self.seed = group, setup, goal, trials, seed
-        self.gains = tunable_gains(group, setup.gains)
-        self.start: Values = {gain.name: gain.start for gain in self.gains}
-        size, searches = population(len(self.gains)), len(goal.searches)
+        self.tunable = tunable_gains(group, setup.gains)
+        self.start: Values = {gain.name: gain.start for gain in self.tunable}
+        size, searches = population(len(self.tunable)), len(goal.searches)
         self.generations = max(1, round(evaluations / searches / size))
         """Of each search."""
         self.n_search = 1 + searches * self.generations * size
@@ -251,72 +263,77 @@ class Tuning:
         names = [f"search {n}" for n in range(self.n_search)]
         names += [f"finalist {n} on block {b}" for n in range(FINALISTS) for b in range(FINAL_BLOCKS)]
         names += [f"{who} held out on block {b}" for who in _COMPARED for b in range(HELD_OUT_BLOCKS)]
-        names += ["result", *(f"{gain.name} {way}" for gain in self.gains for way in ("down", "up"))]
+        names += ["result", *(f"{gain.name} {way}" for gain in self.tunable for way in ("down", "up"))]
         return [Trial(name, name, self.seed, None) for name in names]
 
-    def search(self) -> tuple[list[Candidate], list[Values]]:
-        """Return all candidates of all searches, first the start, and the mean of each search's last distribution.
+    def run(self) -> None:
+        """Go through all phases."""
+        self.searched, means = self._search()
+        self.finalists = self._finals(means)
+        best, _ = self.finalists[0]
+        self.verdict = self._judge(best)
+        values = best if self.verdict.improved else self.start
+        self.gains = self._with(values) if self.verdict.improved else self.setup.gains
+        moved = [values]
+        for gain in self.tunable:
+            at = gain.position(values[gain.name])
+            moved += [{**values, gain.name: gain.value(at + k * SENSITIVITY_STEP)} for k in (-1, 1)]
+        costs = np.array([*map(_cost(self.goal.weights), self._candidates(moved))])
+        factors = np.exp(costs[1:] - costs[0]).reshape(-1, 2).tolist()
+        self.sensitivity = {
+            gain.name: (down, up) for gain, (down, up) in zip(self.tunable, factors, strict=True)
+        }
 
-        Noise deceives the mean less than the best candidate.
-        """
+    def _search(self) -> tuple[list[Candidate], list[Values]]:
+        """Return all candidates, first the start, and the mean of each search's last distribution, which noise deceives
+        less than the best candidate."""
         found = self._candidates([self.start])
         means: list[Values] = []
         for number, weights in enumerate(self.goal.searches):
             best, _ = min(found, key=_cost(weights))
-            begin = [gain.position(best[gain.name]) for gain in self.gains]
+            begin = [gain.position(best[gain.name]) for gain in self.tunable]
             rng = np.random.default_rng([self.seed, number])
-            bounds = [gain.bounds for gain in self.gains]
+            bounds = [gain.bounds for gain in self.tunable]
             strategy = cma_es(bounds, begin, NEXT_STEP if number else FIRST_STEP, rng)
             for _ in range(self.generations):
                 positions = strategy.ask()
-                tried = self._candidates([values_at(self.gains, x) for x in positions])
+                tried = self._candidates([values_at(self.tunable, x) for x in positions])
                 prior = [PRIOR_WEIGHT * float(x @ x) for x in positions]
                 strategy.tell(positions, [*map(operator.add, map(_cost(weights), tried), prior)])
                 found += tried
-            means.append(values_at(self.gains, strategy.result.xfavorite))
+            means.append(values_at(self.tunable, strategy.result.xfavorite))
         return found, means
 
-    def finals(self, searched: Sequence[Candidate], means: Sequence[Values]) -> list[Candidate]:
-        """Try the best again on fresh seeds, and return the chosen one first, then the others.
-
-        Of a front only those that are still on it.
-        """
+    def _finals(self, means: Sequence[Values]) -> list[Candidate]:
+        """Try the best again on fresh seeds; return the chosen one, then the others, of a front those still on it."""
         goal, blocks = self.goal, range(self.trials, self.trials + FINAL_BLOCKS)
-        chosen = self._finalists(searched, means)
-        again = [(own, Score.of(_joined(self._try_apart(own, blocks)))) for own in chosen]
+        again = [(own, Score.of(_joined(self._try_apart(own, blocks)))) for own in self._finalists(means)]
         if not goal.front:
             return sorted(again, key=_cost(goal.weights))
         front = undominated(costs := _costs(again, goal))
         pick = front[goal.pick(costs[front])]
         return [again[pick], *(again[n] for n in front if n != pick)]
 
-    def _finalists(self, searched: Sequence[Candidate], means: Sequence[Values]) -> list[Values]:
+    def _finalists(self, means: Sequence[Values]) -> list[Values]:
         goal = self.goal
-        ranked = sorted(searched, key=_cost(goal.weights))
+        ranked = sorted(self.searched, key=_cost(goal.weights))
         if not goal.front:
             return [*means, *(values for values, _ in ranked[: FINALISTS - 1])]
-        front = [searched[n] for n in undominated(_costs(searched, goal))]
+        front = [self.searched[n] for n in undominated(_costs(self.searched, goal))]
         wide = [front[n] for n in spread(_costs(front, goal), FINALISTS)]
         return [values for values, _ in (*wide, *(one for one in ranked if one not in wide))][:FINALISTS]
 
-    def judge(self, best: Values) -> tuple[HeldOut, list[tuple[str, Mapping[str, Any]]]]:
-        """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by.
-
-        Returns the verdict, and each trial that failed, with the name of the gains that it was tried with.
-        """
+    def _judge(self, best: Values) -> HeldOut:
+        """Compare the best with the start, and with what is shipped, on seeds that nothing was chosen by."""
         goal, nominal, first = self.goal, load_gains(), self.trials + FINAL_BLOCKS
-        usual = {gain.name: gain.of(nominal) for gain in self.gains}
+        usual = {gain.name: gain.of(nominal) for gain in self.tunable}
         blocks = range(first, first + HELD_OUT_BLOCKS)
         tried = {
             name: self._try_apart(own, blocks)
             for name, own in (("before", self.start), ("after", best), ("shipped", usual))
         }
-        failures: list[tuple[str, Mapping[str, Any]]] = [
-            (name, trial)
-            for name, records in tried.items()
-            for trial in _joined(records)
-            if not trial["agrees"]
-        ]
+        all_tried = ((name, trial) for name, records in tried.items() for trial in _joined(records))
+        self.failures = [(name, trial) for name, trial in all_tried if not trial["agrees"]]
         before, after, shipped = (Score.of(_joined(records)) for records in tried.values())
         against_start, against_shipped = (
             _ratio(tried["after"], tried[name], goal.weights) for name in ("before", "shipped")
@@ -324,18 +341,10 @@ class Tuning:
         dominated = bool((before.log_costs(goal.objectives) <= after.log_costs(goal.objectives)).all())
         better = not dominated if goal.front else against_start.factor < 1
         improved = better and after.failed <= before.failed
-        return HeldOut(before, after, shipped, against_start, against_shipped, improved), failures
+        return HeldOut(before, after, shipped, against_start, against_shipped, improved)
 
-    def sensitivity(self, values: Values) -> dict[str, tuple[float, float]]:
-        """Return what moving each gain alone by :data:`SENSITIVITY_STEP` does to the goal's product, on the search's
-        seeds: factors, for smaller and for larger values."""
-        moved = [values]
-        for gain in self.gains:
-            at = gain.position(values[gain.name])
-            moved += [{**values, gain.name: gain.value(at + k * SENSITIVITY_STEP)} for k in (-1, 1)]
-        costs = np.array([*map(_cost(self.goal.weights), self._candidates(moved))])
-        factors = np.exp(costs[1:] - costs[0]).reshape(-1, 2).tolist()
-        return {gain.name: (down, up) for gain, (down, up) in zip(self.gains, factors, strict=True)}
+    def _with(self, values: Values) -> Gains:
+        return with_values(self.setup.gains, self.tunable, values)
 
     def _candidates(self, values: Sequence[Values]) -> list[Candidate]:
         records = self._try([(own, range(self.trials)) for own in values])
@@ -347,7 +356,7 @@ class Tuning:
     def _try(self, wanted: Sequence[tuple[Values, Sequence[int]]]) -> list[TrialRecord]:
         jobs: dict[int, Job] = {}
         for values, blocks in wanted:
-            setup = replace(self.setup, gains=with_values(self.setup.gains, self.gains, values))
+            setup = replace(self.setup, gains=self._with(values))
             jobs[next(self._numbers)] = self.group, setup, self.seed, tuple(blocks)
         records = self.run_some(jobs)
         for (values, _), record in zip(wanted, records, strict=True):
@@ -367,28 +376,6 @@ def _costs(candidates: Sequence[Candidate], goal: Goal) -> NDArray[np.float64]:
     return np.array([score.log_costs(goal.objectives) for _, score in candidates])
 
 
-@dataclass(frozen=True)
-class Tuned:
-    """The result of a tuning."""
-
-    goal: Goal
-    tunable: tuple[TunableGain, ...]
-    gains: Gains
-    """The best; those of the start where nothing better was found."""
-    verdict: HeldOut
-    failures: Sequence[tuple[str, Mapping[str, Any]]]
-    """The trials on held-out seeds that failed, with the gains that they were tried with: before, after or shipped."""
-    finalists: Sequence[Candidate]
-    """On fresh seeds, first the chosen one; of a front those that are on it."""
-    searched: Sequence[Candidate]
-    """All that were tried, in order; first the start."""
-    sensitivity: Mapping[str, tuple[float, float]]
-    """Of each gain, around the result: as of :meth:`Tuning.sensitivity`."""
-    config: Mapping[str, Any]
-    seed: int
-    wall_s: float
-
-
 def tune(
     group: GainGroup,
     setup: Setup,
@@ -399,8 +386,8 @@ def tune(
     trials: int,
     seed: int,
     options: RunOptions,
-) -> Tuned:
-    """Tune gains, and return the best with the verdict on them.
+) -> Tuning:
+    """Tune gains, and return the tuning with its results.
 
     Every evaluation is in ``out/trials.jsonl`` as soon as it is known. Equal arguments give equal results at any number
     of workers, and whether the tuning was cut off and resumed or not.
@@ -408,14 +395,12 @@ def tune(
     Args:
         group: which gains.
         setup: configuration of the physics, with the gains to start from.
-        out: the folder.
+        out: the folder; raises InputError for one that holds something else.
         goal: what is wanted.
         evaluations: candidates to try, about: whole generations of each search, at least one.
         trials: of each situation, for every candidate.
         seed: decides the candidates, and the physics and noise of all trials.
         options: how.
-
-    Raises InputError where cma is missing, and for a folder that holds something else.
     """
     need_cma()
     started = time.perf_counter()
@@ -428,12 +413,6 @@ def tune(
         # Of an earlier tuning in this folder.
         (out / GAINS_FILE).unlink(missing_ok=True)
         tuning.run_some = partial(session.run_some, on_record=on_record)
-        searched, means = tuning.search()
-        finalists = tuning.finals(searched, means)
-        best, _ = finalists[0]
-        verdict, failures = tuning.judge(best)
-        values = best if verdict.improved else tuning.start
-        sensitivity = tuning.sensitivity(values)
-    gains = with_values(setup.gains, tuning.gains, values) if verdict.improved else setup.gains
-    results = tuning.gains, gains, verdict, failures, finalists, searched, sensitivity
-    return Tuned(goal, *results, config, seed, time.perf_counter() - started)
+        tuning.run()
+    tuning.config, tuning.wall_s = config, time.perf_counter() - started
+    return tuning

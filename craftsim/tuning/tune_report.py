@@ -32,21 +32,14 @@ from craftsim.skills.gains import SECTIONS
 from craftsim.storage.writing import write_whole
 from craftsim.tuning.goal import OBJECTIVES
 from craftsim.tuning.tunable import FIXED
-from craftsim.tuning.tune import COMMAND, GAINS_FILE, Ratio, Tuned
+from craftsim.tuning.tune import COMMAND, GAINS_FILE, Ratio, Tuning
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def tune_report(tuned: Tuned, gains: Path, command: str, workers: int) -> Report:
-    """Return the report of a tuning.
-
-    Args:
-        tuned: its result.
-        gains: the file of gains that it wrote.
-        command: how it can be run again.
-        workers: how many it took.
-    """
+def tune_report(tuned: Tuning, gains: Path, command: str, workers: int) -> Report:
+    """Return the report of a tuning, by a command and some workers, that wrote a file of ``gains``."""
     figures = {
         "verdict": tuned.verdict,
         "gains": {
@@ -77,13 +70,13 @@ def tune_report(tuned: Tuned, gains: Path, command: str, workers: int) -> Report
     )
 
 
-def _factors(tuned: Tuned) -> list[float]:
+def _factors(tuned: Tuning) -> list[float]:
     """Return each candidate's product on the search's seeds, as a factor of the start's."""
     costs = [score.log_cost(tuned.goal.weights) for _, score in tuned.searched]
     return [math.exp(cost - costs[0]) for cost in costs]
 
 
-def convergence(tuned: Tuned) -> list[float]:
+def convergence(tuned: Tuning) -> list[float]:
     """Return the best product so far after each candidate, as a factor of the start's, on the search's seeds."""
     return [*accumulate(_factors(tuned), min)]
 
@@ -101,7 +94,7 @@ def _detectable(ratio: Ratio) -> str:
     return _change(math.exp(-least_detectable(math.log(ratio.low), math.log(ratio.high))))
 
 
-def _headline(tuned: Tuned) -> Headline:
+def _headline(tuned: Tuning) -> Headline:
     verdict = tuned.verdict
     ratio, seeds = verdict.against_start, f"on {count(verdict.before.trials, 'action')} of held-out seeds"
     failed = f"{verdict.after.failed} failed, and {verdict.before.failed} before."
@@ -119,7 +112,7 @@ def _headline(tuned: Tuned) -> Headline:
     return Headline("Not shown to be better", Tone.CAUTION, sentence)
 
 
-def _key_figures(tuned: Tuned) -> list[KeyFigure]:
+def _key_figures(tuned: Tuning) -> list[KeyFigure]:
     verdict = tuned.verdict
     before, after, ratio = verdict.before, verdict.after, verdict.against_start
     shipped = verdict.against_shipped
@@ -137,7 +130,7 @@ def _columns(first: Column, *numbers: str) -> tuple[Column, ...]:
     return first, *(Column(name, "number") for name in numbers)
 
 
-def _verdict(tuned: Tuned) -> Section:
+def _verdict(tuned: Tuning) -> Section:
     verdict = tuned.verdict
     scores = (verdict.before, verdict.after, verdict.shipped)
     against = {"the start": verdict.against_start, "the shipped gains": verdict.against_shipped}
@@ -166,7 +159,7 @@ def _verdict(tuned: Tuned) -> Section:
     return Section("verdict", "Verdict", lead, blocks, terminal=True)
 
 
-def _gains(tuned: Tuned) -> Section:
+def _gains(tuned: Tuning) -> Section:
     effects = [tuned.sensitivity[gain.name] for gain in tuned.tunable]
     rows = []
     for gain, effect in zip(tuned.tunable, effects, strict=True):
@@ -200,7 +193,7 @@ def _gains(tuned: Tuned) -> Section:
     return Section("gains", "Gains", lead, [table, drawing, kept], terminal=True)
 
 
-def _search(tuned: Tuned) -> Section:
+def _search(tuned: Tuning) -> Section:
     def converging(axes: Axes) -> None:
         best = convergence(tuned)
         top = max(1.2, 2 - min(best))
@@ -242,13 +235,8 @@ def _search(tuned: Tuned) -> Section:
     return Section("search", "Search", lead, blocks)
 
 
-def write_gains(out: Path, tuned: Tuned, command: str) -> Path:
-    """Write ``gains.yaml`` into a folder and return its path.
-
-    It holds all gains, and in comments what they come from: command, seed, budget, versions, and the verdict.
-
-    Raises InputError where the disk does not take it.
-    """
+def write_gains(out: Path, tuned: Tuning, command: str) -> Path:
+    """Write all gains, with comments on where they come from, as ``gains.yaml`` into a folder; return its path."""
     verdict, config = tuned.verdict, tuned.config
     before, after = verdict.before, verdict.after
     nothing = "Nothing better than the start was found: these are the gains that it began with."

@@ -15,8 +15,10 @@ from craftsim.errors import InputError, StartError
 from craftsim.models.config import SimulationConfig
 from craftsim.models.floor import Floor
 from craftsim.models.randomization import NONE
-from craftsim.models.sensing import ASSUMED, MILD, SensorNoise
+from craftsim.models.sensing import ASSUMED, SensorNoise
 from craftsim.models.world import _kept
+
+MILD = RANDOMIZE["mild"][1].sensors
 
 
 def _setup(tmp_path, text):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from craftsim.checking.setup import setup_of
+from craftsim.checking.setup import RANDOMIZE, setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
@@ -21,9 +21,11 @@ from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization
-from craftsim.models.sensing import MILD, NOISY
 from craftsim.skills.gains import load_gains
 from craftsim.testing import check_api
+
+NOISY = RANDOMIZE["strong"][1].sensors
+MILD = RANDOMIZE["mild"][1].sensors
 
 MOVE = {"car_0": int(Action.MOVE_LEFT), "car_1": int(Action.STOP)}
 BOTH = np.array([Action.MOVE_LEFT, Action.STOP])

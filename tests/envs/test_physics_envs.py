@@ -14,14 +14,16 @@ from platforms import platform
 
 from craftsim.checking.attempt import Thresholds
 from craftsim.checking.episode import do, run_up
+from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import TASK_NAMES, make_task
 from craftsim.envs import GYMNASIUM_IDS, parallel_env
 from craftsim.errors import InputError
 from craftsim.models.randomization import DomainRandomization
-from craftsim.models.sensing import NOISY
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.testing import check_api, check_deterministic, check_masks, check_skills, random_policy
+
+NOISY = RANDOMIZE["strong"][1].sensors
 
 STOP = int(Action.STOP)
 

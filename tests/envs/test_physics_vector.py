@@ -12,6 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.envs import GYMNASIUM_IDS, vector_env
@@ -20,7 +21,8 @@ from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import CraftsimError, InputError
 from craftsim.models.randomization import DomainRandomization
-from craftsim.models.sensing import NOISY
+
+NOISY = RANDOMIZE["strong"][1].sensors
 
 SHORT = make_task("strip", max_steps=0)
 """Two ticks an episode."""

@@ -33,7 +33,6 @@ from craftsim.logs.files import read_log, write_table
 from craftsim.logs.log import GROUPS, Log
 from craftsim.mjcf.parameters import load_machines
 from craftsim.models.measuring import CarMeasurement
-from craftsim.models.randomization import load_noise
 from craftsim.rendering.cameras import read_aim
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.robots.messages import Commands, Measurements, MessageError, TruePoses, pack, unpack
@@ -216,7 +215,11 @@ FORMATS = {
         "slope: {hinge_speed_rad_s: 1.0}\ngains:\n  drive: {max_speed: 0.4}\n",
     ),
     "gains": _texts("a.yaml", load_gains, _shipped("gains", "fast.yaml")),
-    "noise": _texts("a.yaml", load_noise, "{min_delay_s: 0.02, max_delay_s: 0.04, position_m: 0.001}\n"),
+    "noise": _texts(
+        "a.yaml",
+        lambda path: setup_of(noise=path),
+        "{min_delay_s: 0.02, max_delay_s: 0.04, position_m: 0.001}\n",
+    ),
     "randomization": _texts("a.yaml", setup_of, _shipped("randomizations", "lab_floor.yaml")),
     "settings": _texts(
         "a.yaml", lambda path: read_settings(path, "ippo"), "gamma: 0.98\nepochs: 3\nclip: 0.1\n"

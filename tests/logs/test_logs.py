@@ -18,7 +18,7 @@ from craftsim import (
     validate,
 )
 from craftsim.errors import InputError
-from craftsim.logs.files import COLUMNS, read_log, read_logs, write_commands, write_table
+from craftsim.logs.files import COLUMNS, COMMANDS, read_log, read_logs, write_table
 from craftsim.logs.log import GROUPS, Log, LogRecorder
 from craftsim.models.measuring import Motors
 
@@ -45,7 +45,7 @@ def test_logs_of_many_cars_are_read_as_they_were_written(tmp_path):
     assert list(read) == [0, 3]
     assert all(same(read[car], logs[car]) for car in logs)
     assert list(logs[0].columns) == [name for name in COLUMNS if name != "car"]
-    commands = read_log(write_commands(tmp_path / "commands.csv", logs), car=3)
+    commands = read_log(write_table(tmp_path / "commands.csv", logs, COMMANDS), car=3)
     assert np.allclose(commands.commands, logs[3].commands)
     assert all(np.isnan(getattr(commands, name)).all() for name in GROUPS if name != "commands")
     with pytest.raises(InputError, match="no car 2; there are 0, 3"):

@@ -7,14 +7,16 @@ from itertools import count
 import numpy as np
 import pytest
 
-from craftsim.checking.setup import Setup, set_up
+from craftsim.checking.setup import RANDOMIZE, Setup, set_up, setup_of
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.measuring import CarMeasurement, Motors, write_reading
-from craftsim.models.randomization import NONE, load_noise
-from craftsim.models.sensing import EXACT, NOISY, SensorNoise, Sensors, measure
+from craftsim.models.randomization import NONE
+from craftsim.models.sensing import EXACT, SensorNoise, Sensors, measure
 from craftsim.models.world import PhysicsWorld
+
+NOISY = RANDOMIZE["strong"][1].sensors
 
 PERIOD_S = 0.02
 N = 1500
@@ -216,7 +218,8 @@ def test_wheel_speeds_follow_a_jump_with_the_declared_time_constant(drive):
 
 def test_a_file_gives_some_figures(tmp_path):
     (tmp_path / "late.yaml").write_text("{min_delay_s: 0.06, max_delay_s: 0.08}")
-    assert load_noise(tmp_path / "late.yaml", NOISY) == replace(NOISY, min_delay_s=0.06, max_delay_s=0.08)
+    read = setup_of("strong", noise=tmp_path / "late.yaml").randomization.sensors
+    assert read == replace(NOISY, min_delay_s=0.06, max_delay_s=0.08)
 
 
 STEP_RAD = 2 * math.pi / 4096

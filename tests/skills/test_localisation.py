@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from craftsim.checking.setup import Seed, set_up, setup_of
+from craftsim.checking.setup import RANDOMIZE, Seed, set_up, setup_of
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.jit import records
@@ -16,7 +16,6 @@ from craftsim.models.measuring import READING, write_reading
 from craftsim.models.sensing import (
     ASSUMED,
     EXACT,
-    NOISY,
     CarMeasurement,
     SensorNoise,
     Sensors,
@@ -29,6 +28,8 @@ from craftsim.skills.executor import Executor
 from craftsim.skills.gains import load_gains
 from craftsim.skills.laws import Profile
 from craftsim.skills.mecanum import Mecanum
+
+NOISY = RANDOMIZE["strong"][1].sensors
 
 PERIOD_S = 0.02
 KINEMATICS = Mecanum(NOMINAL.cars[0])

@@ -6,8 +6,8 @@ import pytest
 from tuning_cars import HIDDEN
 
 from craftsim import cli, load_machines
+from craftsim.checking.setup import setup_of
 from craftsim.logs.files import read_log, write_table
-from craftsim.models.randomization import load_noise
 from craftsim.tuning import identification
 
 
@@ -29,7 +29,10 @@ def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeyp
     table = write_table(tmp_path / "log.csv", {0: log})
     out = tmp_path / "out"
     assert cli.main(["identify", str(table), "--held-out", str(table), "--out", str(out)]) == 0
-    machines, noise = load_machines(out / "parameters.yaml"), load_noise(out / "noise.yaml")
+    machines, noise = (
+        load_machines(out / "parameters.yaml"),
+        setup_of(noise=out / "noise.yaml").randomization.sensors,
+    )
     assert machines.car(0).gear_friction_nm == pytest.approx(HIDDEN["smartcar.gear_friction_nm"], rel=0.05)
     assert machines.car(0).wheel_mass_kg == 2.3
     assert noise.min_delay_s == noise.max_delay_s == pytest.approx(HIDDEN["noise.delay_s"], abs=0.005)

@@ -94,7 +94,7 @@ def test_a_change_whose_interval_holds_none_is_not_called_better_and_each_failur
 
     tuned, _ = _tune(monkeypatch, tmp_path, lose=lose)
     ratio = replace(tuned.verdict.against_start, low=0.44, high=1.43, factor=0.69)
-    tuned = replace(tuned, verdict=replace(tuned.verdict, against_start=ratio, improved=True))
+    tuned.verdict = replace(tuned.verdict, against_start=ratio, improved=True)
     report = tune_report(tuned, tmp_path / "gains.yaml", "craftsim tune board", 1)
     assert report.headline.badge == "Not shown to be better"
     assert "-31.0 %, 95 % interval -56.0 to +43.0 %" in report.headline.sentence

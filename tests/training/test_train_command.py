@@ -24,22 +24,23 @@ def _train(out, *words):
 
 def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
     short, whole = tmp_path / "short", tmp_path / "whole"
-    assert _train(short, "--steps", "400") == 0
-    assert _train(short, "--steps", "2200", "--resume") == 0
-    assert _train(whole, "--steps", "2200") == 0
+    often = ("--set", "evaluate_every=400")
+    assert _train(short, "--steps", "200", *often) == 0
+    assert _train(short, "--steps", "600", *often, "--resume") == 0
+    assert _train(whole, "--steps", "600", *often) == 0
     assert "from its one start" in capsys.readouterr().out
     reports = [json.loads((folder / "report.json").read_text()) for folder in (short, whole)]
     assert {key: value for key, value in reports[0].items() if key != "wall"} == {
         key: value for key, value in reports[1].items() if key != "wall"
     }
     figures = reports[0]["figures"]
-    assert figures["steps"] == 2200
-    asked = {"task": "strip", "algo": "ippo", "steps": 2200, "until": 0.99, "starts": None, "episodes": 20}
+    assert figures["steps"] == 600
+    asked = {"task": "strip", "algo": "ippo", "steps": 600, "until": 0.99, "starts": None, "episodes": 20}
     assert reports[0]["config"].items() >= asked.items()
     assert figures["success"]["trials"] == 20
     assert (figures["success"]["wilson_low"], figures["starts"]["distinct"]) == (None, 1)
     with open(short / "curve.csv", newline="") as file:
-        assert [int(row["steps"]) for row in csv.DictReader(file)] == [2000]
+        assert [int(row["steps"]) for row in csv.DictReader(file)] == [400]
     assert (short / "curve.png").read_bytes().startswith(b"\x89PNG")
     assert load_policy(short).config.task == "strip"
     assert load_policy(short).identity.name == "strip"

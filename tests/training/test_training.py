@@ -262,19 +262,19 @@ LEARNS = {
     "ippo": (20_000, {"worlds": 100}),
     "mappo": (20_000, {"worlds": 100}),
     "mappo, asynchronous": (30_000, {"worlds": 100, "execution": "asynchronous"}),
+    "vdn": (4000, {"hyperparameters": {"learning_rate": 2e-3, "batch": 256}}),
+    "qmix": (5000, {"hyperparameters": {"learning_rate": 2e-3, "batch": 128, "replays": 8.0}}),
+    "coma": (30_000, {"hyperparameters": {"learning_rate": 3e-3, "minibatches": 4}}),
     "iql": (10_000, {}),
-    "vdn": (10_000, {}),
-    "qmix": (10_000, {}),
     "vdn, recurrent": (20_000, {"recurrent": True}),
     "pqn": (60_000, {}),
-    "coma": (60_000, {"hyperparameters": {"decay_ticks": 60_000}}),
 }
 """By algorithm: steps, and settings. QTRAN is missing: it learns the task, and loses it now and then."""
-SLOW = "vdn, recurrent"
+SLOW = ("iql", "vdn, recurrent", "pqn")
 
 
 @pytest.mark.parametrize(
-    "run", [pytest.param(r, marks=[pytest.mark.slow] if r == SLOW else ()) for r in LEARNS]
+    "run", [pytest.param(r, marks=[pytest.mark.slow] if r in SLOW else ()) for r in LEARNS]
 )
 def test_it_learns_a_small_task_for_good(run, tmp_path):
     """Two cars carry a block each to the other side of an area of 3 x 2 cells."""

@@ -149,8 +149,10 @@ def test_an_evaluation_in_physics_starts_where_the_task_does(monkeypatch):
         assert trainer.evaluate(1) is trainer.task
 
 
-def test_what_was_imitated_is_evaluated_at_once():
-    trainer = Trainer(TrainConfig("random_strip", worlds=4, width=8, network="relative", imitate=2))
+def test_what_was_imitated_is_evaluated_at_once(monkeypatch):
+    monkeypatch.setattr("craftsim.training.policy_gradient.LEAST", 8)
+    few = {"imitate": 1, "evaluation_episodes": 5}
+    trainer = Trainer(TrainConfig("random_strip", worlds=4, width=8, network="relative", **few))
     assert list(trainer.run(2 * trainer.steps_an_iteration, until=2.0)) == [True, False]
 
 

@@ -58,8 +58,10 @@ def _same(first, second):
 
 @pytest.mark.parametrize("name", RUNS)
 def test_a_run_goes_on_as_if_it_had_never_stopped(name, tmp_path, monkeypatch):
-    monkeypatch.setattr("craftsim.designs.tasks.POOL", 12)
-    config = TrainConfig(**({"task": "strip"} | RUNS[name]))
+    few = {"designs.tasks.POOL": 12, "training.policy_gradient.LEAST": 8, "training.exploration.STARTS": 50}
+    for place, number in few.items():
+        monkeypatch.setattr(f"craftsim.{place}", number)
+    config = TrainConfig(**({"task": "strip", "evaluation_episodes": 5} | RUNS[name]))
     whole, part = _go_on(Trainer(config), 2), _go_on(Trainer(config), 1)
     start = {key: value.clone() for key, value in part.learner.net.state_dict().items()}
     part.save(tmp_path)

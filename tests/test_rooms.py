@@ -113,8 +113,7 @@ def _calling(*names: str) -> list[Path]:
     return [
         path
         for path, nodes in _nodes().items()
-        if {*names}
-        & {n.func.id for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
+        if {*names} & {n.func.id for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
     ]
 
 

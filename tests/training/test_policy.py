@@ -226,8 +226,8 @@ def test_a_shipped_policy_builds_and_does_so_from_where_it_never_started(name):
     task = as_task(f"{name}@test" if policy.config.network == "relative" else name)
     policy.check_task(task)
     config = policy.config
-    played = evaluate(policy.net, task, 100, 0, config.rules, config.helper_depth, config.acting)
-    assert played.starts == (1 if name == "complex_two_story" else 100)
+    played = evaluate(policy.net, task, 60, 0, config.rules, config.helper_depth, config.acting)
+    assert played.starts == (1 if name == "complex_two_story" else 60)
     assert played.success > 0.8
     assert (SHIPPED / f"{name}.safetensors").stat().st_size < 8e6
 

@@ -309,7 +309,7 @@ def test_a_hidden_delay_shows_in_the_outcomes(tmp_path, capsys):
         "--randomize",
         "mild",
         "--trials",
-        "2",
+        "6",
         "--video",
         "none",
     ]
@@ -321,7 +321,7 @@ def test_a_hidden_delay_shows_in_the_outcomes(tmp_path, capsys):
     assert status == 1
     gap = json.loads((tmp_path / "gap" / "report.json").read_text())["figures"]["compare"]
     assert gap["changed"]["config.setup.randomization.sensors.max_delay_s"] == [0.02, 0.1]
-    assert gap["trials"]["only_first"] == 2
+    assert gap["trials"]["only_first"] == 6
     assert gap["ranks"] is None
     assert "at least three plans" in capsys.readouterr().out
     assert cli.main(["compare", str(tmp_path), str(tmp_path / "real"), "--out", str(tmp_path / "gap")]) == 2

@@ -222,8 +222,10 @@ class Grid:
 
     def derive_marks(self) -> None:
         """Overwrite both marks with what follows from the visible state."""
-        batch = self[None] if self.cells.ndim == 4 else self
-        for cells, cars in zip(batch.cells, batch.cars, strict=True):
+        if self.cells.ndim == 4:
+            _derive_marks(World(self.cells, self.cars, 0))
+            return
+        for cells, cars in zip(self.cells, self.cars, strict=True):
             _derive_marks(World(cells, cars, 0))
 
     def same_visible(self, other: Grid) -> bool:

@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from importlib.resources import files
 from itertools import product
 from typing import Any, Final, NamedTuple
@@ -27,6 +27,8 @@ CarRow = tuple[int, ...]
 
 
 _SHARED: Final = "two things would share a cell"
+_empty: Final = lru_cache(256)(Grid.empty)
+"""A survey makes tens of thousands of worlds, of few sizes."""
 
 
 class ImpossibleError(Exception):
@@ -38,8 +40,9 @@ def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Gr
 
     A gear is left out if its cell is occupied; of two gears in a cell the one with the smaller yaw is kept.
     """
-    grid = Grid.empty(size, len(cars))
-    grid.cars[:] = np.array(list(cars), np.int16).reshape(-1, len(CarField))
+    grid = _empty(size, len(cars)).copy()
+    if cars:
+        grid.cars[:] = list(cars)
     filled: dict[Cell, tuple[int, int]] = {}
     for kind, cell, yaw in sorted(pieces, key=lambda piece: (piece.kind == Kind.FSLOPE, -piece.yaw)):
         filled[cell] = (int(kind), yaw)
@@ -48,7 +51,6 @@ def grid_of(pieces: Iterable[Piece], cars: Collection[CarRow], size: Cell) -> Gr
             gives_way = second == Kind.GEAR and filled.get(next_cell, (Kind.GEAR,))[0] != Kind.GEAR
             if not gives_way and grid.inside(next_cell):
                 filled[next_cell] = (int(second), yaw)
-    # One assignment: a survey makes tens of thousands of worlds.
     rows = np.array([(*cell, *what) for cell, what in filled.items()], np.int16).reshape(-1, 5)
     x, y, z, *_ = rows.T
     grid.cells[x, y, z, :2] = rows[:, 3:]

@@ -122,15 +122,29 @@ def _survey(rule_set: RuleSet, verb: str) -> tuple[list[Situation], list[Situati
 @cache
 def _roomy(verb: str) -> list[Situation]:
     """Return all possible situations of a verb with free neighbour cells; cached for all rule sets."""
-    found, inner = [], list(_inner(verb))
-    for ground, own, load in product(GROUNDS, _OWN, LOADS):
-        with suppress(ImpossibleError):
-            _check_car(ground, own, load)
-            for row in inner:
+    found, inner = list[Situation](), list(_inner(verb))
+    for ground, own in product(GROUNDS, _OWN):
+        by_load = dict[str, list[Situation]]()
+        for load in LOADS:
+            # A flag has the shape of a block: these worlds differ in the load alone.
+            mine = [_with_flag(one) for one in by_load["block"]] if load == "flag" else []
+            if load != "flag":
                 with suppress(ImpossibleError):
-                    row = row._replace(ground=ground, own=own, load=load)
-                    found.append(_situation(row, _built(row)))
+                    _check_car(ground, own, load)
+                    for row in inner:
+                        with suppress(ImpossibleError):
+                            row = row._replace(ground=ground, own=own, load=load)
+                            mine.append(_situation(row, _built(row)))
+            by_load[load] = mine
+            found += mine
     return found
+
+
+def _with_flag(situation: Situation) -> Situation:
+    """Return the situation of a car that carries a block with a flag in its place."""
+    grid = situation.grid.copy()
+    grid.cars[0, CarField.LOAD] = Kind.FLAG
+    return replace(situation, row=situation.row._replace(load="flag"), grid=grid)
 
 
 def _inner(verb: str) -> Iterator[Row]:
@@ -331,6 +345,7 @@ def _fillable(row: Row, world: Builder) -> list[tuple[Cell, ...]]:
     return columns
 
 
+@cache
 def counted_row(row: Row, legal: bool) -> Row:
     """Return the row in which a situation is counted.
 

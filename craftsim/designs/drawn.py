@@ -366,7 +366,8 @@ class Growth:
 
     def _places(self, level: int) -> Mask:
         """Return (L, W): the columns that can take a block, and that no ramp needs."""
-        places = self._reach(level) & (self.heights == level - 1)
+        # On the floor a car with a block gets to all that is free, and to ramps, which are left out below.
+        places = self._free_floor() if level == 1 else self._reach(level) & (self.heights == level - 1)
         for ramp in self.ramps:
             # The block behind a body is landed on, so that it bears none but the last of its level.
             places[tuple(zip(*_columns(ramp, 0, 1, 2, -1), strict=True))] = False

@@ -86,10 +86,10 @@ class Rules:
 
     def legal(self, grid: Grid, car: int, action: int) -> bool:
         """Return whether one car could do one action now."""
+        _check_car(grid, car)
         if is_own(action):
-            _check_car(grid, car)
             return not own_reason(grid, self.corrections, car, action)
-        return bool(self.tick(grid, [(car, action)])[1][0])
+        return _reason(grid.cells, grid.cars, int(self.corrections), car, int(action)) == code.LEGAL
 
     def explain(self, grid: Grid, car: int, action: int) -> Explanation:
         """Return which rule forbids an action of a car now, in words, with the cells concerned; or that it is legal.

@@ -66,8 +66,10 @@ class _Files:
 
     def link(self, file: str) -> str | None:
         """Return the address of a file; None if it does not exist or is outside of the folder."""
+        if not file:
+            return None
         path, root = (self.out / file).resolve(), self.out.resolve()
-        if not (file and path.is_relative_to(root) and path.is_file()):
+        if not (path.is_relative_to(root) and path.is_file()):
             return None
         return quote(path.relative_to(root).as_posix())
 

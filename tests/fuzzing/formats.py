@@ -248,11 +248,11 @@ FORMATS = {
     "log": Format(lambda: _written(_write_log), lambda folder: read_log(folder / "log.csv")),
     "bag": Format(lambda: _written(_write_bag), lambda folder: read_log(folder / "log.mcap")),
     "message": Format(_messages, _message),
-    "policy": Format(lambda: [trained(POLICY_FILE)], lambda folder: read_policy(folder / POLICY_FILE), 150),
+    "policy": Format(lambda: [trained(POLICY_FILE)], lambda folder: read_policy(folder / POLICY_FILE), 40),
     "run": Format(
         lambda: [trained(RUN_FILE)], lambda folder: Trainer.resume(folder, task=_task(), config=CONFIG), 40
     ),
-    "recording": Format(_recordings, _recording),
+    "recording": Format(_recordings, _recording, 80),
     "starts": Format(
         lambda: _written(_write_starts),
         lambda folder: _task().starting_from(load_starts(folder / "starts.npz")),

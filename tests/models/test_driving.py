@@ -238,7 +238,7 @@ def test_a_rough_floor_holds_the_flaps_inner_edge_by_friction(open_part, thresho
     assert found < SLOPE.hinge_torque_nm / 20
 
 
-def creep_m_s(grid, drive="rollers", seconds=2.0, **settings) -> float:
+def creep_m_s(grid, drive="rollers", seconds=1.0, **settings) -> float:
     """Return the speed of the car on the slope after 2 s in which it comes to rest, with sleep off."""
     machines = replace(NOMINAL, drive=drive)
     physics = PhysicsWorld(grid, SimulationConfig(sleep=False, settle_s=2.0, **settings), machines=machines)

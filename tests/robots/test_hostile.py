@@ -219,7 +219,7 @@ def test_acknowledgements_without_end_do_not_stop_the_robots_time(sender):
 @pytest.mark.parametrize("flood", [(b"stranger", pack(Ack(1))), (b"stranger", pack(Hello(1)))])
 def test_robots_in_lock_step_leave_a_driver_that_is_silent(flood):
     server, service, wire, told = driven(waits=True, patience_s=0.1)
-    wire.flood, wire.flood_s = flood, 1e-4
+    wire.flood, wire.flood_s = flood, 5e-4
     looks = wire.looks
     while wire.looks < looks + 90_000 and service.now_s < 2.5:
         run(server, wire, 100)

@@ -1,15 +1,15 @@
 """Robots in a process of their own, reached over sockets: what is built, and what becomes of a lost connection."""
 
 import json
+import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from piped import piped
 
 from craftsim.checking.setup import Seed, setup_of
 from craftsim.cli import main
@@ -46,21 +46,15 @@ with robots_at("{address}", 30.0) as where:
 
 @contextmanager
 def served(out, *options):
-    """Yield a process that serves robots with the reduced drive, and its address; it ends when it should."""
-    words = ["robot", "--drive", "reduced", "--port", "0", "--out", str(out), *options]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "craftsim", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        yield process, re.search(r"tcp://\S+", process.stdout.readline())[0]
-    finally:
-        process.kill()
-        process.communicate()
+    """Yield a process that serves robots with the reduced drive, its address, and what it says of errors."""
+    words = ["robot", "--drive", "reduced", "--port", "0", "--out", out, *options]
+    with piped("craftsim", *words) as (process, said, errors):
+        yield process, re.search(r"tcp://\S+", said.readline())[0], errors
 
 
-def stop_of(process: subprocess.Popen) -> tuple[float, float]:
+def stop_of(errors) -> tuple[float, float]:
     """Return when robots stopped the next time, and when the last command before had come."""
-    for line in process.stderr:
+    for line in errors:
         if found := re.search(r"([.\d]+) s: no command since ([.\d]+) s, the robots stop", line):
             return float(found[1]), float(found[2])
     raise AssertionError("the robots did not stop")
@@ -74,11 +68,12 @@ def stop_of(process: subprocess.Popen) -> tuple[float, float]:
 def test_a_plan_is_carried_out_by_robots_in_another_process(tmp_path, capsys, options, n_agree, said):
     plan = tmp_path / "short.plan"
     plan.write_text(PLAN, encoding="utf-8")
-    with served(tmp_path / "robot", "--lockstep", "--once", *options) as (process, address):
+    with served(tmp_path / "robot", "--lockstep", "--once", *options) as (process, address, _):
         words = ["demo", "--robot", address, "--plan", str(plan), "--drive", "reduced", "--no-video"]
         done = main([*words, "--timeout", "60" if n_agree else "1", "--out", str(tmp_path / "demo")])
         assert done == 1  # the goal is not reached
-        assert process.wait(60) == 0
+        process.join(60)
+        assert process.exitcode == 0
     assert said in capsys.readouterr().out
     figures, report = (
         json.loads((tmp_path / name / "report.json").read_text()) for name in ("demo", "robot")
@@ -106,17 +101,18 @@ def test_what_cannot_fall_silent_is_refused(silent, said, tmp_path, capsys):
     assert said in capsys.readouterr().err
 
 
-def test_robots_and_who_drives_them_outlive_each_other(tmp_path, start):
-    with served(tmp_path, "--lockstep", "--timeout", "3") as (process, address):
-        words = [sys.executable, "-c", DRIVE.format(address=address)]
-        driver = start(words, stdout=subprocess.PIPE, text=True)
-        assert driver.stdout.readline() == "acting\n"
-        asleep = stop_of(process)
-        driver.send_signal(signal.SIGCONT)
-        lost = "disconnected: the robots had no command for 100 ms, and stopped\n"
-        assert [driver.stdout.readline() for _ in range(2)] == [lost, "acting\n"]
-        killed = stop_of(process)
-        assert driver.wait(60) == -signal.SIGKILL
+def test_robots_and_who_drives_them_outlive_each_other(tmp_path):
+    with served(tmp_path / "out", "--lockstep", "--timeout", "3") as (process, address, errors):
+        (tmp_path / "drive.py").write_text(DRIVE.format(address=address))
+        with piped(tmp_path / "drive.py") as (driver, said, _):
+            assert said.readline() == "acting\n"
+            asleep = stop_of(errors)
+            os.kill(driver.pid, signal.SIGCONT)
+            lost = "disconnected: the robots had no command for 100 ms, and stopped\n"
+            assert [said.readline() for _ in range(2)] == [lost, "acting\n"]
+            killed = stop_of(errors)
+            driver.join(60)
+            assert driver.exitcode == -signal.SIGKILL
         for stopped_s, heard_s in (asleep, killed):
             assert 0.09 < stopped_s - heard_s < 0.13  # as far as two digits say
         with robots_at(address, 2.0) as where:

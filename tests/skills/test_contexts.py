@@ -84,9 +84,7 @@ def test_lifts_brings_unfolds_and_folds_a_slope(make_checked):
         (1, Kind.FLAG, REDUCED),
         (2, Kind.FSLOPE, REDUCED),
         (3, Kind.FSLOPE, ROLLERS),
-        (3, Kind.BLOCK, REDUCED),
         (2, Kind.AIR, REDUCED),
-        (1, Kind.AIR, REDUCED),
     ),
 )
 def test_climbs_a_ramp_works_on_top_and_comes_back_down(make_checked, direction, load, drive):

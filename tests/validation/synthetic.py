@@ -87,14 +87,14 @@ def drawn_attempt(rng, verb, works, *, legal=True):
     return attempt(result, legal=legal, **kind, **errors, **numbers)
 
 
-def episodes(seed=0, n=60, policies=("random", "planner", "ippo", "qmix")):
+def episodes(seed=0, n=60, policies=("random", "planner", "ippo", "qmix"), actions=(12, 40)):
     """Return records of episodes of several policies, some of which disagree or end in an error."""
     rng = np.random.default_rng(seed)
     records = []
     for index in range(n):
         which = index % len(policies)
         works = 0.98 - 0.012 * which
-        verbs = [str(verb) for verb in rng.choice(VERBS, int(rng.integers(12, 40)))]
+        verbs = [str(verb) for verb in rng.choice(VERBS, int(rng.integers(*actions)))]
         attempts = [drawn_attempt(rng, verb, works) | {"tick": tick} for tick, verb in enumerate(verbs)]
         grid = bool(rng.random() < 0.9 - 0.2 * which)
         extra = {"grid_success": grid, "physics_success": grid and bool(rng.random() < 0.8)}

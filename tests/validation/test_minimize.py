@@ -120,20 +120,15 @@ def test_validate_shrinks_its_failures_into_report_and_page(tmp_path, capsys):
     (tmp_path / "site.yaml").write_text(blueprint_text(grid_of(_cars_first(*NEEDED, *IDLE[3:5]), SIZE)))
     (tmp_path / "tries.txt").write_text("1 STOP\n0 ROTATE_LEFT\n")
     out = tmp_path / "out"
-    words = ["validate", str(tmp_path / "site.yaml"), "--actions", str(tmp_path / "tries.txt")]
-    words += [
-        "--rules",
-        "published",
-        "--drive",
-        "reduced",
-        "--trials",
-        "1",
-        "--video",
-        "none",
-        "--minimize",
+    words = [
+        "validate",
+        str(tmp_path / "site.yaml"),
+        "--actions",
+        str(tmp_path / "tries.txt"),
         "--out",
+        str(out),
     ]
-    words.append(str(out))
+    words += ["--rules", "published", "--drive", "reduced", "--trials", "1", "--video", "none", "--minimize"]
     assert cli.main(words) == 1
     (found,) = json.loads((out / "report.json").read_text())["figures"]["smallest"]
     assert found["sentence"].endswith("when car 1 is in the next cell to the right")

@@ -17,6 +17,7 @@ from craftsim.validation.audit_report import audit_report
 from craftsim.validation.report import validation_report
 from craftsim.validation.validation import Validation
 
+EPISODES = episodes(n=30, actions=(2, 6))
 HOSTILE = '</td><script>alert("x")</script><img src=http://a.b/c onerror=go()>{{ 7 * 7 }}$a_b$'
 CONFIG = {
     "worlds": {"strip": "shipped"},
@@ -82,8 +83,8 @@ def page_of(out, report):
 def pages(tmp_path_factory):
     out = tmp_path_factory.mktemp("pages")
     return {
-        "validate": page_of(out, validate_report(out, episodes(n=30))),
-        "audit": page_of(out, audited_report(out, audit(contexts=40))),
+        "validate": page_of(out, validate_report(out, EPISODES)),
+        "audit": page_of(out, audited_report(out, audit(contexts=40, trials=3))),
     }
 
 
@@ -102,7 +103,7 @@ def test_the_page_tells_what_decides_it_and_equal_data_give_equal_files(pages, t
     text = Reader(pages["validate"]).text
     for word in ("car_m", "noise.pose_m", "craftsim validate strip", "mujoco", "mean maximum rank violation"):
         assert word in text
-    assert page_of(tmp_path, validate_report(tmp_path, episodes(n=30))) == pages["validate"]
+    assert page_of(tmp_path, validate_report(tmp_path, EPISODES)) == pages["validate"]
 
 
 def test_text_from_files_and_policies_is_escaped(tmp_path):

@@ -5,8 +5,10 @@ import socket
 import subprocess
 import sys
 import time
+from collections import deque
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import cheap_work
 import pytest
@@ -15,6 +17,7 @@ from craftsim.cli import main
 from craftsim.errors import InputError
 from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.session import run_experiment
+from craftsim.workers.ray_actor import LOOK_S, RayActor
 
 pytestmark = [
     pytest.mark.skipif(not find_spec("ray"), reason="the extra 'ray' is not installed"),
@@ -39,6 +42,7 @@ def test_records_are_those_of_local_workers_whatever_goes_wrong(tmp_path, ray_cl
     assert records == local
 
 
+@pytest.mark.slow
 def test_a_lost_head_is_told_within_seconds_and_resume_goes_on_without_it(tmp_path):
     script = Path(__file__).parent / "lose_head.py"
     environment = {**os.environ, "RAY_USAGE_STATS_ENABLED": "0"}
@@ -71,6 +75,21 @@ def nobodys_port():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         yield taken.getsockname()[1]
+
+
+def test_who_waits_for_a_cluster_looks_at_its_head_and_ends_when_that_is_gone(nobodys_port, monkeypatch):
+    """Without a cluster: one whose actors never answer; a slow test has a real one whose head is killed."""
+    looks = []
+    silent = SimpleNamespace(wait=lambda answers, timeout: looks.append(timeout) or ([], answers))
+    actor = RayActor.__new__(RayActor)
+    actor._ray, actor._head, actor._answers = silent, f"127.0.0.1:{nobodys_port}", deque([object()])
+    with pytest.raises(InputError, match=r"no Ray cluster answers at .*--resume goes on"):
+        RayActor.wait([actor], None)
+    assert looks == [LOOK_S]
+    assert LOOK_S <= 2, "seconds; Ray itself looks in vain for over a minute"
+    with socket.create_server(("127.0.0.1", 0)) as head:
+        actor._head = f"127.0.0.1:{head.getsockname()[1]}"
+        assert RayActor.wait([actor], 0.0) == []
 
 
 @pytest.mark.parametrize("form", ["127.0.0.1:{}", "ray://127.0.0.1:{}"])

@@ -160,10 +160,9 @@ def test_a_campaign_whose_workers_or_itself_are_killed_or_interrupted_goes_on_to
     assert process.stderr.read() == f"craftsim: {said}\n"
 
     held.unlink()
-    process = _start(out, "--resume")
-    assert process.wait(60) == 0, process.stderr.read()
-    items = cheap_work.items(40)
-    run_experiment(cheap_work.experiment(items, "cheap", batch=3), tmp_path / "undisturbed")
+    own = cheap_work.experiment(cheap_work.items(40), "cheap", batch=3)
+    run_experiment(own, out, RunOptions(resume=True))
+    run_experiment(own, tmp_path / "undisturbed")
     assert (out / "trials.jsonl").read_bytes() == (tmp_path / "undisturbed" / "trials.jsonl").read_bytes()
 
 

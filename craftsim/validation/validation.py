@@ -193,7 +193,7 @@ def validate(
 
     Example:
         >>> import craftsim
-        >>> craftsim.validate("strip", policy="random", randomize="mild", trials=1, seed=3).agrees
+        >>> craftsim.validate("strip", policy="random", drive="reduced", trials=1, seed=3).agrees
         True
     """
     for old, new in _FORMER.items():

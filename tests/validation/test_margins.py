@@ -30,6 +30,11 @@ LEVELS = 40
 NOMINAL = setup_of("none", drive="reduced")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def bare_drawings():
+    """Here drawings are rendered."""
+
+
 @pytest.mark.parametrize("scenario", CHOSEN, ids=lambda one: one.name)
 def test_every_scenario_is_legal_and_stood_without_imperfections(scenario):
     attempts, reason = MarginSearch(scenario, NOMINAL, 3, (), 1).attempt(0)

@@ -29,6 +29,11 @@ CONFIG = {
 }
 
 
+@pytest.fixture(scope="module", autouse=True)
+def bare_drawings():
+    """Here drawings are rendered."""
+
+
 class Reader(HTMLParser):
     """Collects tags, addresses and text of a page, and whether its tags are balanced."""
 

@@ -88,7 +88,6 @@ class ParallelConstruction(CarWorld, ParallelEnv[str, Observation, int]):
 
         Raises InputError where no episode runs, and if an agent's action is missing or no number from 0 to 14.
         """
-        self.core.require_episode()
         agents = self.agents
         result = self.core.step(by_agent(actions, agents))
         if result.terminated or result.truncated:

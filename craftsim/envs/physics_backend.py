@@ -59,11 +59,9 @@ def has_display() -> bool:
 class Pictures:
     """Looks at one PhysicsWorld after the other; call :meth:`watch` after every control period."""
 
-    def __init__(
-        self, camera: str | None = None, size: tuple[int, int] | None = None, motion: bool = False
-    ) -> None:
-        """Prepare for a camera and a size (width, height); ``motion`` keeps the pictures between ticks."""
-        self.camera, self.size, self.motion = camera or "overview", size or (640, 480), motion
+    def __init__(self, options: Options) -> None:
+        self.camera, self.size = options.render_camera or "overview", options.render_size or (640, 480)
+        self.motion = options.shows_motion
         self._physics: PhysicsWorld | None = None
         self._kept: list[Picture] = []
         self._due_s = 0.0
@@ -92,7 +90,6 @@ class Pictures:
 
     def picture(self) -> Picture:
         """Return what the camera sees now."""
-        assert self._physics is not None, "begin() comes first"
         if self._renderer is None:
             self._renderer = make_renderer(self._seen.model, self.size)
         self._renderer.update_scene(self._seen.now(), self._number)
@@ -106,7 +103,6 @@ class Pictures:
 
     def show(self) -> None:
         """Open MuJoCo's viewer; it follows the simulation from now on. Raises InputError without a display."""
-        assert self._physics is not None, "begin() comes first"
         if self._viewer is None:
             if not has_display():
                 raise InputError(
@@ -167,7 +163,7 @@ class PhysicsBackend:
         options = self._options
         self.goals: tuple[Cell, ...] = () if task is None else tuple(task.goal_cells)
         self._helper = None if options.helper_depth is None else Rules(setup.rules)
-        self._pictures = Pictures(options.render_camera, options.render_size, options.shows_motion)
+        self._pictures = Pictures(options)
         self._recorded = 0  # episodes
         self._folder = None if options.record is None else output_directory(options.record)
         self._task, self._design = ("", None) if task is None else (task.name, task.design)

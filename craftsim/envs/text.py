@@ -281,7 +281,6 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
         self.core.reset(seed, options)
         super().reset(seed=seed)
-        self._tick = 0
         return self._seen(), {}
 
     def step(self, action: str) -> tuple[str, float, bool, bool, dict[str, Any]]:
@@ -299,7 +298,6 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
             if one not in offered:
                 raise InputError(f"the action '{words_of(one)}' is not offered here; name it in 'actions'")
         result = self.core.step([offered.index(one) for one in chosen])
-        self._tick += 1
         feedback = self._feedback(before, chosen, result)
         shared = result.infos[0]
         lines = ["What happened:", *(f"  {line}" for line in feedback)]
@@ -316,7 +314,7 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
 
     def _seen(self, may_act: bool = True) -> str:
         task, grid = self.core.task, self.core.grid
-        lines = [f"After tick {self._tick} of {self._ticks}", world_words(grid, task)]
+        lines = [f"After tick {self.core.episodes.t[0]} of {self._ticks}", world_words(grid, task)]
         if may_act:
             lines += ["Legal actions:", legal_words(grid, self.core.masks, self.core.rules)]
         return "\n".join(lines)

@@ -32,9 +32,9 @@ class Learner(ABC):
     def begin(self, worlds: Tensor) -> None:  # noqa: B027
         """Take note of the worlds (B,) in which an episode begins, as a mask."""
 
-    @abstractmethod
     def act(self, seen: Seen) -> Tensor:
-        """Return actions (B, n) with exploration, drawn from torch's default generator."""
+        """Return actions (B, n) with exploration, by torch's default generator: sampled from the policy."""
+        return drawn(self.net(seen))
 
     @abstractmethod
     def update(self, rollout: Rollout) -> None:

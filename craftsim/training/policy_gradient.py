@@ -20,7 +20,7 @@ from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.training.config import COMASettings, PPOSettings
 from craftsim.training.features import Seen, joined
-from craftsim.training.learner import Learner, drawn, of_actions
+from craftsim.training.learner import Learner, of_actions
 from craftsim.training.networks import Critic, OthersNet, follow
 from craftsim.training.rollouts import Rollout, distinct
 from craftsim.training.shape import Shape
@@ -51,10 +51,6 @@ class PPOLearner(Learner):
         self.critic = Critic(shape, sees_team=algo == "mappo")
         self.modules = nn.ModuleDict({"net": self.net, "critic": self.critic})
         self.optimizer = torch.optim.Adam(self.modules.parameters(), settings.learning_rate, fused=True)
-
-    def act(self, seen: Seen) -> Tensor:
-        """Sample each car's action."""
-        return drawn(self.net(seen))
 
     def update(self, rollout: Rollout) -> None:
         """Run the epochs of minibatch updates on a rollout."""
@@ -131,10 +127,6 @@ class COMALearner(Learner):
         self.modules = nn.ModuleDict({"net": self.net, "critic": self.critic, "target": self.target})
         weights = [*self.net.parameters(), *self.critic.parameters()]
         self.optimizer = torch.optim.Adam(weights, settings.learning_rate, fused=True)
-
-    def act(self, seen: Seen) -> Tensor:
-        """Draw each car's action by the policy."""
-        return drawn(self.net(seen))
 
     def update(self, rollout: Rollout) -> None:
         """Learn from each tick once."""

@@ -15,7 +15,7 @@ from craftsim.rendering import render
 from craftsim.rendering.film import FilmOptions, Frames
 from craftsim.rendering.trajectory import Trajectory
 from craftsim.reports.json_file import SCHEMA_VERSION
-from craftsim.validation import building
+from craftsim.validation import rollout
 
 FLAT = """\
 area_length: 3
@@ -177,7 +177,7 @@ def test_one_failure_among_all_tasks_is_named_and_each_task_has_its_film(demo, f
 
     (folder / "wrong.plan").write_text("0 0 DROP\n", encoding="utf-8")
     monkeypatch.setattr(tasks, "TASK_NAMES", ("strip", "block"))
-    monkeypatch.setattr(building, "shipped_plan", lambda name: folder / "wrong.plan")
+    monkeypatch.setattr(rollout, "shipped_plan", lambda name: folder / "wrong.plan")
     monkeypatch.setattr(render, "FilmOptions", lambda: FilmOptions((96, 64)))
     status, said = demo("--task", "all", *FAST, video=True)
     assert status == 1

@@ -265,7 +265,7 @@ LEARNS = {
     "mappo, asynchronous": (30_000, {"worlds": 100, "execution": "asynchronous"}),
     "vdn": (4000, {"hyperparameters": {"learning_rate": 2e-3, "batch": 256}}),
     "qmix": (5000, {"hyperparameters": {"learning_rate": 2e-3, "batch": 128, "replays": 8.0}}),
-    "coma": (30_000, {"hyperparameters": {"learning_rate": 3e-3, "minibatches": 4}}),
+    "coma": (60_000, {"hyperparameters": {"decay_ticks": 60_000}}),
     "iql": (10_000, {}),
     "vdn, recurrent": (20_000, {"recurrent": True}),
     "pqn": (60_000, {}),

@@ -184,7 +184,7 @@ class Judge:
 
         A car whose action fails stops there, and what depends on it is not performed; the others finish. An action
         whose own part reads as predicted agrees, unless nobody's part is wrong and something else is: that is then
-        held against all.
+        held against all. An accident is held against what had not ended before it.
 
         In the order ``reordered``, whenever an action ends, actions that have not begun may change places
         (:func:`craftsim.discrete.reordering.reordered_rest`). Constraints of ``after`` that the footprints impose
@@ -473,6 +473,7 @@ class Judge:
         if world is not None:
             tried = [other for other in all_watched if other.legal or other.outcome is not None]
             nobodys = len(tried) == 1 or all(other.applied for other in tried)
-            if nobodys or world[0] in ("agrees", "unsafe", "numerics", "diverged"):
+            earlier = world[0] == "unsafe" and not one.hazards
+            if not earlier and (nobodys or world[0] in ("agrees", "unsafe", "numerics", "diverged")):
                 return world
         return AGREES if one.applied else ("wrong place", one.differences or (str(one.outcome),))

@@ -139,6 +139,23 @@ def test_what_moves_after_its_action_has_ended_is_held_against_the_actions_still
     assert ("car 0 was moved" in attempts[1].reason) == (force_n > 0.0)
 
 
+def test_an_accident_is_held_against_what_had_not_ended_before_it():
+    """A car of 101 N, with a block, is pressed down with 400 N once another car has ended its first action."""
+    judge, now = set_up(_yard(), REDUCED), {}
+
+    def press(physics):
+        if 0 in now and now[0].action == Action.ROTATE_LEFT:
+            physics.data.xfrc_applied[physics.cars[2].base.body, 2] = -400.0
+
+    judge.on_change = lambda running: (now.clear(), now.update(running))
+    judge.executor.observers.append(press)
+    turn = (0, Action.ROTATE_LEFT)
+    attempts = judge.perform_plan([[(0, RIGHT), (2, Action.LIFT)], [turn, (2, RIGHT)], [turn]], "concurrent")
+    findings = {(a.tick, a.car): a.finding for a in attempts}
+    later = dict.fromkeys([(1, 2), (2, 0)], "not executed")
+    assert findings == {(0, 0): "agrees", (0, 2): "unsafe", (1, 0): "unsafe"} | later
+
+
 def test_one_by_one_a_failure_ends_everything_and_what_the_rules_forbid_ends_nothing():
     _, attempts = _run(_unpower(0), "sequential")
     assert _not_performed(attempts) == [1, 2, 3, 4, 5, 6]

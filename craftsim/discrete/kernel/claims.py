@@ -99,7 +99,9 @@ def claims_of(w: World, car: Pose, action: int, out: Claims) -> int:
         # A load sweeps the space that it stands in before and after.
         for i in range(count if car.load != AIR else 0):
             if out[i, 3] & SPACE:
-                count = add_swept(out, count, out[i, 0], out[i, 1], out[i, 2])
+                # As the other numbers: a function is compiled for one type of them.
+                cx, cy, cz = int(np.int64(out[i, 0])), int(np.int64(out[i, 1])), int(np.int64(out[i, 2]))
+                count = add_swept(out, count, cx, cy, cz)
         count = add_rest_of_ramp(car, new, out, count)
     elif action in (ROTATE_LEFT, ROTATE_RIGHT) and car.load != AIR:
         # A load sweeps the neighbour cells, a folded slope the corners, too.

@@ -530,7 +530,8 @@ def _policy_rows(paths: Iterable[Path]) -> list[tuple[str, ...]]:
             actions = found["by_group"][policy["policy"]]["actions"]
             built = [str(round(policy[where] * policy["episodes"])) for where in ("grid", "physics")]
             drawn, episodes = report["config"]["randomize"], str(policy["episodes"])
-            rows.append((policy["policy"], drawn, episodes, *built, _counts(actions)))
+            version = report["versions"]["craftsim"]
+            rows.append((policy["policy"], drawn, episodes, *built, _counts(actions), version))
     return rows
 
 
@@ -543,6 +544,7 @@ def policies_table(paths: Iterable[Path]) -> str:
         "built by the rules",
         "built in physics",
         "actions as predicted",
+        "version",
     )
     return table(head, *_policy_rows(paths))
 

@@ -130,7 +130,7 @@ def test_an_unknown_option_is_refused_with_a_suggestion(capsys):
         names = [name for one in _arguments(words) for name in one.names if name.startswith("--")]
         error = _refused([*words, *_needed(words), f"{names[-1]}x", "1"], capsys)
         assert f"Unknown option: {names[-1]}x. Did you mean {names[-1]}?" in error
-    assert f"Allowed: {names[0]}" in _refused([*words, *_needed(words), "--qqqq", "1"], capsys)
+        assert f"Allowed: {names[0]}" in _refused([*words, *_needed(words), "--qqqq", "1"], capsys)
 
 
 def test_a_number_outside_of_its_range_or_no_choice_is_refused_before_anything_is_done(capsys, tmp_path):

@@ -45,10 +45,12 @@ def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, monkey
     assert reached.n_cars == 2
 
 
-def test_an_interrupted_run_goes_on_to_the_same_report(tmp_path, monkeypatch):
-    """Of a policy whose actions are sampled; plans are in a session of the same kind."""
+@pytest.mark.parametrize("policies", [(), ("random_breaking_barrier",)])  # of the latter actions are sampled
+def test_an_interrupted_run_goes_on_to_the_same_report(policies, tmp_path, monkeypatch):
+    monkeypatch.setattr(execution, "TASK_NAMES", ("strip", "block"))
     monkeypatch.setattr(execution, "MODES", (execution.MODES[1], execution.REACHED))
-    asked, done = ["bench", "execution", "random_breaking_barrier", "--worlds", "2", "--out"], []
+    asked = ["bench", "execution", *policies, *(["--worlds", "2"] if policies else []), "--out"]
+    done = []
 
     @contextmanager
     def interrupted(total):

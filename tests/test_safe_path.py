@@ -111,7 +111,7 @@ if __name__ == "__main__":
     envs.close()
     print("played")
 """
-"""A script of one's own, whose functions a worker finds though it looks for nothing in the folder."""
+"""A user's script, whose functions a worker finds though it looks for nothing in the folder."""
 VALIDATE = "validate strip --policy own:stop --drive reduced --max-steps 1 --trials 1 --workers 1 --video all"
 """A worker of a campaign, with a policy of the folder, and of films, where those can be made."""
 

@@ -52,7 +52,7 @@ class Learner(ABC):
     def tensors(self) -> tuple[dict[str, Tensor], dict[str, Bounds]]:
         """Return all that it has learnt and remembers, by name, for a checkpoint, and bounds of what is no weight.
 
-        Whoever changes these tensors changes the learner.
+        They are the learner's own: to change them is to change it.
         """
         found, bounds = self.modules.state_dict(prefix="modules."), dict[str, Bounds]()
         (group,) = self.optimizer.param_groups

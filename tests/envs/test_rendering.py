@@ -1,5 +1,7 @@
 """Pictures of the environment in physics."""
 
+import os
+import subprocess
 import sys
 from contextlib import closing
 from itertools import pairwise
@@ -38,6 +40,25 @@ def test_a_picture_shows_the_physics_and_follows_it_and_other_starts():
     env.reset(options={"grid": grid})
     assert (env.render() != first).any()
     env.close()
+
+
+def test_training_in_physics_first_and_filming_after_it_works_in_one_process():
+    code = """
+from craftsim.envs import parallel_env
+from craftsim.models.randomization import DomainRandomization
+env = parallel_env("strip", "physics", randomization=DomainRandomization())
+env.reset(seed=0)
+env.step(dict.fromkeys(env.agents, 12))
+films = parallel_env("strip", "physics", render_mode="rgb_array")
+films.reset(seed=0)
+print(films.render().std() > 10)
+"""
+    environment = {key: value for key, value in os.environ.items() if key != "MUJOCO_GL"}
+    child = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert child.stdout == "True\n"
+    assert child.stderr == ""
 
 
 def test_a_list_of_pictures_shows_the_motion_since_the_last_render():

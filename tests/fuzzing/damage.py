@@ -52,7 +52,7 @@ def damaged(name: str, data: bytes, rng: np.random.Generator) -> bytes:
             for _ in range(rng.integers(1, 4)):
                 change(document, rng)
             return pack(document)
-        except (AttributeError, KeyError, TypeError, ValueError, RuntimeError, OverflowError):
+        except (AttributeError, KeyError, TypeError, ValueError, RuntimeError, OverflowError, sqlite3.Error):
             pass  # The format cannot say that.
     return damaged_bytes(data, rng)
 

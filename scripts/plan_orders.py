@@ -168,7 +168,12 @@ def plans_report(n_designs: int, seed: int, out: Path | None, options: RunOption
     if not figures["compared"]:
         raise InputError("no plan went as predicted in all orders, so that there is nothing to compare")
     rows = [
-        (record["world"], record["cars"], record["actions"], *map(_cell, record["orders"].values()))
+        (
+            record["world"],
+            record["cars"],
+            record["actions"],
+            *(_cell(record["orders"][order]) for order in ORDERS),
+        )
         for record in records
         if "orders" in record
     ]

@@ -3,7 +3,7 @@
 python scripts/execution.py --seeds 5                     # goes on where it was interrupted: hours
 python scripts/execution.py random_block --seeds 1
 
-Each policy then plays the same starts in all modes of ``craftsim bench execution``. What that comes to is stored in
+Each policy then plays the same starts in all modes of policy_modes.py. What that comes to is stored in
 docs/results/runs, and the learning curves in docs/results/training.
 """
 
@@ -16,14 +16,11 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 from measure_results import revision
-
-from craftsim.discrete.files.blueprint import parse_blueprint
-from craftsim.discrete.tasks.starts import save_starts
-from craftsim.validation.execution import REACHED, episode
+from policy_modes import REACHED, episode, save_reached
 
 ROOT: Final = Path(__file__).parents[1]
+MODES: Final = ROOT / "scripts" / "policy_modes.py"
 OUT: Final = ROOT / "out" / "execution"
 RUNS: Final = ROOT / "docs" / "results" / "runs"
 CURVES: Final = ROOT / "docs" / "results" / "training" / "execution_curves.json"
@@ -52,7 +49,7 @@ def main() -> None:
             policies = [train(task, way, seed) for way in WAYS]
             out = OUT / f"{task}-{seed}"
             if not (out / "report.json").exists():
-                craftsim("bench", "execution", *policies, "--worlds", EPISODES, "--out", out)
+                run(MODES, *policies, "--episodes", EPISODES, "--out", out)
     store(sorted(OUT.glob("*/report.json")))
 
 
@@ -64,8 +61,22 @@ def train(task: str, way: str, seed: int) -> Path:
         options = ["network=relative", f"pretrained={task}", f"execution={execution}", *SET.get(task, ())]
         if way == "starts":
             options.append(f"starts={reached(OUT / f'{task}-synchronous-{seed}')}")
-        craftsim(
-            *("train", task, "--seed", seed, "--steps", STEPS, "--until", 1, "--episodes", 200),
+        run(
+            *(
+                "-P",
+                "-m",
+                "craftsim",
+                "train",
+                task,
+                "--seed",
+                seed,
+                "--steps",
+                STEPS,
+                "--until",
+                1,
+                "--episodes",
+                200,
+            ),
             *("--set", *options, "evaluation_episodes=200", "--out", out),
         )
     return out
@@ -75,15 +86,14 @@ def reached(policy: Path) -> Path:
     """Return a file of worlds that a policy reaches in asynchronous physics, each at a time that is drawn."""
     path = policy / "reached.npz"
     if not path.exists():
-        played = [episode((str(policy), REACHED, seed)) for seed in REACHED_FROM]
-        worlds = [parse_blueprint(one.extra["reached"], policy.name) for one in played]
-        save_starts(path, [world.grid(np.random.default_rng(0)) for world in worlds])
+        played = (episode((str(policy), REACHED, seed)) for seed in REACHED_FROM)
+        save_reached(path, (one.extra["reached"] for one in played))
     return path
 
 
-def craftsim(*words: object) -> None:
-    """Run a command."""
-    subprocess.run([sys.executable, "-P", "-m", "craftsim", *map(str, words)], cwd=ROOT, check=True)
+def run(*words: object) -> None:
+    """Run a program in Python."""
+    subprocess.run([sys.executable, *map(str, words)], cwd=ROOT, check=True)
 
 
 def store(reports: list[Path]) -> None:

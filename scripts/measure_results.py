@@ -40,10 +40,10 @@ MEASURED: Final = {
     "audit_physical": "audit --quick --rules physical --drive reduced",
     "audit_published": "audit --quick --drive reduced",
     "margins": "audit margins --quick",
-    "execution_plans": "bench execution --worlds 100",
-    "builders": "bench builders",
+    "execution_plans": "scripts/plan_orders.py --designs 100",
+    "builders": "scripts/builders.py",
 }
-"""What is measured, each in less than four minutes of CPU time but for execution."""
+"""What is measured, by commands and scripts: each in less than four minutes of CPU time but for execution."""
 LISTS: Final = (
     "by_group",
     "by_verb",
@@ -66,21 +66,22 @@ def main() -> None:
     names = parser.parse_args().names
     if unknown := set(names) - MEASURED.keys():
         parser.error(f"no measurement {', '.join(sorted(unknown))}; there are {', '.join(MEASURED)}")
-    for name in names or [name for name in MEASURED if is_older(RUNS / f"{name}.json")]:
+    for name in names or [name for name in MEASURED if is_older(name)]:
         measure(name)
 
 
-def is_older(path: Path) -> bool:
-    """Return whether a result is missing, or the package does something else than at its revision."""
+def is_older(name: str) -> bool:
+    """Return whether a result is missing, or package or script do something else than at its revision."""
+    path, script = RUNS / f"{name}.json", MEASURED[name].split()[0]
     if not path.exists():
         return True
     measured = json.loads(path.read_text(encoding="utf-8")).get("revision", "none")
-    return has_changed(measured)
+    return has_changed(measured, *([script] if script.endswith(".py") else []))
 
 
 @cache
-def has_changed(measured: str) -> bool:
-    """Return whether the package is another one than at a revision; comments, docstrings and stored results aside."""
+def has_changed(measured: str, *scripts: str) -> bool:
+    """Return whether code is another than at a revision; comments, docstrings and stored results aside."""
     diff = [
         "git",
         "diff",
@@ -90,6 +91,7 @@ def has_changed(measured: str) -> bool:
         "HEAD",
         "--",
         "craftsim",
+        *scripts,
         ":!craftsim/data/engines.json",
     ]
     found = subprocess.run(diff, cwd=ROOT, check=False, capture_output=True, text=True)
@@ -123,8 +125,9 @@ def measure(name: str) -> None:
     """Run a command, and store what its report says."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     out = OUT / name
-    command = [sys.executable, "-P", "-m", "craftsim", *MEASURED[name].split(), "--out", str(out)]
-    print(" ".join(command[3:]), flush=True)
+    words = [*MEASURED[name].split(), "--out", str(out)]
+    print(*words, flush=True)
+    command = [sys.executable, *([] if words[0].endswith(".py") else ["-P", "-m", "craftsim"]), *words]
     subprocess.run(command, cwd=ROOT, check=False)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     store(name, out, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)

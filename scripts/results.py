@@ -52,7 +52,7 @@ def main() -> None:
         SIX.sub(lambda found: f"{found[1]}\n{six_results()}\n{found[2]}", readme), encoding="utf-8"
     )
     plot()
-    older = [name for name in MEASURED if is_older(RUNS / f"{name}.json")]
+    older = [name for name in MEASURED if is_older(name)]
     if older:
         print(f"older than the code: {', '.join(older)}; scripts/measure_results.py measures them again")
 
@@ -108,7 +108,7 @@ def physics_table() -> str:
     runs = [_read(path) for name in MEASURED if (path := RUNS / f"{name}.json").exists()]
     return named(
         {
-            "command": f"`craftsim {run['command']}`",
+            "command": f"`{'python' if run['command'].startswith('scripts/') else 'craftsim'} {run['command']}`",
             "result": next(
                 say(run["figures"]) for key, say in SAYINGS.items() if run["figures"].get(key) is not None
             ),

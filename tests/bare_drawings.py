@@ -3,11 +3,12 @@
 Rendering one takes a quarter of a second. tests/validation/test_report_pages.py holds what rendered ones are.
 """
 
-import pytest
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from craftsim.reports import html
+
+RENDERED = html._environment().filters["svg"]
 
 
 def _bare(drawing):
@@ -15,9 +16,6 @@ def _bare(drawing):
     return Markup('<svg role="img"></svg>')
 
 
-@pytest.fixture(scope="module", autouse=True)
-def bare_drawings():
-    """Leave out what matplotlib would do with them; a module that looks at drawings has a fixture of this name."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(html._environment().filters, "svg", _bare)
-        yield
+def bare(is_bare):
+    """Leave out from now on what matplotlib would do with drawings, or render them."""
+    html._environment().filters["svg"] = _bare if is_bare else RENDERED

@@ -5,6 +5,7 @@ import gc
 import signal
 import subprocess
 
+import bare_drawings
 import forked
 import pytest
 
@@ -44,6 +45,20 @@ def _forked_workers():
     forked.workers(True)
     yield
     forked.stop()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _bare_drawings():
+    """Render no drawing of a page, unless a test looks at it."""
+    bare_drawings.bare(True)
+
+
+@pytest.fixture(scope="module")
+def rendered_drawings():
+    """Render the drawings of pages."""
+    bare_drawings.bare(False)
+    yield
+    bare_drawings.bare(True)
 
 
 @pytest.fixture(scope="module", autouse=True)

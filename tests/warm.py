@@ -1,14 +1,16 @@
 """What the process that tests copy does at its start: it imports, and loads compiled code, so that no copy has to."""
 
 import gc
+import pkgutil
 from contextlib import suppress
 from importlib import import_module
 
+import craftsim
+
 NAMES = (
-    *("craftsim.validation.rollout", "craftsim.validation.validation", "craftsim.experiments.session"),
-    *("craftsim.envs.vector", "craftsim.cli.app", "craftsim.reports.report"),
-    # The second is what torch imports when the first optimizer is made.
-    *("craftsim.training.trainer", "torch._dynamo", "pandas", "scipy.stats", "matplotlib.figure"),
+    *(name for _, name, _ in pkgutil.walk_packages(craftsim.__path__, "craftsim.") if "__main__" not in name),
+    # The first is what torch imports when the first optimizer is made.
+    *("torch._dynamo", "pandas", "scipy.stats", "matplotlib.figure", "matplotlib.backends.backend_svg"),
 )
 
 
@@ -31,6 +33,13 @@ def _load():
     worlds = vector_env(task, 1, "grid")
     worlds.reset(seed=0)
     worlds.step(np.full((1, start.n_cars), int(Action.STOP)))
+
+    import bare_drawings
+    from craftsim.reports import html
+
+    bare_drawings.bare(True)
+    for name in html._environment().list_templates(extensions=["j2"]):
+        html._environment().get_template(name)
 
 
 gc.disable()

@@ -11,12 +11,9 @@ from importlib.metadata import requires
 from importlib.resources import files
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, NamedTuple
 
-from cyclopts import Parameter
-
 from craftsim.choices import RuleSet
 from craftsim.cli.text import print_safe
-from craftsim.errors import InputError
-from craftsim.options import OptionalDir, Seeded, Work, number
+from craftsim.options import OptionalDir, Seeded, number
 from craftsim.rendering.offscreen import INSTALL_COMMAND, RenderingUnavailable, choose_backend, run_apart
 from craftsim.reports.report import Column, DataTable, Headline, Report, Section, Tone, numbers
 from craftsim.storage.folders import output_directory, owning
@@ -34,8 +31,6 @@ TASKS: Final = ("simple_two_story", "complex_two_story")
 """Tasks with two and with four cars."""
 WORLDS: Final = 1000
 """Default size of a batch."""
-EPISODES: Final = 100
-"""Default number of episodes of each policy and mode."""
 DEPTH: Final = 20
 """The search depth of CraftEnv's published training settings, the costlier of the two."""
 
@@ -45,17 +40,15 @@ Case = tuple[str, int, bool, Iterator[None]]
 
 @owning
 def bench(
-    what: Literal["rules", "env", "physics", "execution", "builders"],
-    policies: Annotated[tuple[str, ...], Parameter(metavar="POLICY")] = (),
-    campaign: Work = Work(),  # noqa: B008
+    what: Literal["rules", "env", "physics"],
     *,
     rules: RuleSet = "published",
-    worlds: Annotated[int | None, number(BATCH)] = None,
+    worlds: Annotated[int, number(BATCH)] = WORLDS,
     seconds: Annotated[float, number(BENCH_S)] = 2.0,
     chance: Seeded = Seeded(),  # noqa: B008
     out: OptionalDir = None,
 ) -> int:
-    """Benchmark the rules, the environments, the physics, the execution of plans and policies, or text builders.
+    """Benchmark the rules, the environments or the physics on this machine.
 
     Speeds are steps per CPU second of masked random play, including resets; a step is one tick of one world, with the
     masks of all cars for the next one. A calibration in plain Python runs in turns with each: "CraftEnv" is an estimate
@@ -67,54 +60,17 @@ def bench(
 
     physics: joint steps through PettingZoo with either drive.
 
-    execution: makespans in physics of the plans of the six tasks and of random designs, sequential, tick by tick,
-    concurrent and re-ordered on the way, beside the predicted makespans; also with a slow car. With policies: their
-    success in synchronous and asynchronous execution on the grid and in physics, on the reduced drive with mild
-    randomization, and at most 10 episodes as robots on rollers, on a workshop floor, behind a network (delay 30 ms,
-    jitter 10 ms, loss 2 % each way). Starts are paired. Can be resumed.
-
-    builders: the share of 30 held-out designs that builders complete which read the world as text and answer in text,
-    such as language models, given as 'module:function' from two texts to an answer; beside random play, the planner and
-    a shipped policy. Contact physics, reduced drive, mild randomization; can be resumed.
-
     Args:
         what: what to measure.
-        policies: for execution shipped or trained policies, instead of plans; for builders random, planner, designs, or
-            'module:function'; default: the first three.
         rules: rule set; for rules only.
-        worlds: size of a batch, default 1000; for execution the number of random designs, default 0, or the number of
-            episodes of each policy and mode, default 100; for builders the number of designs of each difficulty, at
-            most and by default 10.
+        worlds: size of a batch.
         seconds: duration of each measurement.
-        out: folder for report.json and the table in Markdown; with policies also for starts-POLICY.npz, worlds at
-            random times of their asynchronous episodes in mild physics, for 'craftsim train --set starts=FILE'.
+        out: folder for report.json and the table in Markdown.
     """
     from craftsim.cli.calibration import cells, measure
-    from craftsim.cli.progress import counting
     from craftsim.reports.json_file import document
 
     seed = chance.seed
-    if what not in ("execution", "builders"):
-        if policies:
-            raise InputError(f"bench {what} takes no policies; bench execution and bench builders do")
-    elif out is None and (campaign.resume or campaign.workers > 1):
-        raise InputError("--resume and --workers go with --out: the folder keeps what is finished")
-    if what == "execution":
-        from craftsim.checking.setup import setup_of
-        from craftsim.validation.execution import plans_report, policies_report
-
-        if policies:
-            n, run = EPISODES if worlds is None else worlds, campaign.run(counting("episodes"))
-            return policies_report(policies, n, seed, out, run).publish(out)
-        setup, run = setup_of("mild", drive="reduced"), campaign.run(counting("plans"))
-        return plans_report(worlds or 0, seed, setup, out, run).publish(out)
-    if what == "builders":
-        from craftsim.validation.builders import BASELINES, EACH, builders_report
-
-        each = min(worlds or EACH, EACH)
-        run = campaign.run(counting("designs"))
-        return builders_report(policies or BASELINES, each, seed, out, run).publish(out)
-    worlds = WORLDS if worlds is None else worlds
     rates: dict[str, dict[str, Any]] = {task: {} for task in TASKS}
     rows = []
     for task in TASKS:

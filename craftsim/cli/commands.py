@@ -32,7 +32,7 @@ HEADINGS: Final[dict[str, dict[str, str]]] = {
     },
     "Machine": {
         "doctor": "Check physics, rendering and packages on this machine.",
-        "bench": "Benchmark rules, environments, physics and execution.",
+        "bench": "Benchmark rules, environments and physics.",
     },
 }
 COMMANDS: Final[dict[str, str]] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from craftsim.cli.text import print_error
+from craftsim.errors import InputError
 
 COMMANDS: Final[dict[str, tuple[str, ...]]] = {
     "build": ("validate", "--plan", "auto"),
@@ -25,6 +26,11 @@ DEFAULTS: Final[dict[str, dict[str, str]]] = {
     "plot": {"--out": "out/plots/"},
 }
 """Former defaults that differ from the present ones."""
+SCRIPTS: Final = {
+    "builders": "python scripts/builders.py",
+    "execution": "python scripts/plan_orders.py, or for policies python scripts/policy_modes.py",
+}
+"""What were measurements of bench are scripts of a checkout."""
 NO_OPTION: Final = "no option"
 """Stands for the words before all options."""
 DEFAULT: Final = "the default"
@@ -60,8 +66,13 @@ SET: Final = (
 
 
 def current(words: list[str]) -> list[str]:
-    """Return a command line with present names; print on standard error which were former ones."""
+    """Return a command line with present names; print on standard error which were former ones.
+
+    Raises InputError for what is a script now.
+    """
     name, given = words[0], words[1:]
+    if name == "bench" and given and given[0] in SCRIPTS:
+        raise InputError(f"'bench {given[0]}' is a script of a checkout now: {SCRIPTS[given[0]]}")
     command = COMMANDS.get(name, (name,))
     if name == "robot" and not {*given[:1]} & {"serve", "excite", "identify", "--help", "-h"}:
         command = ("robot", "serve")

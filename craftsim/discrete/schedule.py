@@ -3,8 +3,8 @@
 The rules let cars act one after the other. Real cars act at the same time, so each action waits for exactly those
 earlier ones whose footprints conflict with its own, and for its own car; everything else may run in parallel, and the
 world ends as it does one after the other (Hoenig et al., Persistent and Robust Execution of MAPF Schedules in
-Warehouses, RA-L 2019). The durations of actions are in ``craftsim/data/durations.yaml``; ``craftsim bench durations``
-measures them.
+Warehouses, RA-L 2019). The durations of actions are in ``craftsim/data/durations.yaml``, measured by
+``scripts/measure_durations.py``.
 """
 
 from __future__ import annotations

@@ -32,9 +32,9 @@ class SimulationConfig:
     """
 
     timestep_s: Annotated[float, Range(2.5e-4, 0.005)] = 0.004
-    """Physics step: verdicts are those of steps of 1 ms, and final poses within 2 mm of theirs (``craftsim bench
-    steps``, tests/skills/test_demo_plan.py). In longer steps rollers lose the ground, servos ring, and a load that an
-    impact lifts off its board for one step comes down into it (docs/explanation/drives.md)."""
+    """Physics step: verdicts are those of steps of 1 ms, and final poses within 2 mm of theirs (``make bench``,
+    tests/skills/test_demo_plan.py). In longer steps rollers lose the ground, servos ring, and a load that an impact
+    lifts off its board for one step comes down into it (docs/explanation/drives.md)."""
 
     control_period_s: Annotated[float, Range(1e-3, 1.0)] = 0.02
     """How often skills are asked for a command: 50 Hz, as a small robot's controller. A multiple of the step."""

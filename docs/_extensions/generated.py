@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Any, Final, get_args, get_type_hints
 
+from builders import BuilderCase, chosen_rows
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
@@ -36,7 +37,6 @@ from craftsim.skills.gains import SECTIONS, load_gains
 from craftsim.storage import limits
 from craftsim.storage.limits import Range, size_text
 from craftsim.training.config import KINDS, Settings
-from craftsim.validation.builders import BuilderCase, chosen_rows
 
 HELP_COLUMNS: Final = "110"
 GRAVITY_M_S2: Final = 9.81

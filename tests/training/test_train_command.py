@@ -21,7 +21,7 @@ def _train(out, *words):
     return main(["train", *task, "--episodes", "5", "--set", "worlds=10", "--out", str(out), *words])
 
 
-def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys):
+def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys, rendered_drawings):
     short, whole = tmp_path / "short", tmp_path / "whole"
     often = ("--set", "evaluate_every=400")
     assert _train(short, "--steps", "200", *often) == 0

@@ -1,7 +1,6 @@
 """The log of a car whose figures are hidden."""
 
 import pytest
-from bare_drawings import bare_drawings as bare_drawings
 from tuning_cars import HIDDEN, NOMINAL, log_of
 
 from craftsim.tuning.identification import identify

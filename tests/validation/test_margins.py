@@ -30,11 +30,6 @@ LEVELS = 40
 NOMINAL = setup_of("none", drive="reduced")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def bare_drawings():
-    """Here drawings are rendered."""
-
-
 @pytest.mark.parametrize("scenario", CHOSEN, ids=lambda one: one.name)
 def test_every_scenario_is_legal_and_stood_without_imperfections(scenario):
     attempts, reason = MarginSearch(scenario, NOMINAL, 3, (), 1).attempt(0)
@@ -58,7 +53,7 @@ def test_an_imperfection_that_changes_nothing_has_no_effect():
 
 
 @pytest.fixture(scope="module")
-def searched(tmp_path_factory):
+def searched(tmp_path_factory, rendered_drawings):
     out = tmp_path_factory.mktemp("margins")
     words = ["audit", "margins", "--situations", "lift a block", "--trials", "1", "--seed", "2"]
     words += ["--map", "position-bias", "mass", "--out", str(out)]

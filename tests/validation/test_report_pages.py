@@ -17,6 +17,7 @@ from craftsim.validation.audit_report import audit_report
 from craftsim.validation.report import validation_report
 from craftsim.validation.validation import Validation
 
+pytestmark = pytest.mark.usefixtures("rendered_drawings")
 EPISODES = episodes(n=30, actions=(2, 6))
 HOSTILE = '</td><script>alert("x")</script><img src=http://a.b/c onerror=go()>{{ 7 * 7 }}$a_b$'
 CONFIG = {
@@ -27,11 +28,6 @@ CONFIG = {
     "rules": "published",
     "setup": Setup(),
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def bare_drawings():
-    """Here drawings are rendered."""
 
 
 class Reader(HTMLParser):

@@ -2,13 +2,13 @@
 
 import json
 
+import builders
 import pytest
+from builders import BuilderCase, build, builder_figures, chosen_rows, main
+from running import RunOptions
 
-from craftsim.cli import main
 from craftsim.designs.tasks import shape_digest
 from craftsim.discrete.tasks.starts import read_split
-from craftsim.validation import builders
-from craftsim.validation.builders import BuilderCase, build, builder_figures, chosen_rows
 
 DIGEST = "b0ab9f3d7221a99eb270dd6c565ae3e49dd416f1518a4d807299f6c74b801fb7"
 """Of the 30 designs and their starts: tables of other ones cannot be compared."""
@@ -44,7 +44,7 @@ def test_a_builder_is_judged_in_physics_and_tried_again_after_an_exception(tmp_p
     monkeypatch.setattr(builders, "chosen_rows", lambda: {"one level": [row]})
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own_builder.py").write_text(ANSWERS, encoding="utf-8")
-    command = ["bench", "builders", "own_builder:answer", "--out", "out"]
+    command = ["own_builder:answer", "--out", "out"]
     assert main(command) == 0
     assert "1 without a result, which --resume tries again" in capsys.readouterr().out
     (tmp_path / "served").touch()
@@ -61,14 +61,14 @@ def test_a_builder_is_judged_in_physics_and_tried_again_after_an_exception(tmp_p
 
 @pytest.mark.parametrize("name", ["nobody", "nowhere:answer", "random_strip"])
 def test_a_builder_that_there_is_not_is_refused_before_anything_is_built(name, tmp_path, capsys):
-    assert main(["bench", "builders", name, "--out", str(tmp_path / "out")]) == 2
+    assert main([name, "--out", str(tmp_path / "out")]) == 2
     assert name in capsys.readouterr().err or name == "random_strip"
     assert not (tmp_path / "out" / "session.db").exists()
 
 
 def test_a_table_of_the_protocol_is_of_these_designs(tmp_path, monkeypatch):
     monkeypatch.setattr(builders, "build", _built)
-    report = builders.builders_report(["random"], 10, 0, None, builders.RunOptions())
+    report = builders.builders_report(["random"], 10, 0, tmp_path / "out", RunOptions())
     assert report.document["config"]["designs"] == {"each": 10, "digest": DIGEST}
     found = report.document["figures"]["builders"]["random"]["grid"]
     assert found["two levels"]["built"].trials == 10

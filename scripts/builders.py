@@ -1,12 +1,17 @@
-"""Builders that read a world and answer in words, on 30 fixed designs: the protocol for language models, and a report.
+"""Let builders that read a world and answer in words build 30 fixed designs: the protocol for language models.
 
-The designs are held-out starts of ``designs@test``, the first one of each shape; the budget of turns is twice the ticks
-of the plan that is stored with each. Physics is that of the reduced drive under mild randomization.
+    python scripts/builders.py random mine:answer --each 1     # one design of each difficulty
+    python scripts/builders.py random mine:answer
+
+A builder is ``module:function``, from two texts to an answer, or random, planner or designs, a shipped policy. The
+designs are held-out starts of ``designs@test``, the first one of each shape; the budget of turns is twice the ticks of
+the plan that is stored with each. Physics is that of the reduced drive under mild randomization.
 """
 
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import cache
@@ -14,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from running import options, publish
 
 from craftsim.checking.setup import RANDOMIZE
 from craftsim.choices import Backend
@@ -38,6 +44,7 @@ from craftsim.experiments.sections import measured
 from craftsim.experiments.session import run_experiment
 from craftsim.reports.json_file import document
 from craftsim.reports.report import Column, DataTable, Report, Section, numbers
+from craftsim.storage.limits import Range
 from craftsim.validation.policies import PLANNER, RANDOM, make_policy, policy_digest
 
 DIFFICULTIES: Final = ("one level", "with a ramp", "two levels")
@@ -139,14 +146,13 @@ def _answers(case: BuilderCase, env: TextConstruction) -> Answer:
     return answer
 
 
-def builders_report(
-    builders: Sequence[str], each: int, seed: int, out: Path | None, options: RunOptions
-) -> Report:
+def builders_report(builders: Sequence[str], each: int, seed: int, out: Path, options: RunOptions) -> Report:
     """Let builders build so many designs of each difficulty, and return the report.
 
     Random play, the planner and trained policies also build on the grid. Of a run that was cut off in the folder, what
     is done is kept. Raises InputError for a builder that there is not.
     """
+    Range(1, EACH).check("--each", each)
     rows = {name: rows[:each] for name, rows in chosen_rows().items()}
     numbered = [(name, row) for name, found in rows.items() for row in found]
     items = []
@@ -160,12 +166,11 @@ def builders_report(
     starts, _ = read_split(DESIGNS, "test")
     digests = hashlib.sha256(b"".join(starts.take(np.array([row for _, row in numbered])).digests()))
     config = {
-        "what": "builders",
         "builders": {name: PLANNER if name == PLANNER else policy_digest(name) for name in builders},
         "designs": {"each": each, "digest": digests.hexdigest()},
     }
     most = max(case.task().max_steps + 2 for case in (item.job for item in items))
-    experiment = Experiment("bench", seed, config, items, build, timeout_s=most * ANSWER_S)
+    experiment = Experiment("builders", seed, config, items, build, timeout_s=most * ANSWER_S)
     records = list(run_experiment(experiment, out, options))
     found: dict[str, dict[str, list[TrialRecord]]] = {}
     for item, record in zip(items, records, strict=True):
@@ -249,7 +254,7 @@ def _report(figures: dict[str, Any], seed: int, config: dict[str, Any], n_design
         sections=[
             Section("builders", "Builders", "Turns: twice the ticks of a plan.", tables, terminal=True)
         ],
-        document=document(figures, command="bench", seed=seed, config=config),
+        document=document(figures, command="builders", seed=seed, config=config),
     )
 
 
@@ -265,3 +270,19 @@ def _cells(one: Mapping[str, Any]) -> tuple[str, ...]:
         f"{one['forbidden']:,} of {one['acted']:,}",
         f"{one['unreadable']:,} of {one['turns']:,}",
     )
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Let the builders build."""
+    parser = options(__doc__, "builders")
+    parser.add_argument("builders", nargs="*", metavar="BUILDER", help=f"default: {' '.join(BASELINES)}")
+    parser.add_argument("--each", type=int, default=EACH, metavar="N", help="designs of each difficulty")
+    asked = parser.parse_args(words)
+    builders = asked.builders or BASELINES
+    return publish(
+        asked, "designs", lambda run: builders_report(builders, asked.each, asked.seed, asked.out, run)
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

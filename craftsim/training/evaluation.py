@@ -116,11 +116,11 @@ def choose_actions(
     """
     values = net(net.encoder.look(observations, masks), memory)
     if noise is not None:
-        values = values + torch.from_numpy(noise)
+        values = values + torch.from_numpy(noise).to(values.device)
     actions = values.argmax(-1)
     if memory is not None:
         memory.last.copy_(actions)
-    chosen: NDArray[np.int64] = actions.numpy()
+    chosen: NDArray[np.int64] = actions.cpu().numpy()
     return chosen
 
 

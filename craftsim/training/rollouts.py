@@ -190,7 +190,7 @@ def play(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> 
     learner.begin(torch.ones(len(now.places), dtype=torch.bool))
     for _ in range(learner.ticks):
         decides, actions = worlds.decides, learner.act(now)
-        reward, terminated, done, elapsed = worlds.step(actions.numpy())
+        reward, terminated, done, elapsed = worlds.step(actions.cpu().numpy())
         vectors, masks = worlds.observe()
         after = encoder.look(vectors, masks)
         if bonus is not None:
@@ -205,7 +205,8 @@ def play(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> 
             now = encoder.look(*worlds.observe())
             learner.begin(torch.from_numpy(done.copy()))
     nows, afters, *rest = zip(*columns, strict=True)
-    stacked: Any = (None if column[0] is None else torch.stack(column) for column in rest)
+    device = now.places.device
+    stacked: Any = (None if column[0] is None else torch.stack(column).to(device) for column in rest)
     return Rollout(joined(nows, torch.stack), joined(afters, torch.stack), *stacked)
 
 
@@ -231,11 +232,12 @@ def distinct(seen: Seen) -> tuple[Seen, Tensor]:
     A network then evaluates each once: episodes with equal starts visit the same worlds often. A
     hash of 64 bits distinguishes them; among a million rows the probability of a collision is 1e-7.
     """
-    generator = torch.Generator().manual_seed(_HASH_SEED)
+    generator = torch.Generator("cpu").manual_seed(_HASH_SEED)  # the same numbers on any device
     hashes = torch.zeros(len(seen.places), dtype=torch.int64)
     for column in (seen.places, seen.offers):
         rows = column.flatten(1).long()
-        hashes += (rows * torch.randint(-(2**62), 2**62, rows.shape[1:], generator=generator)).sum(-1)
+        factors = torch.randint(-(2**62), 2**62, rows.shape[1:], generator=generator, device="cpu")
+        hashes += (rows * factors.to(rows.device)).sum(-1)
     found, inverse = torch.unique(hashes, return_inverse=True)
     numbers = torch.arange(len(hashes))
     first = torch.full_like(found, len(hashes)).scatter_reduce_(0, inverse, numbers, "amin")

@@ -77,8 +77,8 @@ def train(
     0.5), starts (a plan or a file of reached worlds for every second episode), pretrained (initial policy), stages
     (easier tasks first, separated by commas), stage_steps (steps on each), acting (greedy or sampled evaluation), cars,
     blocks, in physics drive (reduced), randomize (none), workers (one per processor) and engine (local, or ray for
-    workers on a Ray cluster), device (of the networks: cpu, or cuda), tensorboard (true writes its log), settings (a YAML file of hyperparameters), and every
-    hyperparameter of the algorithm, such as learning_rate.
+    workers on a Ray cluster), device (of the networks: cpu, or cuda), tensorboard (true writes its log), settings (a
+    YAML file of hyperparameters), and every hyperparameter of the algorithm, such as learning_rate.
 
     Args:
         task: name of a task, such as strip or random_strip, a task file, or module:factory.

@@ -318,8 +318,8 @@ def known_device(name: str) -> torch.device:
         raise InputError(f"device is {name!r}; allowed: {', '.join(get_args(Device))}")
     if name == "cuda" and not torch.cuda.is_available():
         raise InputError(
-            f"device is 'cuda', but torch {torch.__version__} finds no GPU here; allowed: cpu. A GPU needs its driver and "
-            "a build of torch for CUDA"
+            f"device is 'cuda', but torch {torch.__version__} finds no GPU here; allowed: cpu. A GPU needs its driver "
+            "and a build of torch for CUDA"
         )
     return torch.device(name)
 

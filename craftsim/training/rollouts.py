@@ -192,18 +192,26 @@ def play(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> 
         decides, actions = worlds.decides, learner.act(now)
         reward, terminated, done, elapsed = worlds.step(actions.cpu().numpy())
         vectors, masks = worlds.observe()
-        after = encoder.look(vectors, masks)
         if bonus is not None:
             reward = reward + bonus(vectors)
         arrays = reward.astype(np.float32), terminated, done, decides, elapsed
-        columns.append(
-            (now, after, actions, *(None if a is None else torch.from_numpy(a.copy()) for a in arrays))
-        )
-        now = after
-        if done.any():
+        held = [None if a is None else torch.from_numpy(a.copy()) for a in arrays]
+        over, n = np.flatnonzero(done), len(done)
+        if len(over):
+            # The first and the last that is seen of episodes are looked at together.
             worlds.restart()
-            now = encoder.look(*worlds.observe())
-            learner.begin(torch.from_numpy(done.copy()))
+            begun = worlds.observe()
+            vectors, masks = (
+                np.concatenate([vectors, begun[0][over]]),
+                np.concatenate([masks, begun[1][over]]),
+            )
+        seen = encoder.look(vectors, masks)
+        now_at = np.arange(n)
+        now_at[over] = np.arange(n, len(vectors))
+        columns.append((now, seen[:n], actions, *held))
+        now = seen[torch.from_numpy(now_at)]
+        if len(over):
+            learner.begin(torch.from_numpy(now_at >= n))
     nows, afters, *rest = zip(*columns, strict=True)
     device = now.places.device
     stacked: Any = (None if column[0] is None else torch.stack(column).to(device) for column in rest)

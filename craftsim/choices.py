@@ -21,6 +21,8 @@ DEFAULT_TIME_S: Final = 10.0
 """Default time after which no further attempt at a plan begins."""
 AlgoName = Literal["ippo", "mappo", "qmix", "vdn", "iql", "coma", "qtran", "pqn"]
 Backend = Literal["grid", "physics"]
+Device = Literal["cpu", "cuda"]
+"""Where networks learn."""
 Execution = Literal["synchronous", "asynchronous"]
 """A step lasts until the slowest car has finished, or each car decides when its own action has finished."""
 PresetName = Literal["paper", "paper_plus"]

@@ -41,6 +41,7 @@ _BESIDES: Final[tuple[str, ...]] = (
     "settings",
     "workers",
     "engine",
+    "device",
     "tensorboard",
 )
 """What --set takes besides fields of the configuration and the algorithm's hyperparameters."""
@@ -76,8 +77,8 @@ def train(
     0.5), starts (a plan or a file of reached worlds for every second episode), pretrained (initial policy), stages
     (easier tasks first, separated by commas), stage_steps (steps on each), acting (greedy or sampled evaluation), cars,
     blocks, in physics drive (reduced), randomize (none), workers (one per processor) and engine (local, or ray for
-    workers on a Ray cluster), tensorboard (true writes its log), settings (a YAML file of hyperparameters), and every
-    hyperparameter of the algorithm, such as learning_rate.
+    workers on a Ray cluster), device (of the networks: cpu, or cuda), tensorboard (true writes its log), settings (a
+    YAML file of hyperparameters), and every hyperparameter of the algorithm, such as learning_rate.
 
     Args:
         task: name of a task, such as strip or random_strip, a task file, or module:factory.
@@ -124,6 +125,8 @@ def train(
             f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, "
             "or name one in a task file (docs/reference/tasks.md)"
         )
+    if "device" in besides:
+        shared["device"] = besides["device"]
     staged = [as_task(name, cars, blocks) for name in config.stages]
     folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}")
     reached = Path(str(besides["starts"])) if "starts" in besides else None

@@ -95,7 +95,7 @@ def save_policy(path: Path, head: PolicyHead, net: CarNet) -> None:
     """
     from craftsim.training.networks import first_net
 
-    weights = {name: weight.detach() for name, weight in net.named_parameters()}
+    weights = {name: weight.detach().cpu() for name, weight in net.named_parameters()}
     table, first = weights[TABLE], first_net(head.shape, head.config.seed).encoder.table.weight
     rows = (table != first).any(-1).nonzero()[:, 0]
     _write(path, _POLICY, head, weights | {ROWS: rows, TABLE: table[rows]})

@@ -43,8 +43,10 @@ GRID_WORLDS: Final[Mapping[AlgoName, int]] = {
 """Default number on the grid, by algorithm: fewer worlds mean more updates."""
 NetworkName = Literal["map", "relative"]
 """Embedding table by cell of the map, or by position relative to the car."""
-Acting = Literal["greedy", "sampled"]
-"""Each car takes the highest rated action, or samples from the policy."""
+Acting = Literal["greedy", "sampled", "varied"]
+"""Each car takes the highest rated action; samples from the policy; or takes the highest rated one, an action being
+rated lower for each time that it was taken in the same situation of the episode, see
+:class:`craftsim.training.evaluation.Tried`."""
 HALF: Final = 0.5
 """Default share of training episodes that start from given worlds."""
 ALGO_NAMES: Final[tuple[str, ...]] = get_args(AlgoName)
@@ -253,8 +255,8 @@ class TrainConfig:
             f"{algo} has no recurrent policy; leave recurrent out, or take one of iql, vdn, qmix, qtran",
         )
         yield (
-            self.acting == "sampled" and learns_values,
-            f"{algo} rates actions by value, there is nothing to sample; acting must be greedy",
+            self.acting != "greedy" and learns_values,
+            f"{algo} rates actions by value, not by probability; acting must be greedy",
         )
         yield (
             bool(self.pretrained) and learns_values,

@@ -74,8 +74,9 @@ class Encoder(nn.Module):
 
     def look(self, observations: NDArray[np.integer], masks: NDArray[np.generic]) -> Seen:
         """Return observations (..., n, vector_length) and masks (..., n, 15) as inputs of a network."""
-        places = self.places(torch.from_numpy(observations.astype(np.int64)))
-        return Seen(places.to(torch.int32), torch.from_numpy(masks.astype(np.bool_)))
+        device = self.mask.weight.device
+        places = self.places(torch.from_numpy(observations.astype(np.int32)).to(device))
+        return Seen(places.to(torch.int32), torch.from_numpy(masks.astype(np.bool_)).to(device))
 
     def _read(self, observation: Tensor) -> tuple[Tensor, ...]:
         """Return of each row its numbers, kinds, form without yaw, yaw, if it has one, cell, whether in the area."""

@@ -29,6 +29,10 @@ class Learner(ABC):
         self.learnt = 0  # ticks so far over all worlds, counted by the trainer
         self.net = CarNet(shape)  # from a car's observation to one number per action, higher is better
 
+    def to(self, device: torch.device) -> None:
+        """Move all that it has learnt to a device."""
+        self.modules.to(device)
+
     def begin(self, worlds: Tensor) -> None:  # noqa: B027
         """Take note of the worlds (B,) in which an episode begins, as a mask."""
 
@@ -60,7 +64,8 @@ class Learner(ABC):
             averages = self.optimizer.state[weight]
             if not averages:
                 # As Adam begins with the first gradient.
-                averages |= {"step": torch.zeros(())}
+                fused = bool(group.get("fused"))
+                averages |= {"step": torch.zeros((), device=weight.device if fused else "cpu")}
                 averages |= {name: torch.zeros_like(weight) for name in ("exp_avg", "exp_avg_sq")}
             name = f"optimizer.{number}."
             found |= {f"{name}{key}": average for key, average in averages.items()}

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from craftsim.discrete.rules import RuleSet
     from craftsim.discrete.tasks import Task
     from craftsim.training.checkpoint import PolicyHead
+    from craftsim.training.evaluation import Tried
     from craftsim.training.networks import CarNet, RecurrentState
 
 PACKAGES: Final = ("torch",)
@@ -40,17 +41,22 @@ def need_torch() -> None:
 
 
 class TrainedPolicy:
-    """A policy: for each car the highest rated action, or a sample, as its configuration says."""
+    """A policy: for each car the highest rated action, a sample, or a varied one, as its configuration says."""
 
     def __init__(self, head: PolicyHead, net: CarNet, seed: int = 0) -> None:
         self.config, self.identity, self.shape, self.net = head.config, head.task, head.shape, net
         self._draws = np.random.default_rng(seed) if head.config.acting == "sampled" else None
         self._checked: Task | None = None
         self._memory: RecurrentState | None = None
+        self._tried: Tried | None = None
+        self.reset()
 
     def reset(self) -> None:
-        """Forget the episode, as a recurrent policy must before the next one; craftsim's environments see to that."""
+        """Forget the episode, as one that remembers must before the next one; craftsim's environments see to that."""
+        from craftsim.training.evaluation import Tried
+
         self._memory = None
+        self._tried = Tried() if self.config.acting == "varied" else None
 
     def check_task(self, task: Task | str, rules: RuleSet | None = None) -> None:
         """Raise InputError for a task, or a given rule set, for which it was not trained.
@@ -99,9 +105,11 @@ class TrainedPolicy:
                 f"{trained}, whose observations have {self.shape.vector_length} numbers, not {seen.shape[-1]}"
             )
         noise = None if self._draws is None else self._draws.gumbel(size=mask.shape)
-        if self._memory is None or getattr(observations, "begins", False):
+        if getattr(observations, "begins", False):
+            self.reset()
+        if self._memory is None:
             self._memory = self.net.memory(len(names))
-        chosen = choose_actions(self.net, seen, mask, noise, self._memory)
+        chosen = choose_actions(self.net, seen, mask, noise, self._memory, self._tried)
         return dict(zip(names, chosen.tolist(), strict=True))
 
 

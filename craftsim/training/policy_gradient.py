@@ -177,8 +177,9 @@ def imitate(
 ) -> None:
     """Fit what a learner would do to what was shown, and its values to the returns of that."""
     seen = _seen(learner, shown, Episodes(task, np.random.default_rng(0), _LOOKED_AT, rules, helper_depth))
-    actions = torch.from_numpy(shown.actions)
-    returns = torch.from_numpy(shown.returns(learner.settings.gamma))
+    device = seen.places.device
+    actions = torch.from_numpy(shown.actions).to(device)
+    returns = torch.from_numpy(shown.returns(learner.settings.gamma)).to(device)
     # What a car does later in a tick may be legal only after what another did: such actions are not imitated.
     taught = (actions != NOT_SHOWN) & of_actions(seen.offers, actions.clamp(min=0))
     optimizer = torch.optim.Adam(learner.modules.parameters(), LEARNING_RATE, fused=True)

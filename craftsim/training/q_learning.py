@@ -92,6 +92,12 @@ class QLearner(Learner):
         self.replay = ReplayMemory(shape, max(1, settings.buffer // ticks), ticks, self.net.encoder.absent)
         self.acting: RecurrentState | None = None
 
+    def to(self, device: torch.device) -> None:
+        """Move what is remembered, too."""
+        super().to(device)
+        self.rewards, self.replay.total = self.rewards.to(device), self.replay.total.to(device)
+        self.replay.columns = {name: column.to(device) for name, column in self.replay.columns.items()}
+
     def begin(self, worlds: Tensor) -> None:
         """Forget the episodes that were in these worlds."""
         if worlds.all():

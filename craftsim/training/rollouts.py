@@ -190,22 +190,31 @@ def play(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> 
     learner.begin(torch.ones(len(now.places), dtype=torch.bool))
     for _ in range(learner.ticks):
         decides, actions = worlds.decides, learner.act(now)
-        reward, terminated, done, elapsed = worlds.step(actions.numpy())
+        reward, terminated, done, elapsed = worlds.step(actions.cpu().numpy())
         vectors, masks = worlds.observe()
-        after = encoder.look(vectors, masks)
         if bonus is not None:
             reward = reward + bonus(vectors)
         arrays = reward.astype(np.float32), terminated, done, decides, elapsed
-        columns.append(
-            (now, after, actions, *(None if a is None else torch.from_numpy(a.copy()) for a in arrays))
-        )
-        now = after
-        if done.any():
+        held = [None if a is None else torch.from_numpy(a.copy()) for a in arrays]
+        over, n = np.flatnonzero(done), len(done)
+        if len(over):
+            # The first and the last that is seen of episodes are looked at together.
             worlds.restart()
-            now = encoder.look(*worlds.observe())
-            learner.begin(torch.from_numpy(done.copy()))
+            begun = worlds.observe()
+            vectors, masks = (
+                np.concatenate([vectors, begun[0][over]]),
+                np.concatenate([masks, begun[1][over]]),
+            )
+        seen = encoder.look(vectors, masks)
+        now_at = np.arange(n)
+        now_at[over] = np.arange(n, len(vectors))
+        columns.append((now, seen[:n], actions, *held))
+        now = seen[torch.from_numpy(now_at)]
+        if len(over):
+            learner.begin(torch.from_numpy(now_at >= n))
     nows, afters, *rest = zip(*columns, strict=True)
-    stacked: Any = (None if column[0] is None else torch.stack(column) for column in rest)
+    device = now.places.device
+    stacked: Any = (None if column[0] is None else torch.stack(column).to(device) for column in rest)
     return Rollout(joined(nows, torch.stack), joined(afters, torch.stack), *stacked)
 
 
@@ -231,11 +240,12 @@ def distinct(seen: Seen) -> tuple[Seen, Tensor]:
     A network then evaluates each once: episodes with equal starts visit the same worlds often. A
     hash of 64 bits distinguishes them; among a million rows the probability of a collision is 1e-7.
     """
-    generator = torch.Generator().manual_seed(_HASH_SEED)
+    generator = torch.Generator("cpu").manual_seed(_HASH_SEED)  # the same numbers on any device
     hashes = torch.zeros(len(seen.places), dtype=torch.int64)
     for column in (seen.places, seen.offers):
         rows = column.flatten(1).long()
-        hashes += (rows * torch.randint(-(2**62), 2**62, rows.shape[1:], generator=generator)).sum(-1)
+        factors = torch.randint(-(2**62), 2**62, rows.shape[1:], generator=generator, device="cpu")
+        hashes += (rows * factors.to(rows.device)).sum(-1)
     found, inverse = torch.unique(hashes, return_inverse=True)
     numbers = torch.arange(len(hashes))
     first = torch.full_like(found, len(hashes)).scatter_reduce_(0, inverse, numbers, "amin")

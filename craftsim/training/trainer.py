@@ -10,13 +10,13 @@ from dataclasses import asdict
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from craftsim.choices import Engine
+from craftsim.choices import Device, Engine
 from craftsim.discrete.tasks import Task, known_task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
@@ -82,15 +82,18 @@ class Trainer:
         engine: Engine = "local",
         progress: Progress = silent,
         stages: Sequence[Task] | None = None,
+        device: Device = "cpu",
     ) -> None:
         """Prepare a run; close it when it is done with. Raises InputError where there is no such task.
 
         ``starts`` is the task with other starts to train from, where they are not its own. ``task`` and the tasks of
         the ``stages`` are looked up by their names in the configuration unless given. That may come from a file, so
         that nothing is imported for a name in it: what Python code makes has to be given. ``workers`` and ``engine``
-        share the worlds in physics, as those of :class:`craftsim.envs.options.BatchOptions`.
+        share the worlds in physics, as those of :class:`craftsim.envs.options.BatchOptions`. ``device`` is where
+        networks are; runs are repeated bit for bit on the cpu alone, and what is saved is the same.
         """
         self.config, self._shared = config, {"workers": workers, "engine": engine}
+        self.device = known_device(device)
         self.task = task or _named(config.task, config)
         self.identity = TaskIdentity.of(self.task, config.rules)
         self.starts = "" if starts is None else starts_digest(starts)  # digest of the other starts
@@ -114,6 +117,7 @@ class Trainer:
             self.learner = LEARNERS[type(settings)](self.shape, ticks, config.algo, settings)
             begun = begin_as_pretrained(self.learner.net, self.shape, config) if config.pretrained else ""
             self.pretrained = begun  # digest of the policy that it began with
+            self.learner.to(self.device)  # after its first weights, which are the same on any device
         self.novelty = Novelty(config.novelty, self.shape) if config.novelty else None
 
     @cached_property
@@ -186,6 +190,10 @@ class Trainer:
 
     def evaluate(self, episodes: int, purpose: int = _FINAL, record: Path | None = None) -> EvaluationResult:
         """Evaluate the policy as it is on fresh episodes; in physics ``record`` is a folder for their trajectories."""
+        with self.device:
+            return self._evaluate(episodes, purpose, record)
+
+    def _evaluate(self, episodes: int, purpose: int, record: Path | None) -> EvaluationResult:
         net, seed, config = self.learner.net, self._seed(purpose), self.config
         if config.backend == "grid":
             rules, depth, execution = self._how
@@ -206,11 +214,12 @@ class Trainer:
         """Return a rollout, after seeding worlds and torch's default generator."""
         torch.manual_seed(seed)
         self.worlds.reset(seed)
-        return play(self.worlds, self.learner, self.novelty)
+        with self.device:
+            return play(self.worlds, self.learner, self.novelty)
 
     def _iterate(self) -> None:
         seed = self._seed(_ROLLOUT)
-        with torch.random.fork_rng():
+        with torch.random.fork_rng(), self.device:
             shown = self.guidance.shown
             if self.iteration == 0 and shown is not None and isinstance(self.learner, PPOLearner):
                 torch.manual_seed(seed)
@@ -301,6 +310,18 @@ def begin_as_pretrained(net: CarNet, shape: Shape, config: TrainConfig) -> str:
             "with 'map' the same area and number of cars"
         )
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def known_device(name: str) -> torch.device:
+    """Return a device; within it as a context tensors are made there. Raises InputError where there is none."""
+    if name not in get_args(Device):
+        raise InputError(f"device is {name!r}; allowed: {', '.join(get_args(Device))}")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InputError(
+            f"device is 'cuda', but torch {torch.__version__} finds no GPU here; allowed: cpu. A GPU needs its driver "
+            "and a build of torch for CUDA"
+        )
+    return torch.device(name)
 
 
 def _named(name: str, config: TrainConfig) -> Task:

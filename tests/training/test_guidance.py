@@ -188,8 +188,9 @@ def test_a_policy_is_one_of_its_rule_set_and_is_evaluated_with_the_helper(monkey
             r"at most epsilon_start, 0\.1",
         ),
         *(
-            ({"algo": algo, "acting": "sampled"}, f"{algo} rates actions by value.* acting must be greedy")
+            ({"algo": algo, "acting": acting}, f"{algo} rates actions by value.* acting must be greedy")
             for algo in sorted(set(ALGO_NAMES) - set(WITH_PROBABILITIES))
+            for acting in ("sampled", "varied")
         ),
     ],
     ids=str,

@@ -15,10 +15,10 @@ from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.tasks import as_task, make_task
 from craftsim.envs import parallel_env
 from craftsim.errors import InputError
-from craftsim.training.checkpoint import POLICY_FILE
+from craftsim.training.checkpoint import POLICY_FILE, read_policy, save_policy
 from craftsim.training.config import TrainConfig
 from craftsim.training.curve import EvaluationResult
-from craftsim.training.evaluation import Tally, choose_actions, evaluate
+from craftsim.training.evaluation import Tally, Tried, choose_actions, evaluate
 from craftsim.training.features import Seen
 from craftsim.training.policy import SHIPPED, load_policy, policy_file, shipped_policies
 from craftsim.training.trainer import Trainer
@@ -86,6 +86,49 @@ def test_sampled_episodes_differ_where_greedy_ones_repeat_themselves():
     assert greedy.trajectories < 10
     assert first.trajectories == 30
     assert first == again
+
+
+def test_what_was_done_in_a_situation_is_rated_lower_when_it_comes_again():
+    values = torch.linspace(0, 7, N_ACTIONS)  # each half a unit above the one before
+    two_cars = np.zeros((1, 2, 3 * 13), np.int64)
+    two_cars[0, :, 0] = 1, 2
+    elsewhere, other_moved, masks = two_cars.copy(), two_cars.copy(), np.ones((1, 2, N_ACTIONS), np.bool_)
+    elsewhere[0, 1, 0] = 3
+    other_moved[0, 0, 13] = 9  # what the first car sees of the second
+    tried = Tried()
+    chosen = [
+        choose_actions(_Fixed(values), seen, masks, tried=tried)[0].tolist()
+        for seen in (two_cars, two_cars, elsewhere, other_moved, two_cars)
+    ]
+    best = N_ACTIONS - 1
+    # VARIED is six such units: after the best come the next five, which are all that is better by then.
+    assert chosen == [
+        [best, best],
+        [best - 1] * 2,
+        [best - 2, best],
+        [best - 3, best - 2],
+        [best - 4, best - 3],
+    ]
+
+
+def test_of_some_episodes_what_was_done_is_kept():
+    values, masks = torch.linspace(0, 7, N_ACTIONS), np.ones((2, 1, N_ACTIONS), np.bool_)
+    seen, tried = np.arange(2 * 26).reshape(2, 1, 26), Tried()
+    choose_actions(_Fixed(values), seen, masks, tried=tried)
+    tried.keep(np.array([False, True]))
+    assert tried.counts(seen[1:])[0, 0].tolist() == [0] * (N_ACTIONS - 1) + [1]
+    assert choose_actions(_Fixed(values), seen[:1], masks[:1], tried=Tried()) == N_ACTIONS - 1
+
+
+def test_a_varied_policy_repeats_itself_from_episode_to_episode_and_never_stands_still(trained, tmp_path):
+    head, net = read_policy(policy_file(trained))
+    save_policy(tmp_path / POLICY_FILE, replace(head, config=replace(head.config, acting="varied")), net)
+    policy = load_policy(tmp_path)
+    first, again = _acts(policy), _acts(policy)
+    assert first == again
+    net, task = load_policy("random_strip").net, as_task("random_strip@test")
+    greedy, varied = (evaluate(net, task, 300, 0, acting=acting).success for acting in ("greedy", "varied"))
+    assert greedy < varied
 
 
 def _evaluated(tmp_path, *words):

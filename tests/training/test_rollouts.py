@@ -166,6 +166,18 @@ def test_values_to_learn_from_are_those_of_acting_tick_by_tick(trained):
     assert net.of_rollouts(rollout)[0].requires_grad
 
 
+def test_a_learner_forgets_episodes_that_are_over_while_it_plays(trained, monkeypatch):
+    forgotten = []
+    monkeypatch.setattr(
+        type(trained.learner), "begin", lambda self, worlds: forgotten.append(worlds.tolist())
+    )
+    rollout = trained.play(1)
+    trained.learner.acting = None
+    over = [done.tolist() for done in rollout.done if done.any()]
+    assert over
+    assert forgotten == [[True] * 6, *over]
+
+
 def test_a_policy_forgets_the_episode_before(trained, tmp_path):
     trained.save(tmp_path)
     policy, env, episodes = load_policy(tmp_path), parallel_env("strip", "grid"), []

@@ -63,6 +63,8 @@ def test_it_writes_a_policy_a_curve_and_a_report_and_goes_on(tmp_path, capsys, r
         (["--set", "engine=ray"], "engine is for physics"),
         (["--set", "engine=rays", "--backend", "physics"], "--set engine: unknown value 'rays'"),
         (["--set", "drive=rollers"], "drive is for physics"),
+        (["--set", "device=tpu"], "device is 'tpu'; allowed: cpu, cuda"),
+        (["--set", "device=[1]"], "device is [1]; allowed: cpu, cuda"),
         (["--set", "randomize=mild"], "randomize is for physics"),
         (["--record", "trajectory"], "record is for physics"),
         (["--task", "strap"], "strip"),

@@ -12,6 +12,7 @@ import pytest
 import torch
 from platforms import platform
 from torch import nn
+from torch.overrides import TorchFunctionMode
 
 import craftsim
 from craftsim.cli import main
@@ -71,6 +72,51 @@ def test_a_run_goes_on_as_if_it_had_never_stopped(name, tmp_path, monkeypatch):
     assert _same(resumed.learner.net.state_dict(), whole.learner.net.state_dict())
     with pytest.raises(InputError, match="begun with"):
         Trainer.resume(tmp_path, config=replace(config, seed=9))
+
+
+def test_without_a_gpu_it_says_so(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(InputError, match=r"device is 'cuda', but torch .* finds no GPU here; allowed: cpu"):
+        Trainer(TrainConfig(**QUICK), device="cuda")
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+@pytest.mark.parametrize("name", sorted({*RUNS} - {"explored", "with stages"}))
+def test_what_a_gpu_learnt_is_gone_on_with_anywhere(name, tmp_path):
+    config = TrainConfig(**({"task": "strip", "evaluation_episodes": 5} | RUNS[name]))
+    trainer = _go_on(Trainer(config, device="cuda"), 2)
+    assert {weight.device.type for weight in trainer.learner.modules.parameters()} == {"cuda"}
+    trainer.save(tmp_path)
+    for device in ("cuda", "cpu"):
+        resumed = Trainer.resume(tmp_path, config=config, device=device)
+        saved, again = trainer.learner.tensors()[0], resumed.learner.tensors()[0]
+        assert all(torch.equal(tensor.cpu(), again[key].cpu()) for key, tensor in saved.items())
+        _go_on(resumed, 1)
+    craftsim.load_policy(tmp_path)
+
+
+class _Made(TorchFunctionMode):
+    """Says which device a tensor that is made is asked for, where one is; those of arrays are moved afterwards."""
+
+    def __init__(self):
+        super().__init__()
+        self.asked, self.moved, self.of_arrays = set(), 0, 0
+
+    def __torch_function__(self, function, types, args=(), kwargs=None):
+        self.asked.add((kwargs or {}).get("device"))
+        self.of_arrays += function is torch.from_numpy
+        self.moved += function is torch.Tensor.to and torch.device("cpu") in args
+        return function(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize("algo", ALGO_NAMES)
+def test_every_tensor_of_a_run_is_made_on_its_device(algo):
+    trainer = Trainer(TrainConfig("strip", algo, **QUICK))
+    with _Made() as made:
+        _go_on(trainer, 1)
+    # Factories are given the device by its context; "cpu" as a word stands for what is the same on every device.
+    assert made.asked <= {None, torch.device("cpu"), "cpu"}
+    assert torch.device("cpu") in made.asked
 
 
 def test_another_seed_or_setting_learns_something_else():

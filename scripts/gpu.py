@@ -1,13 +1,14 @@
 """Step worlds of the reduced drive with MuJoCo Warp on a GPU: the same verdicts as with MuJoCo, and how fast.
 
-    python scripts/gpu.py                                        # verdicts and rates on cuda, in minutes
+    python scripts/gpu.py                                        # rates and verdicts on cuda:0, in minutes
     python scripts/gpu.py verdicts --device cpu --tasks strip --trials 1
 
-*verdicts*: trials of ``craftsim validate`` of the six tasks with mild randomization, once with MuJoCo and once with
-MuJoCo Warp in place of ``mj_step``; sensors, control laws and judge are the same code. The worlds of a task step
-together, a control period at a time. Each starts where MuJoCo has let it come to rest. *rates*: the commands and motor
-limits of a trial are recorded with MuJoCo and replayed in many worlds at once: physics alone. MuJoCo Warp computes in
-single precision. Nothing sleeps on either side. ``--store`` writes docs/results/gpu.json, for docs/explanation/drives.md.
+*rates*: the commands and motor limits of a trial are recorded with MuJoCo and replayed in many worlds at once: physics
+alone. *verdicts*: trials of ``craftsim validate`` of the six tasks with mild randomization, once with MuJoCo and once
+with MuJoCo Warp in place of ``mj_step``; sensors, control laws and judge are the same code, on one core for all trials
+of a task, whose worlds step together. Each starts where MuJoCo has let it come to rest. MuJoCo Warp computes in single
+precision. Nothing sleeps on either side, unless a row says so. The report is of all that the output folder has, and
+``--store`` writes docs/results/gpu.json of it, for docs/explanation/drives.md.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ import copy
 import json
 import multiprocessing
 import queue
-import subprocess
 import sys
 import threading
 import time
@@ -25,7 +25,9 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
+from statistics import median
 from types import SimpleNamespace
 from typing import Any, Final
 
@@ -44,7 +46,7 @@ from craftsim.models.world import PhysicsWorld
 from craftsim.reports.json_file import document, plain, versions
 from craftsim.reports.report import DataTable, Headline, Report, Section, Tone, numbers
 from craftsim.validation.policies import PLANNER
-from craftsim.validation.rollout import Run, do_run, read_building
+from craftsim.validation.rollout import Run, do_run
 from craftsim.validation.validation import items_of, policy_source, rollout_worlds
 
 try:
@@ -58,7 +60,7 @@ STORED: Final = ROOT / "docs" / "results" / "gpu.json"
 PIP: Final = "pip install mujoco-warp==3.17.0 warp-lang==1.19.0"
 RATED: Final = ("simple_two_story", "complex_two_story")
 """Tasks of two and of four cars."""
-WHOLE: Final = 1024
+WHOLE: Final = 64
 """Most worlds that replay the whole trial; more of them begin at moments spread over it, and replay PART steps."""
 PART: Final = 200
 VARIED: Final = (
@@ -89,9 +91,7 @@ def kernels() -> SimpleNamespace:
         """Do what craftsim.models.effects.turn_motors does, for gears without backlash."""
         world, wheel = wp.tid()
         at = places[wheel]
-        turned = wp.quat(
-            qpos[world, at + 4], qpos[world, at + 5], qpos[world, at + 6], qpos[world, at + 3]
-        )
+        turned = wp.quat(qpos[world, at + 4], qpos[world, at + 5], qpos[world, at + 6], qpos[world, at + 3])
         push = wp.quat_rotate(turned, wp.vec3(own[wheel][0], own[wheel][1], 0.0))
         row = wp.spatial_vector(push[0], push[1], push[2], 0.0, 0.0, own[wheel][2])
         gear[world, motors[wheel][0]] = row
@@ -141,8 +141,7 @@ class DeviceWorlds:
         first.model.tree_sleep_policy[:] = mujoco.mjtSleepPolicy.mjSLEEP_AUTO_ALLOWED
         self.model = mjw.put_model(first.model, batch_sizes=dict.fromkeys(VARIED, n))
         self.model.opt.warn_overflow = 0  # overflows() says it
-        # Of a copy, into which it writes.
-        self.data = mjw.put_data(first.model, copy.copy(first.data), n, nconmax=contacts, njmax=rows)
+        self.data = mjw.make_data(first.model, n, nconmax=contacts, nccdmax=contacts // 2, njmax=rows)
         first.model.tree_sleep_policy[:] = policies
         for name in (*VARIED, "gravity"):
             values = [getattr(one.model.opt if name == "gravity" else one.model, name) for one in physics]
@@ -151,7 +150,11 @@ class DeviceWorlds:
         _, (_, places, wheels, _) = effects_of(first, IDEAL)
         pairs = np.column_stack([wheels["motor"], wheels["gear"]])
         own = np.ascontiguousarray(wheels["own_gear"][:, [0, 1, 5]])
-        self._turn = wp.array(places, dtype=int), wp.array(pairs, dtype=wp.vec2i), wp.array(own, dtype=wp.vec3)
+        self._turn = (
+            wp.array(places, dtype=int),
+            wp.array(pairs, dtype=wp.vec2i),
+            wp.array(own, dtype=wp.vec3),
+        )
         self.capped, self.most = wp.zeros(n, dtype=int), wp.zeros(n, dtype=int)
         self._graphs: dict[Any, Any] = {}
         # Kernels are loaded before a graph is captured.
@@ -213,7 +216,7 @@ class Lockstep:
         self._requests: queue.Queue[tuple[int, int]] = queue.Queue()
         self._answers = [threading.Event() for _ in jobs]
         self._worlds: list[PhysicsWorld | None] = [None] * len(jobs)
-        self._stopped = False
+        self._stopped, self._turn = False, threading.Lock()
         self._threads = [
             threading.Thread(target=self._try, args=(place, job, note), daemon=True)
             for place, job in enumerate(jobs)
@@ -227,16 +230,20 @@ class Lockstep:
             judge.physics._stepping = SimpleNamespace(run=lambda n: self._step(place, n))
             return judge
 
-        try:
-            note(job, do_run(replace(job, set_up=where)))
-        except Exception as error:
-            note(job, error)
+        # One at a time: what is compiled for all is not made for threads.
+        with self._turn:
+            try:
+                note(job, do_run(replace(job, set_up=where)))
+            except Exception as error:
+                note(job, error)
         self._requests.put((place, -1))
 
     def _ask(self, place: int, n_steps: int) -> None:
         self._answers[place].clear()
+        self._turn.release()
         self._requests.put((place, n_steps))
         self._answers[place].wait()
+        self._turn.acquire()
         if self._stopped:
             raise TimeoutError("out of time")
 
@@ -252,7 +259,7 @@ class Lockstep:
         for thread in self._threads:
             thread.start()
         left: dict[int, int] = {}
-        live, device, n_steps, spent_s = len(self._threads), None, 0, 0.0
+        live, device, n_steps, spent_s, began_s = len(self._threads), None, 0, 0.0, time.perf_counter()
         while live:
             place, wanted = self._requests.get()
             if wanted < 0:
@@ -267,18 +274,18 @@ class Lockstep:
                 worlds = [world for world in self._worlds if world is not None]
                 self._device = device = _Mirror(worlds)
                 self._rows = {id(world): row for row, world in enumerate(worlds)}
+                began_s = time.perf_counter()
             else:
-                number = min(left.values())
-                began = time.perf_counter()
+                number, now_s = min(left.values()), time.perf_counter()
                 device.advance(number)
-                spent_s += time.perf_counter() - began
-                n_steps += number
+                spent_s += time.perf_counter() - now_s
+                n_steps += number * live
                 left = {place: wanted - number for place, wanted in left.items()}
             done = [place for place, wanted in left.items() if self._stopped or not wanted]
             for place in done:
                 del left[place]
                 self._answers[place].set()
-        found = {"steps": n_steps, "device_s": spent_s}
+        found = {"steps": n_steps, "seconds": time.perf_counter() - began_s, "device_s": spent_s}
         return found if device is None else found | device.worlds.figures()
 
     def _take(self, place: int, n_steps: int) -> int:
@@ -329,6 +336,7 @@ class _Mirror:
         data.ncon = len(mine)
         contact = data.contact
         contact.geom[:], contact.frame[:] = geoms[mine], frames[mine].reshape(-1, 9)
+        contact.geom1[:], contact.geom2[:] = geoms[mine].T
         contact.dist[:] = distances[mine]
         contact.exclude[:] = 0
         contact.efc_address[:] = np.where(touching >= 0, np.arange(len(mine)), -1)
@@ -413,7 +421,7 @@ def replay(recording: Recording, n_worlds: int, n_steps: int) -> dict[str, Any]:
     """Replay so many steps of a trial in many worlds on the device; return figures."""
     physics = recording.physics
     mujoco.mj_copyData(physics.data, physics.model, recording.first)
-    worlds = DeviceWorlds([physics], n_worlds, recording.contacts + 12, recording.rows + 40)
+    worlds = DeviceWorlds([physics], n_worlds, 2 * recording.contacts + 40, recording.rows + 40)
     starts = np.linspace(0, recording.n_steps - n_steps, n_worlds).astype(int)
     commands = wp.array(recording.ctrl.astype(np.float32), dtype=float)
     limits = wp.array(recording.limits.astype(np.float32), dtype=wp.vec2)
@@ -446,7 +454,10 @@ def replay(recording: Recording, n_worlds: int, n_steps: int) -> dict[str, Any]:
         **worlds.figures(),
     }
     if n_steps == recording.n_steps:
-        wanted, far = recording.grid(recording.last), np.abs(qpos - recording.last)[:, physics.pose_places[:, :3]]
+        wanted, far = (
+            recording.grid(recording.last),
+            np.abs(qpos - recording.last)[:, physics.pose_places[:, :3]],
+        )
         read = [recording.grid(row) for row in qpos]
         same = [not one.problems and one.grid.same_visible(wanted.grid) for one in read]
         found |= {"equal": sum(same), "median_furthest_m": float(np.median(far.max(axis=(1, 2))))}
@@ -464,8 +475,8 @@ def rates(task: str, worlds: Iterable[int], device: str, until: float, out: Path
         "joint_steps": recording.joint_steps,
         "contacts": recording.contacts,
         "rows": recording.rows,
-        "mujoco_a_second": recording.mujoco_rate(2.0),
-        "mujoco_asleep_a_second": Recording(task, asleep).mujoco_rate(2.0),
+        "mujoco_a_second": recording.mujoco_rate(1.0),
+        "mujoco_asleep_a_second": Recording(task, asleep).mujoco_rate(1.0),
         "replays": [],
     }
     file = out / f"rates_{task}.json"
@@ -483,20 +494,20 @@ def rates(task: str, worlds: Iterable[int], device: str, until: float, out: Path
     return found
 
 
-def with_mujoco(task: str, trials: int, out: Path) -> None:
-    """Carry out the trials of a task with MuJoCo, a line for each in a file."""
-    for job in jobs_of(task, trials, own_setup()):
-        _note(out / f"mujoco_{task}.jsonl", job, do_run(job))
+def with_mujoco(task: str, first: int, after: int, until: float, out: Path) -> None:
+    """Carry out trials of a task with MuJoCo, a line for each in a file."""
+    for job in jobs_of(task, after, own_setup())[first:]:
+        if time.time() < until:
+            _note(out / f"mujoco_{task}.jsonl", job, do_run(job))
 
 
 def with_warp(task: str, trials: int, device: str, until: float, out: Path) -> None:
     """Do so with MuJoCo Warp, all at once."""
-    began = time.perf_counter()
     file = out / f"warp_{task}.jsonl"
     with wp.ScopedDevice(device):
         trials_at_once = Lockstep(jobs_of(task, trials, own_setup()), lambda *of: _note(file, *of))
         found = trials_at_once.serve(until)
-    found |= {"trials": trials, "seconds": time.perf_counter() - began}
+    found["worlds"] = trials
     (out / f"warp_{task}.json").write_text(json.dumps(plain(found)), encoding="utf-8")
     print(task, found, flush=True)
 
@@ -515,3 +526,182 @@ def _note(file: Path, job: Run, done: Any) -> None:
     }
     with file.open("a", encoding="utf-8") as lines:
         lines.write(json.dumps(plain(record)) + "\n")
+
+
+def main() -> int:
+    """Run, compare, print and store."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("parts", nargs="*", choices=("rates", "verdicts", "report"), help="default: both")
+    parser.add_argument(
+        "--tasks", nargs="+", choices=TASK_NAMES, help="rates: of two and four cars; verdicts: all six"
+    )
+    parser.add_argument("--trials", type=int, default=10, help="of each task")
+    parser.add_argument("--worlds", type=int, nargs="+", default=[1, 64, 1024, 4096, 16384])
+    parser.add_argument("--device", default="cuda:0")
+    parser.add_argument("--processes", type=int, default=len(TASK_NAMES))
+    parser.add_argument(
+        "--seconds", type=float, default=3600, help="begin nothing afterwards, and stop trials"
+    )
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "gpu")
+    parser.add_argument("--store", action="store_true", help=f"write {STORED.relative_to(ROOT)}")
+    asked = parser.parse_args()
+    parts = asked.parts or ["rates", "verdicts"]
+    until = time.time() + asked.seconds
+    asked.out.mkdir(parents=True, exist_ok=True)
+    try:
+        if {"rates", "verdicts"} & set(parts):
+            kernels()
+            if asked.device not in (known := [device.alias for device in wp.get_devices()]):
+                raise InputError(f"there is no device {asked.device}; there are {', '.join(known)}")
+            name = f"{asked.device}: {wp.get_device(asked.device).name}"
+            made_with = versions() | {key: version(key) for key in ("mujoco-warp", "warp-lang")}
+            described = {"device": name, "trials": asked.trials, "versions": made_with}
+            (asked.out / "device.json").write_text(json.dumps(described), encoding="utf-8")
+        if "rates" in parts:
+            for task in asked.tasks or RATED:
+                rates(task, asked.worlds, asked.device, until, asked.out)
+        if "verdicts" in parts:
+            verdicts(asked.tasks or TASK_NAMES, asked, until)
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    stored = gather(asked.out)
+    if asked.store:
+        STORED.write_text(json.dumps(plain(stored), indent=1) + "\n", encoding="utf-8")
+    differing = sum(one["differing"] for one in stored["verdicts"].values())
+    words = f"{differing} of {sum(one['actions'] for one in stored['verdicts'].values())} actions differ."
+    tables = [DataTable(numbers(*head), rows) for head, *rows in (verdict_table(stored), rate_table(stored))]
+    return Report(
+        "MuJoCo Warp",
+        f"Reduced drive, {stored['device']}",
+        Headline(
+            "Differs" if differing else "No difference", Tone.CAUTION if differing else Tone.GOOD, words
+        ),
+        sections=[Section("gpu", "MuJoCo Warp", "Verdicts; rates.", tables, True)],
+        notes=_notes(stored),
+        document=document(stored, command="gpu", seed=0, config={"trials": stored["trials"]}),
+        exit_code=int(bool(differing)),
+    ).publish(asked.out)
+
+
+def verdicts(tasks: Sequence[str], asked: argparse.Namespace, until: float) -> None:
+    """Carry out the trials of tasks in processes, first with MuJoCo."""
+    for file in asked.out.glob("*.jsonl"):
+        file.unlink()
+    at_once = 5
+    with ProcessPoolExecutor(asked.processes, multiprocessing.get_context("spawn")) as pool:
+        work = [
+            pool.submit(with_mujoco, task, first, min(first + at_once, asked.trials), until, asked.out)
+            for first in range(0, asked.trials, at_once)
+            for task in tasks
+        ]
+        work += [pool.submit(with_warp, task, asked.trials, asked.device, until, asked.out) for task in tasks]
+        for one in work:
+            if error := one.exception():
+                print(f"error: {error!r}", file=sys.stderr, flush=True)
+
+
+def gather(out: Path) -> dict[str, Any]:
+    """Return what a folder has: figures of rates and of verdicts by task."""
+    stored: dict[str, Any] = _read(out / "device.json") | {"rates": {}, "verdicts": {}}
+    for task in TASK_NAMES:
+        if (file := out / f"rates_{task}.json").exists():
+            stored["rates"][task] = _read(file)
+        runs = [out / f"{side}_{task}.jsonl" for side in ("mujoco", "warp")]
+        if all(run.exists() for run in runs):
+            records = [[json.loads(line) for line in run.open(encoding="utf-8")] for run in runs]
+            closed = out / f"warp_{task}.json"
+            stored["verdicts"][task] = _compared(*records) | {
+                "loop": _read(closed) if closed.exists() else {}
+            }
+    return stored
+
+
+def _read(file: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return found
+
+
+def _compared(first: list[Any], other: list[Any]) -> dict[str, Any]:
+    """Return how the trials of a task went with MuJoCo and with MuJoCo Warp."""
+    pairs, actions = compare_paired(first, other), alike(first, other)
+    spans = [
+        {one["key"]: one["extra"]["makespan_s"] for one in run if not one["error"]} for run in (first, other)
+    ]
+    both = [key for key in spans[0] if key in spans[1]]
+    paired = [[one for one in run if one["key"] in both] for run in (first, other)]
+    ratios = [spans[1][key] / spans[0][key] for key in both]
+    return {
+        "trials": pairs.pairs,
+        "as_predicted": [
+            sum(act["result"] == Verdict.AS_PREDICTED for one in run for act in one["attempts"])
+            for run in paired
+        ],
+        "actions": actions.actions,
+        "differing": actions.actions - actions.as_predicted_alike,
+        "differences": list(map(dict, actions.differences)),
+        "makespan_ratios": [min(ratios), median(ratios), max(ratios)] if ratios else [],
+        "errors": sorted({str(one["error"]) for run in (first, other) for one in run if one["error"]}),
+    }
+
+
+def _notes(stored: dict[str, Any]) -> list[str]:
+    """Return what was not as it should be."""
+    loops = [(task, one["loop"]) for task, one in stored["verdicts"].items() if one["loop"]]
+    every = [*loops, *((task, one) for task, of in stored["rates"].items() for one in of["replays"])]
+    found = [
+        f"{task}, {one['worlds']} worlds: {', '.join(one['overflows'])} in some step"
+        for task, one in every
+        if one["overflows"]
+    ]
+    found += [f"{task}: {of['why']}" for task, of in stored["rates"].items() if "why" in of]
+    for task, one in stored["verdicts"].items():
+        found += [f"{task}: {error}" for error in one["errors"]]
+        found += [
+            f"{task}: {of['actions']} {of['kind']}: such as {of['example']}" for of in one["differences"]
+        ]
+    return found
+
+
+def verdict_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return the table of verdicts, its head first."""
+    head = "task", "trials", "as predicted with MuJoCo", "with MuJoCo Warp", "differing", "makespan ratio"
+    rows = [
+        (
+            task,
+            str(one["trials"]),
+            *(f"{n}/{one['actions']}" for n in one["as_predicted"]),
+            str(one["differing"]),
+            " to ".join(f"{ratio:.3f}" for ratio in one["makespan_ratios"][::2]),
+        )
+        for task, one in stored["verdicts"].items()
+    ]
+    return [head, *rows]
+
+
+def rate_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return the table of rates, its head first."""
+    rows: list[tuple[str, ...]] = [
+        ("task", "with", "worlds", "physics steps/s", "joint steps/s", "end as MuJoCo's")
+    ]
+    for task, of in stored["rates"].items():
+        joint = of["joint_steps"] / of["steps"]
+
+        def row(
+            name: str, worlds: int, rate: float, equal: str, task: str = task, joint: float = joint
+        ) -> None:
+            rows.append((task, name, f"{worlds:,}", f"{rate:,.0f}", f"{rate * joint:,.0f}", equal))
+
+        row("MuJoCo, a core", 1, of["mujoco_asleep_a_second"], "")
+        row("MuJoCo, a core, nothing sleeps", 1, of["mujoco_a_second"], "")
+        for one in sorted(of["replays"], key=lambda found: found["worlds"]):
+            equal = f"{one['equal']:,}" if "equal" in one else ""
+            row("MuJoCo Warp", one["worlds"], one["steps_a_second"], equal)
+        loop = stored["verdicts"].get(task, {}).get("loop")
+        if loop:
+            row("MuJoCo Warp, closed loop", loop["worlds"], loop["steps"] / loop["seconds"], "")
+    return rows
+
+
+if __name__ == "__main__":
+    sys.exit(main())

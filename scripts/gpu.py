@@ -481,6 +481,7 @@ def rates(task: str, worlds: Iterable[int], device: str, until: float, out: Path
     }
     file = out / f"rates_{task}.json"
     for n in worlds:
+        file.write_text(json.dumps(plain(found)), encoding="utf-8")
         if time.time() > until:
             found["why"] = f"no time for {n} worlds"
             break
@@ -524,8 +525,9 @@ def _note(file: Path, job: Run, done: Any) -> None:
         "error": repr(done) if failed else None,
         "extra": {} if failed else done.extra,
     }
-    with file.open("a", encoding="utf-8") as lines:
-        lines.write(json.dumps(plain(record)) + "\n")
+    # A line at once: other processes write there.
+    with file.open("ab", buffering=0) as lines:
+        lines.write(f"{json.dumps(plain(record))}\n".encode())
 
 
 def main() -> int:

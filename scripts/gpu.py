@@ -14,7 +14,6 @@ precision. Nothing sleeps on either side, unless a row says so. The report is of
 from __future__ import annotations
 
 import argparse
-import copy
 import json
 import multiprocessing
 import queue
@@ -373,7 +372,7 @@ class Recording:
         def where(*terms: Any) -> Judge:
             judge = set_up(*terms)
             self.physics = physics = judge.physics
-            self.first, self.stepping = copy.copy(physics.data), physics._stepping
+            self.first, self.stepping = physics.save(), physics._stepping
             physics._stepping = SimpleNamespace(run=record)
             return judge
 
@@ -397,16 +396,14 @@ class Recording:
     def mujoco_rate(self, seconds: float) -> float:
         """Replay on one core for so long, the whole trial again and again; return physics steps a CPU second."""
         physics, rounds, began = self.physics, 0, time.process_time()
-        per_period = physics.config.steps_per_period
-        commands = self.ctrl[::per_period], self.limits[::per_period]
         while not rounds or time.process_time() - began < seconds:
-            mujoco.mj_copyData(physics.data, physics.model, self.first)
-            for ctrl, limits in zip(*commands, strict=True):
-                physics.data.ctrl[:], physics.model.actuator_forcerange[:] = ctrl, limits
-                physics.run(per_period)
+            physics.restore(self.first)
+            for ctrl in self.ctrl[:: physics.config.steps_per_period]:
+                physics.data.ctrl[:] = ctrl
+                physics.advance()
             rounds += 1
         rate = rounds * self.n_steps / (time.process_time() - began)
-        if not physics.config.sleep and (physics.data.qpos != self.last).any():
+        if (physics.data.qpos != self.last).any():
             raise RuntimeError("MuJoCo's replay ends otherwise than the trial")
         return rate
 
@@ -420,7 +417,7 @@ class Recording:
 def replay(recording: Recording, n_worlds: int, n_steps: int) -> dict[str, Any]:
     """Replay so many steps of a trial in many worlds on the device; return figures."""
     physics = recording.physics
-    mujoco.mj_copyData(physics.data, physics.model, recording.first)
+    physics.restore(recording.first)
     worlds = DeviceWorlds([physics], n_worlds, 2 * recording.contacts + 40, recording.rows + 40)
     starts = np.linspace(0, recording.n_steps - n_steps, n_worlds).astype(int)
     commands = wp.array(recording.ctrl.astype(np.float32), dtype=float)

@@ -23,7 +23,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from statistics import median
@@ -86,7 +86,7 @@ def kernels() -> SimpleNamespace:
         motors: wp.array(dtype=wp.vec2i),
         own: wp.array(dtype=wp.vec3),
         gear: wp.array2d(dtype=wp.spatial_vector),
-    ):  # type: ignore[valid-type]
+    ):
         """Do what craftsim.models.effects.turn_motors does, for gears without backlash."""
         world, wheel = wp.tid()
         at = places[wheel]
@@ -102,7 +102,7 @@ def kernels() -> SimpleNamespace:
         limit: int,
         capped: wp.array(dtype=int),
         most: wp.array(dtype=int),
-    ):  # type: ignore[valid-type]
+    ):
         world = wp.tid()
         most[world] = wp.max(most[world], iterations[world])
         if iterations[world] >= limit:
@@ -116,14 +116,14 @@ def kernels() -> SimpleNamespace:
         limits: wp.array2d(dtype=wp.vec2),
         ctrl: wp.array2d(dtype=float),
         forcerange: wp.array2d(dtype=wp.vec2),
-    ):  # type: ignore[valid-type]
+    ):
         world, motor = wp.tid()
         now = start[world] + number[0]
         ctrl[world, motor] = commands[now, motor]
         forcerange[world, motor] = limits[now, motor]
 
     @wp.kernel
-    def tick(number: wp.array(dtype=int)):  # type: ignore[valid-type]
+    def tick(number: wp.array(dtype=int)):
         number[0] += 1
 
     return SimpleNamespace(turn=turn, count=count, command=command, tick=tick)
@@ -226,7 +226,7 @@ class Lockstep:
             judge = set_up(*terms)
             self._worlds[place] = judge.physics
             self._ask(place, 0)
-            judge.physics._stepping = SimpleNamespace(run=lambda n: self._step(place, n))
+            judge.physics._stepping = SimpleNamespace(run=partial(self._step, place, judge.physics))
             return judge
 
         # One at a time: what is compiled for all is not made for threads.
@@ -246,19 +246,19 @@ class Lockstep:
         if self._stopped:
             raise TimeoutError("out of time")
 
-    def _step(self, place: int, n_steps: int) -> int:
+    def _step(self, place: int, physics: PhysicsWorld, n_steps: int) -> int:
         """Do what craftsim.models.stepping.Stepping.run does."""
         if not n_steps:
             return 0
         self._ask(place, n_steps)
-        return self._take(place, n_steps)
+        return self._mirror.show(physics, n_steps)
 
     def serve(self, until: float) -> dict[str, Any]:
         """Step until all trials have ended, or it is that time; return figures of the steps."""
         for thread in self._threads:
             thread.start()
         left: dict[int, int] = {}
-        live, device, n_steps, spent_s, began_s = len(self._threads), None, 0, 0.0, time.perf_counter()
+        live, mirror, n_steps, device_s, began_s = len(self._threads), None, 0, 0.0, time.perf_counter()
         while live:
             place, wanted = self._requests.get()
             if wanted < 0:
@@ -269,28 +269,20 @@ class Lockstep:
                 continue
             if time.time() > until:
                 self._stopped = True
-            elif device is None:
-                worlds = [world for world in self._worlds if world is not None]
-                self._device = device = _Mirror(worlds)
-                self._rows = {id(world): row for row, world in enumerate(worlds)}
+            elif mirror is None:
+                self._mirror = mirror = _Mirror([world for world in self._worlds if world is not None])
                 began_s = time.perf_counter()
             else:
                 number, now_s = min(left.values()), time.perf_counter()
-                device.advance(number)
-                spent_s += time.perf_counter() - now_s
+                mirror.advance(number)
+                device_s += time.perf_counter() - now_s
                 n_steps += number * live
                 left = {place: wanted - number for place, wanted in left.items()}
-            done = [place for place, wanted in left.items() if self._stopped or not wanted]
-            for place in done:
+            for place in [place for place, wanted in left.items() if self._stopped or not wanted]:
                 del left[place]
                 self._answers[place].set()
-        found = {"steps": n_steps, "seconds": time.perf_counter() - began_s, "device_s": spent_s}
-        return found if device is None else found | device.worlds.figures()
-
-    def _take(self, place: int, n_steps: int) -> int:
-        world = self._worlds[place]
-        assert world is not None
-        return self._device.show(self._rows[id(world)], world, n_steps)
+        found = {"steps": n_steps, "seconds": time.perf_counter() - began_s, "device_s": device_s}
+        return found | (mirror.worlds.figures() if mirror else {"overflows": []})
 
 
 class _Mirror:
@@ -306,6 +298,7 @@ class _Mirror:
         self._read += [contact.efc_address, data.efc.force, data.nacon, self.worlds.capped]
         self._host = [wp.empty_like(array, device="cpu", pinned=pinned) for array in self._read]
         self._seen = [array.numpy() for array in self._host]
+        self._row = {id(physics): row for row, physics in enumerate(worlds)}
         self._capped = np.zeros(len(worlds), int)
 
     def advance(self, n_steps: int) -> None:
@@ -320,9 +313,9 @@ class _Mirror:
             wp.copy(own, array)
         wp.synchronize_device()
 
-    def show(self, row: int, physics: PhysicsWorld, n_steps: int) -> int:
+    def show(self, physics: PhysicsWorld, n_steps: int) -> int:
         """Write what was read of a world into its MjData; return in how many steps the solver gave up."""
-        data, seen = physics.data, self._seen
+        data, seen, row = physics.data, self._seen, self._row[id(physics)]
         for name, values in zip(READ, seen, strict=False):
             own = getattr(data, name)
             own[:] = values[row].reshape(own.shape)
@@ -530,7 +523,7 @@ def _note(file: Path, job: Run, done: Any) -> None:
 def main() -> int:
     """Run, compare, print and store."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("parts", nargs="*", choices=("rates", "verdicts", "report"), help="default: both")
+    parser.add_argument("part", nargs="?", choices=("all", "rates", "verdicts", "report"), default="all")
     parser.add_argument(
         "--tasks", nargs="+", choices=TASK_NAMES, help="rates: of two and four cars; verdicts: all six"
     )
@@ -544,11 +537,10 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "gpu")
     parser.add_argument("--store", action="store_true", help=f"write {STORED.relative_to(ROOT)}")
     asked = parser.parse_args()
-    parts = asked.parts or ["rates", "verdicts"]
     until = time.time() + asked.seconds
     asked.out.mkdir(parents=True, exist_ok=True)
     try:
-        if {"rates", "verdicts"} & set(parts):
+        if asked.part != "report":
             kernels()
             if asked.device not in (known := [device.alias for device in wp.get_devices()]):
                 raise InputError(f"there is no device {asked.device}; there are {', '.join(known)}")
@@ -556,15 +548,15 @@ def main() -> int:
             made_with = versions() | {key: version(key) for key in ("mujoco-warp", "warp-lang")}
             described = {"device": name, "trials": asked.trials, "versions": made_with}
             (asked.out / "device.json").write_text(json.dumps(described), encoding="utf-8")
-        if "rates" in parts:
+        if asked.part in ("all", "rates"):
             for task in asked.tasks or RATED:
                 rates(task, asked.worlds, asked.device, until, asked.out)
-        if "verdicts" in parts:
+        if asked.part in ("all", "verdicts"):
             verdicts(asked.tasks or TASK_NAMES, asked, until)
+        stored = gather(asked.out)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    stored = gather(asked.out)
     if asked.store:
         STORED.write_text(json.dumps(plain(stored), indent=1) + "\n", encoding="utf-8")
     differing = sum(one["differing"] for one in stored["verdicts"].values())
@@ -577,7 +569,7 @@ def main() -> int:
             "Differs" if differing else "No difference", Tone.CAUTION if differing else Tone.GOOD, words
         ),
         sections=[Section("gpu", "MuJoCo Warp", "Verdicts; rates.", tables, True)],
-        notes=_notes(stored),
+        notes=notes_of(stored),
         document=document(stored, command="gpu", seed=0, config={"trials": stored["trials"]}),
         exit_code=int(bool(differing)),
     ).publish(asked.out)
@@ -601,7 +593,9 @@ def verdicts(tasks: Sequence[str], asked: argparse.Namespace, until: float) -> N
 
 
 def gather(out: Path) -> dict[str, Any]:
-    """Return what a folder has: figures of rates and of verdicts by task."""
+    """Return what a folder has: figures of rates and of verdicts by task. Raises InputError where it has none."""
+    if not (out / "device.json").exists():
+        raise InputError(f"nothing has run in {out}; leave out 'report'")
     stored: dict[str, Any] = _read(out / "device.json") | {"rates": {}, "verdicts": {}}
     for task in TASK_NAMES:
         if (file := out / f"rates_{task}.json").exists():
@@ -644,7 +638,7 @@ def _compared(first: list[Any], other: list[Any]) -> dict[str, Any]:
     }
 
 
-def _notes(stored: dict[str, Any]) -> list[str]:
+def notes_of(stored: dict[str, Any]) -> list[str]:
     """Return what was not as it should be."""
     loops = [(task, one["loop"]) for task, one in stored["verdicts"].items() if one["loop"]]
     every = [*loops, *((task, one) for task, of in stored["rates"].items() for one in of["replays"])]

@@ -23,6 +23,13 @@ LAG_STEP_S: Final = 0.01
 _BRAKES: Final = 5.0
 _RECOVERS: Final = 2.0
 """1/s: rates at which the pace of a path that waits for its car falls and rises."""
+_ASIDE: Final = 3.0
+"""Factor of the position gain across a path that waits. On two wheels of a diagonal, which push along one direction at
+45 degrees to the path, a correction along it moves the car aside by as much: so that is slow, and this is firm."""
+_CATCHES_UP: Final = 20.0
+"""1/s: ``astray`` times this is the highest speed of corrections along such a path..."""
+_BEHIND: Final = 4.0
+"""...and a car that is behind by this times ``astray`` counts as astray."""
 _UNSURE_RAD_S: Final = 0.3
 """Standard deviation of a wheel's speed from its servo's: the feed-forward of friction and inertia is not exact."""
 
@@ -326,7 +333,9 @@ def _drive_law(car: Record) -> None:
         # car rock. The total wait is limited; the car then corrects its position at the end.
         beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
         on_its_way = elapsed_s < drive.profile.duration_s and drive.waited_s <= gains.settle_allowance
-        pace = max(0.0, min(1.0, 2.0 - beside_m / gains.astray)) if on_its_way else 1.0
+        behind_m = drive.step_x * error[0] + drive.step_y * error[1]
+        astray_m = max(beside_m, behind_m / _BEHIND)
+        pace = max(0.0, min(1.0, 2.0 - astray_m / gains.astray)) if on_its_way else 1.0
         drive.pace += max(-_BRAKES * period_s, min(_RECOVERS * period_s, pace - drive.pace))
         drive.waited_s += (1.0 - drive.pace) * period_s
         elapsed_s = task.elapsed_s - drive.waited_s
@@ -361,9 +370,17 @@ def _command_wheels(car: Record, error: Triple) -> None:
             share = max(0.0, min(1.0, beside_m / gains.astray - 0.5))
             speed += share * gains.shake_speed * math.sin(2 * math.pi * gains.shake_rate * car.task.elapsed_s)
     shake_x, shake_y = shake(drive, gains, error, elapsed_s)
+    correct_x, correct_y = gains.position_gain * error[0], gains.position_gain * error[1]
+    if drive.waits:
+        most = _CATCHES_UP * gains.astray
+        along = max(-most, min(most, drive.step_x * correct_x + drive.step_y * correct_y))
+        aside = drive.step_x * correct_y - drive.step_y * correct_x
+        aside *= _ASIDE if elapsed_s < profile.duration_s else 1.0
+        correct_x = drive.step_x * along - drive.step_y * aside
+        correct_y = drive.step_y * along + drive.step_x * aside
     velocity = (
-        step.x * speed + gains.position_gain * error[0] + integral.x + shake_x,
-        step.y * speed + gains.position_gain * error[1] + integral.y + shake_y,
+        step.x * speed + correct_x + integral.x + shake_x,
+        step.y * speed + correct_y + integral.y + shake_y,
         step.heading * speed + gains.heading_gain * error[2] + integral.heading,
     )
     forward, left, turn = _to_body(velocity, now)

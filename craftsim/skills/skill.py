@@ -133,7 +133,9 @@ def begin_move(
     factor = gains.load_factor if loaded else 1.0
     begin_path(setup, now, task, target, (min(speed * factor, top_speed), min(acceleration * factor, most)))
     drive = task["drive"]
-    drive["waits"], drive["pace"] = loaded and terrain.tight and not terrain.sloping, 1.0
+    narrow = loaded and terrain.tight and not terrain.sloping
+    # For one that takes its floor for flat, no place in a cell is astray.
+    drive["waits"], drive["pace"] = narrow and gains.astray < CELL_PITCH_M, 1.0
     drive["step_x"], drive["step_y"] = DIRECTIONS[direction]
     drive["sloping"], drive["start_rad"] = terrain.sloping, terrain.start_rad
     drive["end_rad"] = terrain.end_rad

@@ -301,19 +301,25 @@ def test_with_noisy_sensors_cars_rest_until_they_know_that_it_is_flat(tilt_rad):
     assert whole_s - move_s < 0.5 * GAINS.uneven.tilt_time
 
 
-def _drive(aslant_m, gains, terrain, seconds):
-    """Return how far the path of a loaded car gets that keeps so far beside it, and what its wheels are told (n,)."""
+def _loaded(gains, terrain):
+    """Return a loaded car that begins a move, and its hinge's angles."""
     setup = SkillSetup(NOMINAL.cars[0], NOMINAL, gains, PERIOD_S).on(terrain)
-    car, angles = records(1, CAR), np.zeros((1, 4))
-    car["known"] = setup.constants
-    car, now = car[0], car[0]["now"]
+    cars = records(1, CAR)
+    cars["known"] = setup.constants
+    car, now = cars[0], cars[0]["now"]
     now["x"] = now["y"] = CELL_PITCH_M / 2
     now["board_m"], now["board_force_n"] = setup.machine.board_travel_m, 5 * GRAVITY
     begin_move(setup, measurement_of(now), car["task"], 0)
-    speeds = []
+    return car, np.zeros(4)
+
+
+def _drive(aslant_m, gains, terrain, seconds):
+    """Return how far the path of a loaded car gets that keeps so far beside it, and what its wheels are told (n,)."""
+    car, angles = _loaded(gains, terrain)
+    now, speeds = car["now"], []
     for _ in range(round(seconds / PERIOD_S)):
         now["x"], now["y"] = car["task"]["drive"]["path"][0], CELL_PITCH_M / 2 + aslant_m
-        step_task(car, angles[0])
+        step_task(car, angles)
         speeds.append(car["command"]["wheels"].mean())
     return car["task"]["drive"]["path"][0] - CELL_PITCH_M / 2, np.array(speeds)
 
@@ -330,6 +336,38 @@ def test_the_path_of_a_load_past_something_waits_the_more_the_further_its_car_is
     on_it, beside = (_drive(m * CAREFUL.drive.astray, CAREFUL, TIGHT, 0.6)[1] for m in (0.4, 1.0))
     assert (np.diff(on_it) > 0).all()
     assert (np.diff(beside) < 0).any(), "it drives to and fro"
+
+
+def _corrected(behind_m, beside_m, gains, terrain=TIGHT, after_s=1.5):
+    """Return the speeds (m/s), along and across its path, by which a loaded car corrects so large errors on its way."""
+    twists = []
+    for along, aside in ((0.0, 0.0), (behind_m, beside_m)):
+        car, angles = _loaded(gains, terrain)
+        for n in range(round(after_s / PERIOD_S) + 1):
+            last = n * PERIOD_S >= after_s
+            car["now"]["x"] = car["task"]["drive"]["path"][0] - along * last
+            car["now"]["y"] = CELL_PITCH_M / 2 + aside * last
+            step_task(car, angles)
+        twists.append(MECANUM.body_twist(car["command"]["wheels"])[:2])
+    return np.subtract(*twists[::-1])
+
+
+def test_a_load_past_something_is_kept_to_its_path_firmly_and_along_it_slowly():
+    gain, slip = GAINS.drive.position_gain, GAINS.drive.sideways_slip
+    np.testing.assert_allclose(_corrected(0.0005, 0.0, CAREFUL), (0.0005 * gain, 0.0), atol=1e-4)
+    np.testing.assert_allclose(_corrected(0.03, 0.0, CAREFUL), (0.02, 0.0), atol=1e-4)
+    np.testing.assert_allclose(_corrected(-0.03, 0.0, CAREFUL), (-0.02, 0.0), atol=1e-4)
+    np.testing.assert_allclose(_corrected(0.0, 0.0005, CAREFUL), (0.0, -0.0015 * gain * slip), atol=1e-4)
+    for gains, terrain in ((CAREFUL, Terrain()), (GAINS, TIGHT)):
+        found = _corrected(0.005, 0.0005, gains, terrain, 0.6)
+        np.testing.assert_allclose(found, (0.005 * gain, -0.0005 * gain * slip), atol=1e-4)
+
+
+def test_its_path_waits_for_a_car_that_does_not_follow():
+    car, angles = _loaded(CAREFUL, TIGHT)
+    for _ in range(round(2.0 / PERIOD_S)):
+        step_task(car, angles)
+    assert car["task"]["drive"]["path"][0] - CELL_PITCH_M / 2 < 0.009
 
 
 def test_it_waits_neither_for_ever_nor_elsewhere_nor_on_a_slope_where_a_car_that_stands_slides():

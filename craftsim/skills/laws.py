@@ -355,11 +355,13 @@ def _command_wheels(car: Record, error: Triple) -> None:
     gains, machine = known.drive, known.car
     step, integral, profile = drive.direction, drive.integral, drive.profile
     period_s, radius_m, lever_m = known.period_s, machine.radius_m, machine.lever_m
-    # No integral action once the car is shaken: it would only wind up.
     if profile.duration_s < elapsed_s <= profile.duration_s + gains.shake_after:
         integral.x += gains.integral_gain * error[0] * period_s
         integral.y += gains.integral_gain * error[1] * period_s
         integral.heading += gains.integral_gain * error[2] * period_s
+    elif elapsed_s > profile.duration_s:
+        # A car that is shaken would wind it up; and what is left of its arrival would keep it beside the target.
+        integral.x = integral.y = integral.heading = 0.0
     # The command holds for one period, so the path's motion in the middle of that period is fed forward.
     speed, pull = _motion_at(profile, elapsed_s + period_s / 2)
     if drive.waits:

@@ -380,6 +380,19 @@ def test_it_waits_neither_for_ever_nor_elsewhere_nor_on_a_slope_where_a_car_that
         assert _way_m(3, gains, terrain) == _way_m(0, gains, terrain)
 
 
+def test_a_car_that_is_shaken_forgets_how_it_arrived():
+    car, angles = _loaded(CAREFUL, Terrain())
+    drive, before = car["task"]["drive"], 0.0
+    ends_s = drive["profile"]["duration_s"] + CAREFUL.drive.shake_after
+    while car["task"]["elapsed_s"] <= ends_s:
+        before = drive["integral"]["x"]
+        car["now"]["x"] = drive["path"][0] + 0.002
+        step_task(car, angles)
+    assert before < -0.001
+    step_task(car, angles)
+    assert drive["integral"]["x"] == 0.0
+
+
 def _shaken(times_s, gains=CAREFUL, error=(0.003, 0.004, 0.0)):
     """Return the velocities (n, 2) by which a car that lacks 5 mm is shaken so long after its profile's end."""
     drive = records(1, DRIVE_TASK)

@@ -30,6 +30,11 @@ _CATCHES_UP: Final = 20.0
 """1/s: ``astray`` times this is the highest speed of corrections along such a path..."""
 _BEHIND: Final = 4.0
 """...and a car that is behind by this times ``astray`` counts as astray."""
+_GROWS: Final = 0.5
+_GROWS_BESIDE: Final = 0.15
+"""By how much of its first amplitude shaking grows with each four cycles; that of a load past something..."""
+_MOST_GROWN: Final = 3.0
+"""...and to how many times that, at most."""
 _UNSURE_RAD_S: Final = 0.3
 """Standard deviation of a wheel's speed from its servo's: the feed-forward of friction and inertia is not exact."""
 
@@ -421,14 +426,16 @@ def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tupl
     """Return the velocity (m/s, world frame) that shakes a car which does not arrive, across the remaining way.
 
     A car without springs that rocks on two wheels of a diagonal cannot push across their rollers; accelerating the
-    other way tips it onto the other two. It shakes for two cycles out of four, and settles in between.
+    other way tips it onto the other two. It shakes for two cycles out of four, and settles in between; the longer it
+    takes, the harder.
     """
     cycles = (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate
     left_over = math.hypot(error[0], error[1])
     # A car that is there and not yet sure of it has to rest.
     if cycles <= 0 or left_over < gains.position_tolerance or math.floor(cycles) % 4 >= 2:
         return 0.0, 0.0
-    speed = gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
+    grown = min(_MOST_GROWN, 1.0 + (_GROWS_BESIDE if drive.waits else _GROWS) * math.floor(cycles / 4))
+    speed = grown * gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
     return -speed * error[1], speed * error[0]
 
 

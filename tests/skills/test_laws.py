@@ -409,7 +409,8 @@ def test_a_car_that_does_not_arrive_shakes_across_what_is_left_for_two_cycles_ou
     ways = found @ (-0.8, 0.6)
     assert ways.min() == pytest.approx(-ways.max(), rel=1e-3), "to and fro"
     assert not _shaken(after_s + np.linspace(2.01, 3.99, 20) / gains.shake_rate).any()
-    assert _shaken(after_s + np.linspace(4.05, 4.2, 5) / gains.shake_rate).any()
+    again = _shaken(after_s + np.array([4.0, 12.0, 400.0]) / gains.shake_rate + 1e-9)
+    assert np.linalg.norm(again, axis=1) == pytest.approx(gains.shake_speed * np.array([1.5, 2.5, 3.0]), rel=1e-3)
 
 
 def test_a_car_that_is_there_or_has_only_just_ended_its_path_or_feels_a_flat_floor_does_not_shake():

@@ -30,6 +30,8 @@ _CATCHES_UP: Final = 20.0
 """1/s: ``astray`` times this is the highest speed of corrections along such a path..."""
 _BEHIND: Final = 4.0
 """...and a car that is behind by this times ``astray`` counts as astray."""
+_START_M: Final = 0.02
+"""A path to a side starts with moving to and fro, less and less from half of this on."""
 _GROWS: Final = 0.5
 _GROWS_BESIDE: Final = 0.15
 """By how much of its first amplitude shaking grows with each four cycles; that of a load past something..."""
@@ -371,10 +373,14 @@ def _command_wheels(car: Record, error: Triple) -> None:
     speed, pull = _motion_at(profile, elapsed_s + period_s / 2)
     if drive.waits:
         speed, pull = drive.pace * speed, drive.pace * pull
-        # Speeding up and slowing down loads a third wheel, which can push to the side.
+        # Speeding up and slowing down loads a third wheel, which can push to the side, but on two wheels leads aside: only
+        # while the path waits, and where one to a side starts, because a car at rest on a diagonal goes askew.
         if elapsed_s < profile.duration_s:
             beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
-            share = max(0.0, min(1.0, beside_m / gains.astray - 0.5))
+            share = (1.0 - drive.pace) * max(0.0, min(1.0, beside_m / gains.astray - 0.5))
+            way_m = drive.step_x * (now.x - drive.origin.x) + drive.step_y * (now.y - drive.origin.y)
+            sideways = abs(drive.step_x * math.sin(now.heading) - drive.step_y * math.cos(now.heading))
+            share = max(share, sideways * max(0.0, min(1.0, 1.5 - way_m / _START_M)))
             speed += share * gains.shake_speed * math.sin(2 * math.pi * gains.shake_rate * car.task.elapsed_s)
     shake_x, shake_y = shake(drive, gains, error, elapsed_s)
     correct_x, correct_y = gains.position_gain * error[0], gains.position_gain * error[1]

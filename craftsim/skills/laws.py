@@ -373,8 +373,8 @@ def _command_wheels(car: Record, error: Triple) -> None:
     speed, pull = _motion_at(profile, elapsed_s + period_s / 2)
     if drive.waits:
         speed, pull = drive.pace * speed, drive.pace * pull
-        # Speeding up and slowing down loads a third wheel, which can push to the side, but on two wheels leads aside: only
-        # while the path waits, and where one to a side starts, because a car at rest on a diagonal goes askew.
+        # Speeding up and slowing down loads a third wheel, which can push to the side, but on two wheels leads aside.
+        # So only while the path waits, and where one to a side starts: at rest on a diagonal a car goes askew.
         if elapsed_s < profile.duration_s:
             beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
             share = (1.0 - drive.pace) * max(0.0, min(1.0, beside_m / gains.astray - 0.5))

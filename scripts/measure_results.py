@@ -33,7 +33,7 @@ MEASURED: Final = {
     "lagging": f"validate --randomize none --noise {LAGGING} --trials 2",
     "strong": "validate --order concurrent --randomize strong --trials 4",
     "lab_floor": "validate simple_two_story --randomize lab_floor --trials 8",
-    "workshop_floor": "validate simple_two_story --randomize workshop_floor --trials 8",
+    "workshop_floor": "validate --randomize workshop_floor --trials 20 --seed 7",
     "random": "validate random --randomize none --trials 20 --seed 3232",
     "large_tower_4_mild": f"validate large_tower_4 --randomize mild {BUILT}",
     "large_tower_8_mild": f"validate large_tower_8 --randomize mild {BUILT}",
@@ -43,7 +43,8 @@ MEASURED: Final = {
     "execution_plans": "scripts/plan_orders.py --designs 100",
     "builders": "scripts/builders.py",
 }
-"""What is measured, by commands and scripts: each in less than four minutes of CPU time but for execution."""
+"""What is measured, by commands and scripts: each in less than four minutes of CPU time but for execution and, in
+half an hour, the workshop."""
 LISTS: Final = (
     "by_group",
     "by_verb",
@@ -143,8 +144,23 @@ def store(name: str, out: Path, cpu_s: float | None) -> None:
         "versions": report["versions"],
         "figures": {key: _without_lists(value) for key, value in report["figures"].items()},
     }
+    if name == "workshop_floor":
+        kept["tasks"] = by_task(out / "trials.jsonl")
     RUNS.mkdir(parents=True, exist_ok=True)
     (RUNS / f"{name}.json").write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def by_task(trials: Path) -> dict[str, dict[str, int]]:
+    """Return of each task the actions and the runs of a validation, and how many were as predicted."""
+    found: dict[str, dict[str, int]] = {}
+    for trial in map(json.loads, trials.read_text(encoding="utf-8").splitlines()):
+        counts = dict.fromkeys(("good", "actions", "good_runs", "runs"), 0)
+        task, attempts = found.setdefault(trial["context"], counts), trial["attempts"] or ()
+        task["good"] += sum(attempt["result"] == "as predicted" for attempt in attempts)
+        task["actions"] += len(attempts)
+        task["good_runs"] += bool(trial["agrees"])
+        task["runs"] += 1
+    return found
 
 
 def _without_lists(value: Any) -> Any:

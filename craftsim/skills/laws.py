@@ -23,6 +23,20 @@ LAG_STEP_S: Final = 0.01
 _BRAKES: Final = 5.0
 _RECOVERS: Final = 2.0
 """1/s: rates at which the pace of a path that waits for its car falls and rises."""
+_ASIDE: Final = 3.0
+"""Factor of the position gain across a path that waits. On two wheels of a diagonal, which push along one direction at
+45 degrees to the path, a correction along it moves the car aside by as much: so that is slow, and this is firm."""
+_CATCHES_UP: Final = 20.0
+"""1/s: ``astray`` times this is the highest speed of corrections along such a path..."""
+_BEHIND: Final = 4.0
+"""...and a car that is behind by this times ``astray`` counts as astray."""
+_START_M: Final = 0.02
+"""A path to a side starts with moving to and fro, less and less from half of this on."""
+_GROWS: Final = 0.5
+_GROWS_BESIDE: Final = 0.15
+"""By how much of its first amplitude shaking grows with each four cycles; that of a load past something..."""
+_MOST_GROWN: Final = 3.0
+"""...and to how many times that, at most."""
 _UNSURE_RAD_S: Final = 0.3
 """Standard deviation of a wheel's speed from its servo's: the feed-forward of friction and inertia is not exact."""
 
@@ -326,7 +340,9 @@ def _drive_law(car: Record) -> None:
         # car rock. The total wait is limited; the car then corrects its position at the end.
         beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
         on_its_way = elapsed_s < drive.profile.duration_s and drive.waited_s <= gains.settle_allowance
-        pace = max(0.0, min(1.0, 2.0 - beside_m / gains.astray)) if on_its_way else 1.0
+        behind_m = drive.step_x * error[0] + drive.step_y * error[1]
+        astray_m = max(beside_m, behind_m / _BEHIND)
+        pace = max(0.0, min(1.0, 2.0 - astray_m / gains.astray)) if on_its_way else 1.0
         drive.pace += max(-_BRAKES * period_s, min(_RECOVERS * period_s, pace - drive.pace))
         drive.waited_s += (1.0 - drive.pace) * period_s
         elapsed_s = task.elapsed_s - drive.waited_s
@@ -346,24 +362,38 @@ def _command_wheels(car: Record, error: Triple) -> None:
     gains, machine = known.drive, known.car
     step, integral, profile = drive.direction, drive.integral, drive.profile
     period_s, radius_m, lever_m = known.period_s, machine.radius_m, machine.lever_m
-    # No integral action once the car is shaken: it would only wind up.
     if profile.duration_s < elapsed_s <= profile.duration_s + gains.shake_after:
         integral.x += gains.integral_gain * error[0] * period_s
         integral.y += gains.integral_gain * error[1] * period_s
         integral.heading += gains.integral_gain * error[2] * period_s
+    elif elapsed_s > profile.duration_s:
+        # A car that is shaken would wind it up; and what is left of its arrival would keep it beside the target.
+        integral.x = integral.y = integral.heading = 0.0
     # The command holds for one period, so the path's motion in the middle of that period is fed forward.
     speed, pull = _motion_at(profile, elapsed_s + period_s / 2)
     if drive.waits:
         speed, pull = drive.pace * speed, drive.pace * pull
-        # Speeding up and slowing down loads a third wheel, which can push to the side.
+        # Speeding up and slowing down loads a third wheel, which can push to the side, but on two wheels leads aside.
+        # So only while the path waits, and where one to a side starts: at rest on a diagonal a car goes askew.
         if elapsed_s < profile.duration_s:
             beside_m = abs(drive.step_x * error[1] - drive.step_y * error[0])
-            share = max(0.0, min(1.0, beside_m / gains.astray - 0.5))
+            share = (1.0 - drive.pace) * max(0.0, min(1.0, beside_m / gains.astray - 0.5))
+            way_m = drive.step_x * (now.x - drive.origin.x) + drive.step_y * (now.y - drive.origin.y)
+            sideways = abs(drive.step_x * math.sin(now.heading) - drive.step_y * math.cos(now.heading))
+            share = max(share, sideways * max(0.0, min(1.0, 1.5 - way_m / _START_M)))
             speed += share * gains.shake_speed * math.sin(2 * math.pi * gains.shake_rate * car.task.elapsed_s)
     shake_x, shake_y = shake(drive, gains, error, elapsed_s)
+    correct_x, correct_y = gains.position_gain * error[0], gains.position_gain * error[1]
+    if drive.waits:
+        most = _CATCHES_UP * gains.astray
+        along = max(-most, min(most, drive.step_x * correct_x + drive.step_y * correct_y))
+        aside = drive.step_x * correct_y - drive.step_y * correct_x
+        aside *= _ASIDE if elapsed_s < profile.duration_s else 1.0
+        correct_x = drive.step_x * along - drive.step_y * aside
+        correct_y = drive.step_y * along + drive.step_x * aside
     velocity = (
-        step.x * speed + gains.position_gain * error[0] + integral.x + shake_x,
-        step.y * speed + gains.position_gain * error[1] + integral.y + shake_y,
+        step.x * speed + correct_x + integral.x + shake_x,
+        step.y * speed + correct_y + integral.y + shake_y,
         step.heading * speed + gains.heading_gain * error[2] + integral.heading,
     )
     forward, left, turn = _to_body(velocity, now)
@@ -402,14 +432,16 @@ def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tupl
     """Return the velocity (m/s, world frame) that shakes a car which does not arrive, across the remaining way.
 
     A car without springs that rocks on two wheels of a diagonal cannot push across their rollers; accelerating the
-    other way tips it onto the other two. It shakes for two cycles out of four, and settles in between.
+    other way tips it onto the other two. It shakes for two cycles out of four, and settles in between; the longer it
+    takes, the harder.
     """
     cycles = (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate
     left_over = math.hypot(error[0], error[1])
     # A car that is there and not yet sure of it has to rest.
     if cycles <= 0 or left_over < gains.position_tolerance or math.floor(cycles) % 4 >= 2:
         return 0.0, 0.0
-    speed = gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
+    grown = min(_MOST_GROWN, 1.0 + (_GROWS_BESIDE if drive.waits else _GROWS) * math.floor(cycles / 4))
+    speed = grown * gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
     return -speed * error[1], speed * error[0]
 
 

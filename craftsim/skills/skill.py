@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Final
 
 import numpy as np
 
@@ -95,6 +95,8 @@ class Command:
     """rad/s of the docked slope's hinge, folding positive."""
 
 
+_FIRST_PACE: Final = 0.2
+"""Pace at which a path begins that may wait for its car."""
 Task = np.void
 """A record of TASK."""
 Goal = Triple | None
@@ -133,7 +135,10 @@ def begin_move(
     factor = gains.load_factor if loaded else 1.0
     begin_path(setup, now, task, target, (min(speed * factor, top_speed), min(acceleration * factor, most)))
     drive = task["drive"]
-    drive["waits"], drive["pace"] = loaded and terrain.tight and not terrain.sloping, 1.0
+    narrow = loaded and terrain.tight and not terrain.sloping
+    # For one that takes its floor for flat, no place in a cell is astray.
+    drive["waits"] = narrow and gains.astray < CELL_PITCH_M
+    drive["pace"] = _FIRST_PACE if drive["waits"] else 1.0
     drive["step_x"], drive["step_y"] = DIRECTIONS[direction]
     drive["sloping"], drive["start_rad"] = terrain.sloping, terrain.start_rad
     drive["end_rad"] = terrain.end_rad

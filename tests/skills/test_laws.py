@@ -301,21 +301,30 @@ def test_with_noisy_sensors_cars_rest_until_they_know_that_it_is_flat(tilt_rad):
     assert whole_s - move_s < 0.5 * GAINS.uneven.tilt_time
 
 
-def _drive(aslant_m, gains, terrain, seconds):
-    """Return how far the path of a loaded car gets that keeps so far beside it, and what its wheels are told (n,)."""
+def _loaded(gains, terrain, direction=0):
+    """Return a loaded car that begins a move, and its hinge's angles."""
     setup = SkillSetup(NOMINAL.cars[0], NOMINAL, gains, PERIOD_S).on(terrain)
-    car, angles = records(1, CAR), np.zeros((1, 4))
-    car["known"] = setup.constants
-    car, now = car[0], car[0]["now"]
+    cars = records(1, CAR)
+    cars["known"] = setup.constants
+    car, now = cars[0], cars[0]["now"]
     now["x"] = now["y"] = CELL_PITCH_M / 2
     now["board_m"], now["board_force_n"] = setup.machine.board_travel_m, 5 * GRAVITY
-    begin_move(setup, measurement_of(now), car["task"], 0)
-    speeds = []
+    begin_move(setup, measurement_of(now), car["task"], direction)
+    return car, np.zeros(4)
+
+
+def _drive(aslant_m, gains, terrain, seconds, direction=0):
+    """Return how far the path of a loaded car gets that keeps so far beside it, and its commanded speeds (n,)."""
+    car, angles = _loaded(gains, terrain, direction)
+    now, drive, speeds = car["now"], car["task"]["drive"], []
+    along, across = (0, 1) if direction == 0 else (1, 0)
     for _ in range(round(seconds / PERIOD_S)):
-        now["x"], now["y"] = car["task"]["drive"]["path"][0], CELL_PITCH_M / 2 + aslant_m
-        step_task(car, angles[0])
-        speeds.append(car["command"]["wheels"].mean())
-    return car["task"]["drive"]["path"][0] - CELL_PITCH_M / 2, np.array(speeds)
+        place = drive["path"].copy()
+        place[across] = CELL_PITCH_M / 2 + aslant_m
+        now["x"], now["y"] = place[:2]
+        step_task(car, angles)
+        speeds.append(MECANUM.body_twist(car["command"]["wheels"])[along])
+    return drive["path"][along] - CELL_PITCH_M / 2, np.array(speeds)
 
 
 def _way_m(part, gains=CAREFUL, terrain=TIGHT, seconds=1.5):
@@ -327,9 +336,48 @@ def test_the_path_of_a_load_past_something_waits_the_more_the_further_its_car_is
     ways = [_way_m(part) for part in (0.0, 0.9, 1.5, 2.1)]
     assert ways[0] == ways[1] > ways[2] > ways[3]
     assert ways[3] < 1e-4, "it stands"
-    on_it, beside = (_drive(m * CAREFUL.drive.astray, CAREFUL, TIGHT, 0.6)[1] for m in (0.4, 1.0))
-    assert (np.diff(on_it) > 0).all()
-    assert (np.diff(beside) < 0).any(), "it drives to and fro"
+
+
+def test_a_load_past_something_moves_to_and_fro_where_its_path_waits_and_where_one_to_a_side_starts():
+    def goes_back(part, direction=0):
+        speeds = _drive(part * CAREFUL.drive.astray, CAREFUL, TIGHT, 0.8, direction)[1]
+        return (speeds[5:] < 0).any()
+
+    assert not goes_back(0.4)
+    assert goes_back(1.8)
+    assert goes_back(0.0, direction=1)
+
+
+def _corrected(behind_m, beside_m, gains, terrain=TIGHT, after_s=1.5):
+    """Return the speeds (m/s), along and across its path, by which a loaded car corrects so large errors on its way."""
+    twists = []
+    for along, aside in ((0.0, 0.0), (behind_m, beside_m)):
+        car, angles = _loaded(gains, terrain)
+        for n in range(round(after_s / PERIOD_S) + 1):
+            last = n * PERIOD_S >= after_s
+            car["now"]["x"] = car["task"]["drive"]["path"][0] - along * last
+            car["now"]["y"] = CELL_PITCH_M / 2 + aside * last
+            step_task(car, angles)
+        twists.append(MECANUM.body_twist(car["command"]["wheels"])[:2])
+    return np.subtract(*twists[::-1])
+
+
+def test_a_load_past_something_is_kept_to_its_path_firmly_and_along_it_slowly():
+    gain, slip = GAINS.drive.position_gain, GAINS.drive.sideways_slip
+    np.testing.assert_allclose(_corrected(0.0005, 0.0, CAREFUL), (0.0005 * gain, 0.0), atol=1e-4)
+    np.testing.assert_allclose(_corrected(0.03, 0.0, CAREFUL), (0.02, 0.0), atol=1e-4)
+    np.testing.assert_allclose(_corrected(-0.03, 0.0, CAREFUL), (-0.02, 0.0), atol=1e-4)
+    np.testing.assert_allclose(_corrected(0.0, 0.0005, CAREFUL), (0.0, -0.0015 * gain * slip), atol=1e-4)
+    for gains, terrain in ((CAREFUL, Terrain()), (GAINS, TIGHT)):
+        found = _corrected(0.005, 0.0005, gains, terrain, 0.6)
+        np.testing.assert_allclose(found, (0.005 * gain, -0.0005 * gain * slip), atol=1e-4)
+
+
+def test_its_path_waits_for_a_car_that_does_not_follow():
+    car, angles = _loaded(CAREFUL, TIGHT)
+    for _ in range(round(2.0 / PERIOD_S)):
+        step_task(car, angles)
+    assert car["task"]["drive"]["path"][0] - CELL_PITCH_M / 2 < 0.009
 
 
 def test_it_waits_neither_for_ever_nor_elsewhere_nor_on_a_slope_where_a_car_that_stands_slides():
@@ -340,6 +388,19 @@ def test_it_waits_neither_for_ever_nor_elsewhere_nor_on_a_slope_where_a_car_that
         *((CAREFUL, Terrain()), (GAINS, TIGHT), (CAREFUL, Terrain(end_rad=-0.28, tight=True))),
     ):
         assert _way_m(3, gains, terrain) == _way_m(0, gains, terrain)
+
+
+def test_a_car_that_is_shaken_forgets_how_it_arrived():
+    car, angles = _loaded(CAREFUL, Terrain())
+    drive, before = car["task"]["drive"], 0.0
+    ends_s = drive["profile"]["duration_s"] + CAREFUL.drive.shake_after
+    while car["task"]["elapsed_s"] <= ends_s:
+        before = drive["integral"]["x"]
+        car["now"]["x"] = drive["path"][0] + 0.002
+        step_task(car, angles)
+    assert before < -0.001
+    step_task(car, angles)
+    assert drive["integral"]["x"] == 0.0
 
 
 def _shaken(times_s, gains=CAREFUL, error=(0.003, 0.004, 0.0)):
@@ -358,7 +419,10 @@ def test_a_car_that_does_not_arrive_shakes_across_what_is_left_for_two_cycles_ou
     ways = found @ (-0.8, 0.6)
     assert ways.min() == pytest.approx(-ways.max(), rel=1e-3), "to and fro"
     assert not _shaken(after_s + np.linspace(2.01, 3.99, 20) / gains.shake_rate).any()
-    assert _shaken(after_s + np.linspace(4.05, 4.2, 5) / gains.shake_rate).any()
+    again = _shaken(after_s + np.array([4.0, 12.0, 400.0]) / gains.shake_rate + 1e-9)
+    assert np.linalg.norm(again, axis=1) == pytest.approx(
+        gains.shake_speed * np.array([1.5, 2.5, 3.0]), rel=1e-3
+    )
 
 
 def test_a_car_that_is_there_or_has_only_just_ended_its_path_or_feels_a_flat_floor_does_not_shake():

@@ -35,6 +35,7 @@ def _load():
     worlds.step(np.full((1, start.n_cars), int(Action.STOP)))
 
     import bare_drawings
+
     from craftsim.reports import html
 
     bare_drawings.bare(True)

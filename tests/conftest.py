@@ -39,12 +39,23 @@ def rendering() -> None:
         pytest.skip(_WHY_NOT)
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _forked_workers():
-    """Start workers without their imports."""
-    forked.workers(True)
-    yield
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node):
+    """Let the processes of pytest-xdist have copies of one process."""
+    node.workerinput["forked"] = forked.shared()
+
+
+def pytest_unconfigure():
+    """End the process that is copied."""
     forked.stop()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _forked_workers(request):
+    """Start workers without their imports."""
+    if hasattr(request.config, "workerinput"):
+        forked.share(request.config.workerinput["forked"])
+    forked.workers(True)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -50,7 +50,7 @@ def _set_environment(environment: dict[str, str]) -> None:
 
 def ensure_running() -> None:
     """Start the process that is copied, with the environment of the tests and not that of one of them."""
-    if forkserver._forkserver._forkserver_pid is None:
+    if forkserver._forkserver._forkserver_address is None:
         now = dict(os.environ)
         path = os.pathsep.join(filter(None, [str(Path(__file__).parent), _ENVIRONMENT.get("PYTHONPATH")]))
         _set_environment(_ENVIRONMENT | {"PYTHONPATH": path})
@@ -74,9 +74,25 @@ def workers(forked: bool) -> None:
 
 
 def stop() -> None:
-    """End the process that is copied."""
+    """End the process that is copied, if this one has started it."""
     workers(False)
     forkserver._forkserver._stop()
+
+
+def shared() -> dict[str, Any]:
+    """Start the process that is copied, and return what others need to have copies of it, too."""
+    _context()
+    ensure_running()
+    names = ("_forkserver_address", "_forkserver_authkey")  # the second from Python 3.14 on
+    return {name: value for name in names if (value := getattr(forkserver._forkserver, name, None))}
+
+
+def share(server: dict[str, Any]) -> None:
+    """Have copies of the process that another one has started, as :func:`shared` returns it."""
+    vars(forkserver._forkserver).update(server, ensure_running=lambda: None)
+    if forkserver._forkserver._forkserver_alive_fd is None:
+        # Each copy is sent the pipe whose end ends the process that is copied: here, nothing does.
+        forkserver._forkserver._forkserver_alive_fd = os.open(os.devnull, os.O_RDONLY)
 
 
 def _perform(
@@ -84,8 +100,7 @@ def _perform(
 ) -> None:
     _set_environment(environment)
     os.chdir(folder)
-    # What this one starts is a copy of the same process, which is there.
-    vars(forkserver._forkserver).update(server, ensure_running=lambda: None)
+    share(server)
     workers(True)
     for number, path in ((1, out), (2, err)):
         file = os.open(path, os.O_WRONLY)
@@ -109,10 +124,7 @@ def start(
 ) -> ForkServerProcess:
     """Start ``craftsim`` with options, or a script, whose output goes to files that are there."""
     context = _context()
-    ensure_running()
-    names = ("_forkserver_address", "_forkserver_authkey")  # the second from Python 3.14 on
-    server = {name: value for name in names if (value := getattr(forkserver._forkserver, name, None))}
-    arguments = (server, [*map(str, words)], str(Path(cwd).resolve()), dict(os.environ), out, err)
+    arguments = (shared(), [*map(str, words)], str(Path(cwd).resolve()), dict(os.environ), out, err)
     process = context.Process(target=_perform, args=arguments)
     process.start()
     return process

@@ -35,8 +35,12 @@ def _load():
     worlds.step(np.full((1, start.n_cars), int(Action.STOP)))
 
     import bare_drawings
+    import numba
+
     from craftsim.reports import html
 
+    # What numba loads before it compiles the first function.
+    numba.njit(lambda values: values.sum() + 1)(np.arange(3))
     bare_drawings.bare(True)
     for name in html._environment().list_templates(extensions=["j2"]):
         html._environment().get_template(name)

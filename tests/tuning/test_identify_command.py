@@ -8,6 +8,7 @@ from tuning_cars import HIDDEN
 from craftsim import cli, load_machines
 from craftsim.checking.setup import setup_of
 from craftsim.logs.files import read_log, write_table
+from craftsim.rendering.plots import style
 from craftsim.tuning import identification
 
 
@@ -24,7 +25,8 @@ def test_excite_writes_a_log_and_commands_to_replay(tmp_path, capsys):
 
 
 def test_identify_writes_files_to_run_with(tmp_path, capsys, log, found, monkeypatch):
-    # The fit itself is that of tests/tuning/test_identification.py.
+    # The fit itself is that of tests/tuning/test_identification.py, and the look of plots that of tests/rendering.
+    monkeypatch.setattr(style, "DPI", 40)
     monkeypatch.setattr(identification, "identify", lambda *_: found)
     table = write_table(tmp_path / "log.csv", {0: log})
     out = tmp_path / "out"

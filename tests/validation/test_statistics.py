@@ -299,11 +299,15 @@ def test_runs_without_a_common_trial_are_refused(tmp_path):
 
 def test_a_hidden_delay_shows_in_the_outcomes(tmp_path, capsys):
     """The same plan on two sets of machines; what differs is told, and that there are too few plans to rank."""
+    plan = tmp_path / "fetch.plan"
+    plan.write_text("0 0 MOVE_RIGHT\n0 1 MOVE_RIGHT\n1 0 LIFT\n1 1 LIFT\n2 0 MOVE_RIGHT\n2 1 MOVE_RIGHT\n")
     late = tmp_path / "late.yaml"
     late.write_text("{min_delay_s: 0.1, max_delay_s: 0.1}")
     words = [
         "validate",
         "strip",
+        "--plan",
+        str(plan),
         "--drive",
         "reduced",
         "--randomize",

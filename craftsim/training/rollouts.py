@@ -196,22 +196,23 @@ def play(worlds: WorldBatch, learner: Learner, bonus: Novelty | None = None) -> 
             reward = reward + bonus(vectors)
         arrays = reward.astype(np.float32), terminated, done, decides, elapsed
         held = [None if a is None else torch.from_numpy(a.copy()) for a in arrays]
-        over, n = np.flatnonzero(done), len(done)
-        if len(over):
-            # The first and the last that is seen of episodes are looked at together.
+        begins = np.flatnonzero(done)
+        if len(begins):
+            # The last and the first that is seen of episodes are looked at together.
             worlds.restart()
-            begun = worlds.observe()
+            first = worlds.observe()
             vectors, masks = (
-                np.concatenate([vectors, begun[0][over]]),
-                np.concatenate([masks, begun[1][over]]),
+                np.concatenate([vectors, first[0][begins]]),
+                np.concatenate([masks, first[1][begins]]),
             )
-        seen = encoder.look(vectors, masks)
-        now_at = np.arange(n)
-        now_at[over] = np.arange(n, len(vectors))
+        seen, n = encoder.look(vectors, masks), len(done)
         columns.append((now, seen[:n], actions, *held))
-        now = seen[torch.from_numpy(now_at)]
-        if len(over):
-            learner.begin(torch.from_numpy(now_at >= n))
+        now = seen
+        if len(begins):
+            rows = np.arange(n)
+            rows[begins] = np.arange(n, len(vectors))
+            now = seen[torch.from_numpy(rows)]
+            learner.begin(torch.from_numpy(rows >= n))
     nows, afters, *rest = zip(*columns, strict=True)
     device = now.places.device
     stacked: Any = (None if column[0] is None else torch.stack(column).to(device) for column in rest)

@@ -77,7 +77,7 @@ def test_a_run_goes_on_as_if_it_had_never_stopped(name, tmp_path, monkeypatch):
 def test_without_a_gpu_it_says_so(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(InputError, match=r"device is 'cuda', but torch .* finds no GPU here; allowed: cpu"):
-        Trainer(TrainConfig(**QUICK), device="cuda")
+        Trainer(TrainConfig("strip", **QUICK), device="cuda")
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")

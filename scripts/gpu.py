@@ -384,6 +384,7 @@ class Recording:
         self.ctrl, self.limits, *states, contacts, rows = map(np.array, zip(*steps, strict=True))
         self.states = dict(zip(STATE, states, strict=True))
         self.last = self.physics.data.qpos.copy()
+        self.positions = np.array([*self.states["qpos"], self.last])
         self.n_steps, self.contacts, self.rows = len(steps), int(contacts.max()), int(rows.max())
 
     def mujoco_rate(self, seconds: float) -> float:
@@ -443,14 +444,12 @@ def replay(recording: Recording, n_worlds: int, n_steps: int) -> dict[str, Any]:
         "finite": bool(np.isfinite(qpos).all()),
         **worlds.figures(),
     }
+    far = np.abs(qpos - recording.positions[starts + n_steps])[:, physics.pose_places[:, :3]].max(axis=(1, 2))
+    found |= {"median_off_m": float(np.median(far)), "most_off_m": float(far.max())}
     if n_steps == recording.n_steps:
-        wanted, far = (
-            recording.grid(recording.last),
-            np.abs(qpos - recording.last)[:, physics.pose_places[:, :3]],
-        )
-        read = [recording.grid(row) for row in qpos]
+        wanted, read = recording.grid(recording.last), [recording.grid(row) for row in qpos]
         same = [not one.problems and one.grid.same_visible(wanted.grid) for one in read]
-        found |= {"equal": sum(same), "median_furthest_m": float(np.median(far.max(axis=(1, 2))))}
+        found["equal"] = sum(same)
     return found
 
 
@@ -674,25 +673,21 @@ def verdict_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
 
 def rate_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
     """Return the table of rates, its head first."""
-    rows: list[tuple[str, ...]] = [
-        ("task", "with", "worlds", "physics steps/s", "joint steps/s", "end as MuJoCo's")
-    ]
+    head = "task", "with", "worlds", "physics steps/s", "joint steps/s", "off by", "grids as MuJoCo's"
+    rows: list[tuple[str, ...]] = [head]
     for task, of in stored["rates"].items():
-        joint = of["joint_steps"] / of["steps"]
-
-        def row(
-            name: str, worlds: int, rate: float, equal: str, task: str = task, joint: float = joint
-        ) -> None:
-            rows.append((task, name, f"{worlds:,}", f"{rate:,.0f}", f"{rate * joint:,.0f}", equal))
-
-        row("MuJoCo, a core", 1, of["mujoco_asleep_a_second"], "")
-        row("MuJoCo, a core, nothing sleeps", 1, of["mujoco_a_second"], "")
-        for one in sorted(of["replays"], key=lambda found: found["worlds"]):
-            equal = f"{one['equal']:,}" if "equal" in one else ""
-            row("MuJoCo Warp", one["worlds"], one["steps_a_second"], equal)
+        every = [("MuJoCo, a core", 1, of["mujoco_asleep_a_second"], {})]
+        every += [("MuJoCo, a core, nothing sleeps", 1, of["mujoco_a_second"], {})]
+        replays = sorted(of["replays"], key=lambda one: one["worlds"])
+        every += [("MuJoCo Warp", one["worlds"], one["steps_a_second"], one) for one in replays]
         loop = stored["verdicts"].get(task, {}).get("loop")
         if loop:
-            row("MuJoCo Warp, closed loop", loop["worlds"], loop["steps"] / loop["seconds"], "")
+            every += [("MuJoCo Warp, closed loop", loop["worlds"], loop["steps"] / loop["seconds"], {})]
+        for name, worlds, rate, one in every:
+            joint = rate * of["joint_steps"] / of["steps"]
+            off = f"{1e3 * one['median_off_m']:.4f} mm" if one else ""
+            equal = f"{one['equal']:,}" if "equal" in one else ""
+            rows.append((task, name, f"{worlds:,}", f"{rate:,.0f}", f"{joint:,.0f}", off, equal))
     return rows
 
 

@@ -34,7 +34,9 @@ STORED = {
             "joint_steps": 12,
             "mujoco_a_second": 10_000.0,
             "mujoco_asleep_a_second": 20_000.0,
-            "replays": [{"worlds": 64, "steps_a_second": 1e6, "equal": 63, "overflows": []}],
+            "replays": [
+                {"worlds": 64, "steps_a_second": 1e6, "equal": 63, "median_off_m": 1e-6, "overflows": []}
+            ],
             "why": "no time for 4096 worlds",
         }
     },
@@ -58,10 +60,10 @@ class OnMuJoCo:
 def test_tables_say_what_was_found():
     assert gpu.verdict_table(STORED)[1] == ("strip", "2", "44/44", "43/44", "1", "0.999 to 1.250")
     assert gpu.rate_table(STORED)[1:] == [
-        ("strip", "MuJoCo, a core", "1", "20,000", "80", ""),
-        ("strip", "MuJoCo, a core, nothing sleeps", "1", "10,000", "40", ""),
-        ("strip", "MuJoCo Warp", "64", "1,000,000", "4,000", "63"),
-        ("strip", "MuJoCo Warp, closed loop", "2", "2,000", "8", ""),
+        ("strip", "MuJoCo, a core", "1", "20,000", "80", "", ""),
+        ("strip", "MuJoCo, a core, nothing sleeps", "1", "10,000", "40", "", ""),
+        ("strip", "MuJoCo Warp", "64", "1,000,000", "4,000", "0.0010 mm", "63"),
+        ("strip", "MuJoCo Warp, closed loop", "2", "2,000", "8", "", ""),
     ]
     assert len(gpu.notes_of(STORED)) == 3
 

@@ -638,15 +638,19 @@ def _compared(first: list[Any], other: list[Any]) -> dict[str, Any]:
 
 
 def notes_of(stored: dict[str, Any]) -> list[str]:
-    """Return what was not as it should be."""
-    loops = [(task, one["loop"]) for task, one in stored["verdicts"].items() if one["loop"]]
-    every = [*loops, *((task, one) for task, of in stored["rates"].items() for one in of["replays"])]
-    found = [
-        f"{task}, {one['worlds']} worlds: {', '.join(one['overflows'])} in some step"
-        for task, one in every
-        if one["overflows"]
-    ]
-    found += [f"{task}: {of['why']}" for task, of in stored["rates"].items() if "why" in of]
+    """Return how replays ended, and what was not as it should be."""
+    found, every = [], [(task, one["loop"]) for task, one in stored["verdicts"].items() if one["loop"]]
+    for task, of in stored["rates"].items():
+        for one in of["replays"]:
+            every.append((task, one))
+            off = (
+                f"{1e3 * one['median_off_m']:.2g} mm at the median, {1e3 * one['most_off_m']:.2g} mm at most"
+            )
+            found.append(f"{task}, {one['worlds']} worlds: after {one['steps']} steps of replay off by {off}")
+        found += [f"{task}: {of['why']}"] if "why" in of else []
+    for task, one in every:
+        if one["overflows"]:
+            found.append(f"{task}, {one['worlds']} worlds: {', '.join(one['overflows'])} in some step")
     for task, one in stored["verdicts"].items():
         found += [f"{task}: {error}" for error in one["errors"]]
         found += [
@@ -656,39 +660,36 @@ def notes_of(stored: dict[str, Any]) -> list[str]:
 
 
 def verdict_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Return the table of verdicts, its head first."""
-    head = "task", "trials", "as predicted with MuJoCo", "with MuJoCo Warp", "differing", "makespan ratio"
-    rows = [
-        (
-            task,
-            str(one["trials"]),
-            *(f"{n}/{one['actions']}" for n in one["as_predicted"]),
-            str(one["differing"]),
-            " to ".join(f"{ratio:.3f}" for ratio in one["makespan_ratios"][::2]),
-        )
-        for task, one in stored["verdicts"].items()
-    ]
-    return [head, *rows]
+    """Return the table of actions as predicted, its head first."""
+    rows = [("task", "trials", "MuJoCo", "MuJoCo Warp", "differing", "makespans")]
+    for task, one in stored["verdicts"].items():
+        counts = (f"{n}/{one['actions']}" for n in one["as_predicted"])
+        ratios = "-".join(f"{ratio:.3f}" for ratio in one["makespan_ratios"][::2])
+        rows.append((task, str(one["trials"]), *counts, str(one["differing"]), ratios))
+    return rows
 
 
 def rate_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Return the table of rates, its head first."""
-    head = "task", "with", "worlds", "physics steps/s", "joint steps/s", "off by", "grids as MuJoCo's"
-    rows: list[tuple[str, ...]] = [head]
-    for task, of in stored["rates"].items():
-        every = [("MuJoCo, a core", 1, of["mujoco_asleep_a_second"], {})]
-        every += [("MuJoCo, a core, nothing sleeps", 1, of["mujoco_a_second"], {})]
-        replays = sorted(of["replays"], key=lambda one: one["worlds"])
-        every += [("MuJoCo Warp", one["worlds"], one["steps_a_second"], one) for one in replays]
+    """Return the table of joint steps a second of physics, and what belongs to it, its head first."""
+    rated = stored["rates"]
+    rows: dict[tuple[str, str], dict[str, str]] = {}
+    for task, of in rated.items():
         loop = stored["verdicts"].get(task, {}).get("loop")
-        if loop:
-            every += [("MuJoCo Warp, closed loop", loop["worlds"], loop["steps"] / loop["seconds"], {})]
-        for name, worlds, rate, one in every:
-            joint = rate * of["joint_steps"] / of["steps"]
-            off = f"{1e3 * one['median_off_m']:.4f} mm" if one else ""
-            equal = f"{one['equal']:,}" if "equal" in one else ""
-            rows.append((task, name, f"{worlds:,}", f"{rate:,.0f}", f"{joint:,.0f}", off, equal))
-    return rows
+        rates = [
+            ("MuJoCo, a core", 1, of["mujoco_asleep_a_second"]),
+            ("nothing asleep", 1, of["mujoco_a_second"]),
+        ]
+        rates += [("MuJoCo Warp", one["worlds"], one["steps_a_second"]) for one in of["replays"]]
+        rates += [("closed loop", loop["worlds"], loop["steps"] / loop["seconds"])] if loop else []
+        for name, worlds, rate in rates:
+            joint = f"{rate * of['joint_steps'] / of['steps']:,.0f}"
+            rows.setdefault((name, f"{worlds:,}"), {})[task] = joint
+        for one in of["replays"]:
+            if one.get("equal") is not None and one["worlds"] > 1:
+                rows.setdefault(("end as MuJoCo's", f"{one['worlds']:,}"), {})[task] = f"{one['equal']:,}"
+        rows.setdefault(("physics steps each", ""), {})[task] = f"{of['steps'] / of['joint_steps']:.0f}"
+    cells = [(*name, *(of.get(task, "") for task in rated)) for name, of in rows.items()]
+    return [("joint steps/s", "worlds", *rated), *cells]
 
 
 if __name__ == "__main__":

@@ -36,8 +36,13 @@ STORED = {
             "mujoco_asleep_a_second": 20_000.0,
             "replays": [
                 {
-                    **{"worlds": 64, "steps": 3000, "steps_a_second": 1e6, "equal": 63},
-                    **{"median_off_m": 1e-6, "most_off_m": 2e-5, "overflows": []},
+                    "worlds": 64,
+                    "steps": 3000,
+                    "steps_a_second": 1e6,
+                    "equal": 63,
+                    "median_off_m": 1e-6,
+                    "most_off_m": 2e-5,
+                    "overflows": [],
                 }
             ],
             "why": "no time for 4096 worlds",

@@ -661,11 +661,11 @@ def notes_of(stored: dict[str, Any]) -> list[str]:
 
 def verdict_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
     """Return the table of actions as predicted, its head first."""
-    rows = [("task", "trials", "MuJoCo", "MuJoCo Warp", "differing", "makespans")]
+    rows = [("task", "MuJoCo", "Warp", "differing", "makespans")]
     for task, one in stored["verdicts"].items():
         counts = (f"{n}/{one['actions']}" for n in one["as_predicted"])
         ratios = "-".join(f"{ratio:.3f}" for ratio in one["makespan_ratios"][::2])
-        rows.append((task, str(one["trials"]), *counts, str(one["differing"]), ratios))
+        rows.append((task, *counts, str(one["differing"]), ratios))
     return rows
 
 
@@ -676,10 +676,10 @@ def rate_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
     for task, of in rated.items():
         loop = stored["verdicts"].get(task, {}).get("loop")
         rates = [
-            ("MuJoCo, a core", 1, of["mujoco_asleep_a_second"]),
+            ("MuJoCo", 1, of["mujoco_asleep_a_second"]),
             ("nothing asleep", 1, of["mujoco_a_second"]),
         ]
-        rates += [("MuJoCo Warp", one["worlds"], one["steps_a_second"]) for one in of["replays"]]
+        rates += [("Warp", one["worlds"], one["steps_a_second"]) for one in of["replays"]]
         rates += [("closed loop", loop["worlds"], loop["steps"] / loop["seconds"])] if loop else []
         for name, worlds, rate in rates:
             joint = f"{rate * of['joint_steps'] / of['steps']:,.0f}"

@@ -155,7 +155,6 @@ class DeviceWorlds:
             wp.array(own, dtype=wp.vec3),
         )
         self.capped, self.most = wp.zeros(n, dtype=int), wp.zeros(n, dtype=int)
-        self._graphs: dict[Any, Any] = {}
         # Kernels are loaded before a graph is captured.
         self.step()
         for name in STATE:
@@ -179,16 +178,13 @@ class DeviceWorlds:
         limit = model.opt.iterations
         wp.launch(own.count, data.nworld, [data.solver_niter, limit, self.capped, self.most])
 
-    def run(self, work: Callable[[], None]) -> None:
-        """Do work that launches kernels, the same each time: on a GPU as a graph that is captured at first."""
+    def captured(self, work: Callable[[], None]) -> Callable[[], None]:
+        """Return what launches the kernels that some work launches: on a GPU as a graph."""
         if not wp.get_device().is_cuda:
+            return work
+        with wp.ScopedCapture() as capture:
             work()
-            return
-        if work not in self._graphs:
-            with wp.ScopedCapture() as capture:
-                work()
-            self._graphs[work] = capture.graph
-        wp.capture_launch(self._graphs[work])
+        return partial(wp.capture_launch, capture.graph)
 
     def figures(self) -> dict[str, Any]:
         """Return what did not fit in any step, or was not solved, and how many iterations a step needed at most."""
@@ -291,6 +287,7 @@ class _Mirror:
     def __init__(self, worlds: Sequence[PhysicsWorld]) -> None:
         contacts, rows = (2 * max(getattr(one.data, name) for one in worlds) for name in ("ncon", "nefc"))
         self.worlds, self._physics = DeviceWorlds(worlds, len(worlds), contacts + 40, rows + 100), worlds
+        self._step = self.worlds.captured(self.worlds.step)
         data, pinned = self.worlds.data, wp.get_device().is_cuda
         self._read = [getattr(data, name) for name in READ]
         contact = data.contact
@@ -308,7 +305,7 @@ class _Mirror:
         self.worlds.data.ctrl.assign(ctrl)
         self.worlds.model.actuator_forcerange.assign(limits)
         for _ in range(n_steps):
-            self.worlds.run(self.worlds.step)
+            self._step()
         for own, array in zip(self._host, self._read, strict=True):
             wp.copy(own, array)
         wp.synchronize_device()
@@ -424,7 +421,8 @@ def replay(recording: Recording, n_worlds: int, n_steps: int) -> dict[str, Any]:
         worlds.step()
         wp.launch(kernels().tick, 1, [number])
 
-    worlds.run(step)
+    launch = worlds.captured(step)
+    launch()
     for name in STATE:
         worlds.put(name, recording.states[name][starts])
     for counted in (number, worlds.capped, worlds.most, worlds.data.overflow):
@@ -432,7 +430,7 @@ def replay(recording: Recording, n_worlds: int, n_steps: int) -> dict[str, Any]:
     wp.synchronize_device()
     began = time.perf_counter()
     for _ in range(n_steps):
-        worlds.run(step)
+        launch()
     wp.synchronize_device()
     took_s = time.perf_counter() - began
     qpos = worlds.data.qpos.numpy()

@@ -20,7 +20,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
@@ -100,33 +100,31 @@ def kernels() -> SimpleNamespace:
     def count(
         iterations: wp.array(dtype=int),
         limit: int,
+        steps: wp.array(dtype=int),
         capped: wp.array(dtype=int),
         most: wp.array(dtype=int),
     ):
         world = wp.tid()
+        steps[world] += 1
         most[world] = wp.max(most[world], iterations[world])
         if iterations[world] >= limit:
             capped[world] += 1
 
     @wp.kernel
     def command(
-        number: wp.array(dtype=int),
         start: wp.array(dtype=int),
+        steps: wp.array(dtype=int),
         commands: wp.array2d(dtype=float),
         limits: wp.array2d(dtype=wp.vec2),
         ctrl: wp.array2d(dtype=float),
         forcerange: wp.array2d(dtype=wp.vec2),
     ):
         world, motor = wp.tid()
-        now = start[world] + number[0]
+        now = start[world] + steps[world]
         ctrl[world, motor] = commands[now, motor]
         forcerange[world, motor] = limits[now, motor]
 
-    @wp.kernel
-    def tick(number: wp.array(dtype=int)):
-        number[0] += 1
-
-    return SimpleNamespace(turn=turn, count=count, command=command, tick=tick)
+    return SimpleNamespace(turn=turn, count=count, command=command)
 
 
 class DeviceWorlds:
@@ -154,18 +152,18 @@ class DeviceWorlds:
             wp.array(pairs, dtype=wp.vec2i),
             wp.array(own, dtype=wp.vec3),
         )
-        self.capped, self.most = wp.zeros(n, dtype=int), wp.zeros(n, dtype=int)
+        self.steps, self.capped, self.most = (wp.zeros(n, dtype=int) for _ in range(3))
         # Kernels are loaded before a graph is captured.
         self.step()
-        for name in STATE:
-            self.put(name, [getattr(one.data, name) for one in physics])
-        for counted in (self.capped, self.most, self.data.overflow):
-            counted.zero_()
+        self.begin({name: [getattr(one.data, name) for one in physics] for name in STATE})
 
-    def put(self, name: str, values: Any) -> None:
-        """Write an array of the state, (n or 1, size)."""
-        array = getattr(self.data, name)
-        array.assign(_array(values, len(array), array.dtype))
+    def begin(self, state: Mapping[str, Any]) -> None:
+        """Begin in a state, arrays (n or 1, size) by MuJoCo's names."""
+        for name, values in state.items():
+            array = getattr(self.data, name)
+            array.assign(_array(values, len(array), array.dtype))
+        for counted in (self.steps, self.capped, self.most, self.data.overflow):
+            counted.zero_()
 
     def step(self) -> None:
         """Run one physics step."""
@@ -175,8 +173,8 @@ class DeviceWorlds:
             own.turn, (data.nworld, len(places)), [data.qpos, places, motors, gears, model.actuator_gear]
         )
         mjw.step(model, data)
-        limit = model.opt.iterations
-        wp.launch(own.count, data.nworld, [data.solver_niter, limit, self.capped, self.most])
+        counted = [data.solver_niter, model.opt.iterations, self.steps, self.capped, self.most]
+        wp.launch(own.count, data.nworld, counted)
 
     def captured(self, work: Callable[[], None]) -> Callable[[], None]:
         """Return what launches the kernels that some work launches: on a GPU as a graph."""
@@ -380,8 +378,7 @@ class Recording:
         self.physics._stepping = self.stepping
         self.ctrl, self.limits, *states, contacts, rows = map(np.array, zip(*steps, strict=True))
         self.states = dict(zip(STATE, states, strict=True))
-        self.last = self.physics.data.qpos.copy()
-        self.positions = np.array([*self.states["qpos"], self.last])
+        self.positions = np.array([*self.states["qpos"], self.physics.data.qpos])
         self.n_steps, self.contacts, self.rows = len(steps), int(contacts.max()), int(rows.max())
 
     def mujoco_rate(self, seconds: float) -> float:
@@ -394,7 +391,7 @@ class Recording:
                 physics.advance()
             rounds += 1
         rate = rounds * self.n_steps / (time.process_time() - began)
-        if (physics.data.qpos != self.last).any():
+        if (physics.data.qpos != self.positions[-1]).any():
             raise RuntimeError("MuJoCo's replay ends otherwise than the trial")
         return rate
 
@@ -413,20 +410,16 @@ def replay(recording: Recording, n_worlds: int, n_steps: int) -> dict[str, Any]:
     starts = np.linspace(0, recording.n_steps - n_steps, n_worlds).astype(int)
     commands = wp.array(recording.ctrl.astype(np.float32), dtype=float)
     limits = wp.array(recording.limits.astype(np.float32), dtype=wp.vec2)
-    at, number = wp.array(starts, dtype=int), wp.zeros(1, dtype=int)
-    given = [number, at, commands, limits, worlds.data.ctrl, worlds.model.actuator_forcerange]
+    places = wp.array(starts, dtype=int), worlds.steps
+    given = [*places, commands, limits, worlds.data.ctrl, worlds.model.actuator_forcerange]
 
     def step() -> None:
         wp.launch(kernels().command, (n_worlds, commands.shape[1]), given)
         worlds.step()
-        wp.launch(kernels().tick, 1, [number])
 
     launch = worlds.captured(step)
     launch()
-    for name in STATE:
-        worlds.put(name, recording.states[name][starts])
-    for counted in (number, worlds.capped, worlds.most, worlds.data.overflow):
-        counted.zero_()
+    worlds.begin({name: values[starts] for name, values in recording.states.items()})
     wp.synchronize_device()
     began = time.perf_counter()
     for _ in range(n_steps):
@@ -445,7 +438,7 @@ def replay(recording: Recording, n_worlds: int, n_steps: int) -> dict[str, Any]:
     far = np.abs(qpos - recording.positions[starts + n_steps])[:, physics.pose_places[:, :3]].max(axis=(1, 2))
     found |= {"median_off_m": float(np.median(far)), "most_off_m": float(far.max())}
     if n_steps == recording.n_steps:
-        wanted, read = recording.grid(recording.last), [recording.grid(row) for row in qpos]
+        wanted, read = recording.grid(recording.positions[-1]), [recording.grid(row) for row in qpos]
         same = [not one.problems and one.grid.same_visible(wanted.grid) for one in read]
         found["equal"] = sum(same)
     return found

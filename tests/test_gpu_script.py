@@ -113,7 +113,7 @@ def test_a_folder_of_records_is_compared(tmp_path):
 def test_a_recording_ends_as_its_trial_whether_machines_sleep_or_not():
     recording = gpu.Recording("strip", gpu.own_setup())
     assert recording.mujoco_rate(0.0) > 0
-    assert not recording.grid(recording.last).problems
+    assert not recording.grid(recording.positions[-1]).problems
 
 
 def test_without_mujoco_warp_it_says_what_to_install(monkeypatch, tmp_path, capsys):

@@ -20,7 +20,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
@@ -100,33 +100,31 @@ def kernels() -> SimpleNamespace:
     def count(
         iterations: wp.array(dtype=int),
         limit: int,
+        steps: wp.array(dtype=int),
         capped: wp.array(dtype=int),
         most: wp.array(dtype=int),
     ):
         world = wp.tid()
+        steps[world] += 1
         most[world] = wp.max(most[world], iterations[world])
         if iterations[world] >= limit:
             capped[world] += 1
 
     @wp.kernel
     def command(
-        number: wp.array(dtype=int),
         start: wp.array(dtype=int),
+        steps: wp.array(dtype=int),
         commands: wp.array2d(dtype=float),
         limits: wp.array2d(dtype=wp.vec2),
         ctrl: wp.array2d(dtype=float),
         forcerange: wp.array2d(dtype=wp.vec2),
     ):
         world, motor = wp.tid()
-        now = start[world] + number[0]
+        now = start[world] + steps[world]
         ctrl[world, motor] = commands[now, motor]
         forcerange[world, motor] = limits[now, motor]
 
-    @wp.kernel
-    def tick(number: wp.array(dtype=int)):
-        number[0] += 1
-
-    return SimpleNamespace(turn=turn, count=count, command=command, tick=tick)
+    return SimpleNamespace(turn=turn, count=count, command=command)
 
 
 class DeviceWorlds:
@@ -154,19 +152,18 @@ class DeviceWorlds:
             wp.array(pairs, dtype=wp.vec2i),
             wp.array(own, dtype=wp.vec3),
         )
-        self.capped, self.most = wp.zeros(n, dtype=int), wp.zeros(n, dtype=int)
-        self._graphs: dict[Any, Any] = {}
+        self.steps, self.capped, self.most = (wp.zeros(n, dtype=int) for _ in range(3))
         # Kernels are loaded before a graph is captured.
         self.step()
-        for name in STATE:
-            self.put(name, [getattr(one.data, name) for one in physics])
-        for counted in (self.capped, self.most, self.data.overflow):
-            counted.zero_()
+        self.begin({name: [getattr(one.data, name) for one in physics] for name in STATE})
 
-    def put(self, name: str, values: Any) -> None:
-        """Write an array of the state, (n or 1, size)."""
-        array = getattr(self.data, name)
-        array.assign(_array(values, len(array), array.dtype))
+    def begin(self, state: Mapping[str, Any]) -> None:
+        """Begin in a state, arrays (n or 1, size) by MuJoCo's names."""
+        for name, values in state.items():
+            array = getattr(self.data, name)
+            array.assign(_array(values, len(array), array.dtype))
+        for counted in (self.steps, self.capped, self.most, self.data.overflow):
+            counted.zero_()
 
     def step(self) -> None:
         """Run one physics step."""
@@ -176,19 +173,16 @@ class DeviceWorlds:
             own.turn, (data.nworld, len(places)), [data.qpos, places, motors, gears, model.actuator_gear]
         )
         mjw.step(model, data)
-        limit = model.opt.iterations
-        wp.launch(own.count, data.nworld, [data.solver_niter, limit, self.capped, self.most])
+        counted = [data.solver_niter, model.opt.iterations, self.steps, self.capped, self.most]
+        wp.launch(own.count, data.nworld, counted)
 
-    def run(self, work: Callable[[], None]) -> None:
-        """Do work that launches kernels, the same each time: on a GPU as a graph that is captured at first."""
+    def captured(self, work: Callable[[], None]) -> Callable[[], None]:
+        """Return what launches the kernels that some work launches: on a GPU as a graph."""
         if not wp.get_device().is_cuda:
+            return work
+        with wp.ScopedCapture() as capture:
             work()
-            return
-        if work not in self._graphs:
-            with wp.ScopedCapture() as capture:
-                work()
-            self._graphs[work] = capture.graph
-        wp.capture_launch(self._graphs[work])
+        return partial(wp.capture_launch, capture.graph)
 
     def figures(self) -> dict[str, Any]:
         """Return what did not fit in any step, or was not solved, and how many iterations a step needed at most."""
@@ -291,6 +285,7 @@ class _Mirror:
     def __init__(self, worlds: Sequence[PhysicsWorld]) -> None:
         contacts, rows = (2 * max(getattr(one.data, name) for one in worlds) for name in ("ncon", "nefc"))
         self.worlds, self._physics = DeviceWorlds(worlds, len(worlds), contacts + 40, rows + 100), worlds
+        self._step = self.worlds.captured(self.worlds.step)
         data, pinned = self.worlds.data, wp.get_device().is_cuda
         self._read = [getattr(data, name) for name in READ]
         contact = data.contact
@@ -308,7 +303,7 @@ class _Mirror:
         self.worlds.data.ctrl.assign(ctrl)
         self.worlds.model.actuator_forcerange.assign(limits)
         for _ in range(n_steps):
-            self.worlds.run(self.worlds.step)
+            self._step()
         for own, array in zip(self._host, self._read, strict=True):
             wp.copy(own, array)
         wp.synchronize_device()
@@ -383,7 +378,7 @@ class Recording:
         self.physics._stepping = self.stepping
         self.ctrl, self.limits, *states, contacts, rows = map(np.array, zip(*steps, strict=True))
         self.states = dict(zip(STATE, states, strict=True))
-        self.last = self.physics.data.qpos.copy()
+        self.positions = np.array([*self.states["qpos"], self.physics.data.qpos])
         self.n_steps, self.contacts, self.rows = len(steps), int(contacts.max()), int(rows.max())
 
     def mujoco_rate(self, seconds: float) -> float:
@@ -396,7 +391,7 @@ class Recording:
                 physics.advance()
             rounds += 1
         rate = rounds * self.n_steps / (time.process_time() - began)
-        if (physics.data.qpos != self.last).any():
+        if (physics.data.qpos != self.positions[-1]).any():
             raise RuntimeError("MuJoCo's replay ends otherwise than the trial")
         return rate
 
@@ -415,23 +410,20 @@ def replay(recording: Recording, n_worlds: int, n_steps: int) -> dict[str, Any]:
     starts = np.linspace(0, recording.n_steps - n_steps, n_worlds).astype(int)
     commands = wp.array(recording.ctrl.astype(np.float32), dtype=float)
     limits = wp.array(recording.limits.astype(np.float32), dtype=wp.vec2)
-    at, number = wp.array(starts, dtype=int), wp.zeros(1, dtype=int)
-    given = [number, at, commands, limits, worlds.data.ctrl, worlds.model.actuator_forcerange]
+    places = wp.array(starts, dtype=int), worlds.steps
+    given = [*places, commands, limits, worlds.data.ctrl, worlds.model.actuator_forcerange]
 
     def step() -> None:
         wp.launch(kernels().command, (n_worlds, commands.shape[1]), given)
         worlds.step()
-        wp.launch(kernels().tick, 1, [number])
 
-    worlds.run(step)
-    for name in STATE:
-        worlds.put(name, recording.states[name][starts])
-    for counted in (number, worlds.capped, worlds.most, worlds.data.overflow):
-        counted.zero_()
+    launch = worlds.captured(step)
+    launch()
+    worlds.begin({name: values[starts] for name, values in recording.states.items()})
     wp.synchronize_device()
     began = time.perf_counter()
     for _ in range(n_steps):
-        worlds.run(step)
+        launch()
     wp.synchronize_device()
     took_s = time.perf_counter() - began
     qpos = worlds.data.qpos.numpy()
@@ -443,14 +435,12 @@ def replay(recording: Recording, n_worlds: int, n_steps: int) -> dict[str, Any]:
         "finite": bool(np.isfinite(qpos).all()),
         **worlds.figures(),
     }
+    far = np.abs(qpos - recording.positions[starts + n_steps])[:, physics.pose_places[:, :3]].max(axis=(1, 2))
+    found |= {"median_off_m": float(np.median(far)), "most_off_m": float(far.max())}
     if n_steps == recording.n_steps:
-        wanted, far = (
-            recording.grid(recording.last),
-            np.abs(qpos - recording.last)[:, physics.pose_places[:, :3]],
-        )
-        read = [recording.grid(row) for row in qpos]
+        wanted, read = recording.grid(recording.positions[-1]), [recording.grid(row) for row in qpos]
         same = [not one.problems and one.grid.same_visible(wanted.grid) for one in read]
-        found |= {"equal": sum(same), "median_furthest_m": float(np.median(far.max(axis=(1, 2))))}
+        found["equal"] = sum(same)
     return found
 
 
@@ -639,15 +629,19 @@ def _compared(first: list[Any], other: list[Any]) -> dict[str, Any]:
 
 
 def notes_of(stored: dict[str, Any]) -> list[str]:
-    """Return what was not as it should be."""
-    loops = [(task, one["loop"]) for task, one in stored["verdicts"].items() if one["loop"]]
-    every = [*loops, *((task, one) for task, of in stored["rates"].items() for one in of["replays"])]
-    found = [
-        f"{task}, {one['worlds']} worlds: {', '.join(one['overflows'])} in some step"
-        for task, one in every
-        if one["overflows"]
-    ]
-    found += [f"{task}: {of['why']}" for task, of in stored["rates"].items() if "why" in of]
+    """Return how replays ended, and what was not as it should be."""
+    found, every = [], [(task, one["loop"]) for task, one in stored["verdicts"].items() if one["loop"]]
+    for task, of in stored["rates"].items():
+        for one in of["replays"]:
+            every.append((task, one))
+            off = (
+                f"{1e3 * one['median_off_m']:.2g} mm at the median, {1e3 * one['most_off_m']:.2g} mm at most"
+            )
+            found.append(f"{task}, {one['worlds']} worlds: after {one['steps']} steps of replay off by {off}")
+        found += [f"{task}: {of['why']}"] if "why" in of else []
+    for task, one in every:
+        if one["overflows"]:
+            found.append(f"{task}, {one['worlds']} worlds: {', '.join(one['overflows'])} in some step")
     for task, one in stored["verdicts"].items():
         found += [f"{task}: {error}" for error in one["errors"]]
         found += [
@@ -657,43 +651,36 @@ def notes_of(stored: dict[str, Any]) -> list[str]:
 
 
 def verdict_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Return the table of verdicts, its head first."""
-    head = "task", "trials", "as predicted with MuJoCo", "with MuJoCo Warp", "differing", "makespan ratio"
-    rows = [
-        (
-            task,
-            str(one["trials"]),
-            *(f"{n}/{one['actions']}" for n in one["as_predicted"]),
-            str(one["differing"]),
-            " to ".join(f"{ratio:.3f}" for ratio in one["makespan_ratios"][::2]),
-        )
-        for task, one in stored["verdicts"].items()
-    ]
-    return [head, *rows]
+    """Return the table of actions as predicted, its head first."""
+    rows = [("task", "MuJoCo", "Warp", "differing", "makespans")]
+    for task, one in stored["verdicts"].items():
+        counts = (f"{n}/{one['actions']}" for n in one["as_predicted"])
+        ratios = "-".join(f"{ratio:.3f}" for ratio in one["makespan_ratios"][::2])
+        rows.append((task, *counts, str(one["differing"]), ratios))
+    return rows
 
 
 def rate_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Return the table of rates, its head first."""
-    rows: list[tuple[str, ...]] = [
-        ("task", "with", "worlds", "physics steps/s", "joint steps/s", "end as MuJoCo's")
-    ]
-    for task, of in stored["rates"].items():
-        joint = of["joint_steps"] / of["steps"]
-
-        def row(
-            name: str, worlds: int, rate: float, equal: str, task: str = task, joint: float = joint
-        ) -> None:
-            rows.append((task, name, f"{worlds:,}", f"{rate:,.0f}", f"{rate * joint:,.0f}", equal))
-
-        row("MuJoCo, a core", 1, of["mujoco_asleep_a_second"], "")
-        row("MuJoCo, a core, nothing sleeps", 1, of["mujoco_a_second"], "")
-        for one in sorted(of["replays"], key=lambda found: found["worlds"]):
-            equal = f"{one['equal']:,}" if "equal" in one else ""
-            row("MuJoCo Warp", one["worlds"], one["steps_a_second"], equal)
+    """Return the table of joint steps a second of physics, and what belongs to it, its head first."""
+    rated = stored["rates"]
+    rows: dict[tuple[str, str], dict[str, str]] = {}
+    for task, of in rated.items():
         loop = stored["verdicts"].get(task, {}).get("loop")
-        if loop:
-            row("MuJoCo Warp, closed loop", loop["worlds"], loop["steps"] / loop["seconds"], "")
-    return rows
+        rates = [
+            ("MuJoCo", 1, of["mujoco_asleep_a_second"]),
+            ("nothing asleep", 1, of["mujoco_a_second"]),
+        ]
+        rates += [("Warp", one["worlds"], one["steps_a_second"]) for one in of["replays"]]
+        rates += [("closed loop", loop["worlds"], loop["steps"] / loop["seconds"])] if loop else []
+        for name, worlds, rate in rates:
+            joint = f"{rate * of['joint_steps'] / of['steps']:,.0f}"
+            rows.setdefault((name, f"{worlds:,}"), {})[task] = joint
+        for one in of["replays"]:
+            if one.get("equal") is not None and one["worlds"] > 1:
+                rows.setdefault(("end as MuJoCo's", f"{one['worlds']:,}"), {})[task] = f"{one['equal']:,}"
+        rows.setdefault(("physics steps each", ""), {})[task] = f"{of['steps'] / of['joint_steps']:.0f}"
+    cells = [(*name, *(of.get(task, "") for task in rated)) for name, of in rows.items()]
+    return [("joint steps/s", "worlds", *rated), *cells]
 
 
 if __name__ == "__main__":

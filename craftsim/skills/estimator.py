@@ -62,7 +62,7 @@ _SURE: Final = 3.0
 """Standard errors of the mean beyond which the floor is uneven."""
 _SIDEWAYS_S: Final = 0.15
 """Correlation time of the sideways speed of a car on two wheels of a diagonal..."""
-_SIDEWAYS_M_S: Final = 0.03
+_SIDEWAYS_M_S: Final = 0.05
 """...and the rolling speed beyond which it does not grow: a faster car rattles, which shares its weight out."""
 _X, _Y, _HEADING, _BIAS, _MARKER, _SLIP, _N = 0, 1, 2, 3, 6, 9, 11
 """Indices in the state: the errors of odometry in x, y and heading; the biases of localisations in these; the offset of

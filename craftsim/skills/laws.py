@@ -323,8 +323,10 @@ def _drive_law(car: Record) -> None:
     if elapsed_s >= drive.profile.duration_s:
         # There it has to rest, and to be sure that it is there.
         offset, turn = math.hypot(error[0], error[1]), abs(error[2])
-        there = offset < gains.position_tolerance and turn < gains.heading_tolerance
-        sure = now.position_std_m < gains.position_certainty and now.heading_std_rad < gains.heading_certainty
+        factor = grown(drive, gains, elapsed_s)
+        there = offset < factor * gains.position_tolerance and turn < factor * gains.heading_tolerance
+        sure = now.position_std_m < factor * gains.position_certainty
+        sure = sure and now.heading_std_rad < factor * gains.heading_certainty
         drive.there_periods = drive.there_periods + 1 if there and sure else 0
         drive.rest_periods = drive.rest_periods + 1 if drive.there_periods and drive.at_rest else 0
         if drive.rest_periods >= gains.rest_periods:
@@ -428,6 +430,14 @@ def _command_wheels(car: Record, error: Triple) -> None:
 
 
 @compiled
+def grown(drive: Record, gains: Record, elapsed_s: float) -> float:
+    """Return the factor of the amplitude of shaking, and of all tolerances, for a car whose wheels rest in joints; 1
+    for one that is not shaken."""
+    cycles = max(0.0, (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate)
+    return min(_MOST_GROWN, 1.0 + (_GROWS_BESIDE if drive.waits else _GROWS) * math.floor(cycles / 4))
+
+
+@compiled
 def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tuple[float, float]:
     """Return the velocity (m/s, world frame) that shakes a car which does not arrive, across the remaining way.
 
@@ -436,12 +446,11 @@ def shake(drive: Record, gains: Record, error: Triple, elapsed_s: float) -> tupl
     takes, the harder.
     """
     cycles = (elapsed_s - drive.profile.duration_s - gains.shake_after) * gains.shake_rate
-    left_over = math.hypot(error[0], error[1])
+    left_over, factor = math.hypot(error[0], error[1]), grown(drive, gains, elapsed_s)
     # A car that is there and not yet sure of it has to rest.
-    if cycles <= 0 or left_over < gains.position_tolerance or math.floor(cycles) % 4 >= 2:
+    if cycles <= 0 or left_over < factor * gains.position_tolerance or math.floor(cycles) % 4 >= 2:
         return 0.0, 0.0
-    grown = min(_MOST_GROWN, 1.0 + (_GROWS_BESIDE if drive.waits else _GROWS) * math.floor(cycles / 4))
-    speed = grown * gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
+    speed = factor * gains.shake_speed * math.cos(2 * math.pi * cycles) / left_over
     return -speed * error[1], speed * error[0]
 
 

@@ -95,6 +95,8 @@ class Command:
     """rad/s of the docked slope's hinge, folding positive."""
 
 
+_SIDEWAYS_M_S: Final = 0.35
+"""Highest speed to a side on an uneven floor: there rollers meet edges, at 24 degrees where wheels do at 10."""
 _FIRST_PACE: Final = 0.2
 """Pace at which a path begins that may wait for its car."""
 Task = np.void
@@ -127,6 +129,10 @@ def begin_move(
         acceleration = min(acceleration, gains.max_tight_acceleration)
         if terrain.sloping and loaded:
             acceleration = min(acceleration, gains.max_tight_slope_acceleration)
+    # For one that takes its floor for flat, no place in a cell is astray.
+    uneven = gains.astray < CELL_PITCH_M
+    if uneven and (direction - yaw) % 2:
+        speed = min(speed, _SIDEWAYS_M_S)
     top_speed, force = _motor_limits(setup, load_kg, max(abs(terrain.start_rad), abs(terrain.end_rad)))
     known = setup.constants[0]["car"]
     most = force / (float(known["mass_kg"]) + load_kg + float(known["spin_mass_kg"]))
@@ -135,9 +141,7 @@ def begin_move(
     factor = gains.load_factor if loaded else 1.0
     begin_path(setup, now, task, target, (min(speed * factor, top_speed), min(acceleration * factor, most)))
     drive = task["drive"]
-    narrow = loaded and terrain.tight and not terrain.sloping
-    # For one that takes its floor for flat, no place in a cell is astray.
-    drive["waits"] = narrow and gains.astray < CELL_PITCH_M
+    drive["waits"] = uneven and loaded and terrain.tight and not terrain.sloping
     drive["pace"] = _FIRST_PACE if drive["waits"] else 1.0
     drive["step_x"], drive["step_y"] = DIRECTIONS[direction]
     drive["sloping"], drive["start_rad"] = terrain.sloping, terrain.start_rad

@@ -348,6 +348,15 @@ def test_a_load_past_something_moves_to_and_fro_where_its_path_waits_and_where_o
     assert goes_back(0.0, direction=1)
 
 
+def test_on_an_uneven_floor_cars_go_to_a_side_slower():
+    def top_m_s(gains, direction):
+        return _loaded(gains, Terrain(), direction)[0]["task"]["drive"]["profile"]["cruise_speed"]
+
+    assert top_m_s(CAREFUL, 1) == pytest.approx(0.35 * CAREFUL.drive.load_factor)
+    assert top_m_s(CAREFUL, 0) == pytest.approx(CAREFUL.drive.max_speed * CAREFUL.drive.load_factor)
+    assert top_m_s(GAINS, 1) == top_m_s(GAINS, 0)
+
+
 def _corrected(behind_m, beside_m, gains, terrain=TIGHT, after_s=1.5):
     """Return the speeds (m/s), along and across its path, by which a loaded car corrects so large errors on its way."""
     twists = []

@@ -36,6 +36,7 @@ STUDIES: Final = {
     "random": ("curves.png",),
     "random_complex": ("curves.png",),
     "designs": ("curves.png",),
+    "further": (),
 }
 """The stored studies, and which of their plots are shown."""
 LARGE_STEPS, PROCESSORS = 100_000_000, 200
@@ -566,7 +567,7 @@ def shipped_table() -> str:
     """Return the policies that come with craftsim, and what their run of a study came to."""
     by_task = {
         row["task"]: row["by_seed"][0]
-        for name in ("random", "random_complex", "designs")
+        for name in ("random", "random_complex", "designs", "further")
         for row in _read(TRAINING / f"{name}.json")["figures"]["rows"]
     }
     rows = []

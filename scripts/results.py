@@ -68,7 +68,7 @@ def tables() -> dict[str, str]:
         "builders": builders_table(),
         "engines": table(*engines.table_of(_read(engines.STORED))),
         "floors": floors_table(_read(engines.STORED)),
-        "gpu": gpu_tables(_read(gpu.STORED)),
+        "gpu": table(*gpu.verdict_table(_read(gpu.STORED))),
         **{
             f"speed_{what}": rates_table(_read(RESULTS / f"speed_{what}.json"))
             for what in ("rules", "env", "physics")
@@ -318,11 +318,6 @@ def six_results() -> str:
 
 def _counts(share: dict[str, Any]) -> str:
     return f"{share['successes']:,} of {share['trials']:,}"
-
-
-def gpu_tables(stored: dict[str, Any]) -> str:
-    """Return the verdicts with MuJoCo Warp, and the rates."""
-    return "\n".join(table(*rows) for rows in (gpu.verdict_table(stored), gpu.rate_table(stored)))
 
 
 def rates_table(report: dict[str, Any]) -> str:

@@ -14,6 +14,7 @@ from statistics import mean, median
 from typing import Any, Final
 
 import engines
+import gpu
 import numpy as np
 from matplotlib.figure import Figure
 from measure_results import MEASURED, is_older
@@ -69,6 +70,7 @@ def tables() -> dict[str, str]:
         "engines": table(*engines.table_of(_read(engines.STORED))),
         "floors": floors_table(_read(engines.STORED)),
         "workshop_floor": workshop_table(_read(RUNS / "workshop_floor.json")),
+        "gpu": table(*gpu.verdict_table(_read(gpu.STORED))),
         **{
             f"speed_{what}": rates_table(_read(RESULTS / f"speed_{what}.json"))
             for what in ("rules", "env", "physics")

@@ -36,7 +36,7 @@ def validate(
     replans: Annotated[int, number(REPLANS)] = 10,
     attempts: Annotated[int, number(PLAN_ROUNDS)] = 60,
     disturb: Literal["shove", "fold", "dead-car"] | None = None,
-    acting: Literal["greedy", "sampled"] | None = None,
+    acting: Literal["greedy", "sampled", "varied"] | None = None,
     record: Annotated[Literal["none", "trajectory", "minari"], Parameter(group=RESULTS)] = "none",
     dataset: Annotated[Name, Parameter(group=RESULTS)] = None,
     video: Annotated[Literal["none", "failures", "all"], Parameter(group=RESULTS)] = "failures",
@@ -61,7 +61,8 @@ def validate(
         replans: maximum number of further plans with --plan auto.
         attempts: attempts at each plan with --plan auto; the best is used.
         disturb: disturbance with --plan auto: shove a block by one cell, fold a slope again, or disable a car.
-        acting: on the grid, take the most probable action or sample; default: as the policy was trained.
+        acting: on the grid, take the most probable action, sample, or rate actions lower that were taken in the same
+            situation; default: as the policy was trained.
         record: write the trajectory and logs of every run, for 'craftsim render' and 'view', or a Minari dataset.
         dataset: name of the dataset with its version; default: craftsim/TASK/POLICY-v0.
         video: film the failures, or every run as well.

@@ -6,6 +6,7 @@ mappings, lists, texts, bytes, numbers and arrays), something in that is changed
 
 from __future__ import annotations
 
+import copy
 import gzip
 import io
 import json
@@ -123,7 +124,7 @@ def change(document: Any, rng: np.random.Generator) -> None:
         case 3 | 4 | 5 if isinstance(node[key], np.ndarray) and node[key].size:
             node[key] = _other_array(node[key], rng)
         case _:
-            node[key] = VALUES[rng.integers(len(VALUES))]
+            node[key] = copy.deepcopy(VALUES[rng.integers(len(VALUES))])  # which later changes would change
 
 
 def _other_array(array: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -1,13 +1,17 @@
 """Some damaged files of every format, and some hostile things that commands take; ``make fuzz`` tries many more."""
 
+import json
 import re
+from contextlib import suppress
 
+import numpy as np
 import pytest
 
 from craftsim.cli import main
 from craftsim.cli.app import _command, make_app
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS
 from fuzzing.commands import SLOTS, some_cases
+from fuzzing.damage import change
 from fuzzing.formats import FORMATS
 from fuzzing.fuzz import attack
 
@@ -24,6 +28,24 @@ def test_a_damaged_file_is_read_or_refused_with_our_own_error(name):
     assert outcome.failures == []
     # Some files survive: damage that is always seen at once would test little.
     assert 0 < outcome.refused < outcome.cases
+
+
+def test_damage_does_not_depend_on_earlier_damage():
+    def repeatable() -> str:
+        return json.dumps([_changed([number]) for number in range(60)], default=str)
+
+    first = repeatable()
+    for number in range(400):
+        _changed([number, 1])
+    assert repeatable() == first
+
+
+def _changed(seed: list[int]) -> list:
+    document, rng = [{"a": [1, {"b": 2}]}, [3]], np.random.default_rng(seed)
+    for _ in range(8):
+        with suppress(TypeError, ValueError, OverflowError):
+            change(document, rng)
+    return document
 
 
 def test_a_hostile_thing_ends_a_command_with_a_status_and_no_traceback(tmp_path):

@@ -226,7 +226,10 @@ def has_tables(database: sqlite3.Connection, path: Path) -> bool:
 
     Views and triggers are refused, since they could execute code.
     """
-    found = {sql for (sql,) in database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
+    try:
+        found = {sql for (sql,) in database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
+    except UnicodeDecodeError:  # SQLite's message about a damaged table quotes it
+        found = {""}
     if found and found != set(_TABLES):
         raise InputError(f"{path}: not a run's database; move it away, or choose another folder")
     return bool(found)

@@ -165,6 +165,14 @@ def test_what_is_no_database_or_would_do_work_of_its_own_is_refused(begun, conte
             read(begun)
 
 
+def test_a_database_whose_tables_are_damaged_is_refused(begun):
+    path = begun / "session.db"
+    path.write_bytes(path.read_bytes().replace(b"CREATE TABLE trials", b"CREATE \x9eABLE trials"))
+    for read in (_resume, lambda folder: read_finished(folder, "test")):
+        with pytest.raises(InputError, match=r"session\.db: not a run's database"):
+            read(begun)
+
+
 def test_nothing_that_a_link_in_the_folder_points_to_is_changed(begun, tmp_path_factory):
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     (elsewhere / "precious").write_text("a line without an end")

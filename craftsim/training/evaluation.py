@@ -32,8 +32,8 @@ _FACTOR: Final = np.int64(6364136223846793005)
 
 
 VARIED: Final = 3.0
-"""By how much the logarithm of an action's probability is rated lower. From 2 to 6 makes no difference, without it
-cars go in circles for ever."""
+"""By how much the logarithm of an action's probability is rated lower. From 2 to 6 makes little difference; without
+it cars may go in circles for ever."""
 
 
 class Tried:

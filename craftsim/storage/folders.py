@@ -126,12 +126,12 @@ def _lock(out: Path) -> int:
     """Create and lock a directory; return the descriptor of its lock file."""
     for left in reversed(range(_RETRIES)):
         try:
-            number = _try_to_lock(output_directory(out), out / LOCK)
+            output_directory(out)
         except InputError:
-            # Its creator may be removing it at this moment.
-            if os.path.exists(out) or not left:
+            if not left:
                 raise
-            continue
+            continue  # its creator may be removing it at this moment, and another be making it again
+        number = _try_to_lock(out, out / LOCK)
         if number is not None:
             return number
     raise InputError(f"{out / LOCK}: cannot be locked, something keeps removing it; choose another --out")

@@ -12,7 +12,13 @@ from types import ModuleType
 from typing import Any, Final
 
 REGISTERING: Final[list[str]] = []
-"""The modules that have registered something, in order; processes that craftsim starts import them, too."""
+"""The modules that have registered something, in order, and the program itself if it has skills in use.
+
+Processes that craftsim starts import them, too.
+"""
+
+MAIN: Final = ("__main__", "__mp_main__")
+"""Names of the program that is run itself: in its process, and in one of multiprocessing that runs it again."""
 
 SAFE_PATH = "PYTHONSAFEPATH"
 """What keeps Python from looking for modules in the working folder first (``python -P``), for ``-c`` and ``-m``."""
@@ -60,7 +66,11 @@ def find_named(text: str, what: str, example: str, allowed: str = "") -> Any:
 
 def note_registering(depth: int = 2) -> str:
     """Note, and return, the name of the module that registers something, ``depth`` calls from here."""
-    name = str(sys._getframe(depth).f_globals.get("__name__", "__main__"))
+    return note(str(sys._getframe(depth).f_globals.get("__name__", "__main__")))
+
+
+def note(name: str) -> str:
+    """Note, and return, the name of a module that processes started later have to import."""
     if name not in REGISTERING:
         REGISTERING.append(name)
     return name
@@ -69,10 +79,10 @@ def note_registering(depth: int = 2) -> str:
 def import_registering(name: str) -> None:
     """Import a module for what it registers.
 
-    A program that is run itself has no name to import it by: processes that it starts run it again first, all but what
-    stands below ``if __name__ == "__main__":``.
+    A program that is run itself has no name to import it by: processes that it starts run it again first if it
+    registers something, all but what stands below ``if __name__ == "__main__":``.
     """
-    if name not in ("__main__", "__mp_main__"):
+    if name not in MAIN:
         import_own(name)
 
 

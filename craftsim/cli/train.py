@@ -93,7 +93,8 @@ def train(
         episodes: number of episodes of the final evaluation.
         record: write the trajectories of the final evaluation, in physics only.
         resume: continue the run in the output folder, with the same options; start it if nothing is saved yet.
-        out: folder for policy.safetensors, run.pt, curve.csv, curve.png and report.json; default: out/train/TASK-ALGO.
+        out: folder for policy.safetensors, run.safetensors, curve.csv, curve.png and report.json; default:
+            out/train/TASK-ALGO.
     """
     from craftsim.training.policy import need_torch
 
@@ -214,13 +215,14 @@ def _trainer(
     shared: dict[str, Any],
 ) -> Trainer:
     from craftsim.training.checkpoint import RUN_FILE
+    from craftsim.training.policy import file_in
     from craftsim.training.starts import with_starts
     from craftsim.training.trainer import Trainer
 
     given: dict[str, Any] = {"task": task, "stages": stages, **shared}
     given["progress"] = counting("plans", bool)
     other = with_starts(task, starts, config.rules) if starts else None
-    begun = (folder / RUN_FILE).exists()
+    begun = file_in(folder, RUN_FILE).exists()
     if begun and resume:
         return Trainer.resume(folder, other, config, **given)
     if begun:

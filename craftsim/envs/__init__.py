@@ -99,8 +99,7 @@ def vector_env(
     """Return many worlds of a task as a Gymnasium environment, one agent for all cars of each world.
 
     An episode that ends is reset in the same step, and its last observation is in ``infos["final_obs"]``. Grid worlds
-    advance in one array call; worlds in physics are spread over processes, so call this where
-    ``__name__ == "__main__"``, and close it.
+    advance in one array call; worlds in physics are spread over processes, so close it.
 
     Args:
         task: as in :func:`parallel_env`.

@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import CloudpickleWrapper
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.tasks import ROW
@@ -38,7 +37,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
     is, bit for bit, the environment :class:`CentralConstruction` that was reset with s + i, whatever the number of
     workers. With :meth:`step` all worlds wait for the slowest one, with :meth:`send` and :meth:`recv` none for another.
 
-    Make it where ``__name__ == "__main__"``, and close it.
+    Close it, so that they end.
     """
 
     def __init__(
@@ -68,9 +67,8 @@ class PhysicsVectorEnv(TaskVectorEnv):
         usual = num_envs if on_ray else len(os.sched_getaffinity(0))
         self.workers = min(num_envs, batch.workers or usual, processors() if on_ray else num_envs)
         self._kind: Any = RayActor if on_ray else Actor
-        sent = CloudpickleWrapper(make)
         self._actors = [
-            self._kind(partial(_Holder, sent, range(number, num_envs, self.workers)))
+            self._kind(partial(_Holder, make, range(number, num_envs, self.workers)))
             for number in range(self.workers)
         ]
         self._acting = np.zeros(num_envs, np.bool_)

@@ -11,7 +11,7 @@ from typing import Any, Final
 from craftsim.discrete.actions import ACTIONS, check_complete
 from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.errors import InputError
-from craftsim.modules import import_own
+from craftsim.modules import MAIN, import_own, note
 from craftsim.skills import skill
 from craftsim.skills.mecanum import Triple
 from craftsim.skills.outcome import Outcome, Reason
@@ -131,6 +131,8 @@ def _name_of(action: Action, kind: object) -> str:
     name = f"{kind.__module__}:{kind.__qualname__}"
     if "<locals>" in name or _imported(name) is not kind:
         raise InputError(f"the skill {kind.__name__} must stand at the top of a module that can be imported")
+    if kind.__module__ in MAIN:
+        note(kind.__module__)
     return name
 
 

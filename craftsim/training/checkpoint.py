@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from craftsim.training.networks import CarNet
 
-RUN_FILE: Final = "run.pt"
+RUN_FILE: Final = "run.safetensors"
 TABLE: Final = "encoder.table.weight"
 ROWS: Final = "encoder.table.rows"
 

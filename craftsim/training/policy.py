@@ -24,8 +24,6 @@ PACKAGES: Final = ("torch",)
 """Whose versions decide what a run learns."""
 POLICY_FILE: Final = "policy.safetensors"
 """File name in the folder of a training run."""
-_OLD_FILE: Final = "policy.pt"
-"""File name of craftsim 0.2 and older."""
 SHIPPED: Final = Path(__file__).parents[1] / "data" / "policies"
 """Folder of the shipped policies, by task."""
 
@@ -129,9 +127,12 @@ def is_shipped_policy(path: str | Path) -> bool:
 
 
 def _own_file(path: str | Path) -> Path:
-    if not os.path.isdir(path):
-        return Path(path)
-    file, old = Path(path) / POLICY_FILE, Path(path) / _OLD_FILE
+    return file_in(Path(path), POLICY_FILE) if os.path.isdir(path) else Path(path)
+
+
+def file_in(folder: Path, name: str) -> Path:
+    """Return a file in the folder of a training run: that of an older version if there is only that."""
+    file, old = folder / name, (folder / name).with_suffix(".pt")
     return old if os.path.lexists(old) and not os.path.lexists(file) else file
 
 

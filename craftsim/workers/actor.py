@@ -1,7 +1,8 @@
 """Spawned processes, which ignore Ctrl-C and do not import modules from the working folder.
 
 A process started with ``python -c``, as by multiprocessing, looks for modules in the working folder first, so that a
-``multiprocessing.py`` there would be executed.
+``multiprocessing.py`` there would be executed. Nor do they run the user's program again, as those of multiprocessing
+do: its functions and classes are pickled by value. Only one with skills, actions or tasks is run, for those.
 """
 
 from __future__ import annotations
@@ -9,23 +10,29 @@ from __future__ import annotations
 import os
 import pickle
 import signal
+import textwrap
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from multiprocessing import connection, resource_tracker
+from functools import partial
+from multiprocessing import connection, current_process, resource_tracker, spawn
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from queue import SimpleQueue
 from typing import Any, Final
 
+import cloudpickle
+
 from craftsim.compiling import report_compiling, reports_compiling
-from craftsim.errors import CraftsimError
-from craftsim.modules import REGISTERING, SAFE_PATH, import_registering, safe_path, set_safe_path
+from craftsim.errors import CraftsimError, InputError
+from craftsim.modules import MAIN, REGISTERING, SAFE_PATH, import_registering, safe_path, set_safe_path
 
 Handler = Callable[[Any], Any]
 
 _starting: Final = threading.Lock()
+_PROGRAM: Final = ("init_main_from_name", "init_main_from_path")
+"""What multiprocessing tells a process of the program to run again."""
 
 
 class WorkerDiedError(CraftsimError):
@@ -43,7 +50,9 @@ class Actor:
         context = spawn_context()
         their_requests, self._requests = context.Pipe(duplex=False)
         self._answers, their_answers = context.Pipe(duplex=False)
-        arguments = (their_requests, their_answers, make)
+        program = _program() if any(name in MAIN for name in REGISTERING) else {}
+        begin = (program, tuple(REGISTERING), cloudpickle.dumps(make))
+        arguments = (their_requests, their_answers, *begin)
         self._process = context.Process(target=_serve, args=arguments, daemon=True, name="craftsim-worker")
         self._process.start()
         # With this end closed here, the death of the process is the end of the file.
@@ -58,7 +67,7 @@ class Actor:
 
     def send(self, request: Any) -> None:
         """Send a request without waiting."""
-        data = pickle.dumps(request)
+        data = cloudpickle.dumps(request)
         with suppress(OSError):  # if the process has died, recv raises
             self._requests.send_bytes(data)
         self.due += 1
@@ -95,13 +104,21 @@ class Actor:
             return WorkerDiedError(
                 f"was killed by signal {-status} ({signal.Signals(-status).name}), as for want of memory"
             )
-        return WorkerDiedError(
-            f"ended by itself with status {status}; what it printed says why. A program that starts such processes "
-            "must do so below \"if __name__ == '__main__':\""
-        )
+        return WorkerDiedError(f"ended by itself with status {status}; what it printed says why")
 
 
-def _serve(requests: Connection, answers: Connection, make: Callable[[], Handler]) -> None:
+def _program() -> dict[str, str]:
+    """Return what multiprocessing would tell a process of the user's program: its path or name, if it has one."""
+    return {key: value for key, value in spawn.get_preparation_data("").items() if key in _PROGRAM}
+
+
+def _serve(
+    requests: Connection,
+    answers: Connection,
+    program: dict[str, str],
+    registering: Sequence[str],
+    make: bytes,
+) -> None:
     """Answer requests in the worker until the parent process ends."""
     waiting: SimpleQueue[bytes] = SimpleQueue()
 
@@ -114,19 +131,52 @@ def _serve(requests: Connection, answers: Connection, make: Callable[[], Handler
                 os._exit(1)
 
     threading.Thread(target=listen, daemon=True).start()
-    handler = make()
+    try:
+        _import_registering(program, registering)
+    except InputError as error:
+        handler = partial(_refuse, error)
+    else:
+        handler = pickle.loads(make)()
     while True:
         answers.send_bytes(_answer(handler, waiting.get()))
+
+
+def _import_registering(program: dict[str, str], registering: Sequence[str]) -> None:
+    """Run the user's program, all but what stands below ``__name__ == "__main__"``, and import modules.
+
+    Raises InputError where one cannot be imported.
+    """
+    what = "".join(program.values())
+    try:
+        if program:
+            # Multiprocessing, too, lets a program start no process meanwhile.
+            current_process()._inheriting = True  # type: ignore[attr-defined]
+            try:
+                spawn.prepare(program)
+            finally:
+                del current_process()._inheriting  # type: ignore[attr-defined]
+        for what in registering:
+            import_registering(what)
+    except (Exception, SystemExit) as error:
+        said = textwrap.shorten(f"{type(error).__name__}: {error}", 300, placeholder=" ...")
+        raise InputError(
+            f"{what}: worker processes import it for its skills, actions or tasks, and could not: {said}. Of a "
+            "program, all else must stand below \"if __name__ == '__main__':\""
+        ) from error
+
+
+def _refuse(error: InputError, request: Any) -> None:
+    raise error
 
 
 def _answer(handler: Handler, request: bytes) -> bytes:
     """Return the pickled pair of success and answer, or failure and exception."""
     try:
-        return pickle.dumps((True, handler(pickle.loads(request))))
+        return bytes(cloudpickle.dumps((True, handler(pickle.loads(request)))))
     except Exception as error:
         trace = traceback.format_exc()
         try:
-            data = pickle.dumps((False, error))
+            data = bytes(cloudpickle.dumps((False, error)))
             pickle.loads(data)  # fails for some errors
         except Exception:
             return pickle.dumps((False, CraftsimError(f"what a process raised cannot be sent:\n{trace}")))
@@ -148,8 +198,7 @@ class _Process(SpawnProcess):
     def start(self) -> None:
         self._inherited = os.environ.get(SAFE_PATH)
         self._tells = reports_compiling()
-        self._registering = tuple(REGISTERING)
-        with _starting, safe_path():
+        with _starting, safe_path(), _without_program():
             # Otherwise its first start unblocks the signal.
             resource_tracker.ensure_running()
             usual = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -163,9 +212,26 @@ class _Process(SpawnProcess):
         set_safe_path(self._inherited)
         if self._tells:
             report_compiling()
-        for module in self._registering:
-            import_registering(module)
         super().run()
+
+
+@contextmanager
+def _without_program() -> Iterator[None]:
+    """Let multiprocessing tell the process that this thread starts nothing of the user's program."""
+    usual, thread = spawn.get_preparation_data, threading.get_ident()
+
+    def prepared(name: str) -> dict[str, Any]:
+        data = usual(name)
+        if threading.get_ident() == thread:
+            for key in _PROGRAM:
+                data.pop(key, None)
+        return data
+
+    spawn.get_preparation_data = prepared
+    try:
+        yield
+    finally:
+        spawn.get_preparation_data = usual
 
 
 class _Context(SpawnContext):

@@ -236,7 +236,6 @@ CODECS: dict[str, tuple[Codec, ...]] = {
     ".db": ((_records, _database),),
     ".msgpack": ((msgpack.unpackb, lambda document: msgpack.packb(document, default=str)),),
     ".safetensors": (_content(),),
-    ".pt": (_content(),),
     ".mcap": (_one(loose_bag),),
 }
 """By the ending of a file's name: what unpacks and packs."""

@@ -159,7 +159,7 @@ def test_registered_tasks_and_those_from_files_have_folders_in_the_study_and_are
     before = {path for path in tmp_path.rglob("*") if "out" not in path.parts}
     assert main(["study", "own.yaml", "--out", "out"]) == 1
     assert {path for path in tmp_path.rglob("*") if "out" not in path.parts} == before
-    runs = sorted(str(path.parent.relative_to("out")) for path in Path("out").rglob("run.pt"))
+    runs = sorted(str(path.parent.relative_to("out")) for path in Path("out").rglob("run.safetensors"))
     assert runs == ["runs/mine/ippo/0", "runs/own-frac/ippo/0", "runs/task/ippo/0"]
     report = json.loads(Path("out/report.json").read_text())
     assert [run["error"] for run in report["figures"]["runs"]] == [None] * 3

@@ -337,6 +337,13 @@ def test_it_learns_a_small_task_for_good(run, tmp_path):
     assert last_fifth([point.success for point in trainer.curve]) >= 0.95
 
 
+def test_a_run_whose_file_has_its_former_name_goes_on_and_is_saved_under_the_new_one(tmp_path):
+    _go_on(Trainer(TrainConfig("strip", **QUICK)), 1).save(tmp_path)
+    (tmp_path / RUN_FILE).rename(tmp_path / "run.pt")
+    _go_on(Trainer.resume(tmp_path), 1).save(tmp_path)
+    assert Trainer.resume(tmp_path).iteration == 2
+
+
 class _Evil:
     def __reduce__(self):
         return os.mkdir, ("owned",)

@@ -52,7 +52,9 @@ COMMANDS = {
     "audit": Command("audit --situations 'MOVE/scene=on* a second ramp' --trials 2 --workers 2"),
     "margins": Command("audit margins --quick --situations 'lift*' --workers 2"),
     "tune": Command("tune board --evaluations 4 --trials 1 --workers 2"),
-    "train": Command("train strip --steps 60000 --set worlds=50 --episodes 50", "curve.csv", "run.pt"),
+    "train": Command(
+        "train strip --steps 60000 --set worlds=50 --episodes 50", "curve.csv", "run.safetensors"
+    ),
 }
 
 

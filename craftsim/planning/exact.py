@@ -7,6 +7,8 @@ first of them, and what is above the floor needs a ramp. A world is kept as byte
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Iterator
 from heapq import heappop, heappush
 from typing import Final
@@ -74,13 +76,17 @@ def is_small(start: Grid, rules: Rules) -> bool:
 
 
 def least_work(
-    start: Grid, goal: BuildingGoal, rules: Rules, most_worlds: int = MOST_WORLDS
+    start: Grid,
+    goal: BuildingGoal,
+    rules: Rules,
+    most_worlds: int = MOST_WORLDS,
+    until_s: float = math.inf,
 ) -> tuple[Steps | None, int, bool]:
     """Search for a plan whose actions take the least time in sum.
 
     Returns the (car, action) pairs of one, None where none was found; how many worlds were met; and whether the search
     finished, so that there is no plan where none was found. With a building as the goal the search is guided. It ends
-    when it has met so many worlds, or fewer where worlds are large.
+    when it has met so many worlds, or fewer where worlds are large, and at a monotonic time.
 
     Raises ValueError for rules whose marks do not follow from what is there, as those of ``physical`` do.
     """
@@ -110,7 +116,7 @@ def least_work(
             if known is None or work < known[0]:
                 found[following] = work, world, step
                 heappush(queue, (work + rest, -work, following))
-        if len(found) > most_worlds:
+        if len(found) > most_worlds or time.monotonic() > until_s:
             return None, len(found), False
     return None, len(found), True
 

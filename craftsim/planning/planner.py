@@ -56,6 +56,8 @@ _LONGER: Final = 1.1
 """Limit of an attempt's ticks, relative to those of its neighbour."""
 _LONGER_FRESH: Final = 1.3
 """The same for the first attempts from scratch, relative to the best plan."""
+_LONG: Final = 6
+"""How many times as long as asked the search goes on while there is no plan."""
 _FIRST_WORLDS: Final = 20_000
 """Limit of the search for a plan of least work where the makespan is minimized."""
 
@@ -92,7 +94,8 @@ def plan_building(
         rules: ``physical`` unless others are given.
         objective: what is to be small, the time until all is done or the sum of all actions' durations.
         rounds: attempts; with the same seed and rounds the plan is the same unless time runs out.
-        time_s: the attempts end after so many seconds, or after six times as many while there is no plan.
+        time_s: the attempts end after so many seconds, or after six times as many while there is no plan; in a small
+            world one last search then takes so many again.
         seed: of all that is decided by chance.
         exact: search a small world for a plan of least work, too, which takes longer than a few attempts; a goal
             without a building is always searched for so.
@@ -184,13 +187,13 @@ class _Search:
         number = 0
         if self._exact:
             guided = bool(self.goal.building) and self.objective == "makespan"
-            self._search_worlds(_FIRST_WORLDS if guided else MOST_WORLDS)
+            self._search_worlds(_FIRST_WORLDS if guided else MOST_WORLDS, begun + _LONG * time_s)
             if self.best is not None and (self.best.optimal or self.goal.building is None):
                 report(0, self.best)
                 return self.best
         try:
             for number in range(1, rounds + 1):
-                self.assembly.until_s = begun + time_s * (6 if self.best is None else 1)
+                self.assembly.until_s = begun + time_s * (_LONG if self.best is None else 1)
                 self._attempt(number)
                 report(number, self.best)
                 if self.best is not None and self.best.makespan_s <= self._bound + _EQUAL_S:
@@ -201,16 +204,19 @@ class _Search:
             if self.best is None:
                 raise
         if self.best is None and self._exact and self.objective == "makespan":
-            self._search_worlds(MOST_WORLDS)
+            self._search_worlds(MOST_WORLDS, time.monotonic() + time_s)
         if self.best is None:
             raise NoPlanError(self._why(number))
         return self.best
 
-    def _search_worlds(self, most: int) -> None:
-        """Look for the plan of least work among so many worlds; raise NoPlanError where that proves there is none."""
+    def _search_worlds(self, most: int, until_s: float) -> None:
+        """Look for the plan of least work among so many worlds, until a time.
+
+        Raises NoPlanError where that proves there is none, or nothing else can find one.
+        """
         if self.goal.building is not None:
             check_supplies(self.start, self.goal.building)
-        steps, n_worlds, complete = least_work(self.start, self.goal, self.rules, most)
+        steps, n_worlds, complete = least_work(self.start, self.goal, self.rules, most, until_s)
         if steps is not None:
             planned = self._judge(tuple((step,) for step in steps), 0)
             if planned is not None:
@@ -220,7 +226,7 @@ class _Search:
         elif self.goal.building is None:
             raise NoPlanError(
                 f"no plan found: the goal has no drawing, and none of the first {n_worlds} worlds that cost "
-                "least will do; try a smaller area, fewer cars or a design"
+                "least will do; try a smaller area, fewer cars, more time or a design"
             )
 
     def _goals(self) -> Iterator[State]:

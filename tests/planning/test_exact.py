@@ -1,5 +1,7 @@
 """The plan of least work in small worlds: as good as a plain search's, and a proof where there is none."""
 
+import time
+
 import numpy as np
 import pytest
 from by_force import least_work_by_force
@@ -77,6 +79,13 @@ def test_the_search_is_bounded_and_only_by_rules_whose_marks_follow_from_what_is
     assert not is_small(start, Rules("published"))
     with pytest.raises(ValueError, match="marks"):
         least_work(start, nothing, Rules("published"))
+
+
+def test_the_search_ends_in_time_however_long_it_takes_to_ask_for_the_goal():
+    start, n_asked = corridor((Kind.BLOCK, (0, 0, 1)), size=(6, 6, 1)), []
+    with pytest.raises(NoPlanError, match=r"none of the first \d+ worlds .* more time"):
+        plan_building(start, lambda grid: n_asked.append(time.sleep(0.05)), PHYSICAL, time_s=0.05)
+    assert 2 <= len(n_asked) <= 8
 
 
 def test_the_plan_of_least_work_is_one_to_begin_with_where_the_makespan_counts():

@@ -184,6 +184,8 @@ def _records(data: bytes) -> list[Any]:
 def _database(document: list[Any]) -> bytes:
     """Return a database, as the first entry has it, with other records."""
     data, manifest, *records = document
+    if not data:
+        raise ValueError  # SQLite would say that it has no memory for that.
     with closing(sqlite3.connect(":memory:")) as database:
         database.deserialize(data)
         with database:

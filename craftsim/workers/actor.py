@@ -45,13 +45,14 @@ class Actor:
     def __init__(self, make: Callable[[], Handler]) -> None:
         """Start the process without waiting for it.
 
-        ``make`` is called there and returns the handler of requests. It, requests and answers are pickled.
+        ``make`` is called there and returns the handler of requests. It, requests and answers are pickled. Raises
+        InputError for one that cannot be.
         """
         context = spawn_context()
         their_requests, self._requests = context.Pipe(duplex=False)
         self._answers, their_answers = context.Pipe(duplex=False)
         program = _program() if any(name in MAIN for name in REGISTERING) else {}
-        begin = (program, tuple(REGISTERING), cloudpickle.dumps(make))
+        begin = (program, tuple(REGISTERING), _pickled(make))
         arguments = (their_requests, their_answers, *begin)
         self._process = context.Process(target=_serve, args=arguments, daemon=True, name="craftsim-worker")
         self._process.start()
@@ -66,8 +67,8 @@ class Actor:
         return self._process.pid or 0
 
     def send(self, request: Any) -> None:
-        """Send a request without waiting."""
-        data = cloudpickle.dumps(request)
+        """Send a request without waiting. Raises InputError for one that cannot be pickled."""
+        data = _pickled(request)
         with suppress(OSError):  # if the process has died, recv raises
             self._requests.send_bytes(data)
         self.due += 1
@@ -105,6 +106,16 @@ class Actor:
                 f"was killed by signal {-status} ({signal.Signals(-status).name}), as for want of memory"
             )
         return WorkerDiedError(f"ended by itself with status {status}; what it printed says why")
+
+
+def _pickled(what: Any) -> bytes:
+    try:
+        return bytes(cloudpickle.dumps(what))
+    except (TypeError, AttributeError, pickle.PicklingError) as error:
+        raise InputError(
+            f"a worker process cannot be sent this: {error}. What functions of a program use is sent along; put such "
+            "functions into a module, which is imported"
+        ) from error
 
 
 def _program() -> dict[str, str]:

@@ -11,6 +11,7 @@ print("begun")
 STOP = int(craftsim.Action.STOP)
 
 def chosen(observations):
+    {uses}
     return dict.fromkeys(observations, STOP)
 
 result = craftsim.validate("strip", policy=chosen, drive="reduced", max_steps=2, trials=2, workers=2, out="out")
@@ -58,7 +59,14 @@ def _run(folder, text):
 
 
 def test_a_program_that_registers_nothing_needs_no_guard(tmp_path):
-    assert _run(tmp_path, VALIDATE) == (["begun", "True [None, None]"], [])
+    assert _run(tmp_path, VALIDATE.format(uses="")) == (["begun", "True [None, None]"], [])
+
+
+def test_what_a_function_uses_and_cannot_be_sent_is_named(tmp_path):
+    text = "import threading\nLOCK = threading.Lock()\n" + VALIDATE.format(uses="LOCK")
+    printed, said = _run(tmp_path, text)
+    assert printed == ["begun"]
+    assert "InputError: a worker process cannot be sent this: " in said[-1]
 
 
 def test_workers_know_what_a_guarded_program_registers_and_its_skills(tmp_path):

@@ -163,12 +163,13 @@ def _read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
     data = read_bytes(path, MESH)
     try:
-        loaded: Any = trimesh.load_mesh(
-            io.BytesIO(data), file_type=path.suffix[1:].lower(), skip_materials=True, process=False
-        )
-        mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
-        vertices = np.array(mesh.vertices, np.float64).reshape(-1, 3)
-        faces = np.array(mesh.faces, np.int64).reshape(-1, 3)
+        with np.errstate(invalid="ignore"):  # Numbers that are none are refused below.
+            loaded: Any = trimesh.load_mesh(
+                io.BytesIO(data), file_type=path.suffix[1:].lower(), skip_materials=True, process=False
+            )
+            mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
+            vertices = np.array(mesh.vertices, np.float64).reshape(-1, 3)
+            faces = np.array(mesh.faces, np.int64).reshape(-1, 3)
     # Whatever a parser of others raises for a file that is none.
     except Exception as error:
         raise InputError(

@@ -60,7 +60,7 @@ def _png(width: int, height: int) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + rows + chunk(b"IEND", b"")
 
 
-def test_a_hostile_file_is_one_message_with_the_file_and_why(tmp_path):
+def test_a_hostile_file_is_one_message_with_the_file_and_why(tmp_path, recwarn):
     for name, data, message in (
         ("a.png", b"", "not a PNG file"),
         ("a.png", b"GIF89a" + bytes(60), "not a PNG file"),
@@ -75,12 +75,14 @@ def test_a_hostile_file_is_one_message_with_the_file_and_why(tmp_path):
         ("a.obj", b"v 0 0 0\nv 40 0 0\nv 0 40 0\n" + b"f 1 2 3\n" * 50, "faces make about .* pieces of half"),
         ("a.obj", FLOATING, "nothing is below"),
         ("a.stl", b"solid x\n", "not a sound mesh"),
+        ("a.stl", bytes(80) + struct.pack("<I", 1) + b"\1\0\xa0\x7f" * 12 + bytes(2), "not a sound mesh"),
         ("a.stl", bytes(80) + b"\xff\xff\xff\xff" + bytes(50), "not a sound mesh"),
     ):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(InputError, match=message) as caught:
             find_design([str(tmp_path / name)])
         assert str(tmp_path / name) in str(caught.value)
+    assert [str(one.message) for one in recwarn] == []
 
 
 def test_files_that_a_mesh_names_are_not_opened(tmp_path, monkeypatch):

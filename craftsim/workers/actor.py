@@ -48,11 +48,11 @@ class Actor:
         ``make`` is called there and returns the handler of requests. It, requests and answers are pickled. Raises
         InputError for one that cannot be.
         """
+        program = _program() if any(name in MAIN for name in REGISTERING) else {}
+        begin = (program, tuple(REGISTERING), _pickled(make))
         context = spawn_context()
         their_requests, self._requests = context.Pipe(duplex=False)
         self._answers, their_answers = context.Pipe(duplex=False)
-        program = _program() if any(name in MAIN for name in REGISTERING) else {}
-        begin = (program, tuple(REGISTERING), _pickled(make))
         arguments = (their_requests, their_answers, *begin)
         self._process = context.Process(target=_serve, args=arguments, daemon=True, name="craftsim-worker")
         self._process.start()

@@ -1,14 +1,13 @@
-"""Step worlds of the reduced drive with MuJoCo Warp on a GPU: the same verdicts as with MuJoCo, and how fast.
+"""Carry out trials of the reduced drive with MuJoCo Warp on a GPU or a CPU: are the verdicts those of MuJoCo?
 
-    python scripts/gpu.py                                        # rates and verdicts on cuda:0, in minutes
-    python scripts/gpu.py verdicts --device cpu --tasks strip --trials 1
+    python scripts/gpu.py                                # on cuda:0, in minutes
+    python scripts/gpu.py --device cpu --tasks strip --trials 1
 
-*rates*: the commands and motor limits of a trial are recorded with MuJoCo and replayed in many worlds at once: physics
-alone. *verdicts*: trials of ``craftsim validate`` of the six tasks with mild randomization, once with MuJoCo and once
-with MuJoCo Warp in place of ``mj_step``; sensors, control laws and judge are the same code, on one core for all trials
-of a task, whose worlds step together. Each starts where MuJoCo has let it come to rest. MuJoCo Warp computes in single
-precision. Nothing sleeps on either side, unless a row says so. The report is of all that the output folder has, and
-``--store`` writes docs/results/gpu.json of it, for docs/explanation/drives.md.
+Trials of ``craftsim validate`` of the six tasks with mild randomization, once with MuJoCo and once with MuJoCo Warp in
+place of ``mj_step``; sensors, control laws and judge are the same code, on one core for all trials of a task, whose
+worlds step together. Each starts where MuJoCo has let it come to rest. MuJoCo Warp computes in single precision.
+Nothing sleeps on either side. The report is of all that the output folder has, and ``--store`` writes
+docs/results/gpu.json of it, for docs/explanation/drives.md.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
@@ -36,7 +35,6 @@ import numpy as np
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.judge import Judge
 from craftsim.checking.setup import Setup, set_up, setup_of
-from craftsim.discrete.readback import read_grid
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.errors import InputError
 from craftsim.experiments.compare import alike, compare_paired
@@ -57,11 +55,6 @@ except ModuleNotFoundError:
 ROOT: Final = Path(__file__).parents[1]
 STORED: Final = ROOT / "docs" / "results" / "gpu.json"
 PIP: Final = "pip install mujoco-warp==3.17.0 warp-lang==1.19.0"
-RATED: Final = ("simple_two_story", "complex_two_story")
-"""Tasks of two and of four cars."""
-WHOLE: Final = 64
-"""Most worlds that replay the whole trial; more of them begin at moments spread over it, and replay PART steps."""
-PART: Final = 200
 VARIED: Final = (
     *("geom_friction", "pair_friction", "body_mass", "body_subtreemass", "body_inertia", "body_invweight0"),
     *("dof_frictionloss", "dof_damping", "dof_invweight0", "actuator_gainprm", "actuator_biasprm"),
@@ -110,21 +103,7 @@ def kernels() -> SimpleNamespace:
         if iterations[world] >= limit:
             capped[world] += 1
 
-    @wp.kernel
-    def command(
-        start: wp.array(dtype=int),
-        steps: wp.array(dtype=int),
-        commands: wp.array2d(dtype=float),
-        limits: wp.array2d(dtype=wp.vec2),
-        ctrl: wp.array2d(dtype=float),
-        forcerange: wp.array2d(dtype=wp.vec2),
-    ):
-        world, motor = wp.tid()
-        now = start[world] + steps[world]
-        ctrl[world, motor] = commands[now, motor]
-        forcerange[world, motor] = limits[now, motor]
-
-    return SimpleNamespace(turn=turn, count=count, command=command)
+    return SimpleNamespace(turn=turn, count=count)
 
 
 class DeviceWorlds:
@@ -155,13 +134,9 @@ class DeviceWorlds:
         self.steps, self.capped, self.most = (wp.zeros(n, dtype=int) for _ in range(3))
         # Kernels are loaded before a graph is captured.
         self.step()
-        self.begin({name: [getattr(one.data, name) for one in physics] for name in STATE})
-
-    def begin(self, state: Mapping[str, Any]) -> None:
-        """Begin in a state, arrays (n or 1, size) by MuJoCo's names."""
-        for name, values in state.items():
+        for name in STATE:
             array = getattr(self.data, name)
-            array.assign(_array(values, len(array), array.dtype))
+            array.assign(_array([getattr(one.data, name) for one in physics], n, array.dtype))
         for counted in (self.steps, self.capped, self.most, self.data.overflow):
             counted.zero_()
 
@@ -350,131 +325,6 @@ def jobs_of(task: str, trials: int, setup: Setup) -> list[Run]:
     return [one.job for one in items_of(worlds, sources, trials, 0, setup)]
 
 
-class Recording:
-    """What a trial with MuJoCo commands in each physics step, and the states in which these begin."""
-
-    def __init__(self, task: str, setup: Setup) -> None:
-        """Carry out the shipped plan of a task."""
-        steps: list[tuple[Any, ...]] = []
-
-        def where(*terms: Any) -> Judge:
-            judge = set_up(*terms)
-            self.physics = physics = judge.physics
-            self.first, self.stepping = physics.save(), physics._stepping
-            physics._stepping = SimpleNamespace(run=record)
-            return judge
-
-        def record(n_steps: int) -> int:
-            data = self.physics.data
-            if n_steps:
-                assert n_steps == 1, "the judge looks at each"
-                state = (getattr(data, name).copy() for name in STATE)
-                limits = self.physics.model.actuator_forcerange.copy()
-                steps.append((data.ctrl.copy(), limits, *state, data.ncon, data.nefc))
-            return self.stepping.run(n_steps)
-
-        (job,) = jobs_of(task, 1, setup)
-        self.joint_steps = do_run(replace(job, set_up=where)).extra["ticks"]
-        self.physics._stepping = self.stepping
-        self.ctrl, self.limits, *states, contacts, rows = map(np.array, zip(*steps, strict=True))
-        self.states = dict(zip(STATE, states, strict=True))
-        self.positions = np.array([*self.states["qpos"], self.physics.data.qpos])
-        self.n_steps, self.contacts, self.rows = len(steps), int(contacts.max()), int(rows.max())
-
-    def mujoco_rate(self, seconds: float) -> float:
-        """Replay on one core for so long, the whole trial again and again; return physics steps a CPU second."""
-        physics, rounds, began = self.physics, 0, time.process_time()
-        while not rounds or time.process_time() - began < seconds:
-            physics.restore(self.first)
-            for ctrl in self.ctrl[:: physics.config.steps_per_period]:
-                physics.data.ctrl[:] = ctrl
-                physics.advance()
-            rounds += 1
-        rate = rounds * self.n_steps / (time.process_time() - began)
-        if (physics.data.qpos != self.positions[-1]).any():
-            raise RuntimeError("MuJoCo's replay ends otherwise than the trial")
-        return rate
-
-    def grid(self, qpos: Any) -> Any:
-        """Return what positions read as, and what cannot be read."""
-        physics = self.physics
-        physics.data.qpos[:] = qpos
-        return read_grid(physics.poses(), physics.size, physics.walls)
-
-
-def replay(recording: Recording, n_worlds: int, n_steps: int) -> dict[str, Any]:
-    """Replay so many steps of a trial in many worlds on the device; return figures."""
-    physics = recording.physics
-    physics.restore(recording.first)
-    worlds = DeviceWorlds([physics], n_worlds, 2 * recording.contacts + 40, recording.rows + 40)
-    starts = np.linspace(0, recording.n_steps - n_steps, n_worlds).astype(int)
-    commands = wp.array(recording.ctrl.astype(np.float32), dtype=float)
-    limits = wp.array(recording.limits.astype(np.float32), dtype=wp.vec2)
-    places = wp.array(starts, dtype=int), worlds.steps
-    given = [*places, commands, limits, worlds.data.ctrl, worlds.model.actuator_forcerange]
-
-    def step() -> None:
-        wp.launch(kernels().command, (n_worlds, commands.shape[1]), given)
-        worlds.step()
-
-    launch = worlds.captured(step)
-    launch()
-    worlds.begin({name: values[starts] for name, values in recording.states.items()})
-    wp.synchronize_device()
-    began = time.perf_counter()
-    for _ in range(n_steps):
-        launch()
-    wp.synchronize_device()
-    took_s = time.perf_counter() - began
-    qpos = worlds.data.qpos.numpy()
-    found = {
-        "worlds": n_worlds,
-        "steps": n_steps,
-        "seconds": took_s,
-        "steps_a_second": n_worlds * n_steps / took_s,
-        "finite": bool(np.isfinite(qpos).all()),
-        **worlds.figures(),
-    }
-    far = np.abs(qpos - recording.positions[starts + n_steps])[:, physics.pose_places[:, :3]].max(axis=(1, 2))
-    found |= {"median_off_m": float(np.median(far)), "most_off_m": float(far.max())}
-    if n_steps == recording.n_steps:
-        wanted, read = recording.grid(recording.positions[-1]), [recording.grid(row) for row in qpos]
-        same = [not one.problems and one.grid.same_visible(wanted.grid) for one in read]
-        found["equal"] = sum(same)
-    return found
-
-
-def rates(task: str, worlds: Iterable[int], device: str, until: float, out: Path) -> dict[str, Any]:
-    """Return how fast a trial's physics is on one core with MuJoCo, and on the device."""
-    setup = own_setup()
-    asleep = replace(setup, simulation=replace(setup.simulation, sleep=True))
-    recording = Recording(task, setup)
-    found: dict[str, Any] = {
-        "cars": len(recording.physics.cars),
-        "steps": recording.n_steps,
-        "joint_steps": recording.joint_steps,
-        "contacts": recording.contacts,
-        "rows": recording.rows,
-        "mujoco_a_second": recording.mujoco_rate(1.0),
-        "mujoco_asleep_a_second": Recording(task, asleep).mujoco_rate(1.0),
-        "replays": [],
-    }
-    file = out / f"rates_{task}.json"
-    for n in worlds:
-        file.write_text(json.dumps(plain(found)), encoding="utf-8")
-        if time.time() > until:
-            found["why"] = f"no time for {n} worlds"
-            break
-        with wp.ScopedDevice(device):
-            try:
-                found["replays"].append(replay(recording, n, recording.n_steps if n <= WHOLE else PART))
-            except RuntimeError as error:
-                found["why"] = f"{n} worlds: {error}"
-        print(task, found["replays"][-1:], found.get("why", ""), flush=True)
-        file.write_text(json.dumps(plain(found)), encoding="utf-8")
-    return found
-
-
 def with_mujoco(task: str, first: int, after: int, until: float, out: Path) -> None:
     """Carry out trials of a task with MuJoCo, a line for each in a file."""
     for job in jobs_of(task, after, own_setup())[first:]:
@@ -513,12 +363,9 @@ def _note(file: Path, job: Run, done: Any) -> None:
 def main() -> int:
     """Run, compare, print and store."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("part", nargs="?", choices=("all", "rates", "verdicts", "report"), default="all")
-    parser.add_argument(
-        "--tasks", nargs="+", choices=TASK_NAMES, help="rates: of two and four cars; verdicts: all six"
-    )
+    parser.add_argument("part", nargs="?", choices=("report",), help="compare what has run")
+    parser.add_argument("--tasks", nargs="+", choices=TASK_NAMES, default=TASK_NAMES)
     parser.add_argument("--trials", type=int, default=10, help="of each task")
-    parser.add_argument("--worlds", type=int, nargs="+", default=[1, 64, 1024, 4096, 16384])
     parser.add_argument("--device", default="cuda:0")
     parser.add_argument("--processes", type=int, default=len(TASK_NAMES))
     parser.add_argument(
@@ -530,7 +377,7 @@ def main() -> int:
     until = time.time() + asked.seconds
     asked.out.mkdir(parents=True, exist_ok=True)
     try:
-        if asked.part != "report":
+        if asked.part is None:
             kernels()
             if asked.device not in (known := [device.alias for device in wp.get_devices()]):
                 raise InputError(f"there is no device {asked.device}; there are {', '.join(known)}")
@@ -538,11 +385,7 @@ def main() -> int:
             made_with = versions() | {key: version(key) for key in ("mujoco-warp", "warp-lang")}
             described = {"device": name, "trials": asked.trials, "versions": made_with}
             (asked.out / "device.json").write_text(json.dumps(described), encoding="utf-8")
-        if asked.part in ("all", "rates"):
-            for task in asked.tasks or RATED:
-                rates(task, asked.worlds, asked.device, until, asked.out)
-        if asked.part in ("all", "verdicts"):
-            verdicts(asked.tasks or TASK_NAMES, asked, until)
+            verdicts(asked.tasks, asked, until)
         stored = gather(asked.out)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -551,14 +394,14 @@ def main() -> int:
         STORED.write_text(json.dumps(plain(stored), indent=1) + "\n", encoding="utf-8")
     differing = sum(one["differing"] for one in stored["verdicts"].values())
     words = f"{differing} of {sum(one['actions'] for one in stored['verdicts'].values())} actions differ."
-    tables = [DataTable(numbers(*head), rows) for head, *rows in (verdict_table(stored), rate_table(stored))]
+    head, *rows = verdict_table(stored)
     return Report(
         "MuJoCo Warp",
         f"Reduced drive, {stored['device']}",
         Headline(
             "Differs" if differing else "No difference", Tone.CAUTION if differing else Tone.GOOD, words
         ),
-        sections=[Section("gpu", "MuJoCo Warp", "Verdicts; rates.", tables, True)],
+        sections=[Section("gpu", "MuJoCo Warp", "Verdicts.", [DataTable(numbers(*head), rows)], True)],
         notes=notes_of(stored),
         document=document(stored, command="gpu", seed=0, config={"trials": stored["trials"]}),
         exit_code=int(bool(differing)),
@@ -583,13 +426,11 @@ def verdicts(tasks: Sequence[str], asked: argparse.Namespace, until: float) -> N
 
 
 def gather(out: Path) -> dict[str, Any]:
-    """Return what a folder has: figures of rates and of verdicts by task. Raises InputError where it has none."""
+    """Return what a folder has: figures of verdicts by task. Raises InputError where it has none."""
     if not (out / "device.json").exists():
         raise InputError(f"nothing has run in {out}; leave out 'report'")
-    stored: dict[str, Any] = _read(out / "device.json") | {"rates": {}, "verdicts": {}}
+    stored: dict[str, Any] = _read(out / "device.json") | {"verdicts": {}}
     for task in TASK_NAMES:
-        if (file := out / f"rates_{task}.json").exists():
-            stored["rates"][task] = _read(file)
         runs = [out / f"{side}_{task}.jsonl" for side in ("mujoco", "warp")]
         if all(run.exists() for run in runs):
             records = [[json.loads(line) for line in run.open(encoding="utf-8")] for run in runs]
@@ -629,20 +470,11 @@ def _compared(first: list[Any], other: list[Any]) -> dict[str, Any]:
 
 
 def notes_of(stored: dict[str, Any]) -> list[str]:
-    """Return how replays ended, and what was not as it should be."""
-    found, every = [], [(task, one["loop"]) for task, one in stored["verdicts"].items() if one["loop"]]
-    for task, of in stored["rates"].items():
-        for one in of["replays"]:
-            every.append((task, one))
-            off = (
-                f"{1e3 * one['median_off_m']:.2g} mm at the median, {1e3 * one['most_off_m']:.2g} mm at most"
-            )
-            found.append(f"{task}, {one['worlds']} worlds: after {one['steps']} steps of replay off by {off}")
-        found += [f"{task}: {of['why']}"] if "why" in of else []
-    for task, one in every:
-        if one["overflows"]:
-            found.append(f"{task}, {one['worlds']} worlds: {', '.join(one['overflows'])} in some step")
+    """Return what was not as it should be."""
+    found = []
     for task, one in stored["verdicts"].items():
+        if overflows := one["loop"].get("overflows"):
+            found.append(f"{task}: {', '.join(overflows)} in some step")
         found += [f"{task}: {error}" for error in one["errors"]]
         found += [
             f"{task}: {of['actions']} {of['kind']}: such as {of['example']}" for of in one["differences"]
@@ -658,29 +490,6 @@ def verdict_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
         ratios = "-".join(f"{ratio:.3f}" for ratio in one["makespan_ratios"][::2])
         rows.append((task, *counts, str(one["differing"]), ratios))
     return rows
-
-
-def rate_table(stored: dict[str, Any]) -> list[tuple[str, ...]]:
-    """Return the table of joint steps a second of physics, and what belongs to it, its head first."""
-    rated = stored["rates"]
-    rows: dict[tuple[str, str], dict[str, str]] = {}
-    for task, of in rated.items():
-        loop = stored["verdicts"].get(task, {}).get("loop")
-        rates = [
-            ("MuJoCo", 1, of["mujoco_asleep_a_second"]),
-            ("nothing asleep", 1, of["mujoco_a_second"]),
-        ]
-        rates += [("Warp", one["worlds"], one["steps_a_second"]) for one in of["replays"]]
-        rates += [("closed loop", loop["worlds"], loop["steps"] / loop["seconds"])] if loop else []
-        for name, worlds, rate in rates:
-            joint = f"{rate * of['joint_steps'] / of['steps']:,.0f}"
-            rows.setdefault((name, f"{worlds:,}"), {})[task] = joint
-        for one in of["replays"]:
-            if one.get("equal") is not None and one["worlds"] > 1:
-                rows.setdefault(("end as MuJoCo's", f"{one['worlds']:,}"), {})[task] = f"{one['equal']:,}"
-        rows.setdefault(("physics steps each", ""), {})[task] = f"{of['steps'] / of['joint_steps']:.0f}"
-    cells = [(*name, *(of.get(task, "") for task in rated)) for name, of in rows.items()]
-    return [("joint steps/s", "worlds", *rated), *cells]
 
 
 if __name__ == "__main__":

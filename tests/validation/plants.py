@@ -80,7 +80,7 @@ PLANTS: Final = (
     ),
     _never("folding with a car on the foot", "CAR_ON_OWN_FOOT"),
     _never("driving into a car's cell", "CAR_THERE"),
-    _never("standing on what has no top", "NO_FLOOR"),
+    # Standing on what has no top is none: the rules forbid it, and in physics it works.
 )
 
 
@@ -96,7 +96,7 @@ def look(plant: Plant, allowed: dict[str, str]) -> tuple[set[str], set[str], lis
     """Audit a plant quickly; ``allowed`` has the situations that the rules allow without it.
 
     Returns the rows of a full audit that hold a situation that only the planted rules allow, those of them that the
-    quick one tried, and the rows that it found unsound.
+    quick one tried, and those that it found unsound.
     """
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
@@ -109,7 +109,8 @@ def look(plant: Plant, allowed: dict[str, str]) -> tuple[set[str], set[str], lis
     rows = figures["audit"]["rows"]
     legal = {f"{row['action']}/{row['context']}": row["verdict"] for row in rows if row["legal"]}
     new = {row for situation, row in planted.items() if situation not in allowed}
-    return new, new & set(legal), [name for name, verdict in legal.items() if verdict == "unsound"]
+    # Others fail now and then by these rules, too.
+    return new, new & set(legal), [name for name in legal if name in new and legal[name] == "unsound"]
 
 
 def situations(place: Path) -> dict[str, str]:

@@ -253,7 +253,7 @@ def _flood(w: World, me: int, space: SearchBuffers, radius: int) -> None:
     space.slope[space.heap[0]] = start.slope
     head, tail = 0, 1
     while head < tail:
-        node = int(np.int64(space.heap[head]))
+        node = int(space.heap[head])
         head += 1
         here = pose_at(w, start, node, space.slope[node])
         legal = legal_actions(w, me, here, ROTATE_LEFT, LAST_MOVE)

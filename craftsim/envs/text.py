@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import ACTIONS, action_names
 from craftsim.discrete.drawing import ARROWS, LEGEND, world_text
-from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.grid import SECOND_PART, CarField, Grid, Kind, Piece, beside, cell_of
 from craftsim.discrete.kinds import NAMES, Action
 from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
@@ -177,16 +177,11 @@ def _things(grid: Grid) -> Iterator[str]:
 
 def _car(grid: Grid, car: int) -> str:
     row = grid.cars[car].tolist()
-    words, load = f"at {_cell(grid, car)}, facing {HEADINGS[row[CarField.YAW]]}", Kind(row[CarField.LOAD])
+    words, load = f"at {cell_of(grid, car)}, facing {HEADINGS[row[CarField.YAW]]}", Kind(row[CarField.LOAD])
     if load != Kind.AIR:
         gear = f" (gear {HEADINGS[row[CarField.LOAD_YAW]]})" if load == Kind.FSLOPE else ""
         words += f", with {NAMES[load]}{gear}"
     return words + (", on a ramp" if row[CarField.SLOPE] else "")
-
-
-def _cell(grid: Grid, car: int) -> Cell:
-    x, y, z = grid.cars[car, : CarField.YAW].tolist()
-    return x, y, z
 
 
 def legal_words(grid: Grid, masks: NDArray[np.int8], rules: Rules) -> str:
@@ -205,12 +200,12 @@ def _effect(grid: Grid, rules: Rules, car: int, action: Action) -> str:
     if action in (Action.LIFT, Action.DROP):
         load = Kind(max(old[CarField.LOAD], new[CarField.LOAD]))
         return f" ({NAMES[load]})"
-    if _cell(grid, car) != _cell(after, car):
-        return f" (to {_cell(after, car)})"
+    if cell_of(grid, car) != cell_of(after, car):
+        return f" (to {cell_of(after, car)})"
     if old[CarField.YAW] != new[CarField.YAW]:
         return f" (to face {HEADINGS[new[CarField.YAW]]})"
     if action == Action.UNFOLD:
-        cell = _cell(grid, car)
+        cell = cell_of(grid, car)
         return f" (the foot to {beside(cell, int(grid.yaw[cell]))})"
     return ""
 

@@ -383,13 +383,6 @@ class AsynchronousEpisodes(Episodes):
         """Return copies of the confirmed worlds where the reward is a function of what happens, else None."""
         return None if isinstance(self.task.reward, Reward) else self.confirmed.copy()
 
-    def offered(self) -> NDArray[np.bool_]:
-        """Return (B, n, 15): what a car that decides may begin now: legal, and compatible with what runs.
-
-        STOP alone where that is nothing, and for the others. With the helper also what is reachable.
-        """
-        return self.legal() if self.depth is None else self.reachable()
-
     def begins(self, actions: NDArray[np.int8]) -> NDArray[np.bool_]:
         """Return which of some legal actions a car that decides may begin now, as :meth:`Episodes.begins`."""
         may_begin = np.take_along_axis(self.legal(), np.maximum(actions, 0).astype(np.int64), axis=-1)
@@ -402,6 +395,10 @@ class AsynchronousEpisodes(Episodes):
         return other
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
+        """Return (B, n, 15): what a car that decides may begin now: legal, and compatible with what runs.
+
+        STOP alone where that is nothing, and for the others. With a depth also what is reachable.
+        """
         out = np.zeros((len(self), self.n_cars, N_ACTIONS), np.bool_)
         scratch = self._row, self._plan, self._space
         events.offer(self.grids.world(self.corrections), self.running, *scratch, depth, out)

@@ -56,14 +56,14 @@ Record = Any
 @overload
 def compiled(function: F) -> F: ...
 @overload
-def compiled(*, inline: bool = True, nogil: bool = False) -> Callable[[F], F]: ...
-def compiled(function: F | None = None, *, inline: bool = True, nogil: bool = False) -> F | Callable[[F], F]:
+def compiled(*, inline: bool = True) -> Callable[[F], F]: ...
+def compiled(function: F | None = None, *, inline: bool = True) -> F | Callable[[F], F]:
     """Compile a function with numba at its first call; NUMBA_DISABLE_JIT=1 leaves it plain Python.
 
     Its code is inlined into its callers unless ``inline`` is off: a large one with many callers is better compiled
-    once. With ``nogil`` a call from Python releases the interpreter's lock.
+    once.
     """
-    options = {"forceinline": inline, "nogil": nogil}
+    options = {"forceinline": inline}
 
     def decorate(function: F) -> F:
         return function if config.DISABLE_JIT else cast(F, _Compiled(function, {}, options))

@@ -92,12 +92,6 @@ class Ends(NamedTuple):
 
 
 @compiled
-def world_of(worlds: World, i: int) -> World:
-    """Return a world of a batch."""
-    return World(worlds.cells[i], worlds.cars[i], worlds.corrections)
-
-
-@compiled
 def moment(seconds: float) -> float:
     """Return a time rounded to microseconds: what ends together then ends at the same time, however it was added."""
     return math.floor(seconds * 1e6 + 0.5) / 1e6
@@ -139,7 +133,7 @@ def offer(
     (MOST, 4) and ``plan`` (depth + 1,) are scratch.
     """
     for i in range(worlds.cells.shape[0]):
-        w = world_of(worlds, i)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
         for car in range(w.cars.shape[0]):
             some = False
             if running.action[i, car] == DECIDES:
@@ -182,7 +176,7 @@ def decide(
     worlds, committed ones, have the effects of what has begun from here on, but marks are not derived.
     """
     for i in range(first, end):
-        w, now_s, turn = world_of(worlds, i), running.time_s[i], 0
+        w, now_s, turn = World(worlds.cells[i], worlds.cars[i], worlds.corrections), running.time_s[i], 0
         for car in range(w.cars.shape[0]):
             turn = max(turn, running.turn[i, car])
         for place in range(order.shape[1]):
@@ -261,7 +255,7 @@ def advance(worlds: World, running: Running, queues: Queues, ends: Ends) -> None
             ends.doing[i, car] = running.action[i, car]
             ends.ended[i, car] = running.action[i, car] == STOP or running.ends_s[i, car] <= now_s
             ends.failed[i, car] = ends.ended[i, car] and running.fails[i, car]
-        w = world_of(worlds, i)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
         car = following(running, i, ends.ended, 0)
         while car >= 0:
             if ends.failed[i, car]:

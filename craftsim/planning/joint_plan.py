@@ -86,7 +86,6 @@ class JointPlan:
         """The tick in which each car's last turn ends; what it does after that is given up for the next."""
         self._grids = Grid.stack([grid] * _FIRST_TICKS)
         """The worlds before tick 0, 1, 2, ..."""
-        self._others = self._grids.copy()
         self._n_nodes = node_number(grid.size, (grid.size[0], 0, 0), 0)
 
     @property
@@ -143,12 +142,12 @@ class JointPlan:
         return None if bad < 0 else bad
 
     def without(self, car: int, tick: int) -> World:
-        """Return the worlds as they are from a tick on if a car does not exist any more; valid until the next call."""
-        self._others.cells[tick], self._others.cars[tick] = self._grids.cells[tick], self._grids.cars[tick]
-        self._others.cars[tick, car] = _LEFT_OUT
-        others = self._others.world(self.rules.corrections)
-        _replay(others, self.actions, tick, self.n_ticks, car)
-        return others
+        """Return the worlds as they are from a tick on if a car does not exist any more."""
+        others = self._grids.copy()
+        others.cars[tick, car] = _LEFT_OUT
+        worlds = others.world(self.rules.corrections)
+        _replay(worlds, self.actions, tick, self.n_ticks, car)
+        return worlds
 
     def trim(self, reached: Callable[[Grid], bool]) -> None:
         """Take the last actions of each car away as long as a goal is reached without them."""
@@ -366,10 +365,8 @@ class JointPlan:
         while len(self.actions) <= n_ticks:
             self.actions = np.concatenate([self.actions, np.full_like(self.actions, WAIT)])
         while len(self._grids) <= n_ticks + 1:
-            self._grids, self._others = (
-                Grid(np.concatenate([some.cells] * 2), np.concatenate([some.cars] * 2))
-                for some in (self._grids, self._others)
-            )
+            grids = self._grids
+            self._grids = Grid(np.concatenate([grids.cells] * 2), np.concatenate([grids.cars] * 2))
 
     def _shorten(self) -> None:
         acting = np.flatnonzero((self.actions != WAIT).any(1))

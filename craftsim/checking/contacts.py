@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Collection, Iterable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M, INCLINE_RAD
 from craftsim.discrete.grid import Cell, Grid, Kind, cell_of
-from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.state import KIND
 from craftsim.discrete.readback import TILT_TOLERANCE_RAD, Reading, cells_at
@@ -334,7 +333,7 @@ class Drift:
         n_cars = len(physics.cars)
         self.strayed_m, self.path = np.zeros(n_cars), np.full((n_cars, 2), np.nan)
         """(n,): each car's largest distance from its path since its action began; (n, 2): its last set point."""
-        self._note_away = bound(_note_away, self._qpos, places, self._left, self.furthest)
+        self._note_away = partial(_note_away, self._qpos, places, self._left, self.furthest)
         self.leave(range(len(places)))
 
     def speed_m_s(self) -> float:

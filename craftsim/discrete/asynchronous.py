@@ -13,7 +13,7 @@ from craftsim.discrete.actions import ACTIONS, built_in, carry_out, footprint, i
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST, Claims, conflict
+from craftsim.discrete.kernel.claims import MOST, Claims, clash
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -230,8 +230,7 @@ class AsynchronousEpisodes(Episodes):
 
     def _clashes(self, i: int, other: int, claims: Claims) -> bool:
         """Return whether what a car of a world runs stands against an action with these claims."""
-        rows = self.running.claims[i, other, : self.running.n_claims[i, other]]
-        return any(conflict(claims, len(claims), *row) for row in rows)
+        return clash(claims, self.running.claims[i, other, : self.running.n_claims[i, other]])
 
     def advance(self) -> Ends:
         """Let time pass in each world to its next event, for which all cars must have decided."""
@@ -266,19 +265,22 @@ class AsynchronousEpisodes(Episodes):
         outcome = self.decide(actions, self.draw_order() if order is None else order)
         ends = self.advance()
         steps = self.settle(before, ends, time_weight)
-        elapsed_s, earned = np.empty(outcome.shape), np.empty(outcome.shape)
-        waited, deadlock = np.empty(len(self), np.bool_), np.zeros(len(self), np.bool_)
-        masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)
-        events.close(self.running, masks, ends.ended, steps.done, elapsed_s, earned, waited)
+        running, over = self.running, ends.ended | steps.done[:, None]
+        seconds = np.floor((self.time_s[:, None] - running.began_s) * 1e6 + 0.5) / 1e6  # as events.moment
+        waited = (np.isin(running.outcome, (WAITS, ILLEGAL)) | self.lost).all(1)
+        # Who has asked in vain can ask again; where nobody has, nothing else is offered.
+        vain = (running.outcome == ILLEGAL).any(1)
+        deadlock = np.zeros(len(self), np.bool_)
         for i in np.flatnonzero(waited).tolist():
-            deadlock[i] = self.deadlock(i) is not None
+            stuck = offered is None or not np.delete(offered[i], _STOP, axis=-1).any()
+            deadlock[i] = (vain[i] or stuck) and self.deadlock(i) is not None
         return Event(
             **vars(steps),
             duration_s=ends.duration_s,
             outcome=outcome,
             failed=ends.failed,
-            elapsed_s=elapsed_s,
-            earned=earned,
+            elapsed_s=np.where(over, seconds, 0.0),
+            earned=np.where(over, running.earned, 0.0),
             deadlock=deadlock,
         )
 
@@ -381,13 +383,6 @@ class AsynchronousEpisodes(Episodes):
         """Return copies of the confirmed worlds where the reward is a function of what happens, else None."""
         return None if isinstance(self.task.reward, Reward) else self.confirmed.copy()
 
-    def offered(self) -> NDArray[np.bool_]:
-        """Return (B, n, 15): what a car that decides may begin now: legal, and compatible with what runs.
-
-        STOP alone where that is nothing, and for the others. With the helper also what is reachable.
-        """
-        return self.legal() if self.depth is None else self.reachable()
-
     def begins(self, actions: NDArray[np.int8]) -> NDArray[np.bool_]:
         """Return which of some legal actions a car that decides may begin now, as :meth:`Episodes.begins`."""
         may_begin = np.take_along_axis(self.legal(), np.maximum(actions, 0).astype(np.int64), axis=-1)
@@ -400,6 +395,10 @@ class AsynchronousEpisodes(Episodes):
         return other
 
     def _masks(self, depth: int) -> NDArray[np.bool_]:
+        """Return (B, n, 15): what a car that decides may begin now: legal, and compatible with what runs.
+
+        STOP alone where that is nothing, and for the others. With a depth also what is reachable.
+        """
         out = np.zeros((len(self), self.n_cars, N_ACTIONS), np.bool_)
         scratch = self._row, self._plan, self._space
         events.offer(self.grids.world(self.corrections), self.running, *scratch, depth, out)
@@ -462,9 +461,14 @@ class AsynchronousEpisodes(Episodes):
         That is (B, n, n, 2), of each car what it does, -1 if it decides, and the seconds since that began; and
         (B, n, L, W, H + 1), 1 for each cell that what runs has claimed. Both are views of the same for all cars.
         """
-        cars = self.running.action.shape
-        doing, claimed = np.empty((*cars, 2), np.float32), np.zeros(self.grids.cells.shape[:4], np.int8)
-        events.show(self.running, doing, claimed)
-        b, n = cars
+        running, (b, n) = self.running, self.running.action.shape
+        since_s = np.where(self.decides, 0.0, self.time_s[:, None] - running.began_s)
+        doing = np.stack([running.action, since_s], axis=-1).astype(np.float32)
+        claimed = np.zeros(self.grids.cells.shape[:4], np.int8)
+        most = running.n_claims.max(initial=0)
+        world, car, row = np.nonzero(np.arange(most) < running.n_claims[..., None])
+        places = running.claims[world, car, row, :3]
+        there = ((places >= 0) & (places < claimed.shape[1:])).all(1)
+        claimed[world[there], *places[there].T] = 1
         shared = np.broadcast_to(doing[:, None], (b, n, n, 2))
         return shared, np.broadcast_to(claimed[:, None], (b, n, *claimed.shape[1:]))

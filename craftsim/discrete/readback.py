@@ -140,7 +140,7 @@ def nearest_yaw(heading: float) -> tuple[int, float]:
 def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
     """Return the Grid of a size (L, W, H) that poses show; ``walls`` are the cells (n, 3) of fixed obstacles."""
     n_cars = len(poses.car_positions)
-    grid = _bare(size, n_cars).copy()
+    grid = Grid.empty(size, n_cars)
     if len(walls):
         grid.kind[tuple(walls.T)] = Kind.WALL
     cars: list[CellFit] = []
@@ -170,12 +170,6 @@ def read_grid(poses: Poses, size: Cell, walls: NDArray[np.integer]) -> Reading:
             problems += [f"{poses.name(index)} {note}" for note in notes]
     grid.derive_marks()
     return Reading(grid, tuple(cars), tuple(objects), tuple(problems))
-
-
-@lru_cache(maxsize=64)
-def _bare(size: Cell, n_cars: int) -> Grid:
-    """Return bare ground, not to be changed."""
-    return Grid.empty(size, n_cars)
 
 
 def _dot(a: Vector, b: Vector) -> float:

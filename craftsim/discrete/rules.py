@@ -33,7 +33,7 @@ Joint = Sequence[tuple[int, int]]
 """(car, action) in acting order; a car that is not listed does nothing."""
 
 _search_buffers: Final = lru_cache(maxsize=2)(search_buffers)
-"""They may take 20 MB for each map size."""
+"""They may take 50 MB for each map size."""
 _NO_SPACE: Final = search_buffers((1, 1, 1))
 _masks, _step, enforce = seldom(batch.masks), seldom(batch.step), seldom(batch.enforce)
 

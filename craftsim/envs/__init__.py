@@ -158,17 +158,6 @@ for _name in (*TASK_NAMES, *VARIED_NAMES):
 on_registration(_add_id)
 
 
-class _Moved(ModuleType):
-    """A module of 0.2, which goes on working until 0.4: its names are in another one now."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        now = f"craftsim.envs.{_NOW_IN[self.__name__.rpartition('.')[2]]}"
-        warnings.warn(f"{self.__name__}.{name} is {now}.{name} now", DeprecationWarning, stacklevel=2)
-        return getattr(import_module(now), name)
-
-
 _NOW_IN: Final = {
     "answers": "text",
     "conversation": "text",
@@ -176,4 +165,20 @@ _NOW_IN: Final = {
     "images": "observations",
     "observe": "observations",
 }
-sys.modules.update({f"{__name__}.{old}": _Moved(f"{__name__}.{old}") for old in _NOW_IN})
+"""Modules of 0.2, which go on working until 0.4: in which one their names are now."""
+
+
+def _moved(old: str) -> ModuleType:
+    now, module = f"{__name__}.{_NOW_IN[old]}", ModuleType(f"{__name__}.{old}")
+
+    def find(name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        warnings.warn(f"{module.__name__}.{name} is {now}.{name} now", DeprecationWarning, stacklevel=2)
+        return getattr(import_module(now), name)
+
+    module.__getattr__ = find  # type: ignore[method-assign]
+    return module
+
+
+sys.modules.update({f"{__name__}.{old}": _moved(old) for old in _NOW_IN})

@@ -15,7 +15,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from craftsim.discrete.grid import Kind
-from craftsim.discrete.kernel.batch import Cars, Cells, Queues
+from craftsim.discrete.kernel.batch import Cars, Cells
 from craftsim.discrete.kernel.codes import LAST_MOVE, ROTATE_LEFT
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
@@ -161,18 +161,22 @@ class ChoiceForm(ActionForm):
         self._space = search_buffers(self._size)
         self._numbers = np.array([*Action, *self.own, *[Action.STOP] * more], np.int64)
         self._cells: NDArray[np.int64]  # (B, n, choices, 3): of the choices, 0 where there is none
+        self._plans: NDArray[
+            np.int8
+        ]  # (B, n, choices, depth + 1): of the helper to each, -1 where it has none
 
     def masks(self, episodes: Episodes) -> Masks:
         """Return the offered actions, and find the choices of each car."""
         queued = episodes.queue[:, :, 0] >= 0
         shape = (*queued.shape, int(self.counts.sum()))
-        self._cells, first = np.zeros((*shape, 3), np.int64), np.full(shape, -1, np.int8)
+        assert episodes.depth is not None, "the options demand the action helper"
+        self._cells = np.zeros((*shape, 3), np.int64)
+        self._plans = np.full((*shape, episodes.depth + 1), -1, np.int8)
         grids, choice = episodes.grids, self.choice
         world = grids.cells, grids.cars, episodes.corrections
-        limits = choice.radius, choice.floor, _depth(episodes)
-        plan = np.zeros(_depth(episodes) + 1, np.int8)
-        _find(*world, self._space, *limits, self.counts, plan, self._cells, first)
-        parts = super().masks(episodes), queued[..., None], episodes.begins(first)
+        limits = choice.radius, choice.floor, episodes.depth
+        _find(*world, self._space, *limits, self.counts, self._cells, self._plans)
+        parts = super().masks(episodes), queued[..., None], episodes.begins(self._plans[..., 0])
         masks = np.concatenate(parts, axis=-1, dtype=np.int8)
         masks[queued] = np.arange(self.n_actions) == self.go_on
         return masks
@@ -184,11 +188,9 @@ class ChoiceForm(ActionForm):
         numbers, queued = super().begin(episodes, chosen)
         assert queued is not None
         column = np.maximum(chosen - self.go_on - 1, 0)
-        goals = np.take_along_axis(self._cells, column[..., None, None], -2)[..., 0, :]
-        wanted = (chosen > self.go_on) & ~queued & (goals[..., 2] > 0)
-        grids = episodes.grids
-        world = grids.cells, grids.cars, episodes.corrections
-        _plan(*world, self._space, goals, wanted, _depth(episodes), episodes.queue)
+        plans = np.take_along_axis(self._plans, column[..., None, None], -2)[..., 0, :]
+        wanted = (chosen > self.go_on) & ~queued
+        episodes.queue[wanted] = plans[wanted]
         return numbers, queued
 
     def spaces(self) -> dict[str, spaces.Space[Any]]:
@@ -211,11 +213,6 @@ class ChoiceForm(ActionForm):
         return {"choices": rows}
 
 
-def _depth(episodes: Episodes) -> int:
-    assert episodes.depth is not None, "the options demand the action helper"
-    return episodes.depth
-
-
 @compiled
 def _find(
     cells: Cells,
@@ -226,14 +223,10 @@ def _find(
     floor: bool,
     limit: int,
     counts: NDArray[np.int64],
-    plan: NDArray[np.int8],
     found: NDArray[np.int64],
-    first: NDArray[np.int8],
+    plans: NDArray[np.int8],
 ) -> None:
-    """Write the cells of each car's choices (B, n, choices, 3), and with which action the helper's plan to each begins.
-
-    Where it has none, ``first`` stays. ``plan`` (limit + 1,) is scratch.
-    """
+    """Write the cells of each car's choices (B, n, choices, 3), and the helper's plan to each, where it has one."""
     for i in range(cells.shape[0]):
         w = World(cells[i], cars[i], corrections)
         for me in range(cars.shape[1]):
@@ -246,8 +239,7 @@ def _find(
                 elsewhere = x != car.x or y != car.y or z != car.z
                 node = search(w, me, space, x, y, z, limit) if z > 0 and elsewhere else -1
                 if node >= 0:
-                    write_plan(space, node, plan)
-                    first[i, me, k] = plan[0]
+                    write_plan(space, node, plans[i, me, k])
 
 
 @compiled
@@ -261,7 +253,7 @@ def _flood(w: World, me: int, space: SearchBuffers, radius: int) -> None:
     space.slope[space.heap[0]] = start.slope
     head, tail = 0, 1
     while head < tail:
-        node = int(np.int64(space.heap[head]))
+        node = int(space.heap[head])
         head += 1
         here = pose_at(w, start, node, space.slope[node])
         legal = legal_actions(w, me, here, ROTATE_LEFT, LAST_MOVE)
@@ -300,25 +292,3 @@ def _list(
                     place, free = counts[0] + counts[1] + free, free + 1
                 if place >= 0:
                     found[place, 0], found[place, 1], found[place, 2] = x, y, z
-
-
-@compiled
-def _plan(
-    cells: Cells,
-    cars: Cars,
-    corrections: int,
-    space: SearchBuffers,
-    goals: NDArray[np.int64],
-    wanted: NDArray[np.bool_],
-    limit: int,
-    queues: Queues,
-) -> None:
-    """Queue the way of each car that wants one to its goal (B, n, 3); nothing where there is none."""
-    for i in range(cells.shape[0]):
-        w = World(cells[i], cars[i], corrections)
-        for me in range(cars.shape[1]):
-            if wanted[i, me]:
-                space.legal[:] = UNKNOWN
-                node = search(w, me, space, goals[i, me, 0], goals[i, me, 1], goals[i, me, 2], limit)
-                if node >= 0:
-                    write_plan(space, node, queues[i, me])

@@ -101,7 +101,7 @@ class AsynchronousCore(Core):
             until_s = min(running.ends_s[0].tolist())
             happened = self.backend.advance(self._zero_s + until_s if until_s < math.inf else None)
             time_s = round(happened.time_s - self._zero_s, 6)
-            ended = episodes.finish(0, time_s, happened.cars, happened.confirmed, happened.lost)
+            ended = episodes.finish(0, time_s, list(happened.infos), happened.confirmed, happened.lost)
             infos, problems = infos | happened.infos, happened.problems
         lost = {car: {"lost": why} for car, why in happened.lost.items()}
         self._found = [infos.get(car, {}) | lost.get(car, {}) for car in range(self.n_cars)]
@@ -120,7 +120,7 @@ class AsynchronousCore(Core):
             self._take_turns()
         shared = {"success": success, "duration_s": duration_s, "problems": problems, "deadlock": deadlock}
         by_car = self._infos(shared, ended | (not self._runs), failed)
-        return CoreStep(float(steps.reward[0]), terminated, truncated, by_car, np.argsort(running.turn[0]))
+        return float(steps.reward[0]), terminated, truncated, by_car
 
     def _infos(
         self, shared: dict[str, Any], ended: NDArray[np.bool_], failed: NDArray[np.bool_]
@@ -226,11 +226,11 @@ class AsynchronousConstruction(CarWorld, AECEnv[str, Observation, int]):
         self._cumulative_rewards[agent] = 0.0
         self._clear_rewards()
         if not self.core.turns:
-            result = self.core.advance()
-            self.rewards = dict.fromkeys(self.agents, result.reward)
-            self.terminations = dict.fromkeys(self.agents, result.terminated)
-            self.truncations = dict.fromkeys(self.agents, result.truncated)
-            self.infos = dict(zip(self.agents, result.infos, strict=True))
+            reward, terminated, truncated, infos = self.core.advance()
+            self.rewards = dict.fromkeys(self.agents, reward)
+            self.terminations = dict.fromkeys(self.agents, terminated)
+            self.truncations = dict.fromkeys(self.agents, truncated)
+            self.infos = dict(zip(self.agents, infos, strict=True))
         else:
             for car, mask in enumerate(self.core.masks.copy()):
                 self.infos[self.possible_agents[car]]["action_mask"] = mask

@@ -49,14 +49,14 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
 
         Raises InputError where no episode runs, and for actions of another shape or that are no numbers from 0 to 14.
         """
-        result = self.core.step(action)
+        reward, terminated, truncated, infos = self.core.step(action)
         # In asynchronous execution a car has some keys only after its first action.
-        keys = dict.fromkeys(key for of_car in result.infos for key in of_car)
-        info: dict[str, Any] = {key: tuple(of_car.get(key) for of_car in result.infos) for key in keys}
+        keys = dict.fromkeys(key for of_car in infos for key in of_car)
+        info: dict[str, Any] = {key: tuple(of_car.get(key) for of_car in infos) for key in keys}
         info["action_mask"] = self.core.masks.copy()
         for key in keys.keys() & set(OF_WORLD):
             info[key] = info[key][0]
-        return self._observe(), result.reward, result.terminated, result.truncated, info
+        return self._observe(), reward, terminated, truncated, info
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the offered actions, shape (n * actions,): the masks of the cars one after the other, as MaskablePPO

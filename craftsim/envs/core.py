@@ -62,9 +62,10 @@ class Ended:
     """The actions that end next in an asynchronous world."""
 
     time_s: float  # simulated time since the world was set up
-    cars: tuple[int, ...]  # whose actions have ended; none where the time that was given came first
     confirmed: Grid  # what is so: without what actions have changed that still run
-    infos: dict[int, dict[str, Any]] = field(default_factory=dict)  # by car that has ended: of its info
+    infos: dict[
+        int, dict[str, Any]
+    ]  # by car whose action has ended: of its info; none where the time came first
     problems: tuple[str, ...] = ()  # as of a tick
     lost: Mapping[int, str] = field(default_factory=dict)  # by car: why it cannot be driven any more
 
@@ -111,7 +112,7 @@ class GridBackend:
                     self._confirmed = self._rules.enforce(self._confirmed, car, action)
         if infos and self._rules.rule_set == "physical":
             self._confirmed.derive_marks()
-        return Ended(self._now_s, tuple(infos), self._confirmed, infos)
+        return Ended(self._now_s, self._confirmed, infos)
 
     def tick(self, episodes: Episodes, actions: NDArray[np.int64], order: NDArray[np.int64]) -> Tick:
         """Let all cars act, ``actions`` (n,) by car in the ``order`` (n,), and bring what is seen up to date."""
@@ -159,15 +160,9 @@ def make_backend(task: Task, options: Options) -> Backend:
     return PhysicsBackend(setup_from(options, task.layout.n_cars), options, task)
 
 
-@dataclass(frozen=True)
-class CoreStep:
-    """The result of a tick."""
-
-    reward: float  # shared by all cars
-    terminated: bool  # the work is done, and the task ends with that
-    truncated: bool  # the time is up, or the world cannot be read as a grid any more
-    infos: list[dict[str, Any]]  # by car
-    order: NDArray[np.int64]  # (n,): the cars in the order in which they acted
+CoreStep = tuple[float, bool, bool, list[dict[str, Any]]]
+"""The result of a tick: the reward, shared by all cars; terminated, where the work is done and the task ends with that;
+truncated, where the time is up, or the world cannot be read as a grid any more; and the infos by car."""
 
 
 class Core:
@@ -295,7 +290,8 @@ class Core:
         chosen = checked(actions, (self.n_cars,), self.form.n_actions)[None]
         episodes, offered = self.episodes, self.masks[None]
         acting, queued = self.form.begin(episodes, chosen)
-        order = self._rng.permutation(self.n_cars)
+        self.order = order = self._rng.permutation(self.n_cars)
+        """(n,): the cars in the order in which they act."""
         before = None if isinstance(self.task.reward, Reward) else self.grid
         tick = self.backend.tick(episodes, acting[0], order)
         seen = []
@@ -316,7 +312,7 @@ class Core:
         ]
         terminated, truncated = self._ends(success, over or bool(tick.problems))
         reward = float(steps.reward[0]) - self.options.time_weight * tick.duration_s
-        return CoreStep(reward, terminated, truncated, infos, order)
+        return reward, terminated, truncated, infos
 
     def _ends(self, success: bool, over: bool) -> tuple[bool, bool]:
         """Return whether an episode is terminated, and whether it is truncated."""

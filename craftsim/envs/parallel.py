@@ -89,13 +89,13 @@ class ParallelConstruction(CarWorld, ParallelEnv[str, Observation, int]):
         Raises InputError where no episode runs, and if an agent's action is missing or no number from 0 to 14.
         """
         agents = self.agents
-        result = self.core.step(by_agent(actions, agents))
-        if result.terminated or result.truncated:
+        reward, terminated, truncated, infos = self.core.step(by_agent(actions, agents))
+        if terminated or truncated:
             self.agents = []
         return (
             self.observe_all(),
-            dict.fromkeys(agents, result.reward),
-            dict.fromkeys(agents, result.terminated),
-            dict.fromkeys(agents, result.truncated),
-            dict(zip(agents, result.infos, strict=True)),
+            dict.fromkeys(agents, reward),
+            dict.fromkeys(agents, terminated),
+            dict.fromkeys(agents, truncated),
+            dict(zip(agents, infos, strict=True)),
         )

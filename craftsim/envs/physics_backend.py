@@ -261,7 +261,6 @@ class PhysicsBackend:
             self.ticks.append(attempts)
         return Ended(
             self.judge.physics.time_s,
-            tuple(attempt.car for attempt in attempts),
             self.judge.confirmed,
             {attempt.car: _info(attempt) | {"failed": _strayed(attempt)} for attempt in attempts},
             self.judge.problems,

@@ -68,7 +68,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
         self.workers = min(num_envs, batch.workers or usual, processors() if on_ray else num_envs)
         self._kind: Any = RayActor if on_ray else Actor
         self._actors = [
-            self._kind(partial(_Holder, make, range(number, num_envs, self.workers)))
+            self._kind(partial(_holder, make, range(number, num_envs, self.workers)))
             for number in range(self.workers)
         ]
         self._acting = np.zeros(num_envs, np.bool_)
@@ -229,7 +229,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
         return CraftsimError(f"the process that holds the worlds {worlds} {error}; make the environment anew")
 
     def _batch(self, answers: Mapping[int, tuple[Any, ...]]) -> Batch:
-        """Return the answers of :meth:`_Holder.act` as those of a batch."""
+        """Return the answers of :func:`_act` as those of a batch."""
         seen, rewards, terminated, truncated, reported, final = zip(*answers.values(), strict=True)
         infos: dict[str, Any] = {key: _column(key, [one[key] for one in reported]) for key in reported[0]}
         ended = np.array([one is not None for one in final])
@@ -269,28 +269,30 @@ _Call = tuple[Callable[..., Any], tuple[Any, ...]]
 """What is called with an environment in a worker, and further arguments."""
 
 
-class _Holder:
-    """In a worker: some of the worlds."""
+def _holder(make: Callable[[], CentralConstruction], worlds: Iterable[int]) -> Callable[[Any], Any]:
+    """In a worker: hold some of the worlds; return what answers (number of a world, call, further arguments).
 
-    def __init__(self, make: Callable[[], CentralConstruction], worlds: Iterable[int]) -> None:
-        self._envs = {world: make() for world in worlds}
+    Asked for nothing it closes all, and returns errors.
+    """
+    envs = {world: make() for world in worlds}
 
-    def __call__(self, asked: tuple[int, Callable[..., Any], tuple[Any, ...]] | None) -> Any:
-        """Return the number of a world and what a call comes to; asked for nothing, close all and return errors."""
-        if asked is None:
-            closed = [self._answer(world, CentralConstruction.close) for world in self._envs]
-            return [answer for answer in closed if isinstance(answer, CraftsimError)]
-        world, call, arguments = asked
-        return world, self._answer(world, call, *arguments)
-
-    def _answer(self, world: int, call: Callable[..., Any], *arguments: Any) -> Any:
+    def answer(world: int, call: Callable[..., Any], *arguments: Any) -> Any:
         """Return what a call comes to; what it raises is an answer, too."""
         try:
-            return call(self._envs[world], *arguments)
+            return call(envs[world], *arguments)
         except CraftsimError as error:
             return error
         except Exception:
             return CraftsimError(f"a world in physics broke down:\n{traceback.format_exc()}")
+
+    def handle(asked: tuple[int, Callable[..., Any], tuple[Any, ...]] | None) -> Any:
+        if asked is None:
+            closed = [answer(world, CentralConstruction.close) for world in envs]
+            return [one for one in closed if isinstance(one, CraftsimError)]
+        world, call, arguments = asked
+        return world, answer(world, call, *arguments)
+
+    return handle
 
 
 def _act(env: CentralConstruction, actions: NDArray[np.int64]) -> tuple[Any, ...]:

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.actions import ACTIONS, action_names
 from craftsim.discrete.drawing import ARROWS, LEGEND, world_text
-from craftsim.discrete.grid import SECOND_PART, CarField, Cell, Grid, Kind, Piece, beside
+from craftsim.discrete.grid import SECOND_PART, CarField, Grid, Kind, Piece, beside, cell_of
 from craftsim.discrete.kinds import NAMES, Action
 from craftsim.discrete.readback import HEADINGS
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.tasks import Task
-from craftsim.envs.core import CoreStep, SingleWorld
+from craftsim.envs.core import SingleWorld
 from craftsim.envs.options import Options
 from craftsim.errors import InputError, suggestion
 
@@ -177,16 +177,11 @@ def _things(grid: Grid) -> Iterator[str]:
 
 def _car(grid: Grid, car: int) -> str:
     row = grid.cars[car].tolist()
-    words, load = f"at {_cell(grid, car)}, facing {HEADINGS[row[CarField.YAW]]}", Kind(row[CarField.LOAD])
+    words, load = f"at {cell_of(grid, car)}, facing {HEADINGS[row[CarField.YAW]]}", Kind(row[CarField.LOAD])
     if load != Kind.AIR:
         gear = f" (gear {HEADINGS[row[CarField.LOAD_YAW]]})" if load == Kind.FSLOPE else ""
         words += f", with {NAMES[load]}{gear}"
     return words + (", on a ramp" if row[CarField.SLOPE] else "")
-
-
-def _cell(grid: Grid, car: int) -> Cell:
-    x, y, z = grid.cars[car, : CarField.YAW].tolist()
-    return x, y, z
 
 
 def legal_words(grid: Grid, masks: NDArray[np.int8], rules: Rules) -> str:
@@ -205,12 +200,12 @@ def _effect(grid: Grid, rules: Rules, car: int, action: Action) -> str:
     if action in (Action.LIFT, Action.DROP):
         load = Kind(max(old[CarField.LOAD], new[CarField.LOAD]))
         return f" ({NAMES[load]})"
-    if _cell(grid, car) != _cell(after, car):
-        return f" (to {_cell(after, car)})"
+    if cell_of(grid, car) != cell_of(after, car):
+        return f" (to {cell_of(after, car)})"
     if old[CarField.YAW] != new[CarField.YAW]:
         return f" (to face {HEADINGS[new[CarField.YAW]]})"
     if action == Action.UNFOLD:
-        cell = _cell(grid, car)
+        cell = cell_of(grid, car)
         return f" (the foot to {beside(cell, int(grid.yaw[cell]))})"
     return ""
 
@@ -297,20 +292,20 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
         for one in chosen:
             if one not in offered:
                 raise InputError(f"the action '{words_of(one)}' is not offered here; name it in 'actions'")
-        result = self.core.step([offered.index(one) for one in chosen])
-        feedback = self._feedback(before, chosen, result)
-        shared = result.infos[0]
+        reward, terminated, truncated, infos = self.core.step([offered.index(one) for one in chosen])
+        feedback = self._feedback(before, chosen, infos)
+        shared = infos[0]
         lines = ["What happened:", *(f"  {line}" for line in feedback)]
         if shared["problems"]:
             lines.append(f"The world cannot be read any more: {'; '.join(shared['problems'])}.")
-        over = result.terminated or result.truncated
+        over = terminated or truncated
         if shared["success"]:
             lines.append("The goal is reached.")
         elif over:
             lines.append("The episode is over; the goal is not reached.")
         text = "\n".join([*lines, "", self._seen(not over)])
         info = {key: shared[key] for key in ("success", "duration_s", "problems")}
-        return text, result.reward, result.terminated, result.truncated, info | {"feedback": feedback}
+        return text, reward, terminated, truncated, info | {"feedback": feedback}
 
     def _seen(self, may_act: bool = True) -> str:
         task, grid = self.core.task, self.core.grid
@@ -319,11 +314,13 @@ class TextConstruction(SingleWorld, gymnasium.Env[str, str]):
             lines += ["Legal actions:", legal_words(grid, self.core.masks, self.core.rules)]
         return "\n".join(lines)
 
-    def _feedback(self, grid: Grid, chosen: list[Action], result: CoreStep) -> tuple[Feedback, ...]:
+    def _feedback(
+        self, grid: Grid, chosen: list[Action], infos: list[dict[str, Any]]
+    ) -> tuple[Feedback, ...]:
         """Return what became of each car's action, which was chosen in the world ``grid``."""
         found: dict[int, Feedback] = {}
-        for car in result.order.tolist():
-            action, info = chosen[car], result.infos[car]
+        for car in self.core.order.tolist():
+            action, info = chosen[car], infos[car]
             why, said = info.get("reason", "").removeprefix("the rules forbid it: "), FORBIDDEN
             if info["illegal"]:
                 why = why if "reason" in info else self.core.rules.explain(grid, car, action).why

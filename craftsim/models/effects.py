@@ -7,13 +7,13 @@ worked out from the world's baseline and its state, and never a position, a spee
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.mjcf.building import TOUCHES
 from craftsim.models.config import Amount
@@ -137,7 +137,7 @@ class Bearings(StepEffect):
         trees = model.dof_treeid[dofs].astype(np.intp)
         # By geom its roller, counted over all cars, or -1; by roller its joint, its car and its friction in Nm.
         own = roller, dofs, trees, world.baseline.dof_frictionloss[dofs]
-        self._follow = bound(_follow_contacts, own, world.data.tree_asleep, model.dof_frictionloss)
+        self._follow = partial(_follow_contacts, own, world.data.tree_asleep, model.dof_frictionloss)
 
     def start(self, world: PhysicsWorld) -> None:
         """Go by the contacts of the start."""
@@ -189,7 +189,7 @@ class Grip(StepEffect):
         self.each_step = world.uneven
         data, uneven = world.data, np.array([world.uneven])
         state = data.actuator_force, data.tree_asleep, data.qacc, data.xmat
-        self._limit = bound(_limit, wheel_of, uneven, wheels, state, model.actuator_forcerange)
+        self._limit = partial(_limit, wheel_of, uneven, wheels, state, model.actuator_forcerange)
 
     def before_period(self, world: PhysicsWorld) -> None:
         """Limit all motors for what their wheels carry now."""
@@ -315,7 +315,7 @@ class DrivetrainLosses(StepEffect):
         state = data.ctrl, data.actuator_force, data.actuator_velocity
         limits, friction = model.actuator_forcerange, model.dof_frictionloss
         changed = limits, model.actuator_gainprm, model.actuator_biasprm, friction
-        self._lose = bound(_lose, state, changed, data.tree_asleep, losses, wheels)
+        self._lose = partial(_lose, state, changed, data.tree_asleep, losses, wheels)
 
     @property
     def state(self) -> Floats:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import body_axes
 from craftsim.models.world import PhysicsWorld
@@ -156,7 +156,7 @@ def exact_reader(physics: PhysicsWorld, cars: Records, undersides: Records) -> C
     speeds = data.qvel if physics.machines.drive == "rollers" else data.actuator_velocity
     state = data.qpos, data.qvel, data.act, speeds
     motors = model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange
-    return bound(_read_cars, state, motors, cars, undersides)
+    return partial(_read_cars, state, motors, cars, undersides)
 
 
 @compiled

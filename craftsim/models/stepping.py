@@ -20,8 +20,8 @@ import mujoco
 import numpy as np
 from llvmlite import ir
 from numba.core import config, types
+from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.models.effects import Ints, TurnedMotors, turn_motors
 
@@ -96,11 +96,11 @@ class Stepping:
         """Step with these motors from now on, and count solvers that need so many iterations."""
         if not _HAS_BATCHES:
             self._run: Callable[[int], int] = partial(
-                _run_in_python, *self._world, bound(turn_motors, motors), most_iterations
+                _run_in_python, *self._world, partial(turn_motors, motors), most_iterations
             )
             return
         limit = np.array([most_iterations], np.int64)
-        self._run = bound(_run_steps, self._call, motors, self._world[1].solver_niter, limit)
+        self._run = partial(_run_steps, self._call, motors, self._world[1].solver_niter, limit)
 
     def run(self, n_steps: int) -> int:
         """Run physics steps, or none; return in how many a solver gave up. Raises FatalError as MuJoCo does."""
@@ -123,7 +123,9 @@ def _run_in_python(
 
 
 @compiled
-def _run_steps(call: Ints, motors: TurnedMotors, iterations: Ints, limit: Ints, n_steps: int) -> int:
+def _run_steps(
+    call: NDArray[np.int64], motors: TurnedMotors, iterations: Ints, limit: NDArray[np.int64], n_steps: int
+) -> int:
     """Turn the motors and step, so often; return in how many steps a solver gave up, -1 for an error in one."""
     n_capped = 0
     turn_motors(motors)

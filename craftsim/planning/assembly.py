@@ -36,10 +36,6 @@ _SEARCHES: Final = 12
 """Searches for an order, each of which tries equally good steps in another order."""
 
 
-class OutOfTimeError(Exception):
-    """The time for a search is over."""
-
-
 class Placing(NamedTuple):
     """A thing put to its place, or taken away."""
 
@@ -92,7 +88,7 @@ class Assembly:
     def __init__(self, base: Grid, rules: Rules) -> None:
         self.base, self.rules, self.graphs = base, rules, MoveGraphs(rules)
         self.until_s = math.inf
-        """The monotonic time after which :meth:`has_room` raises OutOfTimeError, so that all that asks it ends."""
+        """The monotonic time after which :meth:`has_room` raises TimeoutError, so that all that asks it ends."""
         self.grid = lru_cache(512)(self._make_grid)
         """The world in which some things stand."""
         self._graph = lru_cache(512)(self._make_graph)
@@ -139,7 +135,7 @@ class Assembly:
     def has_room(self, grid: Grid, thing: Piece) -> bool:
         """Return whether a thing can stand in its place: free, in the area, borne, and so that a car may act there."""
         if time.monotonic() > self.until_s:
-            raise OutOfTimeError
+            raise TimeoutError
         for cell in thing.cells if thing.kind == Kind.BODY else thing.cells[:1]:
             x, y, z = cell
             if not grid.inside(cell) or grid.kind_at(cell) != Kind.AIR:

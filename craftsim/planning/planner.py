@@ -20,7 +20,7 @@ from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import Schedule, make_schedule
 from craftsim.discrete.tasks.task import Task
 from craftsim.errors import InputError
-from craftsim.planning.assembly import Assembly, Order, OutOfTimeError, State, loads_of, without_things
+from craftsim.planning.assembly import Assembly, Order, State, loads_of, without_things
 from craftsim.planning.building import Construction, Style
 from craftsim.planning.exact import MOST_WORLDS, is_small, least_work
 from craftsim.planning.joint_plan import Saved, Ticks, Turn
@@ -198,7 +198,7 @@ class _Search:
                 report(number, self.best)
                 if self.best is not None and self.best.makespan_s <= self._bound + _EQUAL_S:
                     break
-        except OutOfTimeError:
+        except TimeoutError:
             pass
         except KeyboardInterrupt:
             if self.best is None:

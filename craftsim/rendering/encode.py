@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
@@ -42,23 +40,17 @@ _THREADS: Final = {"threads": "2"}
 _ANIMATION_PIXELS: Final = 400_000_000
 """Of all frames of an animation together: they are all in memory at its end."""
 _GIF_FPS: Final = 50  # more than that is shown slowly: a frame of 10 ms is taken for a mistake
-_WAITING: Final = 16  # frames that wait for the encoder at most
 
 
 def encode(path: Path, fps: int, frames: Iterable[Frame], tell: OnFrame = lambda done: None) -> None:
-    """Write frames into a film, encoded in a thread of its own, or an animation; ``tell`` is called after each."""
+    """Write frames into a film or an animation; ``tell`` is called after each."""
     if path.suffix in ANIMATIONS:
         _animate(path, fps, frames, tell)
         return
-    with VideoWriter(path, fps) as writer, ThreadPoolExecutor(1, "encoder") as encoder:
-        waiting: deque[Future[None]] = deque()
+    with VideoWriter(path, fps) as writer:
         for frame in frames:
-            waiting.append(encoder.submit(writer.write, frame))
-            if len(waiting) > _WAITING:
-                waiting.popleft().result()
+            writer.write(frame)
             tell(True)
-        for written in waiting:
-            written.result()
 
 
 class VideoWriter:

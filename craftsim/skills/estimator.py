@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M
-from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
 from craftsim.discrete.kernel.rotation import wrap
 from craftsim.mjcf.parameters import SmartcarParameters
@@ -161,7 +161,7 @@ class PoseEstimator:
         self._begun = np.zeros(1, np.bool_)
         """(1,): whether there was an update."""
         past = self._delays, self._odometry, self._located
-        self._update = bound(_update, self._estimates, past, self._moved, self._begun, self.readings)
+        self._update = partial(_update, self._estimates, past, self._moved, self._begun, self.readings)
 
     def expect_loose(self, share: float) -> None:
         """From now on expect sideways slip, for a while in one direction, at this share of the speed."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import records
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.readback import nearest_yaw
@@ -97,7 +97,7 @@ class Executor:
             shares = (1 - math.exp(-period / (k * LAG_STEP_S)) for k in range(1, N_LAGS))
             car["lag"]["shares"] = [1.0, *shares]
         self._angles = np.zeros((n, n_angles(self.gains, period)))
-        self._step_cars = bound(step_cars, self._cars, self._angles)
+        self._step_cars = partial(step_cars, self._cars, self._angles)
         self._tries: dict[int, Tries] = {}
         """By car, while its action runs."""
         self._own: dict[int, Skill] = {}

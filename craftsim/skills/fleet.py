@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Literal, Protocol
 
 import numpy as np
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 
 from craftsim.discrete.geometry import CELL_PITCH_M
 from craftsim.discrete.grid import Cell, Kind, beside
-from craftsim.discrete.kernel.bound import bound
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.readback import read_grid
 from craftsim.errors import InputError
@@ -101,7 +101,7 @@ class PhysicsFleet:
         if self._cars is not cars:
             servos = self.motors.speeds, np.array([self.motors.share]), self.physics.data.ctrl
             wiring = self.sensors.cars, self.sensors.plugs
-            self._cars, self._command = cars, bound(_command, wiring, servos, self._docked, cars)
+            self._cars, self._command = cars, partial(_command, wiring, servos, self._docked, cars)
         self._command()
 
     def advance(self, observe: Callable[[], None] | None = None) -> None:

@@ -316,7 +316,6 @@ def test_an_episode_is_run_again_bit_for_bit_from_its_recipe():
             backend.begin(car, step.action, row, row)
             n_begun += 1
         ended = backend.advance(judge.physics.time_s + 1.0)
-        assert set(ended.infos) == set(ended.cars)
         assert not ended.problems
     recipe = backend.recipe
     assert len({*np.diff(recipe.steps[0].starts_s)}) > 2

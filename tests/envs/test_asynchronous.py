@@ -190,15 +190,15 @@ def test_a_batch_is_its_worlds_one_by_one(helper_depth):
             assert set(one.core.turns) == set(np.flatnonzero(decides[i]))
             np.testing.assert_array_equal(one.core.masks, masks[i])
             one.core.turns = [car for car in drawn.order[i].tolist() if decides[i, car]]
-            result = one.core.step(actions[i])
+            earned, *ends, infos_of_one = one.core.step(actions[i])
             over = terminated[i] | truncated[i]
-            assert result.reward == pytest.approx(reward[i])
-            assert (result.terminated, result.truncated) == (terminated[i], truncated[i])
+            assert earned == pytest.approx(reward[i])
+            assert ends == [terminated[i], truncated[i]]
             last = infos["final_obs"][i] if over else {key: value[i] for key, value in seen.items()}
             np.testing.assert_array_equal(one.core.state(), last["observation"])
             for key in ("doing", "claimed"):
                 np.testing.assert_allclose(one.core.seen[key], last[key], atol=1e-5)
-            for car, info in enumerate(result.infos):
+            for car, info in enumerate(infos_of_one):
                 assert info["duration_s"] == pytest.approx(infos["duration_s"][i])
                 for key in ("illegal", "blocked") if decides[i, car] else ():
                     assert info[key] == infos[key][i, car]

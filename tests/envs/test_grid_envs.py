@@ -82,10 +82,10 @@ def test_rewards_observations_and_masks_are_those_of_an_episode_of_the_task():
         np.testing.assert_array_equal([o["observation"] for o in observations.values()], episode.vectors()[0])
         np.testing.assert_array_equal([o["action_mask"] for o in observations.values()], episode.legal()[0])
         actions = [*act(observations).values()]
-        result = env.core.step(actions)
-        step = episode.step([actions], result.order[None])
+        reward, terminated, truncated, _ = env.core.step(actions)
+        step = episode.step([actions], env.core.order[None])
         assert episode.grid(0).same_visible(env.grid)
-        assert (result.reward, result.terminated | result.truncated) == (step.reward[0], step.done[0])
+        assert (reward, terminated | truncated) == (step.reward[0], step.done[0])
         observations, running = env.observe_all(), not step.done[0]
 
 

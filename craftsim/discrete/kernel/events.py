@@ -12,28 +12,17 @@ from craftsim.discrete.kernel.batch import NO_HELPER, Mask, Queues
 from craftsim.discrete.kernel.claims import Claims, claims_of, conflict
 from craftsim.discrete.kernel.codes import (
     FIRST_MOVE,
-    FOLD,
-    LAST_MOVE,
-    LIFT,
-    MOVE_DIRECTIONS,
     N_ACTIONS,
     STOP,
-    UNFOLD,
 )
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop, write_plan
 from craftsim.discrete.kernel.state import (
     AIR,
-    BODY,
-    FOOT,
-    FSLOPE,
     Pose,
     World,
     apply,
-    dir_x,
-    dir_y,
-    kind_at,
     pose_of,
 )
 
@@ -42,6 +31,10 @@ DECIDES = -1
 RUNS, BEGUN, WAITS, ILLEGAL, BLOCKED = range(5)
 """What became of a decision: there was none to make, as the car's action runs; its action began; it waits by choice; or
 it waits because the rules or a claim stand against the action."""
+
+
+FAR = 5
+"""Cells along any axis: nothing that an action claims, nor a load beside it, is further from its car."""
 
 
 class Running(NamedTuple):
@@ -99,78 +92,27 @@ class Ends(NamedTuple):
 
 
 @compiled
-def world_of(worlds: World, i: int) -> World:
-    """Return a world of a batch."""
-    return World(worlds.cells[i], worlds.cars[i], worlds.corrections)
-
-
-@compiled
 def moment(seconds: float) -> float:
     """Return a time rounded to microseconds: what ends together then ends at the same time, however it was added."""
     return math.floor(seconds * 1e6 + 0.5) / 1e6
 
 
 @compiled
-def reach_of(w: World, car: Pose, action: int) -> int:
-    """Return how many cells beside a car's way a legal action may claim any."""
-    if car.load != AIR or (
-        action in (LIFT, FOLD, UNFOLD) and kind_at(w, car.x, car.y, car.z) in (FSLOPE, BODY)
-    ):
-        return 3  # the neighbours of its load included
-    return 1 if action == LIFT else 0
-
-
-@compiled
-def within(claim: NDArray[np.int16], x0: int, x1: int, y0: int, y1: int, z: int) -> bool:
-    """Return whether a claim may be one against an action of a car at level z, of which these are the reaches."""
-    return x0 <= claim[0] <= x1 and y0 <= claim[1] <= y1 and z - 2 <= claim[2] <= z + 3
-
-
-@compiled
-def neighbours(w: World, running: Running, i: int, car: Pose) -> int:
-    """Return which cars run what could stand against any action of a car, a bit each; the last bit is of many."""
-    found = 0
-    # Onto a ramp a car claims what is 3 cells ahead.
-    reach = max(3 if car.slope == 0 else 1, reach_of(w, car, LIFT), reach_of(w, car, FIRST_MOVE) + 1)
-    x0, x1, y0, y1 = car.x - reach, car.x + reach, car.y - reach, car.y + reach
-    for other in range(running.action.shape[1]):
-        for k in range(running.n_claims[i, other]):
-            if within(running.claims[i, other, k], x0, x1, y0, y1, car.z):
-                found |= 1 << min(other, 62)
-                break
-    return found
-
-
-@compiled
-def blocked(
-    w: World, running: Running, i: int, others: int, car: Pose, action: int, row: Claims, count: int
-) -> bool:
+def blocked(w: World, running: Running, i: int, car: Pose, action: int, row: Claims, count: int) -> bool:
     """Return whether a claim of what runs in a world stands against a legal action of a car.
 
-    Looked at are the cars of :func:`neighbours`. The action's claims are the first ``count`` rows of ``row`` (MOST, 4);
-    with 0 they are written there when needed.
+    The action's claims are the first ``count`` rows of ``row`` (MOST, 4); with 0 they are written there when needed.
     """
-    if others == 0:
-        return False
-    reach, dx, dy = reach_of(w, car, action), 0, 0
-    if FIRST_MOVE <= action <= LAST_MOVE:
-        m = MOVE_DIRECTIONS[action - FIRST_MOVE]
-        dx, dy = dir_x(m), dir_y(m)
-        x, y = car.x + dx, car.y + dy
-        if car.slope == 0 and (kind_at(w, x, y, car.z) == FOOT or kind_at(w, x, y, car.z - 1) == BODY):
-            dx, dy = 3 * dx, 3 * dy
-    x0, x1 = min(car.x, car.x + dx) - reach, max(car.x, car.x + dx) + reach
-    y0, y1 = min(car.y, car.y + dy) - reach, max(car.y, car.y + dy) + reach
     for other in range(running.action.shape[1]):
-        if not others & (1 << min(other, 62)):
-            continue
         for k in range(running.n_claims[i, other]):
             claim = running.claims[i, other, k]
-            if within(claim, x0, x1, y0, y1, car.z):
-                if count == 0:
-                    count = claims_of(w, car, action, row)
-                if conflict(row, count, claim[0], claim[1], claim[2], claim[3]):
-                    return True
+            # No action claims anything further away than this from its car.
+            if abs(claim[0] - car.x) > FAR or abs(claim[1] - car.y) > FAR or abs(claim[2] - car.z) > FAR:
+                continue
+            if count == 0:
+                count = claims_of(w, car, action, row)
+            if conflict(row, count, claim[0], claim[1], claim[2], claim[3]):
+                return True
     return False
 
 
@@ -191,16 +133,15 @@ def offer(
     (MOST, 4) and ``plan`` (depth + 1,) are scratch.
     """
     for i in range(worlds.cells.shape[0]):
-        w = world_of(worlds, i)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
         for car in range(w.cars.shape[0]):
             some = False
             if running.action[i, car] == DECIDES:
                 pose = pose_of(w, car)
                 legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
-                others = neighbours(w, running, i, pose)
                 for action in range(N_ACTIONS):
                     if legal & (1 << action) and (
-                        action == STOP or not blocked(w, running, i, others, pose, action, row, 0)
+                        action == STOP or not blocked(w, running, i, pose, action, row, 0)
                     ):
                         out[i, car, action] = some = True
                 wanted = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
@@ -209,7 +150,7 @@ def offer(
                     if node >= 0:
                         write_plan(space, node, plan)
                         first = int(np.int64(plan[0]))
-                        if not blocked(w, running, i, others, pose, first, row, 0):
+                        if not blocked(w, running, i, pose, first, row, 0):
                             out[i, car, FIRST_MOVE + m] = some = True
             if not some:
                 out[i, car, STOP] = True
@@ -235,7 +176,7 @@ def decide(
     worlds, committed ones, have the effects of what has begun from here on, but marks are not derived.
     """
     for i in range(first, end):
-        w, now_s, turn = world_of(worlds, i), running.time_s[i], 0
+        w, now_s, turn = World(worlds.cells[i], worlds.cars[i], worlds.corrections), running.time_s[i], 0
         for car in range(w.cars.shape[0]):
             turn = max(turn, running.turn[i, car])
         for place in range(order.shape[1]):
@@ -255,7 +196,7 @@ def decide(
                 if due < N_ACTIONS and legal_actions(w, car, pose, due, due) & (1 << due):
                     claims = running.claims[i, car]
                     count = claims_of(w, pose, due, claims)
-                    result = BLOCKED if blocked(w, running, i, -1, pose, due, claims, count) else BEGUN
+                    result = BLOCKED if blocked(w, running, i, pose, due, claims, count) else BEGUN
                     if result == BEGUN:
                         apply(w, car, due)
                         running.n_claims[i, car] = count
@@ -314,7 +255,7 @@ def advance(worlds: World, running: Running, queues: Queues, ends: Ends) -> None
             ends.doing[i, car] = running.action[i, car]
             ends.ended[i, car] = running.action[i, car] == STOP or running.ends_s[i, car] <= now_s
             ends.failed[i, car] = ends.ended[i, car] and running.fails[i, car]
-        w = world_of(worlds, i)
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
         car = following(running, i, ends.ended, 0)
         while car >= 0:
             if ends.failed[i, car]:
@@ -323,53 +264,3 @@ def advance(worlds: World, running: Running, queues: Queues, ends: Ends) -> None
                 apply(w, car, running.action[i, car])
             running.action[i, car], running.n_claims[i, car] = DECIDES, 0
             car = following(running, i, ends.ended, running.turn[i, car])
-
-
-@compiled
-def close(
-    running: Running,
-    offered: NDArray[np.int8],
-    ended: Mask,
-    done: Mask,
-    elapsed_s: NDArray[np.float64],
-    earned: NDArray[np.float64],
-    waited: Mask,
-) -> None:
-    """Write of each decision that has ended, or whose episode is ``done`` (B,), the time since then and what it has
-    earned, 0 for the others (B, n); and in which worlds there may be a deadlock.
-
-    That takes that all cars have waited, or are lost. Where none was offered anything else, (B, n, actions), that is so
-    still, and where one has asked in vain it can ask again.
-    """
-    for i in range(done.shape[0]):
-        waited[i], vain, stuck = True, False, True
-        for car in range(running.action.shape[1]):
-            elapsed_s[i, car] = earned[i, car] = 0.0
-            if ended[i, car] or done[i]:
-                elapsed_s[i, car] = moment(running.time_s[i] - running.began_s[i, car])
-                earned[i, car] = running.earned[i, car]
-            outcome = running.outcome[i, car]
-            lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf
-            waited[i] = waited[i] and (outcome in (WAITS, ILLEGAL) or lost)
-            vain = vain or outcome == ILLEGAL
-        if waited[i] and not vain:
-            for car in range(offered.shape[1]):
-                for action in range(offered.shape[2]):
-                    stuck = stuck and (action == STOP or offered[i, car, action] == 0)
-        waited[i] = waited[i] and (vain or stuck)
-
-
-@compiled
-def show(running: Running, doing: NDArray[np.float32], out: NDArray[np.int8]) -> None:
-    """Write what each car does, action and seconds (B, n, 2), and 1 for each claimed cell (B, L, W, H + 1)."""
-    length, width, layers = out.shape[1:]
-    for i in range(out.shape[0]):
-        for car in range(doing.shape[1]):
-            action = running.action[i, car]
-            doing[i, car, 0] = action
-            doing[i, car, 1] = 0.0 if action == DECIDES else running.time_s[i] - running.began_s[i, car]
-            for k in range(running.n_claims[i, car]):
-                claim = running.claims[i, car, k]
-                x, y, z = claim[0], claim[1], claim[2]
-                if 0 <= x < length and 0 <= y < width and z < layers:
-                    out[i, x, y, z] = 1

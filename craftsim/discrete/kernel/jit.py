@@ -25,11 +25,10 @@ from typing import Any, Final, TypeVar, cast, overload
 
 import numpy as np
 from llvmlite import binding as llvm
-from numba.core import bytecode, config, sigutils, typed_passes, types, untyped_passes
+from numba.core import bytecode, config, sigutils, types, untyped_passes
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.compiler_machinery import PassManager
 from numba.core.registry import CPUDispatcher
 from numpy.typing import NDArray
 
@@ -57,14 +56,14 @@ Record = Any
 @overload
 def compiled(function: F) -> F: ...
 @overload
-def compiled(*, inline: bool = True, nogil: bool = False) -> Callable[[F], F]: ...
-def compiled(function: F | None = None, *, inline: bool = True, nogil: bool = False) -> F | Callable[[F], F]:
+def compiled(*, inline: bool = True) -> Callable[[F], F]: ...
+def compiled(function: F | None = None, *, inline: bool = True) -> F | Callable[[F], F]:
     """Compile a function with numba at its first call; NUMBA_DISABLE_JIT=1 leaves it plain Python.
 
     Its code is inlined into its callers unless ``inline`` is off: a large one with many callers is better compiled
-    once. With ``nogil`` a call from Python releases the interpreter's lock.
+    once.
     """
-    options = {"forceinline": inline, "nogil": nogil}
+    options = {"forceinline": inline}
 
     def decorate(function: F) -> F:
         return function if config.DISABLE_JIT else cast(F, _Compiled(function, {}, options))
@@ -170,7 +169,7 @@ class _Compiled(CPUDispatcher):
                 return
             self.overloads.pop(arguments, None)
             inner = partial(_InnerCompiler, self.content)
-            self._compiler.pipeline_class = _Compiler if self._for_python else inner
+            self._compiler.pipeline_class = Compiler if self._for_python else inner
             self._compiler.targetoptions = self.targetoptions | {"no_cpython_wrapper": not self._for_python}
             super().compile(arguments)
             library = self.overloads[arguments].library
@@ -275,38 +274,7 @@ class _Called(JITCodeLibrary):
         return self._shared_module
 
 
-_NOT_NEEDED: Final = {
-    untyped_passes.WithLifting,
-    untyped_passes.InlineClosureLikes,
-    untyped_passes.RewriteSemanticConstants,
-    untyped_passes.DeadBranchPrune,
-    untyped_passes.RewriteDynamicRaises,
-    untyped_passes.MakeFunctionToJitFunction,
-    untyped_passes.InlineInlinables,
-    untyped_passes.FindLiterallyCalls,
-    untyped_passes.LiteralUnroll,
-    untyped_passes.LiteralPropagationSubPipelinePass,
-    typed_passes.InlineOverloads,
-    typed_passes.NopythonRewrites,
-    typed_passes.NoPythonSupportedFeatureValidation,
-    typed_passes.AnnotateTypes,
-    typed_passes.DumpParforDiagnostics,
-}
-"""Passes of numba for closures, literals, array expressions and other things that our functions do without."""
-
-
-class _Compiler(Compiler):
-    """Compiles a function as numba does, without the passes that ours do not need."""
-
-    def define_pipelines(self) -> list[PassManager]:
-        """Return numba's passes but for some."""
-        (passes,) = super().define_pipelines()
-        passes.passes = [one for one in passes.passes if one[0] not in _NOT_NEEDED]
-        passes.finalize()
-        return [passes]
-
-
-class _InnerCompiler(_Compiler):
+class _InnerCompiler(Compiler):
     """Compiles a function that other compiled functions call, under a name that depends on its content alone."""
 
     def __init__(

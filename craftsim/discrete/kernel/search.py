@@ -34,32 +34,25 @@ UNKNOWN = -1
 class SearchBuffers(NamedTuple):
     """Scratch arrays of a search, one entry a node, made once for a map size and used again and again."""
 
-    state: NDArray[np.int8]
-    cost: NDArray[np.int32]
-    rank: NDArray[np.int32]
+    state: NDArray[np.int64]
+    cost: NDArray[np.int64]
+    rank: NDArray[np.int64]
     """Cost so far plus distance left; the start has 0."""
-    depth: NDArray[np.int32]
+    depth: NDArray[np.int64]
     slope: NDArray[np.int64]
-    parent: NDArray[np.int32]
-    action: NDArray[np.int8]
-    heap: NDArray[np.int32]
-    legal: NDArray[np.int16]
+    parent: NDArray[np.int64]
+    action: NDArray[np.int64]
+    heap: NDArray[np.int64]
+    legal: NDArray[np.int64]
     """Legal successors, a bit for each action, known for one car in one world; else UNKNOWN."""
-    legal_slope: NDArray[np.int8]
+    legal_slope: NDArray[np.int64]
     """The slope state for which ``legal`` holds."""
 
 
 def search_buffers(size: tuple[int, int, int]) -> SearchBuffers:
     """Return scratch arrays for maps of size (L, W, H); a car can be at levels 0 to H + 1."""
     nodes = size[0] * size[1] * (size[2] + 2) * 4
-    narrow = {
-        "state": np.int8,
-        "action": np.int8,
-        "legal": np.int16,
-        "legal_slope": np.int8,
-        "slope": np.int64,
-    }
-    return SearchBuffers(*(np.zeros(nodes, narrow.get(name, np.int32)) for name in SearchBuffers._fields))
+    return SearchBuffers(*(np.zeros(nodes, np.int64) for _ in SearchBuffers._fields))
 
 
 # A binary heap of nodes ordered by their rank. The sifting is that of Python's heapq, because which of two equally good
@@ -67,7 +60,7 @@ def search_buffers(size: tuple[int, int, int]) -> SearchBuffers:
 
 
 @compiled
-def rise(heap: NDArray[np.int32], top: int, place: int, rank: NDArray[np.int32]) -> None:
+def rise(heap: NDArray[np.int64], top: int, place: int, rank: NDArray[np.int64]) -> None:
     """Let an item rise to its place, not above ``top``."""
     item = heap[place]
     while place > top:
@@ -80,7 +73,7 @@ def rise(heap: NDArray[np.int32], top: int, place: int, rank: NDArray[np.int32])
 
 
 @compiled
-def sink(heap: NDArray[np.int32], size: int, place: int, rank: NDArray[np.int32]) -> None:
+def sink(heap: NDArray[np.int64], size: int, place: int, rank: NDArray[np.int64]) -> None:
     """Let an item sink to a leaf, and rise from there to its place."""
     top = place
     item = heap[place]
@@ -120,7 +113,7 @@ def legal_from(w: World, me: int, space: SearchBuffers, node: int, car: Pose) ->
         legal = legal_actions(w, me, car, ROTATE_LEFT, LAST_MOVE)
         space.legal[node] = legal & ((1 << REASON_BIT) - 1)
         space.legal_slope[node] = car.slope
-    return int(np.int64(space.legal[node]))
+    return int(space.legal[node])
 
 
 @compiled(inline=False)
@@ -140,7 +133,7 @@ def search(w: World, me: int, space: SearchBuffers, goal_x: int, goal_y: int, go
     space.parent[first] = -1
     space.heap[0], size = first, 1
     while size > 0:
-        node = int(np.int64(space.heap[0]))
+        node = int(space.heap[0])
         size -= 1
         space.heap[0] = space.heap[size]
         if size > 0:
@@ -223,7 +216,7 @@ def moves_to_plan(w: World, me: int, space: SearchBuffers, legal: int, limit: in
     space.depth[space.heap[0]] = 0
     head, tail = 0, 1
     while head < tail:
-        node = int(np.int64(space.heap[head]))
+        node = int(space.heap[head])
         head += 1
         car = pose_at(w, start, node, space.slope[node])
         for i in range(4):

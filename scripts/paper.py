@@ -31,8 +31,11 @@ STEPS: Final = {
     "coma": 600_000,
 }
 """Length of a run by algorithm; the paper's are of 1,000,500 and 2,000,000 steps."""
-LONG: Final = {("simple_two_story", algo): PAPER_LONG_STEPS for algo in ("pqn", "ippo", "mappo", "coma")}
-"""Runs as long as the paper's: those that succeed later than in :data:`STEPS`."""
+LONG: Final = {
+    **{("simple_two_story", algo): PAPER_LONG_STEPS for algo in ("pqn", "ippo", "mappo", "coma")},
+    ("simple_two_story", "qtran"): 500_000,
+}
+"""Longer runs: those that succeed later than in :data:`STEPS`."""
 KEY: Final = ("task", "algo", "seed", "steps")
 """What tells a run from the others."""
 

@@ -477,27 +477,37 @@ def structures_table(stored: dict[str, Any]) -> str:
 
 
 def paper_table() -> str:
-    """Return the mean success of the last fifth of evaluations over seeds, and the CPU time of a run."""
+    """Return success under the paper's protocol by algorithm and task, and the CPU time of what has one stored."""
     runs = _read(TRAINING / "paper_runs.json")["runs"]
     published = read_study("paper").reference
-    alike = ("task", "algo", "steps")
+    tasks = [task for task in published if any(run["task"] == task for run in runs)]
     rows = []
-    for task, algo, steps in sorted({tuple(run[name] for name in alike) for run in runs}):
-        some = [run for run in runs if tuple(run[name] for name in alike) == (task, algo, steps)]
-        lasts = [run["last_fifth"] for run in some]
-        cpu = [run["cpu_s"] for run in some if run["cpu_s"] is not None]
+    for algo in sorted({run["algo"] for run in runs}):
+        of_algo = [run for run in runs if run["algo"] == algo]
         rows.append(
-            {
-                "task": f"`{task}`",
-                "algorithm": f"`{algo}`",
-                "steps": f"{steps // 1000}k",
-                "success (95 %)": _over_seeds(lasts),
-                "by seed": " ".join(f"{last:.2f}" for last in lasts),
-                "published": f"{published[task]:.2f}",
-                "CPU minutes a run": f"{np.mean(cpu) / 60:.1f}" if cpu else "",
-            }
+            [f"`{algo}`", *(_of_protocol([r for r in of_algo if r["task"] == task]) for task in tasks)]
         )
-    return named(rows)
+    cpu = [run["cpu_s"] for run in runs if run["cpu_s"] is not None]
+    head, best = (
+        ["", *(f"`{task}`" for task in tasks)],
+        ["published", *(f"{published[t]:.2f}" for t in tasks)],
+    )
+    hours = (
+        f"{len(cpu)} of these {len(runs)} runs have a stored CPU time: {sum(cpu) / 3600:.1f} hours together."
+    )
+    return f"{table(head, best, *rows)}\n{hours}\n"
+
+
+def _of_protocol(runs: list[dict[str, Any]]) -> str:
+    """Return for each length of runs success over seeds, how many these are, and the mean CPU time."""
+    cells = []
+    for steps in sorted({run["steps"] for run in runs}):
+        some = [run for run in runs if run["steps"] == steps]
+        cpu = [run["cpu_s"] for run in some if run["cpu_s"] is not None]
+        minutes = f", {mean(cpu) / 60:.1f} min" if cpu else ""
+        success = _over_seeds([run["last_fifth"] for run in some])
+        cells.append(f"{success}, {len(some)}x{steps // 1000}k{minutes}")
+    return "; ".join(cells)
 
 
 def studies_table() -> str:
@@ -592,9 +602,18 @@ def plot() -> None:
         for path in plot_results(folder, read_study(name), _read(TRAINING / f"{name}.json")["figures"]):
             if path.name not in shown:
                 path.unlink()
-    plot_curves(_read(TRAINING / "paper_runs.json")["runs"], "algo", TRAINING / "paper_curves.png")
+    plot_curves(_longest(_read(TRAINING / "paper_runs.json")["runs"]), "algo", TRAINING / "paper_curves.png")
     curves = json.loads((TRAINING / "execution_curves.json").read_text(encoding="utf-8"))
     plot_curves(curves, "trained", TRAINING / "execution_curves.png")
+
+
+def _longest(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the longest of the runs of each task and algorithm."""
+    lengths: dict[tuple[str, str], int] = {}
+    for run in runs:
+        both = run["task"], run["algo"]
+        lengths[both] = max(run["steps"], lengths.get(both, 0))
+    return [run for run in runs if run["steps"] == lengths[run["task"], run["algo"]]]
 
 
 def plot_curves(runs: list[dict[str, Any]], key: str, path: Path) -> None:

@@ -86,6 +86,7 @@ def store(report: dict[str, Any], at: str, cpu_s: int | None) -> None:
         "versions": figures["training_versions"],
         "cpu_s": cpu_s,
         "last_fifth": figures["last_fifth"],
+        "mean_return": figures["mean_return"],
         "curve": [
             [point["steps"], point["successes"] / point["episodes"]] for point in figures["learning_curve"]
         ],

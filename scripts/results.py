@@ -499,14 +499,21 @@ def paper_table() -> str:
 
 
 def _of_protocol(runs: list[dict[str, Any]]) -> str:
-    """Return for each length of runs success over seeds, how many these are, and the mean CPU time."""
+    """Return for each length of runs success over seeds, how many these are, and the mean CPU time.
+
+    Where none succeeds, the last return says how far they came.
+    """
     cells = []
     for steps in sorted({run["steps"] for run in runs}):
         some = [run for run in runs if run["steps"] == steps]
         cpu = [run["cpu_s"] for run in some if run["cpu_s"] is not None]
         minutes = f", {mean(cpu) / 60:.1f} min" if cpu else ""
         success = _over_seeds([run["last_fifth"] for run in some])
-        cells.append(f"{success}, {len(some)}x{steps // 1000}k{minutes}")
+        returns = [run["mean_return"] for run in some if run["mean_return"] is not None]
+        came = (
+            f", return {mean(returns):.1f}" if returns and not any(run["last_fifth"] for run in some) else ""
+        )
+        cells.append(f"{success}, {len(some)}x{steps // 1000}k{minutes}{came}")
     return "; ".join(cells)
 
 

@@ -15,6 +15,7 @@ RUN = {
     "versions": {"torch": "1"},
     "cpu_s": None,
     "last_fifth": 0.5,
+    "mean_return": None,
     "curve": [],
 }
 
@@ -31,7 +32,12 @@ def trained(tmp_path, monkeypatch):
             n: int(given[f"--{n}"]) for n in ("seed", "steps")
         }
         curve = [{"steps": 10_000, "successes": 5, "episodes": 20}]
-        figures = {"training_versions": {"torch": "2"}, "last_fifth": 0.25, "learning_curve": curve}
+        figures = {
+            "training_versions": {"torch": "2"},
+            "last_fifth": 0.25,
+            "mean_return": 3.5,
+            "learning_curve": curve,
+        }
         out = Path(given["--out"])
         out.mkdir(parents=True)
         (out / "report.json").write_text(json.dumps({"config": config, "figures": figures}))
@@ -50,7 +56,8 @@ def test_only_what_is_not_stored_is_trained_and_stored_with_its_own_revision(tra
     assert trained == [("strip", "vdn", 1)]
     assert first == RUN
     assert (second["seed"], second["revision"], second["versions"]) == (1, "4567cdef", {"torch": "2"})
-    assert (second["last_fifth"], second["curve"], second["cpu_s"]) == (0.25, [[10_000, 0.25]], 0)
+    assert (second["last_fifth"], second["mean_return"], second["cpu_s"]) == (0.25, 3.5, 0)
+    assert second["curve"] == [[10_000, 0.25]]
     paper.main(["strip", "--algo", "vdn", "--seeds", "2"])
     assert len(trained) == 1
 

@@ -477,25 +477,44 @@ def structures_table(stored: dict[str, Any]) -> str:
 
 
 def paper_table() -> str:
-    """Return for each task and algorithm the mean success of the last fifth of evaluations, over seeds."""
+    """Return success under the paper's protocol by algorithm and task, and the CPU time of what has one stored."""
     runs = _read(TRAINING / "paper_runs.json")["runs"]
     published = read_study("paper").reference
+    tasks = [task for task in published if any(run["task"] == task for run in runs)]
     rows = []
-    for task, algo in sorted(dict.fromkeys((run["task"], run["algo"]) for run in runs)):
-        some = [run for run in runs if (run["task"], run["algo"]) == (task, algo)]
-        lasts = [run["last_fifth"] for run in some]
-        by_seed = " ".join(f"{last:.2f}" for last in lasts)
-        length = f"{some[0]['steps'] // 1000}k"
-        rows.append((f"`{task}`", f"`{algo}`", length, _over_seeds(lasts), by_seed, f"{published[task]:.2f}"))
-    head = (
-        "task",
-        "algorithm",
-        "steps",
-        "success (95 %)",
-        "by seed",
-        "published",
+    for algo in sorted({run["algo"] for run in runs}):
+        of_algo = [run for run in runs if run["algo"] == algo]
+        rows.append(
+            [f"`{algo}`", *(_of_protocol([r for r in of_algo if r["task"] == task]) for task in tasks)]
+        )
+    cpu = [run["cpu_s"] for run in runs if run["cpu_s"] is not None]
+    head, best = (
+        ["", *(f"`{task}`" for task in tasks)],
+        ["published", *(f"{published[t]:.2f}" for t in tasks)],
     )
-    return table(head, *rows)
+    hours = (
+        f"{len(cpu)} of these {len(runs)} runs have a stored CPU time: {sum(cpu) / 3600:.1f} hours together."
+    )
+    return f"{table(head, best, *rows)}\n{hours}\n"
+
+
+def _of_protocol(runs: list[dict[str, Any]]) -> str:
+    """Return for each length of runs success over seeds, how many these are, and the mean CPU time.
+
+    Where none succeeds, the last return says how far they came.
+    """
+    cells = []
+    for steps in sorted({run["steps"] for run in runs}):
+        some = [run for run in runs if run["steps"] == steps]
+        cpu = [run["cpu_s"] for run in some if run["cpu_s"] is not None]
+        minutes = f", {mean(cpu) / 60:.1f} min" if cpu else ""
+        success = _over_seeds([run["last_fifth"] for run in some])
+        returns = [run["mean_return"] for run in some if run["mean_return"] is not None]
+        came = (
+            f", return {mean(returns):.1f}" if returns and not any(run["last_fifth"] for run in some) else ""
+        )
+        cells.append(f"{success}, {len(some)}x{steps // 1000}k{minutes}{came}")
+    return "; ".join(cells)
 
 
 def studies_table() -> str:
@@ -590,9 +609,18 @@ def plot() -> None:
         for path in plot_results(folder, read_study(name), _read(TRAINING / f"{name}.json")["figures"]):
             if path.name not in shown:
                 path.unlink()
-    plot_curves(_read(TRAINING / "paper_runs.json")["runs"], "algo", TRAINING / "paper_curves.png")
+    plot_curves(_longest(_read(TRAINING / "paper_runs.json")["runs"]), "algo", TRAINING / "paper_curves.png")
     curves = json.loads((TRAINING / "execution_curves.json").read_text(encoding="utf-8"))
     plot_curves(curves, "trained", TRAINING / "execution_curves.png")
+
+
+def _longest(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the longest of the runs of each task and algorithm."""
+    lengths: dict[tuple[str, str], int] = {}
+    for run in runs:
+        both = run["task"], run["algo"]
+        lengths[both] = max(run["steps"], lengths.get(both, 0))
+    return [run for run in runs if run["steps"] == lengths[run["task"], run["algo"]]]
 
 
 def plot_curves(runs: list[dict[str, Any]], key: str, path: Path) -> None:

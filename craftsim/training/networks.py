@@ -170,23 +170,27 @@ class OthersNet(nn.Module):
 
 
 class JointNet(nn.Module):
-    """Gives the team the value of its joint action, and of the state alone: QTRAN's."""
+    """Gives the team the value of its joint action, and of the state alone: QTRAN's.
+
+    As in the paper, what each car sees is joined with what that car does, before the cars' vectors are added up.
+    """
 
     def __init__(self, shape: Shape) -> None:
         super().__init__()
         self.encoder = make_encoder(shape)
-        self.actions = nn.Parameter(torch.zeros(shape.n_cars, N_ACTIONS, shape.width))
+        self.actions = nn.Parameter(0.5 * torch.randn(shape.n_cars, N_ACTIONS, shape.width))
+        self.pair = nn.Linear(shape.width, shape.width)
         self.joint, self.rest = head(shape.width, 1), head(shape.width, 1)
 
     def state(self, seen: Seen) -> Tensor:
-        """Return a vector (..., width) of what all cars see."""
-        state: Tensor = self.encoder(seen).mean(-2)
+        """Return vectors (..., n, width) of what each car sees."""
+        state: Tensor = self.encoder(seen)
         return state
 
     def forward(self, state: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (...) twice from states (..., width) and actions (..., n)."""
-        joint = self.joint(state + _looked_up(self.actions, actions).sum(-2))
-        return joint[..., 0], self.rest(state)[..., 0]
+        """Return (...) twice from states (..., n, width) and actions (..., n)."""
+        pairs = self.pair((state + _looked_up(self.actions, actions)).relu())
+        return self.joint(pairs.sum(-2))[..., 0], self.rest(state.mean(-2))[..., 0]
 
 
 def _looked_up(table: Tensor, actions: Tensor) -> Tensor:

@@ -255,13 +255,15 @@ def _interval(share: dict[str, float]) -> str:
 
 
 def _audit(figures: dict[str, Any]) -> str:
-    verdicts, trials = figures["audit"]["verdicts"], figures["validation"]["all"]["actions"]["trials"]
-    legal = verdicts["sound"] + verdicts["unsound"]
-    return (
-        f"{verdicts['unsound']} of {legal} rows that the rules allow are unsound; "
-        f"{verdicts['conservative']} forbidden ones work, {verdicts['rightly forbidden']} do not; "
-        f"{trials} actions, mostly one trial a row: provisional"
+    audit, actions = figures["audit"], figures["validation"]["all"]["actions"]
+    sound, unsound, works, forbidden = (
+        audit["verdicts"][name] for name in ("sound", "unsound", "conservative", "rightly forbidden")
     )
+    rows = f"{unsound} of {sound + unsound} rows that the rules allow are unsound"
+    if not audit["provisional"]:
+        return f"{rows}; {_counts(actions)} actions as predicted, 20 trials a row"
+    tried = f"{works} forbidden ones work, {forbidden} do not"
+    return f"{rows}; {tried}; {actions['trials']} actions, mostly one trial a row: provisional"
 
 
 def _conformance(figures: dict[str, Any]) -> str:

@@ -233,8 +233,9 @@ class Executor:
     def _park(self, car: int, readings: Records) -> None:
         """Leave a car alone, or hold it where it stands on an incline."""
         self._own.pop(car, None)
-        now, task, hold = readings[car], self._cars[car]["task"], self.gains.hold
+        now, task, hold, drive = readings[car], self._cars[car]["task"], self.gains.hold, self.gains.drive
         self._cars[car]["task"] = NO_TASK
+        task["sure"] = now["position_std_m"] < drive.position_certainty
         inclined = hold.level < max(abs(now["pitch"]), abs(now["roll"])) < hold.tipped
         task["law"] = HOLD if inclined else IDLE
         task["held"] = now["x"], now["y"], now["heading"]

@@ -226,6 +226,10 @@ def _hold_law(car: Record) -> None:
     """
     now, task, known = car.now, car.task, car.known
     hold, drive = known.hold, known.drive
+    if not task.sure:
+        # A car that starts on an incline has seen a single localisation: what that is off by is no creep.
+        task.held.x, task.held.y, task.held.heading = now.x, now.y, now.heading
+        task.sure = now.position_std_m < drive.position_certainty
     error = task.held.x - now.x, task.held.y - now.y, wrap(task.held.heading - now.heading)
     offset, turn = math.hypot(error[0], error[1]), abs(error[2])
     task.crept_s = task.crept_s + known.period_s if offset > hold.crept or turn > hold.crept_heading else 0.0

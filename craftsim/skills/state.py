@@ -65,7 +65,7 @@ DRIVE_TASK: Final = layout(
 """``path`` is the next set point: x and y in metres, and heading; nan without one. A path that ``waits`` for its car
 goes on at a ``pace`` from 0 to 1, and is late by ``waited_s``."""
 TASK: Final = layout(
-    i8="law status feels_load returning",
+    i8="law status feels_load sure returning",
     f8="elapsed_s ended_s detail second_detail crept_s",
     f8x4="turned",
     held=_POSE,
@@ -74,7 +74,8 @@ TASK: Final = layout(
     hinge=layout(f8="target_rad speed deadline_s undocked_s", i8="slope n_past"),
 )
 """The task of a car: its law, its status, and the state of the law. For a parked car that is held, that is how far its
-wheels have turned, its pose when it was parked, for how long it has been away from that, and whether it returns."""
+wheels have turned, its pose when it was parked, or when it first was ``sure`` of that, for how long it has been away
+from there, and whether it returns."""
 
 NO_TASK: Final = np.zeros((), TASK)
 """The initial task."""

@@ -230,6 +230,18 @@ def test_a_car_that_crept_by_less_than_it_can_be_sure_of_stays():
     assert max(away) - min(away) < 2e-4
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_car_that_starts_on_the_slope_takes_the_noise_of_its_first_localisation_for_no_creep(seed):
+    grid = draw((3, 1, 2), [(Kind.BODY, (1, 0, 1), 0)], [(1, 0, 2, 0)])
+    noise = SensorNoise(position_m=0.001, heading_rad=0.003)
+    judge = set_up(grid, setup_of("none", noise=noise, drive="reduced"), Seed((seed,)))
+    base = judge.physics.cars[0].base
+    start, _ = judge.physics.free_body_state(base)
+    for _ in range(150):
+        judge.executor.advance()
+    assert np.linalg.norm(judge.physics.free_body_state(base)[0] - start) < 3e-4
+
+
 def test_a_car_on_the_flat_is_left_alone():
     physics = PhysicsWorld(draw((1, 1, 2), cars=[(0, 0, 1, 0, Kind.BLOCK)]))
     executor = Executor(physics)

@@ -461,14 +461,9 @@ class AsynchronousEpisodes(Episodes):
         That is (B, n, n, 2), of each car what it does, -1 if it decides, and the seconds since that began; and
         (B, n, L, W, H + 1), 1 for each cell that what runs has claimed. Both are views of the same for all cars.
         """
-        running, (b, n) = self.running, self.running.action.shape
-        since_s = np.where(self.decides, 0.0, self.time_s[:, None] - running.began_s)
-        doing = np.stack([running.action, since_s], axis=-1).astype(np.float32)
-        claimed = np.zeros(self.grids.cells.shape[:4], np.int8)
-        most = running.n_claims.max(initial=0)
-        world, car, row = np.nonzero(np.arange(most) < running.n_claims[..., None])
-        places = running.claims[world, car, row, :3]
-        there = ((places >= 0) & (places < claimed.shape[1:])).all(1)
-        claimed[world[there], *places[there].T] = 1
+        cars = self.running.action.shape
+        doing, claimed = np.empty((*cars, 2), np.float32), np.zeros(self.grids.cells.shape[:4], np.int8)
+        events.show(self.running, doing, claimed)
+        b, n = cars
         shared = np.broadcast_to(doing[:, None], (b, n, n, 2))
         return shared, np.broadcast_to(claimed[:, None], (b, n, *claimed.shape[1:]))

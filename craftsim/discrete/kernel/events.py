@@ -264,3 +264,19 @@ def advance(worlds: World, running: Running, queues: Queues, ends: Ends) -> None
                 apply(w, car, running.action[i, car])
             running.action[i, car], running.n_claims[i, car] = DECIDES, 0
             car = following(running, i, ends.ended, running.turn[i, car])
+
+
+@compiled
+def show(running: Running, doing: NDArray[np.float32], out: NDArray[np.int8]) -> None:
+    """Write what each car does, action and seconds (B, n, 2), and 1 for each claimed cell (B, L, W, H + 1)."""
+    length, width, layers = out.shape[1:]
+    for i in range(out.shape[0]):
+        for car in range(doing.shape[1]):
+            action = running.action[i, car]
+            doing[i, car, 0] = action
+            doing[i, car, 1] = 0.0 if action == DECIDES else running.time_s[i] - running.began_s[i, car]
+            for k in range(running.n_claims[i, car]):
+                claim = running.claims[i, car, k]
+                x, y, z = claim[0], claim[1], claim[2]
+                if 0 <= x < length and 0 <= y < width and z < layers:
+                    out[i, x, y, z] = 1

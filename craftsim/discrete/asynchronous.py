@@ -265,22 +265,19 @@ class AsynchronousEpisodes(Episodes):
         outcome = self.decide(actions, self.draw_order() if order is None else order)
         ends = self.advance()
         steps = self.settle(before, ends, time_weight)
-        running, over = self.running, ends.ended | steps.done[:, None]
-        seconds = np.floor((self.time_s[:, None] - running.began_s) * 1e6 + 0.5) / 1e6  # as events.moment
-        waited = (np.isin(running.outcome, (WAITS, ILLEGAL)) | self.lost).all(1)
-        # Who has asked in vain can ask again; where nobody has, nothing else is offered.
-        vain = (running.outcome == ILLEGAL).any(1)
-        deadlock = np.zeros(len(self), np.bool_)
+        elapsed_s, earned = np.empty(outcome.shape), np.empty(outcome.shape)
+        waited, deadlock = np.empty(len(self), np.bool_), np.zeros(len(self), np.bool_)
+        masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)
+        events.close(self.running, masks, ends.ended, steps.done, elapsed_s, earned, waited)
         for i in np.flatnonzero(waited).tolist():
-            stuck = offered is None or not np.delete(offered[i], _STOP, axis=-1).any()
-            deadlock[i] = (vain[i] or stuck) and self.deadlock(i) is not None
+            deadlock[i] = self.deadlock(i) is not None
         return Event(
             **vars(steps),
             duration_s=ends.duration_s,
             outcome=outcome,
             failed=ends.failed,
-            elapsed_s=np.where(over, seconds, 0.0),
-            earned=np.where(over, running.earned, 0.0),
+            elapsed_s=elapsed_s,
+            earned=earned,
             deadlock=deadlock,
         )
 

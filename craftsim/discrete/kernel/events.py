@@ -267,6 +267,40 @@ def advance(worlds: World, running: Running, queues: Queues, ends: Ends) -> None
 
 
 @compiled
+def close(
+    running: Running,
+    offered: NDArray[np.int8],
+    ended: Mask,
+    done: Mask,
+    elapsed_s: NDArray[np.float64],
+    earned: NDArray[np.float64],
+    waited: Mask,
+) -> None:
+    """Write of each decision that has ended, or whose episode is ``done`` (B,), the time since then and what it has
+    earned, 0 for the others (B, n); and in which worlds there may be a deadlock.
+
+    That takes that all cars have waited, or are lost. Where none was offered anything else, (B, n, actions), that is so
+    still, and where one has asked in vain it can ask again.
+    """
+    for i in range(done.shape[0]):
+        waited[i], vain, stuck = True, False, True
+        for car in range(running.action.shape[1]):
+            elapsed_s[i, car] = earned[i, car] = 0.0
+            if ended[i, car] or done[i]:
+                elapsed_s[i, car] = moment(running.time_s[i] - running.began_s[i, car])
+                earned[i, car] = running.earned[i, car]
+            outcome = running.outcome[i, car]
+            lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf
+            waited[i] = waited[i] and (outcome in (WAITS, ILLEGAL) or lost)
+            vain = vain or outcome == ILLEGAL
+        if waited[i] and not vain:
+            for car in range(offered.shape[1]):
+                for action in range(offered.shape[2]):
+                    stuck = stuck and (action == STOP or offered[i, car, action] == 0)
+        waited[i] = waited[i] and (vain or stuck)
+
+
+@compiled
 def show(running: Running, doing: NDArray[np.float32], out: NDArray[np.int8]) -> None:
     """Write what each car does, action and seconds (B, n, 2), and 1 for each claimed cell (B, L, W, H + 1)."""
     length, width, layers = out.shape[1:]

@@ -12,17 +12,28 @@ from craftsim.discrete.kernel.batch import NO_HELPER, Mask, Queues
 from craftsim.discrete.kernel.claims import Claims, claims_of, conflict
 from craftsim.discrete.kernel.codes import (
     FIRST_MOVE,
+    FOLD,
+    LAST_MOVE,
+    LIFT,
+    MOVE_DIRECTIONS,
     N_ACTIONS,
     STOP,
+    UNFOLD,
 )
 from craftsim.discrete.kernel.jit import compiled
 from craftsim.discrete.kernel.rules import legal_actions
 from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan, plan_move, pop, write_plan
 from craftsim.discrete.kernel.state import (
     AIR,
+    BODY,
+    FOOT,
+    FSLOPE,
     Pose,
     World,
     apply,
+    dir_x,
+    dir_y,
+    kind_at,
     pose_of,
 )
 
@@ -31,10 +42,6 @@ DECIDES = -1
 RUNS, BEGUN, WAITS, ILLEGAL, BLOCKED = range(5)
 """What became of a decision: there was none to make, as the car's action runs; its action began; it waits by choice; or
 it waits because the rules or a claim stand against the action."""
-
-
-FAR = 5
-"""Cells along any axis: nothing that an action claims, nor a load beside it, is further from its car."""
 
 
 class Running(NamedTuple):
@@ -98,21 +105,66 @@ def moment(seconds: float) -> float:
 
 
 @compiled
-def blocked(w: World, running: Running, i: int, car: Pose, action: int, row: Claims, count: int) -> bool:
-    """Return whether a claim of what runs in a world stands against a legal action of a car.
+def reach_of(w: World, car: Pose, action: int) -> int:
+    """Return how many cells beside a car's way a legal action may claim any."""
+    if car.load != AIR or (
+        action in (LIFT, FOLD, UNFOLD) and kind_at(w, car.x, car.y, car.z) in (FSLOPE, BODY)
+    ):
+        return 3  # the neighbours of its load included
+    return 1 if action == LIFT else 0
 
-    The action's claims are the first ``count`` rows of ``row`` (MOST, 4); with 0 they are written there when needed.
-    """
+
+@compiled
+def within(claim: NDArray[np.int16], x0: int, x1: int, y0: int, y1: int, z: int) -> bool:
+    """Return whether a claim may be one against an action of a car at level z, of which these are the reaches."""
+    return x0 <= claim[0] <= x1 and y0 <= claim[1] <= y1 and z - 2 <= claim[2] <= z + 3
+
+
+@compiled
+def neighbours(w: World, running: Running, i: int, car: Pose) -> int:
+    """Return which cars run what could stand against any action of a car, a bit each; the last bit is of many."""
+    found = 0
+    # Onto a ramp a car claims what is 3 cells ahead.
+    reach = max(3 if car.slope == 0 else 1, reach_of(w, car, LIFT), reach_of(w, car, FIRST_MOVE) + 1)
+    x0, x1, y0, y1 = car.x - reach, car.x + reach, car.y - reach, car.y + reach
     for other in range(running.action.shape[1]):
         for k in range(running.n_claims[i, other]):
+            if within(running.claims[i, other, k], x0, x1, y0, y1, car.z):
+                found |= 1 << min(other, 62)
+                break
+    return found
+
+
+@compiled
+def blocked(
+    w: World, running: Running, i: int, others: int, car: Pose, action: int, row: Claims, count: int
+) -> bool:
+    """Return whether a claim of what runs in a world stands against a legal action of a car.
+
+    Looked at are the cars of :func:`neighbours`. The action's claims are the first ``count`` rows of ``row`` (MOST, 4);
+    with 0 they are written there when needed.
+    """
+    if others == 0:
+        return False
+    reach, dx, dy = reach_of(w, car, action), 0, 0
+    if FIRST_MOVE <= action <= LAST_MOVE:
+        m = MOVE_DIRECTIONS[action - FIRST_MOVE]
+        dx, dy = dir_x(m), dir_y(m)
+        x, y = car.x + dx, car.y + dy
+        if car.slope == 0 and (kind_at(w, x, y, car.z) == FOOT or kind_at(w, x, y, car.z - 1) == BODY):
+            dx, dy = 3 * dx, 3 * dy
+    x0, x1 = min(car.x, car.x + dx) - reach, max(car.x, car.x + dx) + reach
+    y0, y1 = min(car.y, car.y + dy) - reach, max(car.y, car.y + dy) + reach
+    for other in range(running.action.shape[1]):
+        if not others & (1 << min(other, 62)):
+            continue
+        for k in range(running.n_claims[i, other]):
             claim = running.claims[i, other, k]
-            # No action claims anything further away than this from its car.
-            if abs(claim[0] - car.x) > FAR or abs(claim[1] - car.y) > FAR or abs(claim[2] - car.z) > FAR:
-                continue
-            if count == 0:
-                count = claims_of(w, car, action, row)
-            if conflict(row, count, claim[0], claim[1], claim[2], claim[3]):
-                return True
+            if within(claim, x0, x1, y0, y1, car.z):
+                if count == 0:
+                    count = claims_of(w, car, action, row)
+                if conflict(row, count, claim[0], claim[1], claim[2], claim[3]):
+                    return True
     return False
 
 
@@ -139,9 +191,10 @@ def offer(
             if running.action[i, car] == DECIDES:
                 pose = pose_of(w, car)
                 legal = legal_actions(w, car, pose, 0, N_ACTIONS - 1)
+                others = neighbours(w, running, i, pose)
                 for action in range(N_ACTIONS):
                     if legal & (1 << action) and (
-                        action == STOP or not blocked(w, running, i, pose, action, row, 0)
+                        action == STOP or not blocked(w, running, i, others, pose, action, row, 0)
                     ):
                         out[i, car, action] = some = True
                 wanted = moves_to_plan(w, car, space, legal, depth) if depth != NO_HELPER else 0
@@ -150,7 +203,7 @@ def offer(
                     if node >= 0:
                         write_plan(space, node, plan)
                         first = int(np.int64(plan[0]))
-                        if not blocked(w, running, i, pose, first, row, 0):
+                        if not blocked(w, running, i, others, pose, first, row, 0):
                             out[i, car, FIRST_MOVE + m] = some = True
             if not some:
                 out[i, car, STOP] = True
@@ -196,7 +249,7 @@ def decide(
                 if due < N_ACTIONS and legal_actions(w, car, pose, due, due) & (1 << due):
                     claims = running.claims[i, car]
                     count = claims_of(w, pose, due, claims)
-                    result = BLOCKED if blocked(w, running, i, pose, due, claims, count) else BEGUN
+                    result = BLOCKED if blocked(w, running, i, -1, pose, due, claims, count) else BEGUN
                     if result == BEGUN:
                         apply(w, car, due)
                         running.n_claims[i, car] = count

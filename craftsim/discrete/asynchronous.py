@@ -13,7 +13,7 @@ from craftsim.discrete.actions import ACTIONS, built_in, carry_out, footprint, i
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
-from craftsim.discrete.kernel.claims import MOST, Claims, clash
+from craftsim.discrete.kernel.claims import MOST, Claims, conflict
 from craftsim.discrete.kernel.codes import N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
@@ -230,7 +230,8 @@ class AsynchronousEpisodes(Episodes):
 
     def _clashes(self, i: int, other: int, claims: Claims) -> bool:
         """Return whether what a car of a world runs stands against an action with these claims."""
-        return clash(claims, self.running.claims[i, other, : self.running.n_claims[i, other]])
+        rows = self.running.claims[i, other, : self.running.n_claims[i, other]]
+        return any(conflict(claims, len(claims), *row) for row in rows)
 
     def advance(self) -> Ends:
         """Let time pass in each world to its next event, for which all cars must have decided."""

@@ -30,8 +30,10 @@ Nodes = Sequence[int] | NDArray[np.integer]
 UNREACHABLE: Final = 1 << 28
 """The distance where no path leads."""
 N_STEPS: Final = len(SUCCESSORS)
+_KEPT_DISTANCES: Final = 16
+"""So many distances in one world are kept, in each direction."""
 _KEPT_BYTES: Final = 30_000_000
-"""Steps of worlds that are kept."""
+"""Steps of worlds that are kept; their distances may take five times as much."""
 
 
 class MoveGraph:
@@ -45,6 +47,8 @@ class MoveGraph:
         alone = Grid(grid.cells, np.zeros((0, len(CarField)), np.int16))
         _fill_steps(alone.world(rules.corrections), 0, int(load), self.steps)
         self._steps_back: NDArray[np.int32] | None = None
+        self._from: dict[bytes, Distances] = {}
+        self._to: dict[bytes, Distances] = {}
 
     @property
     def numbers(self) -> NDArray[np.int64]:
@@ -77,13 +81,13 @@ class MoveGraph:
 
     def distances_from(self, nodes: Nodes) -> Distances:
         """Return how many steps each state is from the nearest of some; UNREACHABLE where no path leads."""
-        return _distances(self.steps, nodes)
+        return _kept(self._from, nodes, self.steps)
 
     def distances_to(self, nodes: Nodes) -> Distances:
         """Return how many steps it is from each state to the nearest of some."""
         if self._steps_back is None:
             self._steps_back = _reversed(self.steps)
-        return _distances(self._steps_back, nodes)
+        return _kept(self._to, nodes, self._steps_back)
 
 
 class MoveGraphs:
@@ -119,13 +123,19 @@ def cell_of_node(size: Cell, node: int) -> Cell:
     return x, y, z
 
 
-def _distances(steps: NDArray[np.int32], nodes: Nodes) -> Distances:
-    """Return the distances from some nodes."""
-    distances, queue = np.full(len(steps), UNREACHABLE, np.int32), np.empty(len(steps), np.int32)
-    queue[: len(nodes)] = nodes
-    distances[nodes] = 0
-    _spread(steps, queue, len(nodes), distances)
-    return distances
+def _kept(known: dict[bytes, Distances], nodes: Nodes, steps: NDArray[np.int32]) -> Distances:
+    """Return the distances from some nodes, which are worked out at most once while they are kept."""
+    starts = np.array(nodes, np.int32)
+    key = starts.tobytes()
+    if key not in known:
+        if len(known) >= _KEPT_DISTANCES:
+            known.clear()
+        known[key] = distances = np.full(len(steps), UNREACHABLE, np.int32)
+        queue = np.empty(len(steps), np.int32)
+        queue[: len(starts)] = starts
+        distances[starts] = 0
+        _spread(steps, queue, len(starts), distances)
+    return known[key]
 
 
 def _reversed(steps: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -9,7 +9,8 @@ Warehouses, RA-L 2019). The durations of actions are in ``craftsim/data/duration
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from importlib.resources import files
@@ -21,9 +22,9 @@ import yaml
 from numpy.typing import NDArray
 
 from craftsim.discrete.actions import ACTIONS, footprint
-from craftsim.discrete.geometry import INCLINE_RAD
+from craftsim.discrete.geometry import DIRECTIONS, INCLINE_RAD
 from craftsim.discrete.grid import CarField, Grid, Kind, cell_of
-from craftsim.discrete.kernel.claims import Claims, clash
+from craftsim.discrete.kernel.claims import CHANGES, LOADS, RELIES, SPACE, Claims
 from craftsim.discrete.kernel.state import AIR, F_LOAD, KIND
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -195,6 +196,8 @@ def _made(
     """Return the schedule of (tick, car, action) in acting order."""
     steps: list[ScheduledAction] = []
     place: dict[tuple[int, int], int] = {}
+    claimed = defaultdict[object, list[int]](list)
+    """Which steps have which cells in their footprints, by bit and cell, and which are of which car."""
     forbidden, found = [], []
     for tick, car, action in acts:
         found.append((tick, car))
@@ -210,11 +213,33 @@ def _made(
             case "at-once":
                 waits = (i for i, step in enumerate(steps) if step.tick < tick)
             case "concurrent" | "reordered" | "until-wrong":
-                waits = (i for i, step in enumerate(steps) if step.car == car or clash(needs, step.footprint))
+                waits = {step for key in _needed(car, needs) if key in claimed for step in claimed[key]}
         place[tick, car] = len(steps)
+        for key in _claimed(car, needs):
+            claimed[key].append(len(steps))
         steps.append(ScheduledAction(tick, car, action, grid, then, needs, frozenset(waits) | asked))
         grid = then
     return Schedule(tuple(steps), tuple(forbidden), grid, tuple(found), after)
+
+
+_CONFLICTS: Final = {SPACE: SPACE, CHANGES: CHANGES | RELIES, RELIES: CHANGES, LOADS: LOADS}
+"""By what an action claims of a cell, what another one that needs the same cell claims of it."""
+
+
+def _claimed(car: int, needs: Claims) -> Iterator[object]:
+    """Yield the keys of what an action claims; of a load also in the next cells of the level."""
+    yield car
+    for x, y, z, bits in needs.tolist():
+        yield from ((bit, x, y, z) for bit in (SPACE, CHANGES, RELIES, LOADS) if bits & bit)
+        if bits & LOADS:
+            yield from ((LOADS, x + dx, y + dy, z) for dx, dy in DIRECTIONS.tolist())
+
+
+def _needed(car: int, needs: Claims) -> Iterator[object]:
+    """Yield the keys of what an action must wait for."""
+    yield car
+    for *cell, bits in needs.tolist():
+        yield from ((bit, *cell) for bit, against in _CONFLICTS.items() if bits & against)
 
 
 def incline_under(grid: Grid, car: NDArray[np.integer]) -> float:

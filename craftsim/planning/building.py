@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import islice
-from operator import itemgetter
 from typing import Final
 
 import numpy as np
@@ -197,7 +196,8 @@ class Construction:
         )
         begun = np.array([self.plan.ready[car] if self.style.together else 0 for car in cars])
         nearby = {load: _nearest(walking, to_cells, things) for load, things in loose.items()}
-        found = list[tuple[float, Turn]]()
+        groups: list[tuple[int, Piece, Sequence[Piece | None], NDArray[np.int64]]] = []
+        costs: list[NDArray[np.float64]] = []
         for k in self._pending():
             step = self.order[k]
             target = step.thing
@@ -216,16 +216,20 @@ class Construction:
                 pairs = np.argwhere((near < UNREACHABLE) & (far < UNREACHABLE)[:, None])
                 i, j = pairs.T
                 work = near[i, j] + far[i] + 2 + swings[i] * (FLAP_TICKS + 1)
-                costs = self._costs(begun[j], work) - swings[i] * self.style.haste * FLAP_TICKS * 2
-                turns = (Turn(cars[car], sources[one], target, k) for one, car in pairs.tolist())
-                found += zip(costs.tolist(), turns, strict=True)
+                groups.append((k, target, sources, pairs))
+                costs.append(self._costs(begun[j], work) - swings[i] * self.style.haste * FLAP_TICKS * 2)
             if not step.taken and load in loads:
                 far = np.array([onward[self.plan.node(car)] for car in cars])
-                j = np.flatnonzero((np.array(loads) == load) & (far < UNREACHABLE))
-                costs = self._costs(begun[j], far[j] + 1)
-                turns = (Turn(cars[car], None, target, k) for car in j.tolist())
-                found += zip(costs.tolist(), turns, strict=True)
-        yield from (turn for _, turn in sorted(found, key=itemgetter(0)))
+                pairs = np.argwhere((np.array(loads) == load)[None] & (far < UNREACHABLE))
+                j = pairs[:, 1]
+                groups.append((k, target, [None], pairs))
+                costs.append(self._costs(begun[j], far[j] + 1))
+        starts = np.cumsum([0, *map(len, costs)])
+        for number in np.argsort(np.concatenate([*costs, []]), kind="stable").tolist():
+            group = int(np.searchsorted(starts, number, "right")) - 1
+            k, target, sources_of, pairs = groups[group]
+            source, car = pairs[number - starts[group]].tolist()
+            yield Turn(cars[car], sources_of[source], target, k)
 
     def _far(
         self, grid: Grid, sources: Sequence[Piece], target: Piece, onward: Distances

@@ -86,7 +86,11 @@ class JointPlan:
         """The tick in which each car's last turn ends; what it does after that is given up for the next."""
         self._grids = Grid.stack([grid] * _FIRST_TICKS)
         """The worlds before tick 0, 1, 2, ..."""
+        self._others = self._grids.copy()
         self._n_nodes = node_number(grid.size, (grid.size[0], 0, 0), 0)
+        self._searches = 0
+        self._heads = np.empty(2 * _MAX_TICKS + 2, np.int32)
+        self._make_states(0)
 
     @property
     def end(self) -> Grid:
@@ -142,12 +146,12 @@ class JointPlan:
         return None if bad < 0 else bad
 
     def without(self, car: int, tick: int) -> World:
-        """Return the worlds as they are from a tick on if a car does not exist any more."""
-        others = self._grids.copy()
-        others.cars[tick, car] = _LEFT_OUT
-        worlds = others.world(self.rules.corrections)
-        _replay(worlds, self.actions, tick, self.n_ticks, car)
-        return worlds
+        """Return the worlds as they are from a tick on if a car does not exist any more; valid until the next call."""
+        self._others.cells[tick], self._others.cars[tick] = self._grids.cells[tick], self._grids.cars[tick]
+        self._others.cars[tick, car] = _LEFT_OUT
+        others = self._others.world(self.rules.corrections)
+        _replay(others, self.actions, tick, self.n_ticks, car)
+        return others
 
     def trim(self, reached: Callable[[Grid], bool]) -> None:
         """Take the last actions of each car away as long as a goal is reached without them."""
@@ -340,33 +344,40 @@ class JointPlan:
         if nearest >= UNREACHABLE:
             return None
         span = min(_MAX_TICKS, max(end, not_before) - tick + nearest + 24)
-        parents, following = np.empty((2, span * self._n_nodes), np.int32)
-        steps, seen = np.zeros((2, span * self._n_nodes), np.int8)
-        heads = np.full(2 * _MAX_TICKS + 2, -1, np.int32)
+        if len(self._parents) < span * self._n_nodes:
+            self._make_states(span * self._n_nodes)
+        self._searches += 1
+        self._heads[:] = -1
         for at, cell in avoid:
             state = (at - tick) * self._n_nodes + node_number(self.size, cell, 0)
             if tick < at < tick + span:
                 # What counts as seen is not looked at.
-                seen[state : state + 4] = 1
+                self._seen[state : state + 4] = self._searches
         action = -1 if last is None else int(last)
         state = _find(
             *(worlds, car, start, tick, end, int(load), distances, action, not_before, span),
-            *(parents, steps, seen, following, heads),
+            *(self._searches, self._parents, self._steps, self._seen, self._next, self._heads),
         )
         if state < 0:
             return None
         actions = []
-        while parents[state] >= 0:
-            actions.append(int(steps[state]))
-            state = parents[state]
+        while self._parents[state] >= 0:
+            actions.append(int(self._steps[state]))
+            state = self._parents[state]
         return actions[::-1]
+
+    def _make_states(self, n: int) -> None:
+        self._parents, self._steps = np.empty(n, np.int32), np.empty(n, np.int8)
+        self._seen, self._next = np.zeros(n, np.int32), np.empty(n, np.int32)
 
     def _reserve(self, n_ticks: int) -> None:
         while len(self.actions) <= n_ticks:
             self.actions = np.concatenate([self.actions, np.full_like(self.actions, WAIT)])
         while len(self._grids) <= n_ticks + 1:
-            grids = self._grids
-            self._grids = Grid(np.concatenate([grids.cells] * 2), np.concatenate([grids.cars] * 2))
+            self._grids, self._others = (
+                Grid(np.concatenate([some.cells] * 2), np.concatenate([some.cars] * 2))
+                for some in (self._grids, self._others)
+            )
 
     def _shorten(self) -> None:
         acting = np.flatnonzero((self.actions != WAIT).any(1))
@@ -414,16 +425,17 @@ def _find(
     last: int,
     not_before: int,
     span: int,
+    number: int,
     parents: NDArray[np.int32],
     steps: NDArray[np.int8],
-    seen: NDArray[np.int8],
+    seen: NDArray[np.int32],
     following: NDArray[np.int32],
     heads: NDArray[np.int32],
 ) -> int:
     """Return the last state of a path, or -1; a state is a node in a tick. Buckets hold states of equal rank."""
     n_nodes = distances.shape[0]
     parents[start] = -1
-    seen[start] = 1
+    seen[start] = number
     following[start] = -1
     rank = distances[start]
     heads[rank] = start
@@ -461,9 +473,9 @@ def _find(
                 continue
             new_state = (since + 1) * n_nodes + new_node
             new_rank = since + 1 + distances[new_node]
-            if seen[new_state] or new_rank >= heads.shape[0]:
+            if seen[new_state] == number or new_rank >= heads.shape[0]:
                 continue
-            seen[new_state] = 1
+            seen[new_state] = number
             parents[new_state] = state
             steps[new_state] = action
             following[new_state] = heads[new_rank]

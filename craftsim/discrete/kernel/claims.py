@@ -155,12 +155,3 @@ def conflict(first: Claims, n_first: int, x: int, y: int, z: int, theirs: int) -
         ):
             return True
     return False
-
-
-@compiled
-def clash(first: Claims, second: Claims) -> bool:
-    """Return whether actions with these claims must not run beside each other."""
-    for k in range(second.shape[0]):
-        if conflict(first, first.shape[0], second[k, 0], second[k, 1], second[k, 2], second[k, 3]):
-            return True
-    return False

@@ -426,7 +426,7 @@ def verdicts(tasks: Sequence[str], asked: argparse.Namespace, until: float) -> N
 
 
 def gather(out: Path) -> dict[str, Any]:
-    """Return what a folder has: figures of verdicts by task. Raises InputError where it has none."""
+    """Return the verdicts by task that a folder has. Raises InputError where it has none."""
     if not (out / "device.json").exists():
         raise InputError(f"nothing has run in {out}; leave out 'report'")
     stored: dict[str, Any] = _read(out / "device.json") | {"verdicts": {}}

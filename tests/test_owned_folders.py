@@ -16,7 +16,8 @@ from craftsim.cli.app import bind
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS
 from craftsim.errors import InputError
 from craftsim.reports.json_file import write_report
-from craftsim.storage.folders import LOCK, directory_within, owned
+from craftsim.storage import folders
+from craftsim.storage.folders import LOCK, directory_within, output_directory, owned
 from craftsim.validation.validation import validate
 
 IN_USE = "is in use: another craftsim writes into it"
@@ -144,8 +145,23 @@ def test_processes_that_take_turns_are_never_in_a_folder_at_the_same_time(tmp_pa
     for process in processes:
         turns, errors = process.communicate()
         assert (process.returncode, errors) == (0, "")
-        assert int(turns) > 0
+        assert int(turns) == 300
     assert {*tmp_path.rglob("*")} <= {tmp_path / "new"}
+
+
+def test_a_folder_that_is_removed_and_made_again_meanwhile_is_locked(tmp_path, monkeypatch):
+    tried = []
+
+    def flickers(out):
+        tried.append(out)
+        if len(tried) == 1:
+            raise InputError(f"cannot make the output directory {out}")
+        return output_directory(out)
+
+    monkeypatch.setattr(folders, "output_directory", flickers)
+    with owned(tmp_path):
+        assert (tmp_path / LOCK).exists()
+    assert len(tried) == 2
 
 
 def test_wrong_input_leaves_no_folder_and_removes_none(tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 python scripts/paper.py --seeds 3                  # leaves out what is stored, goes on where it was interrupted
 python scripts/paper.py block --algo vdn iql --seeds 5
+python scripts/paper.py complex_two_story --algo ippo --max-steps 28    # episodes of 30 ticks, not 20
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any, Final
 
 from measure_results import revision
 
+from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS
 from craftsim.training.config import PAPER_LONG_STEPS
 
 ROOT: Final = Path(__file__).parents[1]
@@ -36,7 +38,7 @@ LONG: Final = {
     ("simple_two_story", "qtran"): 500_000,
 }
 """Longer runs: those that succeed later than in :data:`STEPS`."""
-KEY: Final = ("task", "algo", "seed", "steps")
+KEY: Final = ("task", "algo", "seed", "steps", "max_steps")
 """What tells a run from the others."""
 
 
@@ -46,6 +48,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("tasks", nargs="*", metavar="TASK", help=f"of {', '.join((*TASKS, *HARDER))}")
     parser.add_argument("--algo", nargs="+", choices=STEPS, default=[*STEPS])
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--max-steps", type=int, default=DEFAULT_MAX_STEPS, help="step limit of episodes")
     asked = parser.parse_args(argv)
     if unknown := set(asked.tasks) - {*TASKS, *HARDER}:
         parser.error(f"no task {', '.join(sorted(unknown))}; there are {', '.join((*TASKS, *HARDER))}")
@@ -53,8 +56,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         for task in asked.tasks or TASKS:
             for algo in asked.algo:
                 steps = PAPER_LONG_STEPS if task in HARDER else LONG.get((task, algo), STEPS[algo])
-                if (task, algo, seed, steps) not in {tuple(run[name] for name in KEY) for run in stored()}:
-                    train(task, algo, seed, steps)
+                key = task, algo, seed, steps, asked.max_steps
+                if key not in {tuple(run[name] for name in KEY) for run in stored()}:
+                    train(*key)
 
 
 def stored() -> list[dict[str, Any]]:
@@ -63,11 +67,12 @@ def stored() -> list[dict[str, Any]]:
     return runs
 
 
-def train(task: str, algo: str, seed: int, steps: int) -> None:
+def train(task: str, algo: str, seed: int, steps: int, max_steps: int) -> None:
     """Train, or go on with what was interrupted, and store what it came to; a resumed run has no CPU time."""
-    out, at = OUT / f"{task}-{algo}-{seed}-{steps}", revision()
+    out, at = OUT / f"{task}-{algo}-{seed}-{steps}-{max_steps}", revision()
     resumed, before = out.exists(), _cpu_s()
     words = f"train {task} --algo {algo} --preset paper --steps {steps} --seed {seed} --out {out}"
+    words += f" --set max_steps={max_steps}"
     subprocess.run([sys.executable, "-P", "-m", "craftsim", *words.split()], cwd=ROOT, check=True)
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     store(report, at, None if resumed else round(_cpu_s() - before))

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from measure_results import MEASURED, is_older
 from scipy.stats import ttest_1samp
 
+from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS
 from craftsim.experiments.intervals import Proportion
 from craftsim.studies.results import plot_results
 from craftsim.studies.study import read_study
@@ -501,13 +502,14 @@ def paper_table() -> str:
 
 
 def _of_protocol(runs: list[dict[str, Any]]) -> str:
-    """Return for each length of runs success over seeds, how many these are, and the mean CPU time.
+    """Return for each length of runs and of episodes success over seeds, how many these are, and the mean CPU time.
 
     Where none succeeds, the last return says how far they came.
     """
     cells = []
-    for steps in sorted({run["steps"] for run in runs}):
-        some = [run for run in runs if run["steps"] == steps]
+    for steps, limit in sorted({(run["steps"], run["max_steps"]) for run in runs}):
+        some = [run for run in runs if (run["steps"], run["max_steps"]) == (steps, limit)]
+        ticks = "" if limit == DEFAULT_MAX_STEPS else f" in episodes of {limit + 2} ticks"
         cpu = [run["cpu_s"] for run in some if run["cpu_s"] is not None]
         minutes = f", {mean(cpu) / 60:.1f} min" if cpu else ""
         success = _over_seeds([run["last_fifth"] for run in some])
@@ -515,7 +517,7 @@ def _of_protocol(runs: list[dict[str, Any]]) -> str:
         came = (
             f", return {mean(returns):.1f}" if returns and not any(run["last_fifth"] for run in some) else ""
         )
-        cells.append(f"{success}, {len(some)}x{steps // 1000}k{minutes}{came}")
+        cells.append(f"{success}, {len(some)}x{steps // 1000}k{ticks}{minutes}{came}")
     return "; ".join(cells)
 
 

@@ -11,6 +11,7 @@ RUN = {
     "algo": "vdn",
     "seed": 0,
     "steps": 150_000,
+    "max_steps": 18,
     "revision": "0123abcd",
     "versions": {"torch": "1"},
     "cpu_s": None,
@@ -31,6 +32,7 @@ def trained(tmp_path, monkeypatch):
         config = {"task": task, "algo": given["--algo"]} | {
             n: int(given[f"--{n}"]) for n in ("seed", "steps")
         }
+        config["max_steps"] = int(given["--set"].removeprefix("max_steps="))
         curve = [{"steps": 10_000, "successes": 5, "episodes": 20}]
         figures = {
             "training_versions": {"torch": "2"},
@@ -66,3 +68,8 @@ def test_a_run_of_another_length_is_another_run(trained, monkeypatch):
     monkeypatch.setitem(paper.STEPS, "vdn", 300_000)
     paper.main(["strip", "--algo", "vdn", "--seeds", "1"])
     assert [run["steps"] for run in paper.stored()] == [150_000, 300_000]
+
+
+def test_a_run_with_longer_episodes_is_another_run(trained):
+    paper.main(["strip", "--algo", "vdn", "--seeds", "1", "--max-steps", "28"])
+    assert [(run["steps"], run["max_steps"]) for run in paper.stored()] == [(150_000, 18), (150_000, 28)]

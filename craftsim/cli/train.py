@@ -76,9 +76,10 @@ def train(
     planner's plans for imitation before learning; 0), shown_share (share of episodes that start along such a plan;
     0.5), starts (a plan or a file of reached worlds for every second episode), pretrained (initial policy), stages
     (easier tasks first, separated by commas), stage_steps (steps on each), acting (greedy, sampled or varied
-    evaluation), cars, blocks, in physics drive (reduced), randomize (none), workers (one per processor) and engine
-    (local, or ray for workers on a Ray cluster), device (of the networks: cpu, or cuda), tensorboard (true writes its
-    log), settings (a YAML file of hyperparameters), and every hyperparameter of the algorithm, such as learning_rate.
+    evaluation), cars, blocks, max_steps (step limit of an episode; the task's), in physics drive (reduced), randomize
+    (none), workers (one per processor) and engine (local, or ray for workers on a Ray cluster), device (of the
+    networks: cpu, or cuda), tensorboard (true writes its log), settings (a YAML file of hyperparameters), and every
+    hyperparameter of the algorithm, such as learning_rate.
 
     Args:
         task: name of a task, such as strip or random_strip, a task file, or module:factory.
@@ -106,7 +107,6 @@ def train(
 
     given = _settings_of(settings)
     besides: dict[str, Any] = {name: given.pop(name) for name in _BESIDES if name in given}
-    cars, blocks = besides.get("cars"), besides.get("blocks")
     shared: dict[str, Any] = {name: besides[name] for name in ("workers", "engine") if name in besides}
     try:
         BatchOptions(1, **shared)
@@ -120,7 +120,7 @@ def train(
     run = protocol(preset, task, algo, steps) if preset else Protocol(steps=steps or 3_000_000)
     until = run.until if until is None else until
     config = _config(given, besides, run, task=task, algo=algo, seed=chance.seed, backend=backend)
-    learnt = as_task(task, cars, blocks)
+    learnt = config.find_task(task, as_task)
     if not learnt.has_goal:
         raise InputError(
             f"task '{learnt.name}' has no goal to learn: put a {learnt.name}_goal.yaml beside its blueprint, "
@@ -128,7 +128,7 @@ def train(
         )
     if "device" in besides:
         shared["device"] = besides["device"]
-    staged = [as_task(name, cars, blocks) for name in config.stages]
+    staged = [config.find_task(name, as_task) for name in config.stages]
     folder = out or Path("out/train") / re.sub(r"[^\w.-]+", "-", f"{learnt.name}-{algo}")
     reached = Path(str(besides["starts"])) if "starts" in besides else None
     FOLDER.set(folder)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import time
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -156,7 +158,8 @@ def _evaluate_on_grid(
         if not tasks:
             try:
                 # The name in a policy's file may be from anybody: it is never code.
-                found = [known_task(own.task, cars or own.n_cars, blocks or own.n_blocks, extent)]
+                asked = replace(own, n_cars=cars or own.n_cars, n_blocks=blocks or own.n_blocks)
+                found = [asked.find_task(own.task, partial(known_task, area=extent))]
             except InputError as error:
                 raise InputError(
                     f"{path}: the task that it was trained on is not there: {error}; name one with --task"

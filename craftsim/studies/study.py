@@ -175,8 +175,7 @@ class Study:
             for algo in self.algos:
                 config = self._config(task, algo)
                 tasks = {
-                    name: found(name, n_cars=config.n_cars, n_blocks=config.n_blocks)
-                    for name in (task, *config.stages, *self._tests(task))
+                    name: config.find_task(name, found) for name in (task, *config.stages, *self._tests(task))
                 }
                 stages = tuple(tasks[name] for name in config.stages)
                 tests = {name: tasks[name] for name in self._tests(task)}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, get_args
 
@@ -13,12 +13,14 @@ from craftsim.choices import AlgoName as AlgoName
 from craftsim.choices import Backend as TrainBackend
 from craftsim.choices import Execution, PresetName
 from craftsim.discrete.rules import RuleSet
+from craftsim.discrete.tasks import Task, known_task
 from craftsim.mjcf.parameters import Drive
 from craftsim.storage.limits import (
     BATCH,
     BLOCKS,
     BONUS,
     CARS,
+    EPISODE_TICKS,
     EXPLORED_TICKS,
     HELPER_DEPTH,
     IMITATED_PLANS,
@@ -202,6 +204,7 @@ class TrainConfig:
     novelty: Annotated[float, BONUS] = 0.0  # bonus for a building, over sqrt(k) for one seen k times
     n_cars: Annotated[int, CARS] | None = None  # those not listed in the task's start are placed at random
     n_blocks: Annotated[int, BLOCKS] | None = None
+    max_steps: Annotated[int, EPISODE_TICKS] | None = None  # step limit of episodes; default: the task's
     backend: TrainBackend = "grid"  # training and evaluation on the grid, or in contact physics
     drive: Drive = "reduced"  # of the cars in physics
     randomize: str = "none"  # preset of the randomization in physics
@@ -289,6 +292,11 @@ class TrainConfig:
     def n_evaluation_episodes(self) -> int:
         """Episodes of each evaluation during training."""
         return self.evaluation_episodes or (500 if self.backend == "grid" else 64)
+
+    def find_task(self, name: str, find: Callable[..., Task] = known_task) -> Task:
+        """Return a task by its name, with the run's numbers of cars and blocks and its step limit."""
+        task = find(name, n_cars=self.n_cars, n_blocks=self.n_blocks)
+        return task if self.max_steps is None else replace(task, max_steps=self.max_steps)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields by name."""

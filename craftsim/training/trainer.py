@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from craftsim.choices import Device, Engine
-from craftsim.discrete.tasks import Task, known_task
+from craftsim.discrete.tasks import Task
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.errors import InputError
 from craftsim.reports.json_file import versions
@@ -94,7 +94,7 @@ class Trainer:
         """
         self.config, self._shared = config, {"workers": workers, "engine": engine}
         self.device = known_device(device)
-        self.task = task or _named(config.task, config)
+        self.task = task or config.find_task(config.task)
         self.identity = TaskIdentity.of(self.task, config.rules)
         self.starts = "" if starts is None else starts_digest(starts)  # digest of the other starts
         check_guidance(config, self.task, starts)
@@ -102,7 +102,7 @@ class Trainer:
         self._own_starts = starts is None and not config.explore and not config.imitate
         of_policy = {"layer_norm": config.algo not in WITH_PROBABILITIES, "recurrent": config.recurrent}
         self.shape = Shape.of(self.task, config.width, config.network, **of_policy)
-        self._stages = [_named(name, config) for name in config.stages] if stages is None else list(stages)
+        self._stages = [config.find_task(name) for name in config.stages] if stages is None else list(stages)
         for stage in self._stages:
             check_stage(stage, self.shape)
         self._made: tuple[int, WorldBatch] | None = None
@@ -323,11 +323,6 @@ def known_device(name: str) -> torch.device:
             "and a build of torch for CUDA"
         )
     return torch.device(name)
-
-
-def _named(name: str, config: TrainConfig) -> Task:
-    """Return a task that a configuration names, with its numbers of cars and blocks."""
-    return known_task(name, n_cars=config.n_cars, n_blocks=config.n_blocks)
 
 
 def training_versions() -> dict[str, str]:

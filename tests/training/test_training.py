@@ -132,6 +132,20 @@ def test_any_number_of_cars_is_trained(cars, algo, tmp_path):
     assert Trainer.resume(tmp_path, task=platform(cars)).iteration == 1
 
 
+def test_episodes_have_the_step_limit_of_the_configuration(tmp_path):
+    stage = {"stages": ("strip",), "stage_steps": 10}
+    trainer = _go_on(Trainer(TrainConfig("strip", **QUICK, **stage, max_steps=3)), 2)
+    assert trainer.steps_an_iteration == 4 * 5
+    trainer.save(tmp_path)
+    assert Trainer.resume(tmp_path).task.max_steps == 3
+    assert (
+        main(["validate", "--backend", "grid", "--policy", str(tmp_path), "--out", str(tmp_path / "grid")])
+        == 0
+    )
+    report = json.loads((tmp_path / "grid" / "report.json").read_text(encoding="utf-8"))
+    assert report["figures"]["evaluations"][0]["mean_ticks"] == 5
+
+
 def test_a_ctrl_c_is_heard_between_two_iterations():
     trainer = Trainer(TrainConfig("strip", worlds=20, width=8))
     update = trainer.learner.update

@@ -25,7 +25,8 @@ ROOT: Final = Path(__file__).parents[1]
 OUT: Final = ROOT / "out" / "paper"
 STORED: Final = ROOT / "docs" / "results" / "training" / "paper_runs.json"
 TASKS: Final = ("strip", "block", "simple_two_story")
-HARDER: Final = ("complex_two_story", "breaking_barrier", "free_building")
+CODED: Final = "docs/results/coded_barrier.yaml"
+HARDER: Final = ("complex_two_story", "breaking_barrier", "free_building", CODED)
 """Tasks that are trained on only where they are named, for as long as in the paper."""
 STEPS: Final = {
     **dict.fromkeys(("vdn", "qmix", "iql", "qtran"), 150_000),
@@ -69,7 +70,7 @@ def stored() -> list[dict[str, Any]]:
 
 def train(task: str, algo: str, seed: int, steps: int, max_steps: int) -> None:
     """Train, or go on with what was interrupted, and store what it came to; a resumed run has no CPU time."""
-    out, at = OUT / f"{task}-{algo}-{seed}-{steps}-{max_steps}", revision()
+    out, at = OUT / f"{Path(task).stem}-{algo}-{seed}-{steps}-{max_steps}", revision()
     resumed, before = out.exists(), _cpu_s()
     words = f"train {task} --algo {algo} --preset paper --steps {steps} --seed {seed} --out {out}"
     words += f" --set max_steps={max_steps}"

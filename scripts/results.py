@@ -18,6 +18,7 @@ import gpu
 import numpy as np
 from matplotlib.figure import Figure
 from measure_results import MEASURED, is_older
+from paper import CODED
 from scipy.stats import ttest_1samp
 
 from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS
@@ -483,7 +484,7 @@ def paper_table() -> str:
     """Return success under the paper's protocol by algorithm and task, and the CPU time of what has one stored."""
     runs = _read(TRAINING / "paper_runs.json")["runs"]
     published = read_study("paper").reference
-    tasks = [task for task in published if any(run["task"] == task for run in runs)]
+    tasks = [task for task in (*published, CODED) if any(run["task"] == task for run in runs)]
     rows = []
     for algo in sorted({run["algo"] for run in runs}):
         of_algo = [run for run in runs if run["algo"] == algo]
@@ -492,8 +493,8 @@ def paper_table() -> str:
         )
     cpu = [run["cpu_s"] for run in runs if run["cpu_s"] is not None]
     head, best = (
-        ["", *(f"`{task}`" for task in tasks)],
-        ["published", *(f"{published[t]:.2f}" for t in tasks)],
+        ["", *(f"`{Path(task).stem}`" for task in tasks)],
+        ["published", *(f"{published[t]:.2f}" if t in published else "" for t in tasks)],
     )
     hours = (
         f"{len(cpu)} of these {len(runs)} runs have a stored CPU time: {sum(cpu) / 3600:.1f} hours together."

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast, get_args
+from typing import Any, Final, get_args
 
 import numpy as np
 import torch
@@ -54,9 +54,6 @@ from craftsim.training.rollouts import GridWorlds, Novelty, PhysicsWorlds, Rollo
 from craftsim.training.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.training.starts import Guidance, Progress, check_guidance, guidance_of, silent
 from craftsim.workers.actor import defer_sigint
-
-if TYPE_CHECKING:
-    from craftsim.checking.setup import Randomize
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next, unless its configuration says after how many ticks."""
@@ -152,10 +149,7 @@ class Trainer:
     @property
     def _physics(self) -> dict[str, Any]:
         """Options of worlds in physics."""
-        from craftsim.checking.setup import RANDOMIZE
-
-        drawn = RANDOMIZE[cast("Randomize", self.config.randomize)][1]
-        return {**self._shared, "drive": self.config.drive, "randomization": drawn}
+        return {**self._shared, "drive": self.config.drive, "randomization": self.config.randomize}
 
     @property
     def steps(self) -> int:

@@ -260,14 +260,20 @@ class Trainer:
         path = file_in(folder, RUN_FILE)
         head, arrays = read_run(path)
         with naming(path):
-            if config is not None and head.config != config:
-                raise InputError(f"it was begun with {head.config}, not with {config}")
+            now = asdict(config or head.config)
+            for name, was in asdict(head.config).items():
+                if was != now[name]:
+                    raise InputError(
+                        f"it was begun with {name}={was!r}, not {now[name]!r}; use the same options, or another --out"
+                    )
             trainer = cls(head.config, starts, **given)
             if head.task.digest != trainer.identity.digest:
                 raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
             if head.starts != trainer.starts:
                 begun = "other starts" if head.starts else "no other starts"
-                raise InputError(f"the run was begun with {begun} than these; give the --starts of then")
+                raise InputError(
+                    f"the run was begun with {begun} than these; give those of then with --set starts"
+                )
             tensors, bounds = trainer._tensors()
             restore(tensors, arrays, bounds)
             trainer.iteration, trainer.curve = head.iteration, head.curve

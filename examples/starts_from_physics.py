@@ -9,7 +9,6 @@ import argparse
 from pathlib import Path
 
 import craftsim
-from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.tasks.starts import save_starts
 from craftsim.envs.parallel import ParallelConstruction
 from craftsim.training.policy import TrainedPolicy
@@ -17,9 +16,7 @@ from craftsim.training.policy import TrainedPolicy
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--policy", default="random_strip", help="a trained one, or the name of a shipped one")
 parser.add_argument("--task", default="random_strip", help="a task with random starts")
-parser.add_argument(
-    "--randomize", default="strong", choices=RANDOMIZE, help="what is drawn of physics in each episode"
-)
+parser.add_argument("--randomize", default="strong", help="a preset or a file, drawn for each episode")
 parser.add_argument("--episodes", type=int, default=2)
 parser.add_argument("--seed", type=int, default=0)
 parser.add_argument("--out", type=Path, default=Path("out/reached.npz"))
@@ -38,8 +35,7 @@ def worlds_reached(env: ParallelConstruction, policy: TrainedPolicy, seed: int) 
 if __name__ == "__main__":
     asked = parser.parse_args()
     policy = craftsim.load_policy(asked.policy)
-    drawn = RANDOMIZE[asked.randomize][1]
-    env = craftsim.parallel_env(asked.task, "physics", randomization=drawn, drive="reduced")
+    env = craftsim.parallel_env(asked.task, "physics", randomization=asked.randomize, drive="reduced")
     reached = []
     for episode in range(asked.episodes):
         reached += worlds_reached(env, policy, asked.seed + episode)

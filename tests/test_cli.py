@@ -159,6 +159,9 @@ def test_a_number_outside_of_its_range_or_no_choice_is_refused_before_anything_i
     ("words", "said"),
     [
         (["audit", "strip"], "'strip' is too much: see craftsim audit --help"),
+        (["compare", "out/first"], "OTHER is missing: see craftsim compare --help"),
+        (["tune"], "{drive,board,hinge,all} is missing: see craftsim tune --help"),
+        (["validate", "strip", "--plan"], "--plan requires an argument"),
         (["train", "strip", "--set"], "--set requires at least 1"),
         (["robot", "serve", "--silent", "--once"], "--silent requires at least 1"),
     ],

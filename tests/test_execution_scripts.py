@@ -1,6 +1,8 @@
 """Makespans of plans in physics, in each order, beside the predicted ones; success of policies in each mode."""
 
 import json
+import runpy
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -74,6 +76,15 @@ def test_a_policy_is_executed_in_each_mode_from_the_same_starts(tmp_path, monkey
     (reached,) = load_starts(tmp_path / "starts-random_strip.npz")
     with_starts(as_task("random_strip"), tmp_path / "starts-random_strip.npz")
     assert reached.n_cars == 2
+
+
+def test_policies_are_executed_by_the_script_that_is_started_by_its_path(tmp_path, monkeypatch):
+    monkeypatch.setattr(policy_modes, "MODES", (policy_modes.REACHED,))
+    words = ["policy_modes.py", "random_strip", "--episodes", "1", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(policy_modes.__file__, run_name="__main__")
+    assert ended.value.code == 0
 
 
 @pytest.mark.parametrize("policies", [(), ("random_breaking_barrier",)])  # of the latter actions are sampled

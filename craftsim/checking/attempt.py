@@ -274,6 +274,8 @@ class Watched:
     differences: tuple[str, ...] = ()
     """Differences in the part of the world that the action changes."""
     read: str = ""
+    readable: bool = False
+    """Whether the world could be read as a grid at the action's end."""
     errors: dict[str, Any] = field(default_factory=dict)
     """Value, or None, by field of :data:`BOUNDED_ERRORS`."""
     bystanders: dict[str, str] = field(default_factory=dict)

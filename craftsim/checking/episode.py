@@ -257,6 +257,8 @@ def perform(
         >>> attempt.agrees, attempt.read
         (True, '1,0,1 +x')
     """
+    if not isinstance(physics, PhysicsWorld):
+        raise InputError(f"actions are performed on a PhysicsWorld, not on a {type(physics).__name__}")
     if not 0 <= car < len(physics.cars):
         raise InputError(f"there is no car {car}: the world has {len(physics.cars)}, counted from 0")
     if isinstance(action, str):

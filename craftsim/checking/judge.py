@@ -184,7 +184,7 @@ class Judge:
 
         A car whose action fails stops there, and what depends on it is not performed; the others finish. An action
         whose own part reads as predicted agrees, unless nobody's part is wrong and something else is: that is then
-        held against all. An accident is held against what had not ended before it.
+        held against all. An accident, or what can no longer be read, is held against what had not ended before it.
 
         In the order ``reordered``, whenever an action ends, actions that have not begun may change places
         (:func:`craftsim.discrete.reordering.reordered_rest`). Constraints of ``after`` that the footprints impose
@@ -394,7 +394,7 @@ class Judge:
         set_down = things[0] if things and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
         loads = [thing.offset_m for thing in things if thing.carrier is not None]
         others, one.bystanders = self._bystanders(one, acting, swaying)
-        one.outcome, one.read = outcome, describe_car(self.grid, car)
+        one.outcome, one.read, one.readable = outcome, describe_car(self.grid, car), not self.reading.problems
         one.differences = tuple(own_differences(step.before, step.after, self.grid, car))
         one.errors = {
             "car_error_m": placed.offset_m,
@@ -473,7 +473,7 @@ class Judge:
         if world is not None:
             tried = [other for other in all_watched if other.legal or other.outcome is not None]
             nobodys = len(tried) == 1 or all(other.applied for other in tried)
-            earlier = world[0] == "unsafe" and not one.hazards
+            earlier = {"unsafe": not one.hazards, "unreadable": one.readable}.get(world[0], False)
             if not earlier and (nobodys or world[0] in ("agrees", "unsafe", "numerics", "diverged")):
                 return world
         return AGREES if one.applied else ("wrong place", one.differences or (str(one.outcome),))

@@ -13,11 +13,18 @@ from pathlib import Path
 from typing import Any, Final, get_args, get_type_hints
 
 import cyclopts
-from cyclopts import App, Parameter, UnknownOptionError, UnusedCliTokensError, ValidationError
+from cyclopts import (
+    App,
+    MissingArgumentError,
+    Parameter,
+    UnknownOptionError,
+    UnusedCliTokensError,
+    ValidationError,
+)
 from cyclopts.config import Dict
 
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
-from craftsim.cli.help import command_help
+from craftsim.cli.help import command_help, value_name
 from craftsim.cli.text import print_error
 from craftsim.errors import InputError
 from craftsim.options import option_name, range_of
@@ -107,6 +114,9 @@ def _said(error: cyclopts.CycloptsError) -> str:
     if isinstance(error, UnusedCliTokensError):
         words = " ".join(error.command_chain or ())
         return f"'{shlex.join(error.unused_tokens or ())}' is too much: see craftsim {words} --help"
+    if isinstance(error, MissingArgumentError) and argument is not None and argument.required:
+        words = " ".join(error.command_chain or ())
+        return f"{value_name(argument)} is missing: see craftsim {words} --help"
     text = " ".join(str(error).split())
     if isinstance(error, UnknownOptionError) and "Did you mean" not in text:
         named = [name for one in error.argument_collection for name in one.names if name.startswith("--")]

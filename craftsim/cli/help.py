@@ -26,7 +26,11 @@ def command_help(app: App, found: Iterable[Argument], words: Sequence[str], belo
     function = app.default_command
     arguments = [one for one in found if one.show]
     usage = ["usage: craftsim", *words]
-    usage += [_value(one) if one.required else f"[{_value(one)}]" for one in arguments if _is_positional(one)]
+    usage += [
+        value_name(one) if one.required else f"[{value_name(one)}]"
+        for one in arguments
+        if _is_positional(one)
+    ]
     usage.append("[OPTIONS]" if function is not None else "COMMAND")
     lines = _wrapped(" ".join(usage), width, "", "    ")
     text = (inspect.getdoc(function) if function is not None else app.help) or ""
@@ -55,7 +59,9 @@ def _wrapped(text: str, width: int, first: str = "", others: str = "") -> list[s
 
 def _option(one: Argument, width: int) -> Iterator[str]:
     name = (
-        _value(one) if _is_positional(one) else " ".join(filter(None, [", ".join(_names(one)), _value(one)]))
+        value_name(one)
+        if _is_positional(one)
+        else " ".join(filter(None, [", ".join(_names(one)), value_name(one)]))
     )
     said = " ".join((one.parameter.help or "").split()).rstrip(".")
     default = _default(one)
@@ -82,7 +88,8 @@ def _names(one: Argument) -> list[str]:
     return [name for name in one.names if name.startswith("--") and name not in off]
 
 
-def _value(one: Argument) -> str:
+def value_name(one: Argument) -> str:
+    """Return what an argument or option takes, as its help shows it."""
     several = " ..." if "tuple" in str(one.hint) and "..." not in (one.parameter.metavar or "") else ""
     if one.parameter.metavar:
         return f"{one.parameter.metavar}{several}"

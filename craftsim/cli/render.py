@@ -45,14 +45,14 @@ def render(
     The source is a recorded trajectory, the folder of a run, a replay bundle, or a task or start file: its plan or
     policy is then executed first, and its trajectory is written beside the film.
 
-    If OUT has no suffix it is a folder for figures: paths, tracking errors, wheel torques, boards, hinges and contact
+    If --out has no suffix it is a folder for figures: paths, tracking errors, wheel torques, boards, hinges and contact
     forces, each as PDF and PNG, and all together in all.pdf. Exit status: 0, or 2 for invalid input.
 
     Args:
         what: a trajectory (.npz), the folder of a replay bundle or of a run with one trajectory (for figures with any
             number), the name of a task, or a blueprint.
-        out: file to write: .mp4 (H.264), .webm (VP9), .webp or .gif (animations), or .png (a contact sheet, or pictures
-            with --at); or a folder for figures, such as figures/.
+        out: file to write, also as --out: .mp4 (H.264), .webm (VP9), .webp or .gif (animations), or .png (a contact
+            sheet, or pictures with --at); or a folder for figures, such as figures/.
         beside: other recorded runs, shown at its right at the same simulated time.
         camera: one or several views: overview, top, orbit, follow:CAR, closeup:CAR, a YAML file, or grid for the
             predicted grid world.

@@ -73,9 +73,9 @@ def _minimize(folder: Path, out: Path) -> int:
     with counting("trials", bool)(MOST_TRIALS) as on_trial:
         found = minimize_bundle(bundle, out, ".", on_trial)
     headline = Headline("Not made smaller", Tone.CAUTION, found.sentence)
-    if made := found.folder is not None:
-        sentence = "It fails in a smaller world, too, or in no smaller one."
-        headline = Headline("Smallest world", Tone.GOOD, sentence)
+    if found.cells is not None:
+        size = " x ".join(map(str, found.cells))
+        headline = Headline("Smallest world", Tone.GOOD, f"It fails in a world of {size} cells, too.")
     figures = {"bundle": folder.name, "smallest": found}
     return Report(
         "Smallest world of a failure",
@@ -83,7 +83,7 @@ def _minimize(folder: Path, out: Path) -> int:
         headline,
         sections=smallest_section([found]),
         document=document(figures, command="replay", config={"shrink": True}),
-        exit_code=0 if made else 1,
+        exit_code=1 if found.cells is None else 0,
     ).publish(out)
 
 

@@ -177,11 +177,10 @@ def design(
 ) -> int:
     """Write a design as goal.yaml, and a start with all that it needs as start.yaml; print and draw both.
 
-    WHAT is the name of a building, PNG files with one level each from the floor up, a mesh (.obj or .stl), or random.
     Exit status: 0, or 2 for invalid input.
 
     Args:
-        what: name of a building, files, or random.
+        what: name of a building, PNG files with one level each from the floor up, a mesh (.obj or .stl), or random.
         size: size of the building in cells, in the order given by --list; for a mesh the cells of its longer side; for
             a random building the length, width and height of its bounding box.
         text: text of the building 'letters'.

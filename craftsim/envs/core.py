@@ -28,7 +28,7 @@ from craftsim.discrete.tasks.starts import Starts
 from craftsim.envs.actions import checked, illegal
 from craftsim.envs.observations import Observation, observed
 from craftsim.envs.options import RENDER_FPS, RENDER_MODES, Options
-from craftsim.errors import InputError
+from craftsim.errors import InputError, suggestion
 
 if TYPE_CHECKING:
     from craftsim.checking.attempt import Attempt
@@ -40,6 +40,7 @@ Backend: TypeAlias = "GridBackend | PhysicsBackend"
 The world as it is seen is kept in a batch of one of :class:`Episodes`, with the queue of the action helper.
 """
 _ONE: Final = np.zeros(1, np.int64)
+_STARTS: Final = ("grid", "blueprint", "design")
 """The row of the only episode."""
 _RESET_FIRST: Final = "call reset() before anything else"
 
@@ -234,6 +235,9 @@ class Core:
 
     def _episode_of(self, options: dict[str, Any]) -> Task:
         """Return the task of a new episode, from which its start is drawn."""
+        for name in options.keys() - _STARTS:  # other words are another's, as in PettingZoo's tests
+            if close := suggestion(str(name), _STARTS):
+                raise InputError(f"reset has no option '{name}'{close}")
         grid, path = options.get("grid"), options.get("blueprint")
         if grid is None and path is None:
             return self.task.for_episode(self._rng)

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, InstanceOf
 
+from craftsim.checking.setup import setup_of
 from craftsim.choices import Execution
 from craftsim.discrete.actions import ACTIONS, as_own
 from craftsim.discrete.asynchronous import Timing
@@ -22,7 +23,7 @@ from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization
 from craftsim.models.sensing import SensorNoise
 from craftsim.models.world import PhysicsWorld
-from craftsim.skills.gains import Gains
+from craftsim.skills.gains import Gains, load_gains
 from craftsim.skills.library import own_skills
 from craftsim.storage.limits import HELPER_DEPTH, WORKERS, Range
 from craftsim.storage.records import record
@@ -54,6 +55,20 @@ def _path(value: object) -> object:
     return Path(value) if isinstance(value, str) else value
 
 
+def _named(reader: Callable[[str | Path], Any]) -> BeforeValidator:
+    """Read what is given by the name of a preset or by a file."""
+    return BeforeValidator(lambda value: reader(value) if isinstance(value, str | Path) else value)
+
+
+_Randomization = Annotated[
+    InstanceOf[DomainRandomization] | None, _named(lambda name: setup_of(name).randomization)
+]
+_Noise = Annotated[
+    InstanceOf[SensorNoise] | None, _named(lambda name: setup_of(noise=name).randomization.sensors)
+]
+_Gains = Annotated[InstanceOf[Gains] | None, _named(load_gains)]
+
+
 @record()
 class Options:
     """How an environment works, on top of its task; docs/reference/environments.md explains each. Raises
@@ -77,11 +92,12 @@ class Options:
     durations: Durations = "nominal"  # those of a table, or 1 s for every action
 
     # Physics only:
-    noise: InstanceOf[SensorNoise] | None = None  # of the cars' sensors and motors
-    assumed: InstanceOf[SensorNoise] | None = None  # by the pose estimate, before it finds out
-    randomization: InstanceOf[DomainRandomization] | None = None  # drawn for each episode
+    # The first three and gains also by the names and files that the commands take.
+    noise: _Noise = None  # of the cars' sensors and motors
+    assumed: _Noise = None  # by the pose estimate, before it finds out
+    randomization: _Randomization = None  # drawn for each episode
     config: InstanceOf[SimulationConfig] | None = None
-    gains: InstanceOf[Gains] | None = None  # the shipped ones unless given
+    gains: _Gains = None  # the shipped ones unless given
     machines: InstanceOf[Machines] | None = None  # the nominal ones unless given
     drive: Drive | None = None  # that of given machines, and else ``reduced``, see docs/explanation/drives.md
     skills: Annotated[Any, AfterValidator(own_skills)] = None  # {Action.LIFT: MyLift}, or by car

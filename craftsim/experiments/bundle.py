@@ -153,7 +153,9 @@ def read_bundle(folder: Path, of_own_run: bool = False) -> Recorded:
     """
     path = folder / TEXT
     if not exists(path):
-        raise InputError(f"{path}: no such file; give the folder of a replay bundle")
+        within = sorted(one.parent for one in folder.glob(f"bundles/*/{TEXT}"))
+        such = f", such as {within[0]}" if within else ""
+        raise InputError(f"{path}: no such file; give the folder of a replay bundle{such}")
     bundle = read_json_record(path, Bundle, limits.BUNDLE)
     try:
         _check_text(bundle)

@@ -365,15 +365,15 @@ def _plans(sim: DataFrame, real: DataFrame) -> list[dict[str, Any]]:
 
 
 def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
-    """Return the report of how a simulation and reality agree; ``seed`` is the bootstrap's."""
+    """Return the report of how two runs, such as a simulation and reality, agree; ``seed`` is the bootstrap's."""
     badge, tone = ("No significant difference", Tone.CAUTION) if gap.agrees else ("Differs", Tone.BAD)
     return Report(
-        "Simulation and reality",
+        "Two runs",
         f"{sim} and {real}",
-        Headline(badge, tone, difference_text(gap.trials, "the simulation", "reality")),
+        Headline(badge, tone, difference_text(gap.trials, "the first run", "the second")),
         [
             KeyFigure(percent(p.rate), f"agree in {where}", interval(p.wilson_low, p.wilson_high))
-            for where, p in (("the simulation", gap.trials.first), ("reality", gap.trials.second))
+            for where, p in (("the first run", gap.trials.first), ("the second", gap.trials.second))
         ],
         [_outcomes(gap), _verb_section(gap), _error_section(gap.error_shifts), _plan_section(gap)],
         document=document({"compare": gap}, command="compare", seed=seed, config={"sim": sim, "real": real}),
@@ -382,15 +382,15 @@ def gap_report(gap: RealityGap, sim: Path, real: Path, seed: int) -> Report:
 
 
 def _outcomes(gap: RealityGap) -> Section:
-    text = f"Of {gap.trials.words('in the simulation', 'in reality')}"
-    table = changes_table(gap.changed, "simulation", "reality")
+    text = f"Of {gap.trials.words('in the first run', 'in the second')}"
+    table = changes_table(gap.changed, "first", "second")
     lead = "The same trials in both, paired by their names."
     return Section("outcomes", "Outcomes", lead, [text, table], True)
 
 
 def _verb_section(gap: RealityGap) -> Section:
     table = DataTable(
-        numbers("action", "pairs", "alike (95 %)", "good: sim", "real", "durations (95 %)"),
+        numbers("action", "pairs", "alike (95 %)", "good: first", "second", "durations (95 %)"),
         [
             (
                 *(verb, one["agreement"].trials, _share_text(one["agreement"])),
@@ -400,14 +400,14 @@ def _verb_section(gap: RealityGap) -> Section:
             for verb, one in gap.by_verb.items()
         ],
         "By action",
-        "Alike: as predicted in both or in neither; durations: of reality by the simulation, median.",
+        "Alike: as predicted in both or in neither; durations: of the second run by the first, median.",
     )
     return Section("verbs", "By action", "Of what the rules allow.", [table], True)
 
 
 def _error_section(shifts: Mapping[str, Mapping[str, Any]]) -> Section:
     table = DataTable(
-        numbers("error", "sim median", "95th", "real median", "95th", "KS distance", "detectable", "p"),
+        numbers("error", "first median", "95th", "second median", "95th", "KS distance", "detectable", "p"),
         [
             (
                 ERRORS[name],
@@ -430,7 +430,7 @@ def _least_distance(n: int, m: int) -> float:
 
 def _plan_section(gap: RealityGap) -> Section:
     table = DataTable(
-        numbers("world: plan or policy", "runs", "success: sim", "real"),
+        numbers("world: plan or policy", "runs", "success: first", "second"),
         [
             (
                 *(one["plan"], runs := one["runs"]),

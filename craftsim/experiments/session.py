@@ -343,8 +343,9 @@ def _goes_on(database: sqlite3.Connection, out: Path, manifest: Mapping[str, Any
     there = store.stored_manifest(database, path)
     if kept and resume:
         for key, (old, new) in store.differences(there, manifest):
+            name = key.removeprefix("config.").replace("by.", "plan or policy ")
             raise InputError(
-                f"{path}: cannot go on with another run: its {key} is {reprlib.repr(old)}, not {reprlib.repr(new)}; "
+                f"{path}: cannot go on with another run: its {name} is {reprlib.repr(old)}, not {reprlib.repr(new)}; "
                 "use the options that it was begun with, or choose another --out"
             )
     elif 0 < kept < there["items"]:

@@ -213,6 +213,10 @@ def ground_pose_and_size(size: Cell) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 def check_extent(grid: Grid, goals: Sequence[Cell] = ()) -> None:
     """Raise InputError for a world that is too large for physics, or goals outside; StartError for cars in one cell."""
+    if not isinstance(grid, Grid):
+        raise InputError(
+            f"a world is made of a Grid, not of a {type(grid).__name__}; read_blueprint(name).grid(rng) returns one"
+        )
     loads = int((grid.cars[:, CarField.LOAD] != Kind.AIR).sum())
     parts = grid.n_cars + loads + int(np.isin(grid.kind, STANDING).sum())
     length, width, height = grid.size

@@ -78,6 +78,8 @@ def make_goal(goal: Design | Task | Callable[[Grid], float | bool]) -> BuildingG
         targets = (target for target in goal.targets if target.kind != Kind.FOOT)
         return BuildingGoal(goal.satisfied, frozenset(t._replace(yaw=max(t.yaw, 0)) for t in targets))
     if not isinstance(goal, Task):
+        if not callable(goal):
+            raise InputError(f"the goal is {goal!r}; allowed: a Design, a Task, or a function of a Grid")
         return BuildingGoal(lambda grid: bool(goal(grid)))
     if goal.success == "flag_at_goal":
         return BuildingGoal(goal.succeeded, frozenset({Piece(Kind.FLAG, goal.layout.goal_cell)}))

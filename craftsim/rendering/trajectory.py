@@ -293,7 +293,7 @@ def trajectory_files(run: Path) -> list[Path]:
     patterns = [one] if is_file(run / BUNDLE) else [f"{TRAJECTORIES}/{any_of}", any_of, f"bundles/*/{one}"]
     found = next((paths for pattern in patterns if (paths := sorted(run.glob(pattern)))), [])
     if not found:
-        raise InputError(f"{run}: no trajectories in it; run it again with --record")
+        raise InputError(f"{run}: no trajectories in it; run it again with --record trajectory")
     return found
 
 

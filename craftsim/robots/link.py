@@ -290,7 +290,7 @@ class Link(RemoteCars):
                 return message
         raise InputError(
             f"no robots answer within {max(_GREETED_S, self._timeout_s):g} s{self._why_dropped}; "
-            "start some with: craftsim robot"
+            "start some with: craftsim robot serve"
         )
 
     def _check(self, welcome: Welcome, n_cars: int) -> None:

@@ -128,7 +128,7 @@ class Caller:
         host = host.removeprefix("[").removesuffix("]")
         try:
             if scheme not in ("", "tcp") or not host:
-                raise ValueError("not tcp://HOST:PORT")
+                raise ValueError("not HOST:PORT")
             if not (port.isascii() and port.isdecimal() and 1 <= int(port[:6]) <= 65_535):
                 raise ValueError("the port should be 1 to 65535")
             self._place = host, int(port)
@@ -136,7 +136,7 @@ class Caller:
         except (OSError, TypeError, ValueError) as error:
             why = getattr(error, "strerror", None) or error
             raise InputError(
-                f"'{address[:100]}' is no address of robots ({why}); try tcp://{LOOPBACK}:{PORT}"
+                f"'{address[:100]}' is no address of robots ({why}); try {LOOPBACK}:{PORT}"
             ) from None
         self._line: Line | None = None
         self._first = list[bytes]()

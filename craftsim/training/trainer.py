@@ -10,7 +10,7 @@ from dataclasses import asdict
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast, get_args
+from typing import Any, Final, get_args
 
 import numpy as np
 import torch
@@ -54,9 +54,6 @@ from craftsim.training.rollouts import GridWorlds, Novelty, PhysicsWorlds, Rollo
 from craftsim.training.shape import Shape, TaskIdentity, check_stage, starts_digest
 from craftsim.training.starts import Guidance, Progress, check_guidance, guidance_of, silent
 from craftsim.workers.actor import defer_sigint
-
-if TYPE_CHECKING:
-    from craftsim.checking.setup import Randomize
 
 EVALUATION_INTERVAL: Final = 10
 """Iterations from one evaluation to the next, unless its configuration says after how many ticks."""
@@ -152,10 +149,7 @@ class Trainer:
     @property
     def _physics(self) -> dict[str, Any]:
         """Options of worlds in physics."""
-        from craftsim.checking.setup import RANDOMIZE
-
-        drawn = RANDOMIZE[cast("Randomize", self.config.randomize)][1]
-        return {**self._shared, "drive": self.config.drive, "randomization": drawn}
+        return {**self._shared, "drive": self.config.drive, "randomization": self.config.randomize}
 
     @property
     def steps(self) -> int:
@@ -266,14 +260,20 @@ class Trainer:
         path = file_in(folder, RUN_FILE)
         head, arrays = read_run(path)
         with naming(path):
-            if config is not None and head.config != config:
-                raise InputError(f"it was begun with {head.config}, not with {config}")
+            now = asdict(config or head.config)
+            for name, was in asdict(head.config).items():
+                if was != now[name]:
+                    raise InputError(
+                        f"it was begun with {name}={was!r}, not {now[name]!r}; use the same options, or another --out"
+                    )
             trainer = cls(head.config, starts, **given)
             if head.task.digest != trainer.identity.digest:
                 raise InputError(f"the task '{trainer.task.name}' has changed since the run was begun")
             if head.starts != trainer.starts:
                 begun = "other starts" if head.starts else "no other starts"
-                raise InputError(f"the run was begun with {begun} than these; give the --starts of then")
+                raise InputError(
+                    f"the run was begun with {begun} than these; give those of then with --set starts"
+                )
             tensors, bounds = trainer._tensors()
             restore(tensors, arrays, bounds)
             trainer.iteration, trainer.curve = head.iteration, head.curve

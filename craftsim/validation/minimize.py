@@ -239,6 +239,8 @@ class Counterexample:
     cells: tuple[int, int, int] | None = None
     folder: str | None = None
     """Folder with its blueprint and actions, relative to the run's."""
+    nominal: bool = False
+    """Whether it fails in nominal physics without noise."""
 
 
 MinimizeProgress = Callable[[int], AbstractContextManager[Callable[[Counterexample], None]]]
@@ -262,8 +264,9 @@ def minimize_bundle(
         folder = directory_within(out, name)
         write_blueprint(found.grid, folder / BLUEPRINT)
         write_whole(folder / ACTIONS, f"0 {found.action.name}\n")
+        size, nominal = found.grid.size, found.setup.randomization == NONE
         return Counterexample(
-            bundle.key, found.words, rules, found.minimal, found.trials, found.grid.size, name
+            bundle.key, found.words, rules, found.minimal, found.trials, size, name, nominal
         )
     return Counterexample(bundle.key, why, rules)
 

@@ -451,7 +451,9 @@ def _smallest(one: Counterexample) -> Case:
         return Case(one.key, "not made smaller", Tone.MUTED, one.sentence)
     left = "" if one.minimal else "; perhaps not the smallest: the trials were used up"
     size = " x ".join(map(str, one.cells))
-    folder, rules = Path(one.folder), ("--rules", one.rules) if one.rules != "physical" else ()
-    again = ("craftsim", "validate", folder / BLUEPRINT, "--actions", folder / ACTIONS, *rules)
+    folder = Path(one.folder)
+    how: list[str | Path] = ["--rules", one.rules] if one.rules != "physical" else []
+    how += ["--randomize", "none", "--trials", "1"] if one.nominal else []
+    again = ("craftsim", "validate", folder / BLUEPRINT, "--actions", folder / ACTIONS, *how)
     reason = f"{size} cells, of {one.key}; {one.trials} trials{left}"
     return Case(one.sentence, "smallest world", Tone.CAUTION, reason, again=again)

@@ -210,7 +210,7 @@ def validate(
     several = [worlds] if isinstance(worlds, World) else list(worlds)
     given = [name for name, value in (("plan", plan), ("actions", actions), ("policy", policy)) if value]
     if len(given) > 1:
-        raise InputError(f"{given[0]} and {given[1]} exclude each other")
+        raise InputError(f"--{given[0]} and --{given[1]} exclude each other; give one of them")
     if given and given[0] != "policy" and len(several) != 1:
         raise InputError(f"{given[0]} needs the one world that it is for")
     elsewhere = campaign.workers > 1 or campaign.engine != "local"
@@ -307,7 +307,7 @@ def record_once(
     if plan is None:
         source = policy_source(policy or PLANNER, every, order, setup.rules)
     elif policy is not None:
-        raise InputError("plan and policy exclude each other")
+        raise InputError("--plan and --policy exclude each other; give one of them")
     else:
         source = plan_source(read_plan(plan, every[0].n_cars), order)
     (item,) = items_of(every, [source], 1, seed, setup, order=order, record=True)

@@ -30,6 +30,9 @@ from craftsim.modules import MAIN, REGISTERING, SAFE_PATH, import_registering, s
 
 Handler = Callable[[Any], Any]
 
+_MODULE: Final = (
+    "What functions of a program use is sent along; put such functions into a module, which is imported"
+)
 _starting: Final = threading.Lock()
 _PROGRAM: Final = ("init_main_from_name", "init_main_from_path")
 """What multiprocessing tells a process of the program to run again."""
@@ -112,10 +115,14 @@ def _pickled(what: Any) -> bytes:
     try:
         return bytes(cloudpickle.dumps(what))
     except (TypeError, AttributeError, pickle.PicklingError) as error:
-        raise InputError(
-            f"a worker process cannot be sent this: {error}. What functions of a program use is sent along; put such "
-            "functions into a module, which is imported"
-        ) from error
+        raise InputError(f"a worker process cannot be sent this: {error}. {_MODULE}") from error
+
+
+def _unpickled(request: bytes) -> Any:
+    try:
+        return pickle.loads(request)
+    except AttributeError as error:  # such as what functools.cache made of a function of a program
+        raise InputError(f"a worker process has not what it was sent: {error}. {_MODULE}") from error
 
 
 def _program() -> dict[str, str]:
@@ -183,7 +190,7 @@ def _refuse(error: InputError, request: Any) -> None:
 def _answer(handler: Handler, request: bytes) -> bytes:
     """Return the pickled pair of success and answer, or failure and exception."""
     try:
-        return bytes(cloudpickle.dumps((True, handler(pickle.loads(request)))))
+        return bytes(cloudpickle.dumps((True, handler(_unpickled(request)))))
     except Exception as error:
         trace = traceback.format_exc()
         try:

@@ -161,6 +161,8 @@ def test_python_performs_one_action_after_the_other_as_a_judge_does():
     for car, action, message in ((2, "LIFT", "there is no car 2"), (0, "LFIT", "did you mean 'LIFT'")):
         with pytest.raises(InputError, match=message):
             perform(physics, car, action)
+    with pytest.raises(InputError, match="on a PhysicsWorld, not on a Grid"):
+        perform(judge.grid, 0, RIGHT)
 
 
 LEFT = Action.ROTATE_LEFT

@@ -156,6 +156,17 @@ def test_an_accident_is_held_against_what_had_not_ended_before_it():
     assert findings == {(0, 0): "agrees", (0, 2): "unsafe", (1, 0): "unsafe"} | later
 
 
+@pytest.mark.parametrize("order", ["concurrent", "sequential", "until-wrong"])
+def test_what_can_no_longer_be_read_is_held_against_what_had_not_ended_before_it(order):
+    """By CraftEnv's rules a block may turn beside a car, which shoves it off its seat."""
+    yard = draw((3, 3, 2), [(Kind.BLOCK, (1, 1, 1))], [(0, 1, 1, 0), (1, 2, 1, 0)])
+    judge = set_up(yard, setup_of("none", rules="published", drive="reduced"))
+    steps = [[(0, RIGHT)], [(0, Action.LIFT)], [(0, Action.ROTATE_LEFT)]]
+    attempts = judge.perform_plan(steps, order)
+    assert [a.finding for a in attempts] == ["agrees", "agrees", "unreadable"]
+    assert [a.agrees for a in attempts] == [True, True, False]
+
+
 def test_one_by_one_a_failure_ends_everything_and_what_the_rules_forbid_ends_nothing():
     _, attempts = _run(_unpower(0), "sequential")
     assert _not_performed(attempts) == [1, 2, 3, 4, 5, 6]

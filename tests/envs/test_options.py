@@ -16,11 +16,13 @@ from craftsim.discrete.tasks import make_task
 from craftsim.envs import GYMNASIUM_IDS, env, parallel_env, vector_env
 from craftsim.envs.actions import ObjectChoice
 from craftsim.envs.observations import Images, Observe
+from craftsim.envs.options import Options
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
 from craftsim.models.config import SimulationConfig
 from craftsim.models.randomization import DomainRandomization
+from craftsim.models.sensing import SensorNoise
 from craftsim.skills.gains import load_gains
 from craftsim.testing import check_api
 
@@ -125,6 +127,8 @@ def test_wrong_options_are_refused_in_both_forms():
         ({"time_weight": "much"}, "a number of at least 0, not 'much'"),
         ({"backend": "physics", "noise": 0.1}, "instance of SensorNoise"),
         ({"backend": "physics", "randomization": 0.1}, "instance of DomainRandomization"),
+        ({"backend": "physics", "randomization": "mld"}, "did you mean 'mild'"),
+        ({"backend": "physics", "noise": "no.yaml"}, "no.yaml: no such file"),
         ({"backend": "physics", "config": {"sleep": False}}, "instance of SimulationConfig"),
         ({"backend": "physics", "gains": {"drive": 3}}, "instance of Gains"),
         ({"backend": "physics", "machines": "heavy.yaml"}, "instance of Machines"),
@@ -244,6 +248,13 @@ def _a_car_outside(grid):
     grid.cars[1, 0] = 77
 
 
+def test_randomization_sensors_and_gains_are_given_by_name_as_to_the_commands():
+    named = Options(randomization="strong", noise="mild", assumed="none", gains="fast")
+    assert named.randomization == RANDOMIZE["strong"][1]
+    assert (named.noise, named.assumed) == (MILD, SensorNoise())
+    assert named.gains == load_gains("fast")
+
+
 def test_starts_that_do_not_fit_are_refused_and_the_next_reset_works():
     for options, words in [
         ({"grid": "strip"}, "must be a Grid"),
@@ -253,6 +264,7 @@ def test_starts_that_do_not_fit_are_refused_and_the_next_reset_works():
         ({"grid": _start(_a_slope)}, "has 1 slopes"),
         ({"grid": _start(_a_car_outside)}, r"car 1 is at \(77, 3, 1\)"),
         ({"blueprint": "no-such-file.yaml"}, "no such file"),
+        ({"bluprint": "strip"}, "no option 'bluprint'; did you mean 'blueprint'"),
         ({"blueprint": 3}, "must be a path"),
         ({"grid": _start(lambda grid: None), "blueprint": "strip.yaml"}, "give one of them"),
     ]:

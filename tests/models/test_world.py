@@ -134,6 +134,8 @@ def test_a_world_that_is_too_large_for_physics_or_has_two_cars_in_a_cell_is_refu
         grid.cars[:, 0], grid.cars[:, 1], grid.cars[:, 2] = np.arange(n_cars) % 6, np.arange(n_cars) // 6, 1
         with pytest.raises(InputError, match=message):
             PhysicsWorld(grid)
+    with pytest.raises(InputError, match="made of a Grid, not of a str"):
+        PhysicsWorld("strip")
     grid = Grid.empty((16, 14, 1), 2)
     grid.cars[:, :3] = [[0, 0, 1], [1, 0, 1]]
     grid.kind.reshape(-1, 2)[28 : 28 + 190, 1] = Kind.WALL

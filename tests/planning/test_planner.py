@@ -15,6 +15,7 @@ from craftsim.discrete.grid import CarField, Grid, Kind, Piece
 from craftsim.discrete.rules import Rules
 from craftsim.discrete.schedule import make_schedule
 from craftsim.discrete.tasks import TASK_NAMES, make_task
+from craftsim.errors import InputError
 from craftsim.planning import NoPlanError, plan_building
 from craftsim.planning.assembly import Assembly, without_things
 
@@ -152,6 +153,11 @@ def test_why_there_is_no_plan_is_said(reason, blocks):
     grid.kind[4, 4, 1] = Kind.WALL
     with pytest.raises(NoPlanError, match=reason):
         plan_building(grid, Design.of("it", blocks, []), RULES, rounds=2)
+
+
+def test_a_goal_by_name_is_refused_with_what_is_allowed():
+    with pytest.raises(InputError, match="the goal is 'strip'; allowed: a Design, a Task, or a function"):
+        plan_building(make_task("strip").draw(np.random.default_rng(0)), "strip")
 
 
 def test_the_command_writes_a_plan_that_can_be_read(tmp_path, capsys):

@@ -89,7 +89,7 @@ def test_trajectories_of_a_run_have_names_and_an_audit_s_lie_in_its_bundles(tmp_
         assert [path.stem for path in trajectory_files(folder)] == ["move-0", "move-1"]
     (bundle / "bundle.json").write_text("{}")
     for folder, message in (
-        (bundle, "no trajectories in it; run it again with --record"),
+        (bundle, "no trajectories in it; run it again with --record trajectory"),
         (tmp_path / "nowhere", "no such file or folder"),
     ):
         with pytest.raises(InputError, match=message):

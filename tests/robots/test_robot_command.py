@@ -140,7 +140,7 @@ def test_an_address_where_no_robots_are_is_refused_in_words(tmp_path, capsys, mo
     monkeypatch.setattr("craftsim.robots.link._GREETED_S", 0.2)
     words = ["demo", "--robot", "127.0.0.1:9", "--timeout", "0.1", "--no-video", "--out", str(tmp_path)]
     assert main(words) == 2
-    assert "no robots answer within 0.2 s; start some with: craftsim robot" in capsys.readouterr().err
+    assert "no robots answer within 0.2 s; start some with: craftsim robot serve" in capsys.readouterr().err
     assert main([*words, "--task", "all"]) == 2
     assert "--robot goes with a single task" in capsys.readouterr().err
     assert main(["demo", "--robot", "udp://nowhere", "--out", str(tmp_path), "--no-video"]) == 2

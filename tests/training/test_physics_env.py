@@ -36,8 +36,11 @@ def test_a_run_in_physics_is_the_same_with_one_worker_and_with_two_and_resumes(t
     with closing(Trainer.resume(tmp_path, task=SHORT, workers=1)) as resumed:
         assert resumed.iteration == 1
         assert resumed.config == config
-    for other in ({"backend": "grid"}, {"drive": "rollers"}):
-        with pytest.raises(InputError, match="it was begun with"):
+    for other, words in (
+        ({"backend": "grid"}, "backend='physics', not 'grid'"),
+        ({"drive": "rollers"}, "drive="),
+    ):
+        with pytest.raises(InputError, match=f"it was begun with {words}"):
             Trainer.resume(tmp_path, task=SHORT, config=replace(config, **other))
 
 

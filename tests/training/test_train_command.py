@@ -145,7 +145,7 @@ def test_a_run_goes_on_as_it_began_only_and_is_never_overwritten(tmp_path, capsy
     capsys.readouterr()
     for words in (["--starts", str(other)], []):
         assert _train(tmp_path / "run", "--steps", "1", *words, "--resume") == 2
-        assert "give the --starts of then" in capsys.readouterr().err
+        assert "give those of then with --set starts" in capsys.readouterr().err
     assert _train(tmp_path / "plain", "--steps", "1") == 0
     assert _train(tmp_path / "plain", *first, "--resume") == 2
     assert "begun with no other starts" in capsys.readouterr().err

@@ -104,14 +104,20 @@ def test_the_first_of_each_kind_is_shrunk():
 
 
 def test_replay_shrinks_a_bundle_into_files_that_validate_reads(tmp_path, capsys):
-    steps = (Step.single(0, 1, Action.STOP), Step.joint(1, [(1, Action.STOP), (0, Action.ROTATE_LEFT)]))
-    grid = grid_of(_cars_first(*NEEDED, *IDLE[3:5]), SIZE)
+    joint = [(2, Action.MOVE_RIGHT), (0, Action.ROTATE_LEFT)]  # the first ends last
+    steps = (Step.single(0, 1, Action.STOP), Step.joint(1, joint))
+    grid = grid_of(_cars_first(*NEEDED, *IDLE[3:5], WorldPart((1, 5, 1), AIR, 0)), SIZE)
     bundle = write_bundle(tmp_path / "bundle", "a turn", Recipe(blueprint_text(grid), steps, PUBLISHED))
-    assert [a.action for a in bundle.attempts if not a.agrees] == ["STOP", "ROTATE_LEFT"], "both are blamed"
+    assert [a.action for a in bundle.attempts if not a.agrees] == ["MOVE_RIGHT", "ROTATE_LEFT"], (
+        "both are blamed"
+    )
     assert cli.main(["replay", str(tmp_path / "bundle"), "--minimize", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "when car 1 is in the next cell to the right" in said
-    assert f"--actions {tmp_path / 'out' / 'smallest.actions'} --rules published" in said
+    assert (
+        f"--actions {tmp_path / 'out' / 'smallest.actions'} --rules published --randomize none --trials 1"
+        in said
+    )
     found = read_blueprint(tmp_path / "out" / "smallest.yaml").grid(np.random.default_rng(0))
     assert len(pieces_of(found)) == 2
 

@@ -327,5 +327,7 @@ def test_a_hidden_delay_shows_in_the_outcomes(tmp_path, capsys):
     assert gap["changed"]["config.setup.randomization.sensors.max_delay_s"] == [0.02, 0.1]
     assert gap["trials"]["only_first"] == 6
     assert gap["ranks"] is None
-    assert "at least three plans" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "6 only in the first run, 0 only in the second" in said
+    assert "at least three plans" in said
     assert cli.main(["compare", str(tmp_path), str(tmp_path / "real"), "--out", str(tmp_path / "gap")]) == 2

@@ -130,7 +130,7 @@ def test_records_in_a_folder_are_those_without_one(tmp_path):
 def test_wrong_arguments_are_refused():
     for worlds, options, message in [
         (GRID, {"trials": 0}, "at least 1"),
-        (GRID, {"plan": MOVES, "policy": "random"}, "plan and policy exclude each other"),
+        (GRID, {"plan": MOVES, "policy": "random"}, "--plan and --policy exclude each other"),
         (GRID, {"workers": 2}, "need the folder 'out'"),
         (GRID, {}, "there is no shipped plan for grid"),
         ([GRID, GRID], {"policy": "random"}, "two worlds are called 'grid'"),

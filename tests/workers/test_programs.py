@@ -69,6 +69,16 @@ def test_what_a_function_uses_and_cannot_be_sent_is_named(tmp_path):
     assert "InputError: a worker process cannot be sent this: " in said[-1]
 
 
+def test_what_is_cached_in_a_program_is_no_error_of_pickle(tmp_path):
+    text = "import functools\n@functools.cache\ndef first():\n    return 0\n" + VALIDATE.format(
+        uses="first()"
+    )
+    printed, said = _run(tmp_path, text)
+    assert printed == ["begun"]
+    assert "InputError: a worker process has not what it was sent: Can't get attribute 'first'" in said[-1]
+    assert said[-1].endswith("put such functions into a module, which is imported")
+
+
 def test_workers_know_what_a_guarded_program_registers_and_its_skills(tmp_path):
     found = _run(tmp_path, REGISTERS.format(guard='if __name__ == "__main__"'))
     assert found == (["begun", "begun", "[(True, None)]"], [])

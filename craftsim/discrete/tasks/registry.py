@@ -205,6 +205,8 @@ def _found(
         return read_task(text, n_cars, n_blocks)
     if Path(text).is_dir():
         raise InputError(f"'{text}' is a folder; give a file .yaml, or one of the tasks {names}")
+    if "/" in text:
+        raise InputError(f"{text}: no such file or folder")
     hint, others = suggestion(text[:80], task_names()), ", or module:factory" if may_import else ""
     raise InputError(f"unknown task '{text}'{hint}; there are {names}, a file .yaml{others}")
 

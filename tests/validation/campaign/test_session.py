@@ -16,7 +16,7 @@ from craftsim.experiments.experiment import RunOptions
 from craftsim.experiments.records import read_finished
 from craftsim.experiments.session import open_session, run_experiment
 
-EXPERIMENT = cheap_work.experiment(4, config={"trials": 1, "nested": {"a": [1.5]}})
+EXPERIMENT = cheap_work.experiment(4, config={"trials": 1, "by": {"yard": "f9"}, "nested": {"a": [1.5]}})
 RESUME = RunOptions(resume=True)
 
 
@@ -83,7 +83,8 @@ def test_another_experiment_or_version_is_not_resumed(begun):
     first, *others = EXPERIMENT.items
     for changes, key in (
         ({"seed": 8}, "seed is 7, not 8"),
-        ({"config": {**EXPERIMENT.config, "trials": 2}}, "config.trials is 1, not 2"),
+        ({"config": {**EXPERIMENT.config, "trials": 2}}, "trials is 1, not 2"),
+        ({"config": {**EXPERIMENT.config, "by": {"yard": "e8"}}}, "plan or policy yard is 'f9', not 'e8'"),
         ({"command": "other"}, "command is 'test', not 'other'"),
         ({"items": EXPERIMENT.items[:3]}, "items is 4, not 3"),
         ({"items": [replace(first, key="x"), *others]}, "keys is "),

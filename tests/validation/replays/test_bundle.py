@@ -202,3 +202,10 @@ def test_a_pickle_in_the_place_of_an_array_is_not_opened(copy):
     np.savez(copy / BEFORE, qpos=np.array([{"a": 1}], dtype=object))
     with pytest.raises(InputError, match=BEFORE):
         read_bundle(copy)
+
+
+def test_the_folder_of_a_run_is_no_bundle_but_one_in_it_is_named(tmp_path):
+    (tmp_path / "bundles" / "a").mkdir(parents=True)
+    (tmp_path / "bundles" / "a" / "bundle.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(InputError, match=r"give the folder of a replay bundle, such as .*/bundles/a$"):
+        read_bundle(tmp_path)

@@ -6,6 +6,8 @@ from gymnasium.wrappers import TransformObservation
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.wrappers import ActionMasker
 
+import craftsim.envs  # noqa: F401  (registers the environments)
+
 env = gymnasium.make("craftsim/Strip-v0", backend="grid")
 env = TransformObservation(env, lambda seen: seen["observation"], env.observation_space["observation"])
 env = ActionMasker(env, lambda env: env.unwrapped.core.masks.astype(bool).ravel())

@@ -207,7 +207,8 @@ def _swaying_stacks():
     stacks = [(Kind.BLOCK, (x, 0, z)) for x in (0, 1) for z in (1, 2, 3, 4)]
     grid = draw((4, 2, 5), stacks, [(0, 0, 5, 0, Kind.FSLOPE, 2), (3, 1, 1, 0)])
     gains = nominal_gains()
-    judge = set_up(grid, Setup(gains=replace(gains, drive=replace(gains.drive, rocking=9.0)), assumed=EXACT))
+    drive = replace(gains.drive, rocking=9.0, max_turn_speed=3.3)
+    judge = set_up(grid, Setup(gains=replace(gains, drive=drive), assumed=EXACT))
     physics = judge.physics
     start = physics.free_body_state(physics.blocks[7])[0]
     return judge, lambda: float(np.linalg.norm(physics.free_body_state(physics.blocks[7])[0] - start))
@@ -266,7 +267,8 @@ def test_the_schedule_of_a_plan_makes_the_same_attempts_one_by_one():
     while waiting or judge.running:
         for number, step in list(waiting.items()):
             if step.waits_for <= done and step.car not in judge.running:
-                judge.begin(waiting.pop(number))
+                del waiting[number]
+                begin(judge, step.car, step.action, step.tick)
         found += judge.next()
         done = {place[attempt.tick, attempt.car] for attempt in found}
     found.sort(key=lambda attempt: place[attempt.tick, attempt.car])

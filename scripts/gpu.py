@@ -80,7 +80,7 @@ def kernels() -> SimpleNamespace:
         own: wp.array(dtype=wp.vec3),
         gear: wp.array2d(dtype=wp.spatial_vector),
     ):
-        """Do what craftsim.models.effects.turn_motors does, for gears without backlash."""
+        """Do what craftsim.models.effects.turn_motors does, for gears without backlash and wheels that turn."""
         world, wheel = wp.tid()
         at = places[wheel]
         turned = wp.quat(qpos[world, at + 4], qpos[world, at + 5], qpos[world, at + 6], qpos[world, at + 3])

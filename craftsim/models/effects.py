@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from craftsim.discrete.kernel.jit import Record, compiled, layout, records
-from craftsim.mjcf.building import TOUCHES
+from craftsim.mjcf.building import TOUCHES, surface
 from craftsim.models.config import Amount
 from craftsim.models.parts import WHEELS
 from craftsim.storage.records import record
@@ -26,6 +26,16 @@ if TYPE_CHECKING:
 ROLLERS: Final = TOUCHES["wheels"]["contype"]
 """The bit by which a roller collides: its contype."""
 _TINY_NM: Final = 1e-9
+_INCLINED: Final = math.cos(0.03)
+"""A car that leans by more than 0.03 rad, as of HoldGains.level, is on an incline."""
+_SILENT: Final = 0.1
+"""Share of a gear's dry friction below which a motor turns no wheel there: a loaded car's weight takes 0.87."""
+_STANDS_RAD_S: Final = 0.02
+_SLIDES_RAD_S: Final = 0.5
+"""Wheel speeds below which a car comes to stand on an incline, 1 mm/s, and above which it slides."""
+_FIRM: Final = 20.0
+"""How much stiffer the friction of a standing wheel is than that of other contacts, by which a car would creep down the
+slope by 0.01 mm/s: as much as rollers do."""
 _SLOW_RAD_S: Final = 0.1
 """Below this speed a gear's loss falls to 0, which it is at rest: it would otherwise turn over with the speed."""
 
@@ -35,8 +45,8 @@ Ints = NDArray[np.int32]
 Records = NDArray[np.void]
 
 WHEEL: Final = layout(
-    i8="motor gear tree dof body engaged",
-    f8="slowest fastest low high own_low own_high own_gain dry_nm played nm_per_n load",
+    i8="motor gear tree dof body geom engaged stands",
+    f8="slowest fastest low high own_low own_high own_gain dry_nm played nm_per_n load grip held",
     f8x6="own_gear inertia",
 )
 """A wheel, its motor and its gear: where they and their car lie in MuJoCo's arrays, and the range of commanded speeds.
@@ -44,8 +54,9 @@ WHEEL: Final = layout(
 ``low`` and ``high`` are the torques that the motor can give now; ``own_`` are parameters of the baseline, ``own_gear``
 in the frame of the car. ``dry_nm`` is the gear's dry friction, ``played`` the angle gone through its backlash,
 forwards, and ``engaged`` whether it is at an end of that. ``nm_per_n`` is the torque that a newton of load lets the
-wheel pass on, ``load`` in newtons what it carries, ``inertia`` the torque per acceleration of the car to turn wheel and
-motor.
+wheel pass on by ``grip``, its friction coefficient, ``load`` in newtons what it carries, ``inertia`` the torque per
+acceleration of the car to turn wheel and motor. ``held`` is the share of the car's weight that four such gears hold,
+``stands`` whether the wheel stands on an incline.
 """
 
 
@@ -73,6 +84,8 @@ class StepEffect:
 
     state: Floats = np.zeros(0)
     """What it remembers beyond the state of MuJoCo; saved and restored with it."""
+    settles: bool = False
+    """Whether it acts before the control periods of a reset, too, in which all comes to rest."""
     each_step: bool = True
     """Whether it acts after each physics step; otherwise as a control period begins alone."""
 
@@ -90,7 +103,10 @@ def effects_of(world: PhysicsWorld, drivetrain: Drivetrain) -> tuple[list[StepEf
     """Return the effects of a world with its present baseline, in their order, and its motors that are turned."""
     wheels = _wheels(world)
     found: list[StepEffect] = [] if drivetrain == IDEAL else [DrivetrainLosses(world, wheels, drivetrain)]
-    found.append(Bearings(world) if world.machines.drive == "rollers" else Grip(world, wheels))
+    if world.machines.drive == "rollers":
+        found.append(Bearings(world))
+    else:
+        found += [Grip(world, wheels), Standing(world, wheels)]
     return found, turned_motors(world, wheels)
 
 
@@ -184,7 +200,10 @@ class Grip(StepEffect):
         wheel_of[geoms] = np.arange(len(geoms))
         radii = np.repeat([car.parameters.wheel_radius_m for car in world.cars], len(WHEELS))
         spin = np.repeat([car.parameters.wheel_inertia_kgm2 for car in world.cars], len(WHEELS))
-        wheels["nm_per_n"] = baseline.geom_friction[geoms, 0] * radii / math.sqrt(2)
+        wheels["geom"], wheels["grip"] = geoms, baseline.geom_friction[geoms, 0]
+        wheels["nm_per_n"] = wheels["grip"] * radii / math.sqrt(2)
+        weight = model.body_subtreemass[wheels["body"]] * np.linalg.norm(baseline.gravity)
+        wheels["held"] = 4 * wheels["dry_nm"] / radii / weight
         wheels["inertia"] = spin[:, None] * wheels["own_gear"]
         self.each_step = world.uneven
         data, uneven = world.data, np.array([world.uneven])
@@ -249,6 +268,83 @@ def _limit(
         forcerange[motor, 1] = min(max(most - friction + max(spin, 0.0), low), high)
 
 
+class Standing(StepEffect):
+    """Wheels of the reduced drive that stand on an incline: their gears lock them, and they hold it by friction.
+
+    What motors and gears push is not passed on to what is below. Where that lasts it does harm: a slope that bears a
+    standing car would be pushed away with a quarter of the car's weight, creep by a millimetre in eight minutes, and
+    bend a stack below it. So while a car stands on an incline with silent motors and gears that hold it, its wheels
+    have friction: as much as their grip along the rollers gives. Cars that sleep go on as they are.
+    """
+
+    settles, each_step = True, False
+
+    def __init__(self, world: PhysicsWorld, wheels: Records) -> None:
+        model, data, contact = world.model, world.data, world.machines.contact
+        # MuJoCo's direct format of solref, in which the contact is as deep and creeps less.
+        soft, firm = surface(contact, 0.0), surface(contact, 0.0, _FIRM)
+        spring = contact.time_constant_s * contact.damping_ratio
+        stiff = -1 / spring**2 / _FIRM, -2 / contact.time_constant_s
+        self._solref = np.array([soft["solref"], stiff])
+        self._solimp = np.array([soft["solimp"], firm["solimp"]])
+        self._model, self._wheels = model, wheels
+        self._stand = partial(_stand, wheels, (data.ctrl, data.qvel, data.xmat, data.tree_asleep))
+
+    @property
+    def state(self) -> Floats:
+        """(n,): which wheels stand."""
+        return self._wheels["stands"].astype(float)
+
+    @state.setter
+    def state(self, saved: Floats) -> None:
+        self._wheels["stands"] = saved
+        self._touch()
+
+    def _touch(self) -> None:
+        """Let wheels that stand have friction, and the others none."""
+        model, wheels = self._model, self._wheels
+        geoms, stands = wheels["geom"], wheels["stands"]
+        model.geom_condim[geoms] = np.where(stands, 3, 1)
+        model.geom_friction[geoms, 0] = np.where(stands, wheels["grip"] / math.sqrt(2), wheels["grip"])
+        model.geom_solref[geoms], model.geom_solimp[geoms] = self._solref[stands], self._solimp[stands]
+
+    def start(self, world: PhysicsWorld) -> None:
+        """Begin with wheels that turn."""
+        self.state = np.zeros(len(self._wheels))
+
+    def before_period(self, world: PhysicsWorld) -> None:
+        """Find the wheels that stand now."""
+        if self._stand():
+            self._touch()
+
+
+@compiled
+def _stand(wheels: Records, moving: tuple[Floats, Floats, Floats, Ints]) -> bool:
+    """Find the cars that stand on an incline; return whether these are others than before."""
+    ctrl, qvel, xmat, asleep = moving
+    changed = False
+    for first in range(0, len(wheels), 4):
+        tree, body, dof = wheels[first].tree, wheels[first].body, wheels[first].dof
+        if asleep[tree] >= 0:
+            continue
+        most = _SLIDES_RAD_S if wheels[first].stands else _STANDS_RAD_S
+        upright = xmat[body, 8]
+        stands = upright < _INCLINED
+        for number in range(first, first + 4):
+            wheel = wheels[number]
+            turns = wheel.own_gear[5] * qvel[dof + 5]
+            for axis in range(2):
+                for world in range(3):
+                    turns += wheel.own_gear[axis] * xmat[body, 3 * world + axis] * qvel[dof + world]
+            silent = abs(wheel.own_gain * ctrl[wheel.motor]) <= _SILENT * wheel.dry_nm
+            held = 1.0 - upright * upright < wheel.held * wheel.held
+            stands = stands and held and silent and abs(turns) <= most
+        for number in range(first, first + 4):
+            changed = changed or wheels[number].stands != stands
+            wheels[number].stands = stands
+    return changed
+
+
 TurnedMotors = tuple[Floats, Ints, Records, Floats]
 """MjData.qpos; where in it the pose of each wheel's car lies; the wheels; and MjModel.actuator_gear."""
 
@@ -271,7 +367,7 @@ def turned_motors(world: PhysicsWorld, wheels: Records) -> TurnedMotors:
 
 @compiled
 def turn_motors(motors: TurnedMotors) -> None:
-    """Turn the motors as the cars stand. A gear in its backlash passes nothing on."""
+    """Turn the motors as the cars stand. A gear in its backlash passes nothing on, nor do those of standing wheels."""
     qpos, places, wheels, gears = motors
     for number in range(len(wheels)):
         wheel, at = wheels[number], places[number]
@@ -283,6 +379,7 @@ def turn_motors(motors: TurnedMotors) -> None:
         gears[motor, 2] = 2 * (x * z - w * y) * along + 2 * (y * z + w * x) * across
         gears[motor, 5] = wheel.own_gear[5]
         for k in range(6):
+            gears[motor, k] *= 0.0 if wheel.stands else 1.0
             gears[gear, k] = gears[motor, k] if wheel.engaged else 0.0
 
 

@@ -208,7 +208,12 @@ class PhysicsWorld:
         self.capped_steps = 0
         for effect in self.effects:
             effect.start(self)
-        self.run(round(self.config.settle_s / self.config.timestep_s))
+        n_steps, period = round(self.config.settle_s / self.config.timestep_s), self.config.steps_per_period
+        for first in range(0, n_steps, period):
+            for effect in self.effects:
+                if effect.settles:
+                    effect.before_period(self)
+            self.run(min(period, n_steps - first))
 
     def reset_compiled(self) -> None:
         """Go back to the parameters as they were compiled, ideal motors and gears, and the start at rest.

@@ -257,6 +257,54 @@ def test_a_parked_car_creeps_less_than_two_millimetres_a_minute(ramp, load, driv
         assert creep_m_s(ramp(state, load, yaw), drive) < 3e-5
 
 
+@pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.parametrize("load", [Kind.AIR, Kind.BLOCK])
+def test_a_slope_feels_the_weight_of_a_parked_car_and_no_push_to_a_side(ramp, load, drive):
+    """The wheels' friction and normal force add up to the weight, which is vertical; without friction a quarter is not.
+
+    So the slope stays where it is. Bands: 1 % of the weight, 0.02 mm in a minute.
+    """
+    physics = PhysicsWorld(
+        ramp(1, load, 2), SimulationConfig(sleep=False), machines=replace(NOMINAL, drive=drive)
+    )
+    for _ in range(50):
+        physics.advance()
+    slope, place = physics.slopes[0].base, physics.free_body_state(physics.slopes[0].base)[0]
+    force, body = np.zeros(6), int(physics.model.dof_bodyid[slope.dof])
+    pushed = np.zeros(3)
+    for number, contact in enumerate(physics.data.contact):
+        bodies = physics.model.body_rootid[physics.model.geom_bodyid[contact.geom]]
+        if body in bodies and 0 not in bodies and contact.efc_address >= 0:
+            mujoco.mj_contactForce(physics.model, physics.data, number, force)
+            sign = 1 if bodies[1] == body else -1
+            pushed += sign * contact.frame.reshape(3, 3).T @ force[:3]
+    weight = GRAVITY * (SMARTCAR.mass_kg + (NOMINAL.block.mass_kg if load else 0.0))
+    assert pushed[2] == pytest.approx(-weight, rel=0.01)
+    assert np.hypot(*pushed[:2]) < 0.01 * weight
+    for _ in range(3000 if drive == "reduced" else 0):
+        physics.advance()
+    assert np.hypot(*(physics.free_body_state(slope)[0] - place)[:2]) < 2e-5
+
+
+def test_a_car_that_stands_on_a_slope_goes_on_from_a_saved_state_as_before(ramp):
+    """Whether its wheels stand is part of the state, and of no parameters after a reset."""
+    physics = PhysicsWorld(ramp(1, Kind.AIR, 2), SimulationConfig(sleep=False), machines=REDUCED)
+    geom = physics.model.geom("car0/wheel_fl").id
+    saved = physics.save()
+    assert physics.model.geom_condim[geom] == 3
+    physics.drive(0, [5.0] * 4)
+    for _ in range(20):
+        physics.advance()
+    assert physics.model.geom_condim[geom] == 1
+    end = physics.data.qpos.copy()
+    physics.restore(saved)
+    assert physics.model.geom_condim[geom] == 3
+    physics.drive(0, [5.0] * 4)
+    for _ in range(20):
+        physics.advance()
+    assert (physics.data.qpos == end).all()
+
+
 def test_softer_friction_would_let_it_creep(ramp):
     """At MuJoCo's impratio 10 the creep is thirty times that at 300: 0.7 mm/s. This is why 300 is the default.
 

@@ -19,7 +19,7 @@ from typing import Any, Final
 from measure_results import revision
 
 from craftsim.discrete.tasks.task import DEFAULT_MAX_STEPS
-from craftsim.training.config import PAPER_LONG_STEPS
+from craftsim.training.config import PAPER_LONG_STEPS, PAPER_STEPS
 
 ROOT: Final = Path(__file__).parents[1]
 OUT: Final = ROOT / "out" / "paper"
@@ -37,6 +37,7 @@ STEPS: Final = {
 LONG: Final = {
     **{("simple_two_story", algo): PAPER_LONG_STEPS for algo in ("pqn", "ippo", "mappo", "coma")},
     ("simple_two_story", "qtran"): 500_000,
+    ("strip", "coma"): PAPER_STEPS,
 }
 """Longer runs: those that succeed later than in :data:`STEPS`."""
 KEY: Final = ("task", "algo", "seed", "steps", "max_steps")

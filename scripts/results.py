@@ -481,44 +481,40 @@ def structures_table(stored: dict[str, Any]) -> str:
 
 
 def paper_table() -> str:
-    """Return success under the paper's protocol by algorithm and task, and the CPU time of what has one stored."""
+    """Return success under the paper's protocol by algorithm and task, and mean CPU seconds of 100,000 steps."""
     runs = _read(TRAINING / "paper_runs.json")["runs"]
     published = read_study("paper").reference
-    tasks = [task for task in (*published, CODED) if any(run["task"] == task for run in runs)]
+    played = {(run["task"], run["max_steps"]) for run in runs}
+    limits = sorted({limit for _, limit in played})
+    tasks = [(task, limit) for task in (*published, CODED) for limit in limits if (task, limit) in played]
     rows = []
     for algo in sorted({run["algo"] for run in runs}):
         of_algo = [run for run in runs if run["algo"] == algo]
-        rows.append(
-            [f"`{algo}`", *(_of_protocol([r for r in of_algo if r["task"] == task]) for task in tasks)]
-        )
-    cpu = [run["cpu_s"] for run in runs if run["cpu_s"] is not None]
-    head, best = (
-        ["", *(f"`{Path(task).stem}`" for task in tasks)],
-        ["published", *(f"{published[t]:.2f}" if t in published else "" for t in tasks)],
-    )
-    hours = (
-        f"{len(cpu)} of these {len(runs)} runs have a stored CPU time: {sum(cpu) / 3600:.1f} hours together."
-    )
-    return f"{table(head, best, *rows)}\n{hours}\n"
+        cells = [_of_protocol([r for r in of_algo if (r["task"], r["max_steps"]) == task]) for task in tasks]
+        costs = [1e5 * run["cpu_s"] / run["steps"] for run in of_algo if run["cpu_s"] is not None]
+        rows.append([f"`{algo}`", *cells, f"{mean(costs):.0f}"])
+    head, best = [""], ["published"]
+    for task, limit in tasks:
+        usual = limit == DEFAULT_MAX_STEPS
+        head.append(f"`{Path(task).stem}`" + ("" if usual else f", {limit + 2} ticks"))
+        best.append(f"{published[task]:.2f}" if usual and task in published else "")
+    return table([*head, "CPU s"], [*best, ""], *rows)
 
 
 def _of_protocol(runs: list[dict[str, Any]]) -> str:
-    """Return for each length of runs and of episodes success over seeds, how many these are, and the mean CPU time.
+    """Return for each length of runs success over seeds, and how many these are.
 
     Where none succeeds, the last return says how far they came.
     """
     cells = []
-    for steps, limit in sorted({(run["steps"], run["max_steps"]) for run in runs}):
-        some = [run for run in runs if (run["steps"], run["max_steps"]) == (steps, limit)]
-        ticks = "" if limit == DEFAULT_MAX_STEPS else f" in episodes of {limit + 2} ticks"
-        cpu = [run["cpu_s"] for run in some if run["cpu_s"] is not None]
-        minutes = f", {mean(cpu) / 60:.1f} min" if cpu else ""
+    for steps in sorted({run["steps"] for run in runs}):
+        some = [run for run in runs if run["steps"] == steps]
         success = _over_seeds([run["last_fifth"] for run in some])
         returns = [run["mean_return"] for run in some if run["mean_return"] is not None]
         came = (
             f", return {mean(returns):.1f}" if returns and not any(run["last_fifth"] for run in some) else ""
         )
-        cells.append(f"{success}, {len(some)}x{steps // 1000}k{ticks}{minutes}{came}")
+        cells.append(f"{success}, {len(some)}x{steps // 1000}k{came}")
     return "; ".join(cells)
 
 

@@ -314,7 +314,7 @@ def test_a_long_plan_makes_no_long_film_and_in_a_short_one_a_car_glides_between_
 def test_show_says_what_a_plan_takes_writes_its_pictures_and_names_what_is_forbidden(tmp_path, capsys):
     (tmp_path / "p.plan").write_text("0 0 MOVE_RIGHT\n0 1 ROTATE_LEFT after 0:0\n")
     assert main(["show", "strip", "--plan", str(tmp_path / "p.plan"), "--out", str(tmp_path / "out")]) == 0
-    assert "plan p: 2 actions in 1 ticks, makespan 1.9 s" in capsys.readouterr().out
+    assert "plan p: 2 actions in 1 ticks, makespan 1.7 s" in capsys.readouterr().out
     assert (tmp_path / "out" / "p-gantt.png").read_bytes()[:4] == b"\x89PNG"
     with av.open(tmp_path / "out" / "p-plan.mp4") as film:
         assert sum(1 for _ in film.decode(video=0)) == 10 + 1 + round(1.5 * PLAN_FPS)

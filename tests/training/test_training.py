@@ -322,7 +322,7 @@ block: [{id: 0, x: 2, y: 0, z: 1}, {id: 1, x: 2, y: 1, z: 1}]
 LEARNS = {
     "ippo": (20_000, {"worlds": 100}),
     "mappo": (20_000, {"worlds": 100}),
-    "mappo, asynchronous": (30_000, {"worlds": 100, "execution": "asynchronous"}),
+    "mappo, asynchronous": (60_000, {"worlds": 100, "execution": "asynchronous"}),
     "vdn": (4000, {"hyperparameters": {"learning_rate": 2e-3, "batch": 256}}),
     "qmix": (5000, {"hyperparameters": {"learning_rate": 2e-3, "batch": 128, "replays": 8.0}}),
     "coma": (60_000, {"hyperparameters": {"decay_ticks": 60_000}}),

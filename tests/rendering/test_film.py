@@ -317,7 +317,7 @@ def test_show_says_what_a_plan_takes_writes_its_pictures_and_names_what_is_forbi
     assert "plan p: 2 actions in 1 ticks, makespan 1.7 s" in capsys.readouterr().out
     assert (tmp_path / "out" / "p-gantt.png").read_bytes()[:4] == b"\x89PNG"
     with av.open(tmp_path / "out" / "p-plan.mp4") as film:
-        assert sum(1 for _ in film.decode(video=0)) == 10 + 1 + round(1.5 * PLAN_FPS)
+        assert sum(1 for _ in film.decode(video=0)) == 9 + 1 + round(1.5 * PLAN_FPS)
     (tmp_path / "p.plan").write_text("0 0 DROP\n1 1 ROTATE_LEFT\n")
     assert main(["show", "strip", "--plan", str(tmp_path / "p.plan")]) == 1
     assert "forbidden: car 0 DROP in tick 0: the car carries nothing" in capsys.readouterr().out

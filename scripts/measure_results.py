@@ -42,6 +42,7 @@ MEASURED: Final = {
     "audit_physical": "audit --quick --rules physical --drive reduced",
     "audit_published": "audit --quick --drive reduced",
     "audit_legal": "audit --rules physical --only legal",
+    "audit_legal_reduced": "audit --rules physical --only legal --drive reduced",
     "margins": "audit margins --quick",
     "execution_plans": "scripts/plan_orders.py --designs 100",
     "builders": "scripts/builders.py",

@@ -261,7 +261,7 @@ def _audit(figures: dict[str, Any]) -> str:
     sound, unsound, works, forbidden = (
         audit["verdicts"][name] for name in ("sound", "unsound", "conservative", "rightly forbidden")
     )
-    rows = f"{unsound} of {sound + unsound} rows that the rules allow are unsound"
+    rows = f"{unsound} of {sound + unsound} legal rows are unsound"
     if not audit["provisional"]:
         return f"{rows}; {_counts(actions)} actions as predicted, 20 trials a row"
     tried = f"{works} forbidden ones work, {forbidden} do not"

@@ -394,7 +394,7 @@ class Judge:
         set_down = things[0] if things and step.after.cars[car, CarField.LOAD] == Kind.AIR else None
         loads = [thing.offset_m for thing in things if thing.carrier is not None]
         others, one.bystanders = self._bystanders(one, acting, swaying)
-        one.outcome, one.read, one.readable = outcome, describe_car(self.grid, car), not self.reading.problems
+        one.outcome, one.read, one.readable = outcome, describe_car(self.grid, car), not self.problems
         one.differences = tuple(own_differences(step.before, step.after, self.grid, car))
         one.errors = {
             "car_error_m": placed.offset_m,

@@ -121,7 +121,7 @@ def imperfect(setup: Setup, randomization: DomainRandomization) -> Setup:
 
 
 def setup_of(
-    randomize: Randomize | str | Path = "none",
+    randomize: DomainRandomization | Randomize | str | Path = "none",
     rules: RuleSet = "physical",
     gains: Gains | str | Path | None = None,
     machines: Machines | str | Path | None = None,
@@ -133,7 +133,7 @@ def setup_of(
     """Return the configuration for the options of the commands.
 
     Args:
-        randomize: name of a preset, or a YAML file (docs/explanation/imperfections.md).
+        randomize: name of a preset, a YAML file (docs/explanation/imperfections.md), or a randomization.
         rules: rule set for the predictions.
         gains: name of a preset, or a file; default: those in the file of the machines, or robust.
         machines: parameters, or a file of them; default: nominal.
@@ -153,9 +153,7 @@ def setup_of(
         machines = NOMINAL if machines is None else load_machines(Path(machines))
     if drive is not None:
         machines = replace(machines, drive=drive)
-    given = preset_of_level(randomize) if isinstance(randomize, str) else randomize
-    terms = RANDOMIZE[cast(Randomize, given)] if _is_preset(given, "randomization") else _read(given)
-    thresholds, randomization = terms
+    thresholds, randomization = _drawn(randomize)
     randomization = replace(randomization, sensors=_noise(noise, randomization.sensors))
     return Setup(
         rules,
@@ -167,6 +165,14 @@ def setup_of(
         machines=machines,
         skills=own_skills(skills),
     )
+
+
+def _drawn(given: DomainRandomization | str | Path) -> _Terms:
+    """Return limits and randomization of a preset, a file, or the limits of "none" for a randomization."""
+    if isinstance(given, DomainRandomization):
+        return Thresholds(), given
+    given = preset_of_level(given) if isinstance(given, str) else given
+    return RANDOMIZE[cast(Randomize, given)] if _is_preset(given, "randomization") else _read(given)
 
 
 def _noise(given: SensorNoise | str | Path | None, declared: SensorNoise) -> SensorNoise:

@@ -61,7 +61,8 @@ def _named(reader: Callable[[str | Path], Any]) -> BeforeValidator:
 
 
 _Randomization = Annotated[
-    InstanceOf[DomainRandomization] | None, _named(lambda name: setup_of(name).randomization)
+    InstanceOf[DomainRandomization] | str | Path | None,
+    AfterValidator(lambda given: given if given is None or setup_of(given) else None),
 ]
 _Noise = Annotated[
     InstanceOf[SensorNoise] | None, _named(lambda name: setup_of(noise=name).randomization.sensors)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from craftsim.checking.attempt import Attempt
 from craftsim.checking.episode import Recipe, Step, begin, in_order
 from craftsim.checking.judge import Judge
-from craftsim.checking.setup import Seed, Setup, compile_world, nominal_gains, set_up
+from craftsim.checking.setup import Seed, Setup, compile_world, set_up, setup_of
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
@@ -25,10 +25,7 @@ from craftsim.envs.core import Core, Ended, Tick
 from craftsim.envs.options import MOTION_FPS, Options
 from craftsim.errors import InputError
 from craftsim.extras import install
-from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.config import SimulationConfig
-from craftsim.models.randomization import NONE
-from craftsim.models.sensing import ASSUMED
 from craftsim.rendering.images import CameraImages, camera_number
 from craftsim.rendering.offscreen import make_renderer
 from craftsim.rendering.trajectory import SUFFIX, Recorder, SeenWorld
@@ -125,23 +122,18 @@ class Pictures:
 
 def setup_from(options: Options, n_cars: int) -> Setup:
     """Return the configuration of the physics that options ask for. Raises InputError for skills of other cars."""
-    machines = options.machines or replace(NOMINAL, drive="reduced")
-    if options.drive is not None:
-        machines = replace(machines, drive=options.drive)
-    randomization = options.randomization or NONE
-    if options.noise is not None:
-        randomization = replace(randomization, sensors=options.noise)
-    skills = options.skills or ()
-    check_cars(skills, n_cars)
-    return Setup(
-        rules=options.rule_set,
-        randomization=randomization,
-        assumed=options.assumed or ASSUMED,
-        simulation=options.config or SimulationConfig(),
-        gains=options.gains or nominal_gains(),
-        machines=machines,
-        skills=skills,
+    check_cars(options.skills or (), n_cars)
+    setup = setup_of(
+        options.randomization or "none",
+        options.rule_set,
+        options.gains,
+        options.machines,
+        options.noise,
+        options.assumed,
+        options.drive or (None if options.machines else "reduced"),
+        options.skills,
     )
+    return replace(setup, simulation=options.config or SimulationConfig())
 
 
 class PhysicsBackend:

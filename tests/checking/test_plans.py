@@ -167,6 +167,18 @@ def test_what_can_no_longer_be_read_is_held_against_what_had_not_ended_before_it
     assert [a.agrees for a in attempts] == [True, True, False]
 
 
+def test_what_ends_while_another_car_turns_ends_well():
+    """A heading between two of the grid's says nothing of what has ended meanwhile."""
+    cars = [(0, 1, 1, 0), (1, 2, 1, 0), (0, 4, 1, 0)]
+    yard = draw((7, 5, 2), [(Kind.BLOCK, (1, 1, 1))], cars)
+    judge = set_up(yard, setup_of("none", rules="published", drive="reduced"))
+    turn = Action.ROTATE_LEFT
+    steps = [[(0, RIGHT), (2, turn)], [(0, Action.LIFT), (2, turn)], [(0, turn), (2, turn)]]
+    found = {(a.car, a.tick): a.finding for a in judge.perform_plan(steps, "concurrent")}
+    assert found.pop((0, 2)) == "unreadable"
+    assert {act: finding for act, finding in found.items() if finding != "agrees"} == {}
+
+
 def test_one_by_one_a_failure_ends_everything_and_what_the_rules_forbid_ends_nothing():
     _, attempts = _run(_unpower(0), "sequential")
     assert _not_performed(attempts) == [1, 2, 3, 4, 5, 6]

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from craftsim.checking.setup import RANDOMIZE, setup_of
+from craftsim.checking.attempt import Thresholds
+from craftsim.checking.setup import RANDOMIZE, setup_of, widened
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
@@ -17,6 +18,7 @@ from craftsim.envs import GYMNASIUM_IDS, env, parallel_env, vector_env
 from craftsim.envs.actions import ObjectChoice
 from craftsim.envs.observations import Images, Observe
 from craftsim.envs.options import Options
+from craftsim.envs.physics_backend import setup_from
 from craftsim.envs.vector import GridVectorEnv
 from craftsim.errors import InputError
 from craftsim.mjcf.parameters import NOMINAL, Machines, SmartcarParameters
@@ -250,9 +252,16 @@ def _a_car_outside(grid):
 
 def test_randomization_sensors_and_gains_are_given_by_name_as_to_the_commands():
     named = Options(randomization="strong", noise="mild", assumed="none", gains="fast")
-    assert named.randomization == RANDOMIZE["strong"][1]
     assert (named.noise, named.assumed) == (MILD, SensorNoise())
     assert named.gains == load_gains("fast")
+    assert setup_from(named, 2) == setup_of("strong", "physical", "fast", None, "mild", "none", "reduced")
+
+
+@pytest.mark.parametrize("preset", RANDOMIZE)
+def test_physics_that_is_drawn_is_judged_as_by_validation(preset):
+    drawn = RANDOMIZE[preset][1]
+    assert setup_from(Options(randomization=preset), 2) == setup_of(preset, drive="reduced")
+    assert setup_from(Options(randomization=drawn), 2).thresholds == widened(Thresholds(), drawn)
 
 
 def test_starts_that_do_not_fit_are_refused_and_the_next_reset_works():

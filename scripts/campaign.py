@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
+from measure_results import revision
 
 from craftsim.cli.bench import pick
 from craftsim.discrete.tasks import make_task
@@ -269,7 +270,9 @@ def trial_s() -> float:
 
 def store(found: dict[str, Any]) -> None:
     """Store the figures."""
-    STORED.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    STORED.write_text(
+        json.dumps(found | {"revision": revision()}, indent=1, sort_keys=True) + "\n", encoding="utf-8"
+    )
 
 
 def main() -> int:

@@ -24,6 +24,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
+from measure_results import revision
+
 from craftsim.audit.plan import audit_plan, quick_rows
 from craftsim.checking.attempt import Verdict
 from craftsim.checking.setup import setup_of
@@ -38,7 +40,7 @@ from craftsim.validation.forms import read_run
 ROOT: Final = Path(__file__).parents[1]
 STORED: Final = ROOT / "craftsim" / "data" / "engines.json"
 REFERENCE: Final = version("mujoco")
-RELEASES: Final = ("4.0.0", "3.16.0", "3.14.0", "3.11.0", "3.10.0", "3.9.0")
+RELEASES: Final = ("4.0.0", "3.16.0", "3.14.0", "3.12.0", "3.11.0", "3.10.0")
 SETTINGS: Final[dict[str, dict[str, Any]]] = {
     "1ms": {"timestep_s": 0.001},
     "2ms": {"timestep_s": 0.002},
@@ -66,7 +68,8 @@ def main() -> int:
         except RuntimeError as error:
             found[name] = {"why": str(error)}
     counts = {"quick": asked.quick, "rows": asked.rows, "trials": asked.trials}
-    stored = {"config": counts, "reference": REFERENCE, "versions": versions(), "found": found}
+    stored = {"config": counts, "reference": REFERENCE, "versions": versions()}
+    stored |= {"revision": revision(), "found": found}
     if asked.store:
         STORED.write_text(json.dumps(plain(stored), indent=1) + "\n", encoding="utf-8")
     unlike = [k for k, v in found.items() if any(of["differing"] for of in v.get("against", {}).values())]

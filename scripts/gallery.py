@@ -14,6 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from measure_results import revision
+
 from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.checking.setup import SEED_0, Seed, Setup
 from craftsim.choices import PlanOrder
@@ -98,11 +100,12 @@ def main() -> None:
     jobs = [(name, ()) for name in (films if "all" in asked.names else asked.names)]
     jobs += [(flag, tuple(bundles)) for flag, bundles in _bundles_by_flag(asked.audits).items()]
     found: dict[str, dict[str, Entry]] = json.loads(STORED.read_text(encoding="utf-8"))
+    at = revision()
     with Pool(asked.workers) as pool:
         for number, (_, answer) in enumerate(pool.map_unordered(_make, jobs)):
             part, name, entry = answered(answer)
             if entry is not None:
-                found.setdefault(part, {})[name] = entry
+                found.setdefault(part, {})[name] = entry | {"revision": at}
             print(f"{number + 1} of {len(jobs)}", flush=True)
     for path in (*GALLERY.iterdir(), *FILMS.iterdir()):
         if path.stat().st_size > BUDGET_BYTES:

@@ -6,8 +6,7 @@
 Trials of ``craftsim validate`` of the six tasks with mild randomization, once with MuJoCo and once with MuJoCo Warp in
 place of ``mj_step``; sensors, control laws and judge are the same code, on one core for all trials of a task, whose
 worlds step together. Each starts where MuJoCo has let it come to rest. MuJoCo Warp computes in single precision.
-Nothing sleeps on either side. The report is of all that the output folder has, and ``--store`` writes
-docs/results/gpu.json of it, for docs/explanation/drives.md.
+Nothing sleeps on either side. The report is of all that the output folder has.
 """
 
 from __future__ import annotations
@@ -53,7 +52,6 @@ except ModuleNotFoundError:
     mjw = wp = None
 
 ROOT: Final = Path(__file__).parents[1]
-STORED: Final = ROOT / "docs" / "results" / "gpu.json"
 PIP: Final = "pip install mujoco-warp==3.17.0 warp-lang==1.19.0"
 VARIED: Final = (
     *("geom_friction", "pair_friction", "body_mass", "body_subtreemass", "body_inertia", "body_invweight0"),
@@ -361,7 +359,7 @@ def _note(file: Path, job: Run, done: Any) -> None:
 
 
 def main() -> int:
-    """Run, compare, print and store."""
+    """Run, compare and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("part", nargs="?", choices=("report",), help="compare what has run")
     parser.add_argument("--tasks", nargs="+", choices=TASK_NAMES, default=TASK_NAMES)
@@ -372,7 +370,6 @@ def main() -> int:
         "--seconds", type=float, default=3600, help="begin nothing afterwards, and stop trials"
     )
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "gpu")
-    parser.add_argument("--store", action="store_true", help=f"write {STORED.relative_to(ROOT)}")
     asked = parser.parse_args()
     until = time.time() + asked.seconds
     asked.out.mkdir(parents=True, exist_ok=True)
@@ -390,8 +387,6 @@ def main() -> int:
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    if asked.store:
-        STORED.write_text(json.dumps(plain(stored), indent=1) + "\n", encoding="utf-8")
     differing = sum(one["differing"] for one in stored["verdicts"].values())
     words = f"{differing} of {sum(one['actions'] for one in stored['verdicts'].values())} actions differ."
     head, *rows = verdict_table(stored)

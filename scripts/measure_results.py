@@ -1,6 +1,6 @@
 """Run the commands whose results the documentation shows, and store of each report what a table says.
 
-python scripts/measure_results.py             # what is older than the code: of all an hour
+python scripts/measure_results.py             # what is older than the code: of all two hours
 python scripts/measure_results.py demo large_tower_4_mild
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import ast
 import json
+import re
 import resource
 import subprocess
 import sys
@@ -25,7 +26,7 @@ OUT: Final = ROOT / "out" / "results"
 LATE, BIASED, LAGGING = "docs/results/late.yaml", "docs/results/biased.yaml", "docs/results/lagging.yaml"
 BUILT: Final = "--plan auto --attempts 8 --drive reduced --trials 5 --seed 1"
 PLAYED: Final = "--cars 12 --max-steps 200 --randomize none"
-MEASURED: Final = {
+FIRST: Final = {
     "demo": "demo --randomize none --no-video",
     "heavier_car": "demo --randomize none --machines examples/heavier_car.yaml --no-video",
     "conformance": "conformance tests/data/traces.jsonl.gz",
@@ -47,8 +48,57 @@ MEASURED: Final = {
     "execution_plans": "scripts/plan_orders.py --designs 100",
     "builders": "scripts/builders.py",
 }
-"""What is measured, by commands and scripts: each in less than four minutes of CPU time but for execution and, in
-half an hour each, the workshop and the audit of all that is legal."""
+"""The rows of the first table: each in less than four minutes of CPU time but for plans and, in ten minutes each, the
+workshop and the audit of all that is legal."""
+RANDOM: Final = (
+    *("random_block", "random_breaking_barrier", "random_complex_two_story", "random_free_building"),
+    *("random_simple_two_story", "random_strip"),
+)
+SHIPPED: Final = (*RANDOM, "designs")
+"""Policies that come with craftsim, each by the name of its task, whose starts are random."""
+IN_PHYSICS: Final = {
+    f"physics_{name}": f"validate {world} --policy {name} --randomize {drawn} --drive reduced --trials {n} --seed 5000 "
+    "--video none"
+    for world, name, drawn, n in (
+        ("complex_two_story", "complex_two_story", "mild", 200),
+        *((f"{name}@test", name, "mild", 200) for name in SHIPPED),
+    )
+} | {
+    "floor_random_strip": "validate random_strip@test --policy random_strip --randomize workshop_floor --drive reduced "
+    "--trials 50 --seed 5000 --video none"
+}
+PLAYED: Final = {
+    f"shipped_{name}": f"validate {name}@test --policy {name} --backend grid --trials {n}"
+    for name, n in (*((name, 1000) for name in RANDOM), ("designs", 800))
+}
+ELSEWHERE: Final = {
+    "designs_greedy": "validate designs@test --policy designs --backend grid --trials 800 --acting greedy",
+    "designs_cars3": "validate designs@test --policy designs --backend grid --trials 1000 --cars 3",
+    "designs_cars4": "validate designs@test --policy designs --backend grid --trials 1000 --cars 4",
+    **{
+        f"designs_{task}": f"validate {task}@test --policy designs --backend grid --trials 1000 --area 6 6 2"
+        for task in ("random_strip", "random_block", "random_simple_two_story", "random_complex_two_story")
+    },
+}
+SPEED: Final = {f"speed_{what}": f"bench --what {what}" for what in ("rules", "env", "physics")}
+"""To be measured on a machine that does nothing else."""
+MEASURED: Final = {
+    **FIRST,
+    **IN_PHYSICS,
+    "training_in_physics": "scripts/training_in_physics.py",
+    **PLAYED,
+    **ELSEWHERE,
+    **SPEED,
+}
+"""What is measured, by commands and scripts."""
+KEPT: Final = {
+    "docs/results/structures.json": "scripts/structures.py",
+    "docs/results/campaign.json": "scripts/campaign.py",
+    "docs/results/large.json": "benchmarks/bench_large.py",
+    "craftsim/data/engines.json": "scripts/engines.py",
+    "docs/gallery/gallery.json": "scripts/gallery.py",
+}
+"""Other stored results, and what measures them."""
 LISTS: Final = (
     "by_group",
     "by_verb",
@@ -77,6 +127,11 @@ def main() -> None:
 
 def is_older(name: str) -> bool:
     """Return whether a result is missing, or package or script do something else than at its revision."""
+    if name in KEPT:
+        stored, script = (ROOT / name).read_text(encoding="utf-8"), KEPT[name]
+        # pytest-benchmark has the whole commit.
+        revisions = set(re.findall(r'"(?:revision|id)": "([0-9a-f]{8,40})"', stored)) or {"none"}
+        return any(has_changed(one, script) for one in revisions)
     path, script = RUNS / f"{name}.json", MEASURED[name].split()[0]
     if not path.exists():
         return True
@@ -148,6 +203,11 @@ def store(name: str, out: Path, cpu_s: float | None) -> None:
         "versions": report["versions"],
         "figures": {key: _without_lists(value) for key, value in report["figures"].items()},
     }
+    if name in SPEED:
+        kept["rates"] = report["wall"]["rates"]
+    if found := report["figures"].get("validation", {}).get("policies"):
+        by_policy = report["figures"]["validation"]["by_group"]
+        kept["policies"] = [policy | {"actions": by_policy[policy["policy"]]["actions"]} for policy in found]
     if name == "workshop_floor":
         kept["tasks"] = by_task(out / "trials.jsonl")
     RUNS.mkdir(parents=True, exist_ok=True)

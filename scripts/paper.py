@@ -3,6 +3,7 @@
 python scripts/paper.py --seeds 3                  # leaves out what is stored, goes on where it was interrupted
 python scripts/paper.py block --algo vdn iql --seeds 5
 python scripts/paper.py complex_two_story --algo ippo --max-steps 28    # episodes of 30 ticks, not 20
+python scripts/paper.py strip --seeds 1 --again    # has today's code the same curves? if not, its own are stored
 """
 
 from __future__ import annotations
@@ -51,6 +52,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--algo", nargs="+", choices=STEPS, default=[*STEPS])
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--max-steps", type=int, default=DEFAULT_MAX_STEPS, help="step limit of episodes")
+    parser.add_argument(
+        "--again", action="store_true", help="train stored runs again; what has another curve is replaced"
+    )
     asked = parser.parse_args(argv)
     if unknown := set(asked.tasks) - {*TASKS, *HARDER}:
         parser.error(f"no task {', '.join(sorted(unknown))}; there are {', '.join((*TASKS, *HARDER))}")
@@ -59,8 +63,14 @@ def main(argv: Sequence[str] | None = None) -> None:
             for algo in asked.algo:
                 steps = PAPER_LONG_STEPS if task in HARDER else LONG.get((task, algo), STEPS[algo])
                 key = task, algo, seed, steps, asked.max_steps
-                if key not in {tuple(run[name] for name in KEY) for run in stored()}:
-                    train(*key)
+                known = {tuple(run[name] for name in KEY): run for run in stored()}
+                if key not in known:
+                    store(train(OUT, *key))
+                elif asked.again:
+                    run, new = known[key], train(OUT / "again", *key)
+                    same = new["curve"] == run["curve"]
+                    print(*key, "has the same curve" if same else "has another curve", flush=True)
+                    store(run | {"same_at": new["revision"]} if same else new)
 
 
 def stored() -> list[dict[str, Any]]:
@@ -69,15 +79,27 @@ def stored() -> list[dict[str, Any]]:
     return runs
 
 
-def train(task: str, algo: str, seed: int, steps: int, max_steps: int) -> None:
-    """Train, or go on with what was interrupted, and store what it came to; a resumed run has no CPU time."""
-    out, at = OUT / f"{Path(task).stem}-{algo}-{seed}-{steps}-{max_steps}", revision()
+def train(folder: Path, task: str, algo: str, seed: int, steps: int, max_steps: int) -> dict[str, Any]:
+    """Train, or go on with what was interrupted; a resumed run has no CPU time.
+
+    Returns the curve and what it came to, with revision, versions and CPU time.
+    """
+    out, at = folder / f"{Path(task).stem}-{algo}-{seed}-{steps}-{max_steps}", revision()
     resumed, before = out.exists(), _cpu_s()
     words = f"train {task} --algo {algo} --preset paper --steps {steps} --seed {seed} --out {out}"
     words += f" --set max_steps={max_steps}"
     subprocess.run([sys.executable, "-P", "-m", "craftsim", *words.split()], cwd=ROOT, check=True)
     report = json.loads((out / "report.json").read_text(encoding="utf-8"))
-    store(report, at, None if resumed else round(_cpu_s() - before))
+    config, figures = report["config"], report["figures"]
+    curve = [[point["steps"], point["successes"] / point["episodes"]] for point in figures["learning_curve"]]
+    return {name: config[name] for name in KEY} | {
+        "revision": at,
+        "versions": figures["training_versions"],
+        "cpu_s": None if resumed else round(_cpu_s() - before),
+        "last_fifth": figures["last_fifth"],
+        "mean_return": figures["mean_return"],
+        "curve": curve,
+    }
 
 
 def _cpu_s() -> float:
@@ -85,19 +107,8 @@ def _cpu_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def store(report: dict[str, Any], at: str, cpu_s: int | None) -> None:
-    """Store a run's curve and what it came to beside the others, with its revision, versions and CPU time."""
-    config, figures = report["config"], report["figures"]
-    run = {name: config[name] for name in KEY} | {
-        "revision": at,
-        "versions": figures["training_versions"],
-        "cpu_s": cpu_s,
-        "last_fifth": figures["last_fifth"],
-        "mean_return": figures["mean_return"],
-        "curve": [
-            [point["steps"], point["successes"] / point["episodes"]] for point in figures["learning_curve"]
-        ],
-    }
+def store(run: dict[str, Any]) -> None:
+    """Store a run beside the others."""
     others = [other for other in stored() if any(other[name] != run[name] for name in KEY)]
     runs = sorted([*others, run], key=lambda one: [one[name] for name in KEY])
     lines = ",\n".join(json.dumps(one) for one in runs)  # a line a run

@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import mean, median
 from typing import Any, Final
 
 import engines
-import gpu
 import numpy as np
 from matplotlib.figure import Figure
-from measure_results import MEASURED, is_older
+from measure_results import ELSEWHERE, FIRST, IN_PHYSICS, KEPT, MEASURED, PLAYED, SPEED, is_older
 from paper import CODED
 from scipy.stats import ttest_1samp
 
@@ -44,7 +43,6 @@ STUDIES: Final = {
 """The stored studies, and which of their plots are shown."""
 LARGE_STEPS, PROCESSORS = 100_000_000, 200
 """Of a run on a cluster, as the table of the large tasks works it out."""
-EVALUATIONS: Final = ("designs_greedy", "designs_cars3", "designs_cars4", "designs_zero")
 
 
 def main() -> None:
@@ -56,14 +54,13 @@ def main() -> None:
         SIX.sub(lambda found: f"{found[1]}\n{six_results()}\n{found[2]}", readme), encoding="utf-8"
     )
     plot()
-    older = [name for name in MEASURED if is_older(name)]
+    older = [name for name in (*MEASURED, *KEPT) if is_older(name)]
     if older:
         print(f"older than the code: {', '.join(older)}; scripts/measure_results.py measures them again")
 
 
 def tables() -> dict[str, str]:
     """Return all tables in Markdown, by the name of their file."""
-    in_physics, strongly = sorted(TRAINING.glob("physics_*.json")), TRAINING / "physics_strong.json"
     return {
         "physics": physics_table(),
         "margins": margins_table(),
@@ -72,22 +69,17 @@ def tables() -> dict[str, str]:
         "engines": table(*engines.table_of(_read(engines.STORED))),
         "floors": floors_table(_read(engines.STORED)),
         "workshop_floor": workshop_table(_read(RUNS / "workshop_floor.json")),
-        "gpu": table(*gpu.verdict_table(_read(gpu.STORED))),
-        **{
-            f"speed_{what}": rates_table(_read(RESULTS / f"speed_{what}.json"))
-            for what in ("rules", "env", "physics")
-        },
-        "benchmarks": benchmark_tables(_read(RESULTS / "benchmarks.json")),
+        **{name: rates_table(_read(RUNS / f"{name}.json")) for name in SPEED},
         "large": large_table(_read(RESULTS / "large.json")),
         "campaign": campaign_table(
-            _read(RESULTS / "campaign.json"), _read(RESULTS / "benchmarks.json")["benchmarks"]
+            _read(RESULTS / "campaign.json"), _read(RUNS / "audit_legal_reduced.json")
         ),
         "structures": structures_table(_read(RESULTS / "structures.json")),
         "paper": paper_table(),
         "studies": studies_table(),
         "evaluations": evaluations_table(),
-        "policies_in_physics": policies_table(path for path in in_physics if path != strongly),
-        "training_in_physics": policies_table([strongly]),
+        "policies_in_physics": policies_table(IN_PHYSICS),
+        "training_in_physics": policies_table(["training_in_physics"]),
         "shipped_policies": shipped_table(),
     }
 
@@ -111,7 +103,7 @@ def named(rows: Iterable[Mapping[str, object]]) -> str:
 
 def physics_table() -> str:
     """Return what the commands of :data:`measure_results.MEASURED` came to."""
-    runs = [_read(path) for name in MEASURED if (path := RUNS / f"{name}.json").exists()]
+    runs = [_read(path) for name in FIRST if (path := RUNS / f"{name}.json").exists()]
     return named(
         {
             "command": f"`{'python' if run['command'].startswith('scripts/') else 'craftsim'} {run['command']}`",
@@ -307,8 +299,8 @@ def six_results() -> str:
     on_floor = {1: "one task", 6: "six tasks"}[len(_read(RUNS / "workshop_floor.json")["tasks"])]
     verdicts = published["audit"]["verdicts"]
     legal = verdicts["sound"] + verdicts["unsound"]
-    shipped = next(row for row in _policy_rows([TRAINING / "physics_random_strip.json"]) if row[1] == "mild")
-    rates = _read(RESULTS / "speed_physics.json")["wall"]["rates"]["simple_two_story"]
+    (shipped,) = _policy_rows(["physics_random_strip"])
+    rates = _read(RUNS / "speed_physics.json")["rates"]["simple_two_story"]
     return table(
         ("what", "result"),
         ("six tasks, masses, friction, motors and sensors drawn (`strong`)", f"{drawn} actions as predicted"),
@@ -342,7 +334,7 @@ def rates_table(report: dict[str, Any]) -> str:
     """Return the rates of ``craftsim bench`` beside those that CraftEnv is estimated to have."""
     rows = [
         (task, case, *(_three_digits(rate[key]) for key in ("steps_a_second", "reference_a_second", "times")))
-        for task, cases in sorted(report["wall"]["rates"].items(), reverse=True)
+        for task, cases in sorted(report["rates"].items(), reverse=True)
         for case, rate in cases.items()
     ]
     return table(("task", "case", "steps a CPU second", "CraftEnv, estimated", "ratio"), *rows)
@@ -352,46 +344,13 @@ def _three_digits(value: float) -> str:
     return f"{value:,.{0 if value >= 100 else 1 if value >= 10 else 2}f}"
 
 
-def benchmark_tables(report: dict[str, Any]) -> str:
-    """Return a table for each benchmark function: a row a case, its last two parameters as columns where that fits."""
-    functions: dict[str, list[dict[str, Any]]] = {}
-    for one in report["benchmarks"]:
-        functions.setdefault(one["fullname"].split("[")[0], []).append(one)
-    parts = []
-    for name, cases in functions.items():
-        file, function = name.rsplit("/", 1)[-1].split("::")
-        title = f"`{file}`, {function.removeprefix('test_').replace('_', ' ')}:"
-        parts.append(f"{title}\n\n{_benchmark(cases)}")
-    return "\n".join(parts)
-
-
-def _benchmark(cases: list[dict[str, Any]]) -> str:
-    names = [*(cases[0]["params"] or {})]
-    kept = names[:-2] if len(names) > 2 else names[:-1]
-    rows: dict[tuple[str, ...], dict[str, str]] = {}
-    for case in cases:
-        params = {name: str(value) for name, value in (case["params"] or {}).items()}
-        column = ", ".join(
-            params[name] if name in ("what", "drive", "task", "quality") else f"{name} {params[name]}"
-            for name in names[len(kept) :]
-        )
-        rows.setdefault(tuple(params[name] for name in kept), {})[column or "median"] = (
-            f"{1e3 * case['stats']['median']:.4g}"
-        )
-    columns = [*dict.fromkeys(column for row in rows.values() for column in row)]
-    return table(
-        (*kept, *columns),
-        *((*key, *(row.get(column, "") for column in columns)) for key, row in rows.items()),
-    )
-
-
-def campaign_table(campaign: dict[str, Any], benchmarks: Iterable[dict[str, Any]]) -> str:
-    """Return what a campaign took on a cluster and in one process, and what a million audit trials would take."""
-    trial = next(one for one in benchmarks if one["fullname"].endswith("test_a_trial[reduced]"))
-    trial_s, rows = trial["stats"]["median"], []
+def campaign_table(campaign: dict[str, Any], audit: dict[str, Any]) -> str:
+    """Return what a campaign took on a cluster and in one process, and what a million trials of an audit would take."""
+    trial_s = audit["cpu_s"] / audit["figures"]["validation"]["all"]["runs"]["trials"]
+    rows = []
     for engine in ("ray", "local"):
         run = campaign[engine]
-        million_h = 1e6 * (trial_s + run["overhead_s"]) / 3600
+        million_h = 1e6 * (trial_s + run["overhead_s"] - campaign["local"]["overhead_s"]) / 3600
         rows.append(
             {
                 "engine": engine,
@@ -498,7 +457,16 @@ def paper_table() -> str:
         usual = limit == DEFAULT_MAX_STEPS
         head.append(f"`{Path(task).stem}`" + ("" if usual else f", {limit + 2} ticks"))
         best.append(f"{published[task]:.2f}" if usual and task in published else "")
-    return table([*head, "CPU s"], [*best, ""], *rows)
+    return f"{table([*head, 'CPU s'], [*best, ''], *rows)}\n{_made_by(runs)}"
+
+
+def _made_by(runs: Sequence[Mapping[str, Any]]) -> str:
+    """Say which code made the runs, and how many of them later code makes alike."""
+    same = [run for run in runs if "same_at" in run]
+    at, algos = ", ".join(sorted({run["same_at"] for run in same})), len({run["algo"] for run in same})
+    revisions = ", ".join(sorted({run["revision"] for run in runs}))
+    alike = f"{len(same)} runs of {algos} algorithms had the same curves"
+    return f"Revisions {revisions}; trained again at {at}, {alike}.\n"
 
 
 def _of_protocol(runs: list[dict[str, Any]]) -> str:
@@ -548,30 +516,41 @@ def studies_table() -> str:
 def evaluations_table() -> str:
     """Return what the policy for designs comes to elsewhere."""
     rows = []
-    for name in EVALUATIONS:
-        report = _read(TRAINING / f"{name}.json")
-        for row in report["figures"]["evaluations"]:
+    for name in ELSEWHERE:
+        for row in _read(RUNS / f"{name}.json")["figures"]["evaluations"]:
             found = row["success"]
-            success, cars = f"{found['rate']:.3f} ({_limits(found)})", report["config"]["cars"] or "its own"
+            success, cars = f"{found['rate']:.3f} ({_limits(found)})", _word(name, "--cars") or "its own"
             rows.append((row["task"], cars, row["acting"], success, row["starts"]["distinct"]))
     return table(("task", "cars", "actions", "success (95 %)", "distinct starts"), *rows)
 
 
-def _policy_rows(paths: Iterable[Path]) -> list[tuple[str, ...]]:
+def _word(name: str, option: str) -> str:
+    """Return the value of an option in the command of a result; empty without the option."""
+    words = MEASURED[name].split()
+    return words[words.index(option) + 1] if option in words else ""
+
+
+def _policy_rows(names: Iterable[str]) -> list[tuple[str, ...]]:
     rows = []
-    for path in paths:
-        report = _read(path)
-        found = report["figures"]["validation"]
-        for policy in found["policies"]:
-            actions = found["by_group"][policy["policy"]]["actions"]
+    for name in names:
+        stored = _read(RUNS / f"{name}.json")
+        for policy in stored["policies"]:
             built = [str(round(policy[where] * policy["episodes"])) for where in ("grid", "physics")]
-            drawn, episodes = report["config"]["randomize"], str(policy["episodes"])
-            version = report["versions"]["craftsim"]
-            rows.append((policy["policy"], drawn, episodes, *built, _counts(actions), version))
+            drawn, episodes = _word(name, "--randomize") or "strong", str(policy["episodes"])
+            rows.append(
+                (
+                    Path(policy["policy"]).name,
+                    drawn,
+                    episodes,
+                    *built,
+                    _counts(policy["actions"]),
+                    stored["revision"],
+                )
+            )
     return rows
 
 
-def policies_table(paths: Iterable[Path]) -> str:
+def policies_table(names: Iterable[str]) -> str:
     """Return how policies do in physics."""
     head = (
         "policy",
@@ -580,9 +559,9 @@ def policies_table(paths: Iterable[Path]) -> str:
         "built by the rules",
         "built in physics",
         "actions as predicted",
-        "version",
+        "revision",
     )
-    return table(head, *_policy_rows(paths))
+    return table(head, *_policy_rows(names))
 
 
 def shipped_table() -> str:
@@ -591,11 +570,10 @@ def shipped_table() -> str:
     for path in sorted((ROOT / "craftsim" / "data" / "policies").iterdir()):
         name = path.name.split(".")[0]
         if path.suffix == ".safetensors":
-            report = TRAINING / f"shipped_{name}.json"
-            (found,) = _read(report)["figures"]["evaluations"] if report.exists() else (None,)
-            built = (
-                f"{found['success']['rate']:.3f} ({_limits(found['success'])})" if found else "its one start"
-            )
+            built = "its one start"
+            if f"shipped_{name}" in PLAYED:
+                (found,) = _read(RUNS / f"shipped_{name}.json")["figures"]["evaluations"]
+                built = f"{found['success']['rate']:.3f} ({_limits(found['success'])})"
             rows.append((f"`{name}`", built, f"{path.stat().st_size / 1e6:.1f} MB"))
     return table(("policy", "built of held-out starts (95 %)", "size"), *rows)
 

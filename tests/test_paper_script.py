@@ -73,3 +73,12 @@ def test_a_run_of_another_length_is_another_run(trained, monkeypatch):
 def test_a_run_with_longer_episodes_is_another_run(trained):
     paper.main(["strip", "--algo", "vdn", "--seeds", "1", "--max-steps", "28"])
     assert [(run["steps"], run["max_steps"]) for run in paper.stored()] == [(150_000, 18), (150_000, 28)]
+
+
+@pytest.mark.parametrize(("success", "revision"), [(0.25, "0123abcd"), (0.5, "4567cdef")])
+def test_a_run_that_is_trained_again_is_replaced_where_it_has_another_curve(trained, success, revision):
+    paper.STORED.write_text(json.dumps({"runs": [RUN | {"curve": [[10_000, success]]}]}))
+    paper.main(["strip", "--algo", "vdn", "--seeds", "1", "--again"])
+    (kept,) = paper.stored()
+    assert (kept["revision"], kept["curve"]) == (revision, [[10_000, 0.25]])
+    assert kept.get("same_at") == ("4567cdef" if success == 0.25 else None)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +21,6 @@ from measure_results import revision
 from craftsim.checking.episode import Recipe, Step, do, start
 from craftsim.checking.setup import SEED_0, Seed, Setup
 from craftsim.choices import PlanOrder
-from craftsim.cli import main as craftsim_command
 from craftsim.discrete.files.blueprint import blueprint_text
 from craftsim.discrete.tasks import TASK_NAMES
 from craftsim.experiments.bundle import read_bundle
@@ -151,8 +152,8 @@ def _make_building(name: str) -> Entry:
         str(folder / "build"),
     ]
     for command in (design, build):
-        if craftsim_command(command):
-            raise SystemExit(f"craftsim {' '.join(command)} failed")
+        # A worker of a pool has no workers of its own.
+        subprocess.run([sys.executable, "-P", "-m", "craftsim", *command], cwd=ROOT, check=True)
     (file,) = (folder / "build" / "trajectories").glob("*.npz")
     trajectory = Trajectory.read(file)
     _film(trajectory.titled(name), name, BUILDING_LOOK)

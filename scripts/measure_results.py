@@ -211,7 +211,8 @@ def store(name: str, out: Path, cpu_s: float | None) -> None:
     if name == "workshop_floor":
         kept["tasks"] = by_task(out / "trials.jsonl")
     RUNS.mkdir(parents=True, exist_ok=True)
-    (RUNS / f"{name}.json").write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    text = json.dumps(kept, indent=1, sort_keys=True).replace(f"{ROOT}/", "")
+    (RUNS / f"{name}.json").write_text(f"{text}\n", encoding="utf-8")
 
 
 def by_task(trials: Path) -> dict[str, dict[str, int]]:

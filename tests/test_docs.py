@@ -195,6 +195,16 @@ def test_tables_of_results_and_the_gallery_are_those_of_what_is_stored():
     )
 
 
+def test_each_result_is_stored_with_the_command_that_measures_it():
+    measure = runpy.run_path(str(ROOT / "scripts/measure_results.py"))
+    stored = {path.stem: json.loads(path.read_text("utf-8")) for path in measure["RUNS"].glob("*.json")}
+    earlier = {name for name in stored if name.startswith("execution_trained_")}
+    assert {name: one["command"] for name, one in stored.items() if name not in earlier} == measure[
+        "MEASURED"
+    ]
+    assert all(re.fullmatch("[0-9a-f]{8}", one["revision"]) for one in stored.values())
+
+
 WORDS_TO_AVOID = re.compile(
     r"""\b(?:told|tells?\ (?:you\ )?whether|untold|things?|crews?|errands?|sightings?|outings?|knobs?|suspects?
     |shrinks?|shrunk|shrinking|pilots?|players?|planted|guidance|judged\ on\ seeds\ held\ out|doors

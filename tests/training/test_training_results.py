@@ -20,7 +20,3 @@ def test_a_stored_report_is_of_the_shipped_study_and_its_times_are_of_whole_runs
     steps = {run["key"]: run["steps"] for run in runs}
     for key, cpu_s in report["wall"]["cpu_s"].items():
         assert cpu_s is None or cpu_s > steps[key] / 20_000, key
-
-
-def test_there_are_stored_validations():
-    assert len([*TRAINING.glob("physics_*.json")]) > 5

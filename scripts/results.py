@@ -16,7 +16,7 @@ from typing import Any, Final
 import engines
 import numpy as np
 from matplotlib.figure import Figure
-from measure_results import ELSEWHERE, FIRST, IN_PHYSICS, KEPT, MEASURED, PLAYED, SPEED, is_older
+from measure_results import ELSEWHERE, FIRST, IN_PHYSICS, KEPT, MEASURED, ON_GRID, SPEED, is_older
 from paper import CODED
 from scipy.stats import ttest_1samp
 
@@ -54,9 +54,10 @@ def main() -> None:
         SIX.sub(lambda found: f"{found[1]}\n{six_results()}\n{found[2]}", readme), encoding="utf-8"
     )
     plot()
-    older = [name for name in (*MEASURED, *KEPT) if is_older(name)]
+    measured = dict.fromkeys(MEASURED, "scripts/measure_results.py") | KEPT
+    older = [f"{name} ({by})" for name, by in measured.items() if is_older(name)]
     if older:
-        print(f"older than the code: {', '.join(older)}; scripts/measure_results.py measures them again")
+        print(f"older than the code, with what measures it again: {', '.join(older)}")
 
 
 def tables() -> dict[str, str]:
@@ -571,7 +572,7 @@ def shipped_table() -> str:
         name = path.name.split(".")[0]
         if path.suffix == ".safetensors":
             built = "its one start"
-            if f"shipped_{name}" in PLAYED:
+            if f"shipped_{name}" in ON_GRID:
                 (found,) = _read(RUNS / f"shipped_{name}.json")["figures"]["evaluations"]
                 built = f"{found['success']['rate']:.3f} ({_limits(found['success'])})"
             rows.append((f"`{name}`", built, f"{path.stat().st_size / 1e6:.1f} MB"))

@@ -130,7 +130,7 @@ def evaluate_in_physics(
             observation, reward, terminated, truncated, infos = worlds.recv(len(ids))
             masks[ids] = observation["action_mask"]
             goes_on = ~(terminated | truncated)
-            tally.count(first + ids, reward, infos["success"] & ~goes_on)
+            tally.count(first + ids, reward, infos["success"])
             ids = ids[goes_on]
             if tried is not None:
                 tried.keep(goes_on)

@@ -20,9 +20,9 @@ from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.training.config import COMASettings, PPOSettings
 from craftsim.training.features import Seen, joined
-from craftsim.training.learner import Learner, of_actions
+from craftsim.training.learner import Learner, drawn, of_actions
 from craftsim.training.networks import Critic, OthersNet, follow
-from craftsim.training.rollouts import Rollout, distinct
+from craftsim.training.rollouts import Rollout, distinct, lambda_returns
 from craftsim.training.shape import Shape
 from craftsim.training.starts import NOT_SHOWN, Demonstrations
 
@@ -130,7 +130,7 @@ class COMALearner(Learner):
 
     def update(self, rollout: Rollout) -> None:
         """Learn from each tick once."""
-        returns = self._returns(rollout).flatten(0, 1)
+        returns = self.returns(rollout).flatten(0, 1)
         seen, actions = rollout.now.flat(), rollout.actions.flatten(0, 1)
         for some in torch.randperm(len(rollout)).chunk(self.settings.minibatches):
             logits = self.net(seen[some])
@@ -143,17 +143,21 @@ class COMALearner(Learner):
             follow(self.target, self.critic, self.settings.target_rate)
 
     @torch.no_grad()
-    def _returns(self, rollout: Rollout) -> Tensor:
-        """Return (T, B, n): TD(lambda) of the target critic; an episode that ran out of time is over, too."""
-        gamma, decay = self.settings.gamma, self.settings.td_lambda
-        values = self.target(rollout.now, rollout.actions)
-        taken = of_actions(values, rollout.actions)
-        reward, same = rollout.rewards.unsqueeze(-1), ~rollout.done.unsqueeze(-1)
-        found, ahead, follows = torch.empty_like(taken), taken[-1], taken[-1]
-        for t in range(len(taken) - 1, -1, -1):
-            found[t] = ahead = reward[t] + gamma * same[t] * ((1 - decay) * follows + decay * ahead)
-            follows = taken[t]
-        return found
+    def returns(self, rollout: Rollout) -> Tensor:
+        """Return (T, B, n): TD(lambda) of the target critic.
+
+        The value after a tick is that of what the cars do next. Where a rollout or an episode ends, that is an action
+        of the policy in the last world, so that time which has run out is not taken for completed work.
+        """
+        settings = self.settings
+        taken = of_actions(self.target(rollout.now, rollout.actions), rollout.actions)
+        ends = rollout.done.clone()
+        ends[-1] = True
+        last = rollout.after[ends]
+        drawn_next = drawn(self.net(last))
+        after = taken.roll(-1, 0)
+        after[ends] = of_actions(self.target(last, drawn_next), drawn_next)
+        return lambda_returns(rollout, after, settings.gamma, settings.td_lambda)
 
 
 def counterfactual(logits: Tensor, values: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:

@@ -16,6 +16,7 @@ from craftsim.discrete.asynchronous import USUAL_TICK_S, AsynchronousEpisodes, T
 from craftsim.discrete.kernel.tasks import ROW
 from craftsim.discrete.rules import RuleSet
 from craftsim.discrete.tasks import Task
+from craftsim.discrete.tasks.episodes import Steps
 from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.exploration import hashes
@@ -36,7 +37,7 @@ class BatchStep(NamedTuple):
     """The result of a step of B worlds."""
 
     reward: NDArray[np.float64]  # (B,): team reward
-    terminated: NDArray[np.bool_]  # (B,): the task was completed
+    terminated: NDArray[np.bool_]  # (B,): the episode ended with success
     done: NDArray[np.bool_]  # (B,): the episode is over
     elapsed: NDArray[np.float64] | None = None  # (B,): elapsed time in usual ticks; None: one each
 
@@ -49,7 +50,7 @@ class Rollout:
     after: Seen  # (T, B): after each tick; at the end of an episode its last observation
     actions: Tensor  # (T, B, n) int64
     rewards: Tensor  # (T, B) float32: team rewards
-    terminated: Tensor  # (T, B) bool: the task was completed
+    terminated: Tensor  # (T, B) bool: the episode ended with success, and nothing follows
     done: Tensor  # (T, B) bool: the episode ended, by success or its time limit
     decides: Tensor | None = None  # (T, B, n) bool: which cars chose, while others were acting; None: all
     elapsed: Tensor | None = None  # (T, B) float32: time of each step in usual ticks; None: one each
@@ -102,10 +103,14 @@ class GridWorlds:
             event = self.episodes.step(actions, offered=self._offered)
             self._over = event.done | event.deadlock
             elapsed = event.duration_s / USUAL_TICK_S
-            return BatchStep(event.reward, event.success & event.done, self._over, elapsed)
+            return BatchStep(event.reward, self._terminated(event), self._over, elapsed)
         steps = self.episodes.step(actions)
         self._over = steps.done
-        return BatchStep(steps.reward, steps.success & steps.done, steps.done)
+        return BatchStep(steps.reward, self._terminated(steps), steps.done)
+
+    def _terminated(self, steps: Steps) -> NDArray[np.bool_]:
+        """Return (B,): which episodes have ended with success, not just with their time."""
+        return steps.success & self.episodes.task.ends_on_success
 
     def restart(self) -> None:
         """Start new episodes where they are over."""

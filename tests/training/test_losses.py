@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import nn
 
-from craftsim.training.config import QSettings, TrainConfig
+from craftsim.training.config import COMASettings, QSettings, TrainConfig
 from craftsim.training.features import Seen
 from craftsim.training.networks import JointNet, OthersNet, QMixer
-from craftsim.training.policy_gradient import advantages, counterfactual
+from craftsim.training.policy_gradient import COMALearner, advantages, counterfactual
 from craftsim.training.q_learning import QLearner
 from craftsim.training.rollouts import Rollout, lambda_returns
 from craftsim.training.shape import Shape
@@ -78,6 +78,63 @@ def test_the_gradient_of_coma_is_that_of_its_formula():
             expected[car] += advantage * score / (ticks * n)
     assert torch.allclose(logits.grad, expected, atol=1e-6)
     assert torch.allclose(entropy[0], torch.distributions.Categorical(policy).entropy())
+
+
+def _coma_of_tables(gamma, decay):
+    """Return COMA whose critic gives 10 for each unit of the first place and 1 for each of the action's number.
+
+    Its policy takes action 3 wherever there is something at place 9, else action 0.
+    """
+    learner = COMALearner(SHAPE, 3, "coma", COMASettings(gamma=gamma, td_lambda=decay))
+
+    def policy(seen):
+        logits = torch.full(seen.offers.shape, -torch.inf)
+        takes_3 = seen.places[..., 0] == 9
+        logits[..., 0][~takes_3] = 0.0
+        logits[..., 3][takes_3] = 0.0
+        return logits
+
+    def critic(seen, actions):
+        return 10.0 * seen.places[..., :1] + torch.arange(15.0)
+
+    learner.net = policy
+    learner.target = critic
+    return learner
+
+
+def _seen_at(places):
+    """Return observations (T, B, 2) with these first places (T, B), the same for both cars."""
+    column = torch.tensor(places, dtype=torch.int32)
+    return Seen(column[..., None, None].expand(*column.shape, 2, 3), torch.ones(*column.shape, 2, 15) > 0)
+
+
+def test_coma_goes_on_after_a_cut_with_the_value_of_what_follows():
+    """Computed by hand: the last tick of a rollout, a completed episode, and one that ran out of time."""
+    gamma, decay = 0.5, 0.25
+    now = _seen_at([[1, 1, 1], [2, 2, 2], [3, 3, 3]])
+    after = _seen_at([[2, 7, 9], [3, 3, 3], [9, 4, 4]])
+    actions = torch.tensor([[1, 1, 1], [2, 2, 2], [0, 0, 0]]).unsqueeze(-1).expand(3, 3, 2)
+    rewards = torch.tensor([[1.0, 1, 1], [2.0, 2, 2], [4.0, 4, 4]])
+    # World 0 is cut, world 1 is completed in the first tick, world 2 runs out of time in the first tick.
+    done = torch.tensor([[False, True, True], [False, False, False], [False, False, False]])
+    terminated = torch.tensor([[False, True, False], [False, False, False], [False, False, False]])
+    rollout = Rollout(now, after, actions, rewards, terminated, done)
+    returns = _coma_of_tables(gamma, decay).returns(rollout)
+    # After the cut the policy takes 3 at place 9, valued 93, and 0 at place 4, valued 40.
+    cut_at_9 = 4 + gamma * 93
+    cut_at_4 = 4 + gamma * 40
+    # Action 0 at place 3 is valued 30, action 2 at place 2 is valued 22.
+    middle_of_0 = 2 + gamma * ((1 - decay) * 30 + decay * cut_at_9)
+    middle_of_others = 2 + gamma * ((1 - decay) * 30 + decay * cut_at_4)
+    first_of_0 = 1 + gamma * ((1 - decay) * 22 + decay * middle_of_0)
+    expected = torch.tensor(
+        [
+            [first_of_0, 1.0, 1 + gamma * 93],
+            [middle_of_0, middle_of_others, middle_of_others],
+            [cut_at_9, cut_at_4, cut_at_4],
+        ]
+    )
+    assert torch.allclose(returns, expected.unsqueeze(-1).expand(3, 3, 2))
 
 
 def _rollout(ticks=12, worlds=7):

@@ -14,8 +14,9 @@ from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks import make_task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs import parallel_env
+from craftsim.envs.physics_vector import PhysicsVectorEnv
 from craftsim.training.config import TrainConfig
-from craftsim.training.evaluation import choose_actions
+from craftsim.training.evaluation import choose_actions, evaluate, evaluate_in_physics
 from craftsim.training.features import Seen, make_encoder
 from craftsim.training.learner import drawn, drawn_offers
 from craftsim.training.policy import load_policy
@@ -59,6 +60,54 @@ def test_a_rollout_is_what_the_episodes_do():
         assert same(played.after[t])
         twin.reset(steps.done.nonzero()[0])
     assert played.done.sum() == 8 * 2  # every five ticks, though worlds are reset meanwhile
+
+
+def _always(grid):
+    return True
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_an_episode_that_ends_by_its_time_alone_is_not_terminated_on_the_grid_or_in_physics(ends):
+    """Work that is done at the last tick does not make the time that ends the episode its success."""
+    task = replace(make_task("strip", max_steps=0), success=_always, ends_on_success=ends)
+    encoder = _encoder(task)
+    for execution in ("synchronous", "asynchronous"):
+        worlds = GridWorlds(task, 3, "physical", None, execution)
+        worlds.reset(0)
+        played = _played(worlds, encoder, 4)
+        assert played.done.any()
+        assert torch.equal(played.terminated, played.done & ends)
+    with closing(PhysicsWorlds(task, 2, workers=1)) as worlds:
+        worlds.reset(0)
+        played = _played(worlds, encoder, 2)
+    assert played.done.any()
+    assert torch.equal(played.terminated, played.done & ends)
+
+
+def _is_at_edge(grid):
+    """Return whether the first car is in the first column."""
+    return int(grid.cars[0, 0]) == 0
+
+
+def test_success_that_does_not_end_an_episode_counts_alike_on_the_grid_and_in_physics(monkeypatch):
+    """The first car drives to the edge, and comes back before the episode ends: it has been there."""
+    task = replace(make_task("strip", max_steps=1), success=_is_at_edge, ends_on_success=False)
+    assert task.draw(np.random.default_rng(0)).cars[0, 0] == 1
+    plan = []
+
+    def act(net, seen, *_):
+        action = (Action.MOVE_LEFT, Action.MOVE_RIGHT, Action.STOP)[len(plan)]
+        plan.append(action)
+        return np.full(seen.shape[:-1], int(action))
+
+    monkeypatch.setattr("craftsim.training.evaluation.choose_actions", act)
+    net = Trainer(TrainConfig("strip")).learner.net
+    on_grid = evaluate(net, task, 2, 0)
+    plan.clear()
+    with closing(PhysicsVectorEnv(task, 2, workers=1)) as envs:
+        in_physics = evaluate_in_physics(net, envs, 2, 0)
+    assert on_grid.successes == 2
+    assert in_physics.successes == 2
 
 
 def test_a_rollout_in_physics_keeps_the_last_observations_and_begins_each_episode_anew():

@@ -105,6 +105,8 @@ class Judge:
         """What has ended since then."""
         self._settled = True
         """Whether all had come to rest when nothing ran any more."""
+        self.handled: frozenset[str] = frozenset()
+        """Names of the cars whose actions ended in the last :meth:`next`, and of what these handled."""
 
     @property
     def grid(self) -> Grid:
@@ -218,6 +220,7 @@ class Judge:
         if not self._running:
             self.executor.fleet.attend()
         over = self._run(until_s)
+        self.handled = frozenset(name for ended in over for name in ended.own)
         if not over:
             return ()
         self._over += over
@@ -227,6 +230,15 @@ class Judge:
             gave_up = max(one.capped_steps for one in self._over)
             world = self._world_cause(self._last.before, self._last.after, gave_up)
         return tuple(attempt_of(one, self._cause(one, world, self._over), self.thresholds) for one in over)
+
+    def refuse(self, step: ScheduledAction) -> Attempt:
+        """Return the attempt of an action that the rules forbid in ``step.before``. It is not performed."""
+        watched = self._now(step, legal=False)
+        acting = set(self._running)
+        for running in self._running.values():
+            acting.update(running.about)
+        self._measure(watched, None, acting, set())
+        return attempt_of(watched, self._cause(watched, None, ()), self.thresholds)
 
     def _perform(
         self, schedule: Schedule, legal: bool = True, halts: bool = False, reorders: bool = False

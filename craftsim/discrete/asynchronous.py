@@ -14,7 +14,7 @@ from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
 from craftsim.discrete.kernel.claims import MOST, Claims, conflict
-from craftsim.discrete.kernel.codes import N_ACTIONS
+from craftsim.discrete.kernel.codes import FIRST_MOVE, LAST_MOVE, N_ACTIONS
 from craftsim.discrete.kernel.events import (
     BEGUN,
     BLOCKED,
@@ -129,6 +129,8 @@ class AsynchronousEpisodes(Episodes):
             np.zeros(b, np.int64),
             np.zeros(b),
         )
+        self._no_way = np.zeros((b, n), np.bool_)
+        """Whose last decision was a move to which the action helper found no way: that is a STOP, in ticks, too."""
         self._row = np.zeros((MOST, 4), np.int16)
         self._plan = np.zeros((self.depth or 0) + 1, np.int8)
 
@@ -176,6 +178,7 @@ class AsynchronousEpisodes(Episodes):
         """
         turns, acts = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(actions, np.int64)
         timing, out = self.timing, np.full(acts.shape, RUNS, np.int64)
+        queued_before = self.queue[:, :, 0] >= 0
         if not timed:
             nominal_s = np.full((len(ACTIONS), len(SITUATIONS)), np.inf)
             drawn = np.ones(acts.shape), np.zeros(acts.shape, np.bool_)
@@ -192,6 +195,9 @@ class AsynchronousEpisodes(Episodes):
                 else:
                     self._decide(durations, np.full((len(acts), 1), car), acts, i, i + 1, out)
         self._decide(durations, turns, acts, 0, len(self), out)
+        if self.depth is not None:
+            no_way = (out == ILLEGAL) & ~queued_before & (acts >= FIRST_MOVE) & (acts <= LAST_MOVE)
+            self._no_way = np.where(out == RUNS, self._no_way, no_way)
         return out
 
     def _decide(self, durations: Durations, *decisions: Any) -> None:
@@ -337,12 +343,19 @@ class AsynchronousEpisodes(Episodes):
         enforce(*grids.world(self.corrections), turns, acting)
 
     def settle(
-        self, before: Grid | None, ends: Ends, time_weight: float, problems: tuple[str, ...] = ()
+        self,
+        before: Grid | None,
+        ends: Ends,
+        time_weight: float,
+        problems: tuple[str, ...] = (),
+        attempts: tuple[Any, ...] = (),
+        contacts: tuple[Any, ...] | None = None,
     ) -> Steps:
         """Score an event: as many decisions as cars count as a tick.
 
         What a tick costs in which nothing changes is charged for each usual tick of time, and ``time_weight`` for each
         second. ``before`` is from :meth:`worlds_before`; ``problems`` say why worlds cannot be read as grids any more.
+        ``attempts`` and ``contacts`` are as of a :class:`craftsim.discrete.tasks.rewards.Transition`.
         """
         self.t = np.maximum(self.running.decided - 1, 0) // max(self.n_cars, 1)
         seen, applied, duration_s = [], ends.ended, ends.duration_s
@@ -350,13 +363,18 @@ class AsynchronousEpisodes(Episodes):
             self.confirmed.derive_marks()
         if before is not None:
             # The rules forbid a STOP on a ramp.
-            stood = (self.running.outcome == WAITS) & (before.cars[..., CarField.SLOPE] == 0)
+            stops = (self.running.outcome == WAITS) | self._no_way
+            stood = stops & (before.cars[..., CarField.SLOPE] == 0)
             acted = ends.ended & (ends.doing != _STOP)
             applied = acted | (ends.ended & stood)
             took = np.where(acted, self.time_s[:, None] - self.running.began_s, 0.0)
-            done = np.where(ends.ended, ends.doing, _STOP)
+            for car, attempt in enumerate(attempts):
+                if attempt is not None:
+                    took[:, car] = attempt.duration_s
+            chosen = np.where(ends.ended, self.running.asked, _STOP)
+            judged: Any = {"attempts": attempts, "contacts": contacts, "problems": problems}
             seen = [
-                self.transition(i, before[i], done[i], applied[i], took[i], duration_s[i], problems=problems)
+                self.transition(i, before[i], chosen[i], applied[i], took[i], duration_s[i], **judged)
                 for i in range(len(self))
             ]
         potential, given, rule = self.potential, self.bonus_given, self.task.reward

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from pettingzoo import AECEnv
 
 from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes
 from craftsim.discrete.kernel.events import DECIDES, Ends
-from craftsim.discrete.kinds import Action
+from craftsim.discrete.kinds import MOVE_DIRECTION, Action
 from craftsim.discrete.tasks import Task
 from craftsim.envs.actions import checked
 from craftsim.envs.core import Core, CoreStep
@@ -19,6 +19,9 @@ from craftsim.envs.observations import Observation
 from craftsim.envs.options import Options
 from craftsim.envs.parallel import CarWorld, Infos, ParallelConstruction, Step
 from craftsim.errors import InputError
+
+if TYPE_CHECKING:
+    from craftsim.checking.attempt import Attempt
 
 _STOP = int(Action.STOP)
 
@@ -43,6 +46,7 @@ class AsynchronousCore(Core):
         self._zero_s = self.backend.advance(0.0).time_s
         self._wrong = np.zeros(self.n_cars, np.bool_)
         self._found: list[dict[str, Any]] = [{} for _ in range(self.n_cars)]
+        self._refused: dict[int, tuple[dict[str, Any], Attempt | None]] = {}
         self._take_turns()
         shared = {"success": False, "duration_s": 0.0, "problems": (), "deadlock": None}
         return self._infos(shared, *np.zeros((2, self.n_cars), np.bool_))
@@ -69,6 +73,7 @@ class AsynchronousCore(Core):
         chosen = np.full((1, self.n_cars), _STOP, np.int64)
         chosen[0, car] = action
         numbers, queued = self.form.begin(episodes, chosen)
+        due = self._due(car, int(numbers[0, car]))
         outcome = episodes.decide(numbers, np.array([[car]]), timed=False)[0, car]
         # A choice of an object to which there is no way is a STOP that was not asked for.
         strayed = outcome == WAITS and not (queued is not None and queued[0, car])
@@ -76,8 +81,22 @@ class AsynchronousCore(Core):
         if outcome == BEGUN:
             begun = Action(episodes.running.action[0, car])
             self.backend.begin(car, begun, before, episodes.grids.cars[0, car])
+        elif outcome == ILLEGAL and due != _STOP:
+            self._refused[car] = self.backend.refuse(car, Action(due), episodes.grid(0))
         del self.turns[0]
         self._seen = None
+
+    def _due(self, car: int, action: int) -> int:
+        """Return the primitive or registered action that a choice stands for, if the rules forbid it.
+
+        That is the next one of the helper's queue. A move to which the helper finds no way stands for STOP.
+        """
+        queue = self.episodes.queue[0, car]
+        if queue[0] >= 0:
+            return int(queue[0])
+        if self.episodes.depth is not None and action in MOVE_DIRECTION:
+            return _STOP
+        return action
 
     def step(self, actions: Any) -> CoreStep:
         """Let the cars that decide begin their actions, and run to the next event; ``actions`` (n,) by car."""
@@ -96,6 +115,12 @@ class AsynchronousCore(Core):
         before, began_s = episodes.worlds_before(), float(episodes.time_s[0])
         doing, ended = running.action.copy(), np.zeros(self.n_cars, np.bool_)
         infos: dict[int, dict[str, Any]] = {}
+        attempts: list[Attempt | None] = [None] * self.n_cars
+        for car, (info, refused) in self._refused.items():
+            infos[car] = info
+            attempts[car] = refused
+        self._refused.clear()
+        contacts: tuple[Any, ...] | None = None
         problems: tuple[str, ...] = ()
         while not (ended.any() or problems or episodes.lost.all()):
             until_s = min(running.ends_s[0].tolist())
@@ -103,13 +128,18 @@ class AsynchronousCore(Core):
             time_s = round(happened.time_s - self._zero_s, 6)
             ended = episodes.finish(0, time_s, list(happened.infos), happened.confirmed, happened.lost)
             infos, problems = infos | happened.infos, happened.problems
+            for car, attempt in happened.attempts.items():
+                attempts[car] = attempt
+            if happened.contacts is not None:
+                contacts = (contacts or ()) + happened.contacts
         lost = {car: {"lost": why} for car, why in happened.lost.items()}
         self._found = [infos.get(car, {}) | lost.get(car, {}) for car in range(self.n_cars)]
         failed = np.array([bool(one.get("failed")) for one in self._found])
         episodes.queue[0, failed] = -1  # what was planned starts from where the car is not
         duration_s = round(float(episodes.time_s[0]) - began_s, 6)
         ends = Ends(np.array([duration_s]), doing, ended[None], failed[None])
-        steps = episodes.settle(before, ends, self.options.time_weight, problems)
+        tried = tuple(attempts) if any(attempts) else ()
+        steps = episodes.settle(before, ends, self.options.time_weight, problems, tried, contacts)
         self._look()
         self._show()
         success, over = bool(steps.success[0]), bool(steps.done[0]) or bool(problems)

@@ -69,6 +69,8 @@ class Ended:
     ]  # by car whose action has ended: of its info; none where the time came first
     problems: tuple[str, ...] = ()  # as of a tick
     lost: Mapping[int, str] = field(default_factory=dict)  # by car: why it cannot be driven any more
+    attempts: Mapping[int, Attempt] = field(default_factory=dict)  # by car whose action has ended, in physics
+    contacts: tuple[Any, ...] | None = None  # of these cars and what they handled; None: not logged
 
 
 class GridBackend:
@@ -99,6 +101,10 @@ class GridBackend:
         factor, fails = timing.factors(self._rng, ()), bool(timing.fails(self._rng, ()))
         end_s = moment(self._now_s + float(timing.nominal_s[action, column] * factor))
         self._running[car] = end_s, action, fails
+
+    def refuse(self, car: int, action: Action, committed: Grid) -> tuple[dict[str, Any], Attempt | None]:
+        """Return the info of an action that the rules forbid in the committed world, and no attempt."""
+        return {}, None
 
     def advance(self, until_s: float | None = None) -> Ended:
         """Let time pass to the next ending, or to a simulated time; without one, something must run."""

@@ -19,6 +19,7 @@ from craftsim.discrete.files.design import Design
 from craftsim.discrete.grid import Cell, Grid
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
+from craftsim.discrete.schedule import ScheduledAction
 from craftsim.discrete.tasks import Task
 from craftsim.discrete.tasks.episodes import Episodes
 from craftsim.envs.core import Core, Ended, Tick
@@ -246,17 +247,32 @@ class PhysicsBackend:
         self._joints[-1].append((car, action))
         begin(self.judge, car, action, len(self._starts_s) - 1)
 
+    def refuse(self, car: int, action: Action, committed: Grid) -> tuple[dict[str, Any], Attempt]:
+        """Return the info and the attempt of an action that the rules forbid, and that is not performed."""
+        step = ScheduledAction(len(self._starts_s), car, action, committed, committed)
+        attempt = self.judge.refuse(step)
+        return _info(attempt), attempt
+
     def advance(self, until_s: float | None = None) -> Ended:
         """Run to the next ending, or to a time, and read the world from poses."""
         attempts = self.judge.next(until_s)
         if attempts:
             self.ticks.append(attempts)
+        log = self.judge.log
+        contacts = None
+        if log is not None:
+            names = self.judge.handled
+            contacts = tuple(
+                touch for touch in log.contacts if not names.isdisjoint((touch.first, touch.second))
+            )
         return Ended(
             self.judge.physics.time_s,
             self.judge.confirmed,
             {attempt.car: _info(attempt) | {"failed": _strayed(attempt)} for attempt in attempts},
             self.judge.problems,
             dict(self.judge.executor.fleet.lost_cars),
+            {attempt.car: attempt for attempt in attempts},
+            contacts,
         )
 
     def _primitives(

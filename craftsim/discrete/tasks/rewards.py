@@ -45,7 +45,7 @@ class Transition:
     t: int
     """Number of the tick in its episode, from 0."""
     actions: tuple[Action, ...]
-    """By car, as chosen."""
+    """By car, as chosen; in asynchronous execution STOP for a car whose decision has not ended."""
     applied: tuple[bool, ...]
     """By car, whether the rules allowed what it was to do when its turn came."""
     durations_s: tuple[float, ...]
@@ -53,10 +53,13 @@ class Transition:
     duration_s: float
     """Of the tick."""
     attempts: tuple[Any, ...] = ()
-    """By car the :class:`craftsim.Attempt` of the judge: primitive, result, errors and forces. Empty on the grid."""
+    """By car the :class:`craftsim.Attempt` of the judge: primitive, result, errors and forces. Empty on the grid.
+
+    In asynchronous execution a car has one when its action has ended, or was forbidden by the rules, else None."""
     contacts: tuple[Any, ...] | None = None
     """What touched what during the tick, each with ``first``, ``second`` and ``peak_n``; None on the grid, and in
-    physics unless the option ``check_contacts`` is on."""
+    physics unless the option ``check_contacts`` is on. In asynchronous execution those of the cars whose actions have
+    ended, and of what these handled, since the actions began."""
     problems: tuple[str, ...] = ()
     """Why the world cannot be read as a grid any more; empty where it can."""
 

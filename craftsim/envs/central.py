@@ -40,9 +40,9 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode; see :meth:`craftsim.envs.core.Core.reset` for the options."""
-        self.core.reset(seed, options)
+        infos = self.core.reset(seed, options)
         super().reset(seed=seed)
-        return self._observe(), {"action_mask": self.core.masks.copy()}
+        return self._observe(), self._info(infos)
 
     def step(self, action: NDArray[np.int64]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Let all cars act once; ``action`` (n,) by car. Infos are those of the cars, each a tuple by car.
@@ -50,13 +50,17 @@ class CentralConstruction(SingleWorld, gymnasium.Env[Any, NDArray[np.int64]]):
         Raises InputError where no episode runs, and for actions of another shape or that are no numbers from 0 to 14.
         """
         reward, terminated, truncated, infos = self.core.step(action)
+        return self._observe(), reward, terminated, truncated, self._info(infos)
+
+    def _info(self, infos: list[dict[str, Any]]) -> dict[str, Any]:
+        """Return the infos of the cars as one: each a tuple by car, masks as an array, those of the world once."""
         # In asynchronous execution a car has some keys only after its first action.
         keys = dict.fromkeys(key for of_car in infos for key in of_car)
         info: dict[str, Any] = {key: tuple(of_car.get(key) for of_car in infos) for key in keys}
         info["action_mask"] = self.core.masks.copy()
         for key in keys.keys() & set(OF_WORLD):
             info[key] = info[key][0]
-        return self._observe(), reward, terminated, truncated, info
+        return info
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the offered actions, shape (n * actions,): the masks of the cars one after the other, as MaskablePPO

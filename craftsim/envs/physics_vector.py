@@ -20,7 +20,7 @@ from craftsim.discrete.tasks.observation import car_vectors
 from craftsim.envs.central import OF_WORLD, CentralConstruction
 from craftsim.envs.observations import Observation
 from craftsim.envs.options import BatchOptions
-from craftsim.envs.vector import Batch, TaskVectorEnv
+from craftsim.envs.vector import Batch, TaskVectorEnv, final_infos
 from craftsim.errors import CraftsimError, InputError
 from craftsim.workers.actor import Actor, WorkerDiedError
 from craftsim.workers.pool import Engine
@@ -72,6 +72,7 @@ class PhysicsVectorEnv(TaskVectorEnv):
             for number in range(self.workers)
         ]
         self._acting = np.zeros(num_envs, np.bool_)
+        self._asynchronous = chosen.execution == "asynchronous"
         self._rows = np.zeros((num_envs, self.task.layout.n_observed, ROW), np.int32)
 
     def reset(
@@ -85,7 +86,10 @@ class PhysicsVectorEnv(TaskVectorEnv):
         self._require_rest("reset")
         seen = self._ask_all(_begin, [(one, options) for one in self._seeds(seed)])
         self._begun = True
-        return self._keep(range(self.num_envs), seen), {}
+        infos = {}
+        if self._asynchronous:
+            infos["decides"] = np.ones(self._masks.shape[:2], np.bool_)
+        return self._keep(range(self.num_envs), seen), infos
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         if seed is None:
@@ -101,7 +105,8 @@ class PhysicsVectorEnv(TaskVectorEnv):
     def step(self, actions: NDArray[np.integer]) -> Batch:
         """Let all cars of all worlds act once; ``actions`` (B, n).
 
-        Infos (docs/reference/environments.md) are arrays, (B,) or (B, n) by car; ``final_obs`` as on the grid.
+        Infos (docs/reference/environments.md) are arrays, (B,) or (B, n) by car; ``final_obs`` and ``final_info`` are
+        as on the grid.
         Raises InputError before the first reset, for actions that are none, and while a world is acting; CraftsimError
         when a process has died.
         """
@@ -231,12 +236,13 @@ class PhysicsVectorEnv(TaskVectorEnv):
     def _batch(self, answers: Mapping[int, tuple[Any, ...]]) -> Batch:
         """Return the answers of :func:`_act` as those of a batch."""
         seen, rewards, terminated, truncated, reported, final = zip(*answers.values(), strict=True)
-        infos: dict[str, Any] = {key: _column(key, [one[key] for one in reported]) for key in reported[0]}
-        ended = np.array([one is not None for one in final])
+        infos: dict[str, Any] = self._columns(reported)
+        ended = np.array([last is not None for last in final])
         if ended.any():
-            last = np.full(len(final), None, object)
-            last[:] = final
-            infos |= {"final_obs": last, "_final_obs": ended}
+            lasts = [last for last in final if last is not None]
+            infos |= final_infos(
+                ended, [seen for seen, _ in lasts], self._columns([info for _, info in lasts])
+            )
         return (
             self._keep(answers, seen),
             np.array(rewards, np.float64),
@@ -244,6 +250,14 @@ class PhysicsVectorEnv(TaskVectorEnv):
             np.array(truncated, np.bool_),
             infos,
         )
+
+    def _columns(self, infos: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
+        """Return the infos of k worlds by key, (k, ...). A key that a world lacks has None there."""
+        columns = {}
+        for key in dict.fromkeys(key for info in infos for key in info):
+            missing = None if key in OF_WORLD else (None,) * self.task.layout.n_cars
+            columns[key] = _column(key, [info.get(key, missing) for info in infos])
+        return columns
 
     def _keep(self, worlds: Iterable[int], seen: Sequence[Observation]) -> Observation:
         """Return the observations of worlds as a batch, and keep them as the last ones."""
@@ -255,9 +269,11 @@ class PhysicsVectorEnv(TaskVectorEnv):
 
 def _column(key: str, values: Sequence[Any]) -> NDArray[Any]:
     """Return an info of some worlds as an array (k,), or (k, n) where it is the cars'; texts are objects in it."""
+    if key == "action_mask":
+        return np.stack(values)
     by_car = key not in OF_WORLD
-    first = values[0][0] if by_car else values[0]
-    if isinstance(first, bool | np.bool_ | float | int):
+    entries = [entry for of_cars in values for entry in of_cars] if by_car else values
+    if all(isinstance(entry, bool | np.bool_ | float | int) for entry in entries):
         return np.array(values)
     column = np.empty((len(values), len(values[0])) if by_car else len(values), object)
     for place in np.ndindex(column.shape):
@@ -296,14 +312,17 @@ def _holder(make: Callable[[], CentralConstruction], worlds: Iterable[int]) -> C
 
 
 def _act(env: CentralConstruction, actions: NDArray[np.int64]) -> tuple[Any, ...]:
-    """Return what a step does, and the last observation of an episode that has ended; the next one then begins."""
+    """Return what a step does, and of an episode that has ended the last observation and info; the next one begins."""
     observation, reward, terminated, truncated, info = env.step(actions)
-    del info["action_mask"]  # the observation has it
+    if "deadlock" in info:
+        info["deadlock"] = info["deadlock"] is not None
     final = None
     if terminated or truncated:
-        final, observation = observation, env.reset()[0]
+        final = observation, info.copy()
+        observation = env.reset()[0]
         if "decides" in info:
             info["decides"] = (True,) * len(info["decides"])
+    del info["action_mask"]  # the observation has it
     return observation, reward, terminated, truncated, info, final
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +30,7 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
 
     One agent sees a world's global state and chooses an action for each of its cars. A world whose episode ends is
     reset in the same step: the observation returned is the new episode's first, and the old one's last is in
-    ``infos["final_obs"]``.
+    ``infos["final_obs"]``, with its infos in ``infos["final_info"]``, as :func:`final_infos` says.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
@@ -59,6 +60,37 @@ class TaskVectorEnv(VectorEnv[Observation, NDArray[np.integer], NDArray[Any]]):
         if not self._begun:
             raise InputError("call reset() before anything else")
         return checked(actions, (n_worlds, self.task.layout.n_cars), self.form.n_actions)
+
+
+def final_infos(
+    ended: Bools, observations: Sequence[Observation], columns: Mapping[str, NDArray[Any]]
+) -> dict[str, Any]:
+    """Return what a batch says of the episodes that have ended, in the form of Gymnasium's ``SyncVectorEnv``.
+
+    Args:
+        ended: (B,) in which worlds.
+        observations: their last observations, k of them.
+        columns: their last infos by key, each (k, ...).
+
+    Returns ``final_obs`` (B,), the observations, None elsewhere; ``final_info``, the infos by key, each (B, ...), zero
+    or None elsewhere; and ``_final_obs``, ``_final_info`` and in ``final_info`` ``_KEY`` for each key, which are
+    ``ended``.
+    """
+    last = np.full(len(ended), None, object)
+    last[ended] = observations
+    infos: dict[str, Any] = {}
+    for key, column in columns.items():
+        shape = (len(ended), *column.shape[1:])
+        filled = np.full(shape, None) if column.dtype == object else np.zeros(shape, column.dtype)
+        filled[ended] = column
+        infos[key] = filled
+        infos[f"_{key}"] = ended.copy()
+    return {
+        "final_obs": last,
+        "_final_obs": ended.copy(),
+        "final_info": infos,
+        "_final_info": ended.copy(),
+    }
 
 
 class GridVectorEnv(TaskVectorEnv):
@@ -92,8 +124,8 @@ class GridVectorEnv(TaskVectorEnv):
         """Let all cars of all worlds act once; ``actions`` (B, n). In asynchronous execution the cars that decide
         begin theirs, what is given for others is ignored, and each world advances to its own next event.
 
-        Infos, each an array with a leading dimension B: ``success``, ``duration_s``, ``illegal`` (B, n); and where
-        ``_final_obs`` is true ``final_obs``, a world's last observation before it was reset. In asynchronous execution
+        Infos, each an array with a leading dimension B: ``success``, ``duration_s``, ``illegal`` (B, n); and where an
+        episode has ended those of :func:`final_infos`. In asynchronous execution
         also ``decides`` (B, n), who decides next, which reset() says, too; of each car whose decision has ended, and
         of all at the end of an episode, ``elapsed_s`` and ``earned`` (B, n), the time since that decision and the sum
         of the rewards of that time; ``blocked`` and ``failed`` (B, n), and ``deadlock`` (B,). Raises InputError before
@@ -111,10 +143,12 @@ class GridVectorEnv(TaskVectorEnv):
         ended = np.flatnonzero(over)
         if len(ended):
             seen = observed(episodes.some(ended), self.form, self._radius)
-            last = np.full(self.num_envs, None, object)
-            for place, i in enumerate(ended.tolist()):
-                last[i] = {key: array[place] for key, array in seen.items()}
-            infos |= {"final_obs": last, "_final_obs": over}
+            last = [{key: array[place] for key, array in seen.items()} for place in range(len(ended))]
+            columns = {key: column[ended] for key, column in infos.items()}
+            columns["action_mask"] = seen["action_mask"]
+            if isinstance(episodes, AsynchronousEpisodes):
+                columns["decides"] = episodes.decides[ended]
+            infos |= final_infos(over, last, columns)
             episodes.reset(ended)
         observation, _ = self._look(infos)
         return observation, steps.reward, terminated, over & ~terminated, infos

@@ -41,14 +41,26 @@ float64[] effort
 NAMES = ["wheel_fl", "wheel_fr", "wheel_rl", "wheel_rr", "board"]
 
 
-def write_bag(path, log, commands="/wheel_commands", pose_topics=("/localisation",), compression=None):
-    """Write a log as a robot would record it: poses, joint states and commands by their own topics."""
+def write_bag(
+    path, log, commands="/wheel_commands", pose_topics=("/localisation",), compression=None, alter=None
+):
+    """Write a log as a robot would record it: poses, joint states and commands by their own topics.
+
+    ``alter`` takes topic, row, message and time in ns of each message, and returns a list of messages with their times
+    to be written in its place.
+    """
     from mcap.writer import CompressionType
 
     with open(path, "wb") as file:
         writer = Writer(file, compression=compression or CompressionType.ZSTD)
         poses = writer.register_msgdef("geometry_msgs/msg/PoseStamped", POSE)
         joints = writer.register_msgdef("sensor_msgs/msg/JointState", JOINTS)
+
+        def write(topic, kind, row, message, at):
+            written = alter(topic, row, message, at) if alter else [(message, at)]
+            for message, at in written:
+                writer.write_message(topic, kind, message, at, at)
+
         for row, time in enumerate(log.time_s):
             at = 1_700_000_000_000_000_000 + round(time * 1e9)
             header = {"stamp": {"sec": int(time), "nanosec": 0}, "frame_id": "map"}
@@ -56,14 +68,14 @@ def write_bag(path, log, commands="/wheel_commands", pose_topics=("/localisation
             turn = {"x": 0.0, "y": 0.0, "z": math.sin(heading / 2), "w": math.cos(heading / 2)}
             pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": turn}
             for topic in pose_topics:
-                writer.write_message(topic, poses, {"header": header, "pose": pose}, at, at)
+                write(topic, poses, row, {"header": header, "pose": pose}, at)
             board, force = map(float, log.board[row])
             state = {"header": header, "name": NAMES, "position": [0.0] * 4 + [board]}
             state |= {"velocity": [*map(float, log.wheel_speeds[row]), 0.0], "effort": [0.0] * 4 + [force]}
-            writer.write_message("/joint_states", joints, state, at, at)
+            write("/joint_states", joints, row, state, at)
             told = {"header": header, "name": NAMES, "position": [], "effort": []}
             told |= {"velocity": [*map(float, log.commands[row, :5])]}
-            writer.write_message(commands, joints, told, at, at)
+            write(commands, joints, row, told, at)
         writer.finish()
     return path
 

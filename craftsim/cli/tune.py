@@ -239,8 +239,8 @@ def identify(
     of the identified car. Exit status: 0, 1 if nothing is identifiable, 2 for invalid input.
 
     Args:
-        log: CSV table or ROS 2 bag (.mcap), as docs/reference/reports.md describes. 'craftsim robot excite' makes a
-            suitable trajectory.
+        log: CSV table or ROS 2 bag (.mcap, or a folder with one), as docs/reference/reports.md describes. 'craftsim
+            robot excite' makes a suitable trajectory.
         held_out: another log of the same car, for validation.
         car: number of the car in the log.
         load: the car started under a block and lifted it, as with 'robot excite --load'.
@@ -268,6 +268,9 @@ def identify(
         found = fit(given, assumed, load, lambda number, total: status.update(f"fit {number} of {total}"))
     predictor = Predictor(given, assumed, load)
     figures = findings.figures_of(found, predictor, other)
+    figures["notes"] = [f"{log.name}: {note}" for note in given.notes]
+    if held_out is not None and other is not None:
+        figures["notes"] += [f"{held_out.name}: {note}" for note in other.log.notes]
     files = {"Parameters": out / "parameters.yaml", "Noise": out / "noise.yaml"}
     figures["left_out"] = findings.write_parameters(files["Parameters"], found, assumed, log.name)
     findings.write_noise(files["Noise"], found, given, log.name)

@@ -3,6 +3,11 @@
 Messages count from when the bag received them: a pose that was on its way for 30 ms is 30 ms late. Every length in a
 bag is a claim, compared with what is allowed before anything is read. The texts of types that a bag brings are not
 used: a decoder built of one would do whatever work it asks for.
+
+A number that is nan was not measured, as with a joint without that sensor and a localisation that has lost its marker;
+the latter also sends a quaternion of zeros. Such values are left out and counted in the notes of the log. All else that
+cannot be a measurement is refused with its topic, message and time: infinite numbers, quaternions of another length,
+commands that are not numbers, poses in several frames, and values that jump to and fro because several nodes publish.
 """
 
 from __future__ import annotations
@@ -14,7 +19,7 @@ import zlib
 from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -32,7 +37,7 @@ from mcap_ros2.decoder import DecoderFactory
 from pydantic import AfterValidator, Field
 
 from craftsim.errors import InputError
-from craftsim.logs.log import GROUPS, LONGEST_GAP, TIME, Floats, Log, interpolated
+from craftsim.logs.log import GROUPS, LONGEST_GAP, NEEDED, TIME, Floats, Log, interpolated
 from craftsim.mjcf.car import WHEELS
 from craftsim.storage.limits import (
     BAG,
@@ -59,6 +64,8 @@ _NAME_LENGTH: Final = 256
 """Longest name of a topic, type or encoding."""
 _SHOWN_TOPICS: Final = 10
 """Topics listed in an error message."""
+_UNIT: Final = 0.01
+"""Tolerance for the squared length of a quaternion, as in tf2 (``QUATERNION_NORMALIZATION_TOLERANCE``)."""
 
 _JOINTS: Final = (*WHEELS, "board", "hinge")
 _Name = Annotated[str, Field(min_length=1)]
@@ -206,47 +213,106 @@ class _Bag:
 
 
 Values = Iterable[tuple[str, float]]
-"""Values by column of a log."""
+"""Values by column of a log; nan for what was not measured."""
 Take = Callable[[Any, Topics], Values]
 """Takes the content of a message."""
-Series = dict[str, "array[float]"]
-"""Times and values by column of a log, alternating."""
+
+
+class _Signals:
+    """What a bag holds, by column of a log, and what of it was not measured."""
+
+    def __init__(self) -> None:
+        self.series = {name: array("d") for columns in GROUPS.values() for name in columns}
+        """Times and values by column, alternating."""
+        self.topics: dict[str, str] = {}
+        """Topic by column."""
+        self._missing = Counter[str]()
+
+    def put(self, topic: str, time: float, column: str, value: float) -> None:
+        """Note a value. Raises InputError for an infinite one, and for a command that is nan."""
+        if math.isinf(value) or (math.isnan(value) and column in GROUPS["commands"]):
+            raise InputError(f"{column} is {value:g}; allowed: finite numbers")
+        self.topics[column] = topic
+        if math.isnan(value):
+            self._missing[column] += 1
+        else:
+            self.series[column].extend((time, value))
+
+    def sorted(self, column: str) -> tuple[Floats, Floats]:
+        """Return times and values of a column in the order of time; of several at the same time the last."""
+        signal = np.frombuffer(self.series[column]).reshape(-1, 2)
+        # Chunks, and messages within one, are in no certain order.
+        times, values = signal[np.argsort(signal[:, 0], kind="stable")].T
+        last = np.append(np.diff(times) > 0, np.ones(min(1, len(times)), bool))
+        return times[last], values[last]
+
+    def notes(self) -> tuple[str, ...]:
+        """Return a sentence for each set of columns of a topic with values that were not measured."""
+        alike: dict[tuple[str, int, int], list[str]] = {}
+        for column, n_missing in self._missing.items():
+            n_messages = n_missing + len(self.series[column]) // 2
+            alike.setdefault((self.topics[column], n_missing, n_messages), []).append(column)
+        return tuple(
+            f"{topic}: {n_missing} of {n_messages} messages have no {', '.join(columns)} (nan, or a quaternion of "
+            "zeros); left out"
+            for (topic, n_missing, n_messages), columns in alike.items()
+        )
 
 
 def _numbers(content: Any, names: Topics) -> Values:
     columns = GROUPS["commands"]
     if not 4 <= len(content.data) <= len(columns):
-        raise InputError(
-            f"{names.commands} has {len(content.data)} numbers; allowed: four wheels, board and hinge"
-        )
-    given = dict(zip(columns, content.data, strict=False))
-    return [(column, given.get(column, 0.0)) for column in columns]
+        raise InputError(f"{len(content.data)} numbers; allowed: four wheels, board and hinge")
+    yield from zip(columns, content.data, strict=False)
 
 
 def _named_commands(content: Any, names: Topics) -> Values:
-    given = dict(zip(content.name, content.velocity, strict=False))
-    return [
-        (column, given.get(names.joint_names[joint], 0.0))
-        for column, joint in zip(GROUPS["commands"], _JOINTS, strict=True)
-    ]
+    place = _places(content)
+    for column, joint in zip(GROUPS["commands"], _JOINTS, strict=True):
+        number = place.get(names.joint_names[joint])
+        if number is not None and number < len(content.velocity):
+            yield column, content.velocity[number]
 
 
 def _pose(content: Any, _: Topics) -> Values:
-    q, p = content.pose.orientation, content.pose.position
-    heading = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
-    pitch = -math.asin(max(-1.0, min(1.0, 2 * (q.w * q.y - q.z * q.x))))
-    roll = math.atan2(2 * (q.w * q.x + q.y * q.z), 1 - 2 * (q.x**2 + q.y**2))
-    return zip((*GROUPS["pose"], *GROUPS["tilt"]), (p.x, p.y, heading, pitch, roll), strict=True)
+    position, orientation = content.pose.position, content.pose.orientation
+    w, x, y, z = orientation.w, orientation.x, orientation.y, orientation.z
+    columns = (*GROUPS["pose"], *GROUPS["tilt"])
+    squared_length = w * w + x * x + y * y + z * z
+    if any(map(math.isnan, (position.x, position.y, squared_length))) or squared_length == 0.0:
+        return [(column, math.nan) for column in columns]
+    if not abs(squared_length - 1.0) < _UNIT:
+        length = math.hypot(w, x, y, z)
+        raise InputError(f"the quaternion has the length {length:.4g}; allowed: 1, within {_UNIT / 2:.1%}")
+    # Each component of an axis is in terms of the squared length, which cancels out.
+    forward_x = squared_length - 2 * (y * y + z * z)
+    forward_y = 2 * (x * y + w * z)
+    forward_z = 2 * (x * z - w * y)
+    left_z = 2 * (y * z + w * x)
+    up_z = squared_length - 2 * (x * x + y * y)
+    heading = math.atan2(forward_y, forward_x)
+    pitch = math.atan2(forward_z, math.hypot(forward_x, forward_y))
+    roll = math.atan2(left_z, up_z)
+    return zip(columns, (position.x, position.y, heading, pitch, roll), strict=True)
 
 
 def _joints(content: Any, names: Topics) -> Values:
-    place = {name: k for k, name in enumerate(content.name)}
+    place = _places(content)
     wheels = zip(GROUPS["wheel_speeds"], WHEELS, ["velocity"] * 4, strict=True)
     others = ("board_m", "board", "position"), ("board_force_n", "board", "effort")
     for column, joint, what in (*wheels, *others, ("hinge_rad", "hinge", "position")):
         k, values = place.get(names.joint_names[joint]), getattr(content, what)
         if k is not None and k < len(values):
             yield column, values[k]
+
+
+def _places(content: Any) -> dict[str, int]:
+    """Return the places of joints by name. Raises InputError for a name that comes twice."""
+    place = {name: k for k, name in enumerate(content.name)}
+    if len(place) != len(content.name):
+        name = next(name for k, name in enumerate(content.name) if place[name] != k)
+        raise InputError(f"two joints '{name[:_NAME_LENGTH]}'")
+    return place
 
 
 _ODOMETRY: Final = "nav_msgs/msg/Odometry"
@@ -261,8 +327,7 @@ _POSES: Final[dict[str, Take]] = {
 }
 
 
-def _collect(bag: _Bag, names: Topics) -> Series:
-    series: Series = {name: array("d") for columns in GROUPS.values() for name in columns}
+def _collect(bag: _Bag, names: Topics) -> _Signals:
     channels = bag.channels()
     poses = sorted({channel.topic for channel, kind in channels.values() if kind in _POSES})
     if names.pose is None and len(poses) > 1:
@@ -277,40 +342,103 @@ def _collect(bag: _Bag, names: Topics) -> Series:
             if kind not in takes:
                 raise InputError(f"{channel.topic} holds {kind}; allowed: {', '.join(takes)}")
             takers[number] = _decoder(kind, channel.message_encoding), takes[kind]
+    signals = _Signals()
     n_read = Counter[str]()
-    for number, time, content in bag.messages(takers) if takers else ():
+    frames: set[tuple[str, str]] = set()
+    for number, time, data in bag.messages(takers) if takers else ():
         topic = channels[number][0].topic
         n_read[topic] += 1
         if n_read[topic] > BAG_MESSAGES:
             raise InputError(f"{topic} has more than the {BAG_MESSAGES} messages that are allowed")
         decode, take = takers[number]
-        for column, value in take(decode(content), names):
-            series[column].extend((time, value))
-    return series
+        content = decode(data)
+        try:
+            if topic == pose:
+                frames.add((content.header.frame_id, getattr(content, "child_frame_id", "")))
+                _check_frames(frames)
+            for column, value in take(content, names):
+                signals.put(topic, time, column, value)
+        except InputError as error:
+            raise InputError(f"{topic}, message {n_read[topic]} at {time:.3f} s: {error}") from error
+    return signals
 
 
-def _log(series: Series, names: Topics) -> Log:
-    commands = {name: np.frombuffer(series[name]).reshape(-1, 2) for name in GROUPS["commands"]}
-    time = next(iter(commands.values()))[:, 0]
+def _check_frames(frames: set[tuple[str, str]]) -> None:
+    """Raise InputError for poses of several frames, given those of poses and of what is where they say."""
+    for names in zip(*frames, strict=True):
+        different = sorted(set(names))
+        if len(different) > 1:
+            shown = ", ".join(f"'{name[:_NAME_LENGTH]}'" for name in different)
+            raise InputError(f"poses in the frames {shown} on one topic; allowed: one frame, one car")
+
+
+def _log(signals: _Signals, names: Topics) -> Log:
+    commands = {name: signals.sorted(name) for name in GROUPS["commands"]}
+    time = np.unique(np.concatenate([at for at, _ in commands.values()]))
     if not len(time):
         raise InputError(
             f"no commands on the topic {names.commands}; name theirs with --topics, key 'commands'"
         )
-    time, first = np.unique(time, return_index=True)
+    for column, joint in zip(NEEDED[1:], WHEELS, strict=True):
+        if not len(commands[column][0]):
+            raise InputError(
+                f"{names.commands} never commands the joint '{names.joint_names[joint]}'; name the wheels with "
+                "--topics, key 'joint_names'"
+            )
     columns: dict[str, Floats] = {TIME: time - time[0]}
-    columns |= {name: values[first, 1] for name, values in commands.items()}
-    for name, pairs in series.items():
-        if name in columns or not pairs:
+    columns |= {name: _held(time, at, values) for name, (at, values) in commands.items()}
+    for name in signals.series:
+        at, values = signals.sorted(name)
+        if name in commands or not len(at):
             continue
-        signal = np.frombuffer(pairs).reshape(-1, 2)
-        # Chunks, and messages within one, are in no certain order.
-        at, values = signal[np.argsort(signal[:, 0], kind="stable")].T
-        values = np.unwrap(values) if name == "heading_rad" else values
+        _check_jumps(signals.topics[name], name, np.frombuffer(signals.series[name]).reshape(-1, 2))
+        if name == "heading_rad":
+            values = np.unwrap(values)
         gap = float(np.median(np.diff(at))) if len(at) > 1 else 0.0
         columns[name] = interpolated(time, at, values, LONGEST_GAP * gap)
+    notes = signals.notes()
     if len(columns) == 1 + len(commands):
-        raise InputError(f"nothing was measured: no messages on {names.joints}, and no poses")
-    return Log.of_columns(columns)
+        text = "".join(f"; {note}" for note in notes)
+        raise InputError(f"nothing was measured: no values on {names.joints}, and no poses{text}")
+    return replace(Log.of_columns(columns), notes=notes)
+
+
+def _held(time: Floats, at: Floats, values: Floats) -> Floats:
+    """Return the last command at each time; 0 before the first."""
+    latest = np.searchsorted(at, time, side="right")
+    return np.concatenate([[0.0], values])[latest]
+
+
+_JUMPS: Final[dict[str, tuple[float, float]]] = {
+    "x_m": (0.02, 0.3),
+    "y_m": (0.02, 0.3),
+    "heading_rad": (0.1, 0.3),
+    "board_m": (0.002, 0.05),
+    "hinge_rad": (0.05, 0.05),
+    **dict.fromkeys(GROUPS["wheel_speeds"], (1.0, 0.6)),
+}
+"""Smallest jump to and fro that counts, above what coarse encoders show, and the share of a column's values that may do
+so: localisations have outliers, and speeds by coarse encoders flicker, but the position of a joint does neither."""
+_JUMP_RATIO: Final = 10.0
+"""A jump to and fro is this many times as large as what is left after it, which no noise shows."""
+
+
+def _check_jumps(topic: str, column: str, signal: Floats) -> None:
+    """Raise InputError where times and values, (n, 2), jump to and fro, as those of several publishers do."""
+    if column not in _JUMPS or len(signal) < 3:
+        return
+    least, allowed = _JUMPS[column]
+    values = signal[np.argsort(signal[:, 0], kind="stable"), 1]
+    steps = np.abs(np.diff(values))
+    smaller = np.minimum(steps[:-1], steps[1:])
+    stays = np.quantile(np.abs(values[2:] - values[:-2]), 0.25)
+    jumps = smaller > max(least, _JUMP_RATIO * stays)
+    n_jumps = np.count_nonzero(jumps)
+    if n_jumps > max(2, allowed * len(values)):
+        raise InputError(
+            f"{topic}: {column} jumps to and fro by {np.median(smaller[jumps]):.2g} in {n_jumps} of {len(values)} "
+            "messages; do several nodes publish there? Record one alone"
+        )
 
 
 @cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
@@ -14,26 +15,37 @@ from craftsim.errors import InputError, suggestion
 from craftsim.extras import need
 from craftsim.logs.log import GROUPS, NEEDED, TIME, Log
 from craftsim.storage.limits import LOG, LOGGED_CARS
+from craftsim.storage.paths import is_folder, unreadable
 from craftsim.storage.reading import read_lines
 from craftsim.storage.writing import write_whole
 
 LOG_SUFFIX: Final = ".log.csv"
 """Suffix of the log that a run writes beside its trajectory."""
 SUFFIXES: Final = (".csv", ".mcap")
+_CONVERTED: Final = {
+    ".db3": "a ROS 2 bag in SQLite, which is not read; 'mcap convert {name} {stem}.mcap' converts it",
+    ".zstd": "a compressed file, which is not read; 'zstd -d {name}' unpacks it",
+    ".bag": "a bag of ROS 1, which is not read; record with ROS 2, 'ros2 bag record --storage mcap'",
+}
+"""Endings of recordings that are not read, with what helps."""
 CAR: Final = "car"
 COLUMNS: Final = (TIME, CAR, *(name for names in GROUPS.values() for name in names))
 COMMANDS: Final = (TIME, CAR, *GROUPS["commands"])
 
 
 def read_logs(path: str | Path, topics: str | Path | None = None) -> dict[int, Log]:
-    """Return the logs in a file by car: of a CSV table, or of a ROS 2 bag (.mcap), whose car is 0.
+    """Return the logs in a file by car: of a CSV table, or of a ROS 2 bag, whose car is 0.
 
-    ``topics`` is a YAML file that says which topics of a bag hold what.
+    A bag is an .mcap file, or a folder with one, as 'ros2 bag record --storage mcap' makes it. ``topics`` is a YAML
+    file that says which topics of a bag hold what.
 
     Raises InputError, naming the file and place, for one that is missing, damaged, too large or no log.
     """
     path = Path(path)
-    match path.suffix:
+    if is_folder(path):
+        path = _file_of_bag(path)
+    ending = path.suffix.lower()
+    match ending:
         case ".csv":
             if topics is not None:
                 raise InputError(f"{path}: a table has no topics; --topics goes with a ROS 2 bag (.mcap)")
@@ -43,7 +55,30 @@ def read_logs(path: str | Path, topics: str | Path | None = None) -> dict[int, L
             from craftsim.logs.bags import read_bag
 
             return {0: read_bag(path, None if topics is None else Path(topics))}
-    raise InputError(f"{path}: no log by its ending; allowed: {', '.join(SUFFIXES)}")
+    if ending in _CONVERTED:
+        raise InputError(f"{path}: {_CONVERTED[ending].format(name=path.name, stem=path.stem)}")
+    raise InputError(
+        f"{path}: no log by its ending; allowed: {', '.join(SUFFIXES)}, or the folder of a ROS 2 bag"
+    )
+
+
+def _file_of_bag(folder: Path) -> Path:
+    """Return the one recording in the folder of a bag. Raises InputError if there is none or there are several."""
+    try:
+        names = sorted(entry.name for entry in os.scandir(folder))
+    except OSError as error:
+        raise unreadable(folder, error) from error
+    parts = [name for name in names if name.lower().endswith(".mcap")]
+    if len(parts) > 1:
+        raise InputError(
+            f"{folder}: a bag of {len(parts)} files; 'mcap merge {parts[0]} {parts[1]} ... -o joined.mcap' joins "
+            "them"
+        )
+    if not parts:
+        parts = [name for name in names if Path(name).suffix.lower() in _CONVERTED]
+    if not parts:
+        raise InputError(f"{folder}: a folder without a recording; allowed: one with an .mcap file")
+    return folder / parts[0]
 
 
 def read_log(path: str | Path, car: int = 0, topics: str | Path | None = None) -> Log:

@@ -7,8 +7,8 @@ has the columns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Final, Self
+from dataclasses import dataclass, replace
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +81,8 @@ class Log:
     """(n, 2) height above its lower stop in metres, and force of its motor in newtons, up positive."""
     docked: Floats
     """(n, 2) the slope whose plug the car is docked to, and its hinge's angle in radians; nan without one."""
+    notes: tuple[str, ...] = ()
+    """A sentence for each kind of value that the file has and that was left out, with how many."""
 
     def __post_init__(self) -> None:
         n = len(self.time_s)
@@ -155,7 +157,7 @@ class Log:
     def of_columns(cls, columns: dict[str, Floats]) -> Self:
         """Return the log of columns by name, NEEDED among them; others that are missing are 0 or were not measured."""
         n = len(columns[TIME])
-        groups = {
+        groups: dict[str, Any] = {
             group: np.column_stack(
                 [columns.get(name, np.full(n, 0.0 if group == "commands" else np.nan)) for name in names]
             )
@@ -174,7 +176,8 @@ class Log:
     def between(self, start_s: float, end_s: float) -> Self:
         """Return the rows from a time up to another, exclusive. Raises InputError if fewer than two are left."""
         kept = (self.time_s >= start_s) & (self.time_s < end_s)
-        return replace(self, **{field.name: getattr(self, field.name)[kept] for field in fields(self)})
+        groups = {name: getattr(self, name)[kept] for name in GROUPS}
+        return replace(self, time_s=self.time_s[kept], **groups)
 
     def resampled(self, period_s: float) -> Self:
         """Return the log with a row each so many seconds: commands held, the rest interpolated, nan in longer gaps."""
@@ -192,7 +195,7 @@ class Log:
             groups[group] = np.column_stack(
                 [interpolated(time, self.time_s[known], signal, gap_s) for signal, known in signals]
             )
-        return type(self)(time, **groups)
+        return replace(self, time_s=time, **groups)
 
 
 def interpolated(time: Floats, at: Floats, values: Floats, longest_gap_s: float) -> Floats:

@@ -70,8 +70,11 @@ def read_bytes(path: Path, limits: Limits) -> bytes:
 
 
 def read_text(path: Path, limits: Limits) -> str:
-    """Return a text. Raises InputError with the line for invalid UTF-8, and as :func:`open_file`."""
-    data = read_bytes(path, limits)
+    """Return a text, each line of which ends with a line feed, also where the file has carriage returns.
+
+    Raises InputError with the line for invalid UTF-8, and as :func:`open_file`.
+    """
+    data = read_bytes(path, limits).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -90,16 +93,18 @@ def parse_json(data: bytes, where: str) -> Any:
 
 
 def read_lines(path: Path, limits: Limits, packed: bool = False) -> Iterator[tuple[int, bytes]]:
-    """Yield the number and bytes of each line, including its end; ``packed`` for a gzip file.
+    """Yield the number and bytes of each line, including its end, a line feed; ``packed`` for a gzip file.
 
     Raises InputError for a line or content above its limit, and as :func:`open_file`.
     """
     with open_file(path, limits) as file:
-        lines: IO[bytes] = gzip.GzipFile(fileobj=file) if packed else file  # type: ignore[assignment]
+        unpacked: IO[bytes] = gzip.GzipFile(fileobj=file) if packed else file  # type: ignore[assignment]
+        # Each byte is a character of Latin-1; unlike bytes, a text also ends its lines at carriage returns.
+        lines = io.TextIOWrapper(unpacked, encoding="latin-1")
         number = total = 0
         while True:
             try:
-                line = lines.readline(limits.line_bytes + 1)
+                line = lines.readline(limits.line_bytes + 1).encode("latin-1")
             except (OSError, EOFError, zlib.error) as error:
                 raise InputError(f"{path}: not a gzip file of text: {reason_of(error)}") from error
             if not line:

@@ -195,6 +195,7 @@ def identified_report(
             Section("prediction", "Prediction", predicted, predictions, terminal=True),
             Section("unidentified", "Not identified", lacking, unidentified, terminal=True),
         ],
+        notes=figures["notes"],
         files=files,
         document=document,
         exit_code=0 if identified else 1,

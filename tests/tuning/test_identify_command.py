@@ -1,8 +1,10 @@
 """craftsim excite and identify: files that go on to be used, and exit codes."""
 
 import json
+import math
 
 import pytest
+from bags import write_bag
 from tuning_cars import HIDDEN
 
 from craftsim import cli, load_machines
@@ -57,3 +59,24 @@ def test_wrong_input_ends_with_a_message(capsys):
     ]:
         assert cli.main(words) == 2
         assert said in capsys.readouterr().err
+
+
+def test_the_report_of_a_bag_notes_what_was_left_out(tmp_path, capsys, log, found, monkeypatch):
+    pytest.importorskip("mcap_ros2")
+
+    def alter(topic, row, message, at):
+        if topic == "/localisation" and row == 100:
+            nowhere = {"x": math.nan, "y": math.nan, "z": math.nan}
+            message = message | {"pose": message["pose"] | {"position": nowhere}}
+        return [(message, at)]
+
+    monkeypatch.setattr(style, "DPI", 40)
+    monkeypatch.setattr(identification, "identify", lambda *_: found)
+    folder = tmp_path / "run"
+    folder.mkdir()
+    write_bag(folder / "run_0.mcap", log, alter=alter)
+    assert cli.main(["identify", str(folder), "--out", str(tmp_path / "out")]) == 0
+    text = f"run: /localisation: 1 of {len(log)} messages have no x_m, y_m, heading_rad, pitch_rad, roll_rad"
+    assert text in " ".join(capsys.readouterr().out.split())
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["figures"]["notes"][0].startswith(text)

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.actions import ACTIONS, built_in, carry_out, footprint, is_own, own_reason
+from craftsim.discrete.actions import ACTIONS, carry_out, footprint, is_own, own_reason
 from craftsim.discrete.grid import CarField, Grid
 from craftsim.discrete.kernel import batch, events
 from craftsim.discrete.kernel.batch import NO_HELPER
@@ -276,8 +276,8 @@ class AsynchronousEpisodes(Episodes):
         waited, deadlock = np.empty(len(self), np.bool_), np.zeros(len(self), np.bool_)
         masks = np.zeros((len(self), 1, 1), np.int8) if offered is None else offered.view(np.int8)
         events.close(self.running, masks, ends.ended, steps.done, elapsed_s, earned, waited)
-        for i in np.flatnonzero(waited).tolist():
-            deadlock[i] = self.deadlock(i) is not None
+        rows = np.flatnonzero(waited)
+        deadlock[rows] = self.deadlocked(rows)
         return Event(
             **vars(steps),
             duration_s=ends.duration_s,
@@ -426,50 +426,70 @@ class AsynchronousEpisodes(Episodes):
                 mask[i, car, k] = self._try_own(i, car, action)[0] == BEGUN
         return mask
 
-    def deadlock(self, i: int) -> Deadlock | None:
-        """Return why nothing can go on in a world at an event, or None where something can.
+    def deadlocked(self, rows: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Return (k,): in which of the worlds ``rows`` (k,) nothing can go on at an event.
 
         All cars have waited with nothing running, and no car has an action but to wait, or each has asked in vain for
         one that another car forbids.
         """
-        outcome, lost = self.running.outcome[i], self.lost[i]
-        idle = lost | (self.decides[i] & np.isin(outcome, (WAITS, ILLEGAL)))
-        if not idle.all() or (self.queue[i, :, 0] >= 0).any():
+        outcome = self.running.outcome[rows]
+        waited = self.decides[rows] & ((outcome == WAITS) | (outcome == ILLEGAL))
+        idle = (self.lost[rows] | waited).all(1) & (self.queue[rows, :, 0] < 0).all(1)
+        places = np.flatnonzero(idle)
+        found = np.zeros(len(rows), np.bool_)
+        if not len(places):
+            return found
+        in_vain = np.empty(len(places), np.bool_)
+        worlds = self.grids.world(self.corrections)
+        events.asked_in_vain(worlds, self.running, np.asarray(rows, np.int64)[places], self._row, in_vain)
+        found[places[in_vain]] = True
+        left = places[~in_vain]
+        found[left] = self._stuck(rows[left])
+        return found
+
+    def _stuck(self, rows: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Return (k,): in which worlds no car may begin anything. A move by the helper begins with a legal action."""
+        if not len(rows):
+            return np.zeros(0, np.bool_)
+        offered = self.some(rows).legal()
+        offered[..., _STOP] = False
+        return ~offered.any((1, 2))
+
+    def deadlock(self, i: int) -> Deadlock | None:
+        """Return why nothing can go on in a world at an event, or None where something can: :meth:`deadlocked`."""
+        row = np.array([i])
+        if not self.deadlocked(row)[0]:
             return None
-        offered = self.some(np.array([i])).offered()
-        stuck = not np.delete(offered, _STOP, axis=-1).any()
-        if not stuck and (outcome != ILLEGAL)[~lost].any():
-            return None
-        cars = range(self.n_cars)
-        asked = [None if stuck else int(action) for action in self.running.asked[i]]
-        found = [{} if lost[car] else self._waits_for(i, car, asked[car]) for car in cars]
-        if not stuck and not all(found[car] for car in cars if not lost[car]):
-            return None
-        pairs = tuple((car, other) for car, others in enumerate(found) for other in others)
-        words = [
-            f"car {car} waits for car {other}: {why}"
-            for car, others in enumerate(found)
-            for other, why in others.items()
-        ]
-        idle = [(car, "does not answer" if lost[car] else "can do nothing") for car in cars if not found[car]]
-        words += [f"car {car} {why}" for car, why in idle]
-        return Deadlock("; ".join(words), pairs)
+        lost = self.lost[i]
+        stuck = self._stuck(row)[0]
+        words = []
+        idle = []
+        pairs = []
+        for car in range(self.n_cars):
+            reasons: dict[int, str] = {}
+            if not lost[car]:
+                reasons = self._waits_for(i, car, None if stuck else int(self.running.asked[i, car]))
+            for other, why in reasons.items():
+                pairs.append((car, other))
+                words.append(f"car {car} waits for car {other}: {why}")
+            if not reasons:
+                idle.append(f"car {car} {'does not answer' if lost[car] else 'can do nothing'}")
+        return Deadlock("; ".join(words + idle), tuple(pairs))
 
     def _waits_for(self, i: int, car: int, action: int | None) -> dict[int, str]:
         """Return why a car cannot act, by each other car without which it could; ``action`` is what it asked for."""
-        grid, found = self.grid(i), dict[int, str]()
+        grid = self.grid(i)
+        world = grid.world(self.corrections)
+        reasons: dict[int, str] = {}
         for other in range(self.n_cars):
-            without = grid.copy()
-            without.cars[other, CarField.Z] += 2 * grid.size[2]
-            for one in Action if action is None else (Action(action),):
-                if other == car or other in found or one >= N_ACTIONS or one == _STOP:
+            for asked in Action if action is None else (Action(action),):
+                if other == car or other in reasons or asked >= N_ACTIONS or asked == _STOP:
                     continue
-                if not batch.reason(grid.cells, grid.cars, self.corrections, car, one):
-                    if self._clashes(i, other, built_in(grid, car, one)):
-                        found[other] = f"its claims stand against {one.name}"
-                elif not batch.reason(without.cells, without.cars, self.corrections, car, one):
-                    found[other] = str(explain(grid, self.corrections, car, one))
-        return found
+                if events.stands_against(world, self.running, i, car, int(asked), other, self._row):
+                    legal = not batch.reason(grid.cells, grid.cars, self.corrections, car, asked)
+                    claims = f"its claims stand against {asked.name}"
+                    reasons[other] = claims if legal else str(explain(grid, self.corrections, car, asked))
+        return reasons
 
     def activity(self) -> tuple[NDArray[np.float32], NDArray[np.int8]]:
         """Return what each car sees of what all are doing, and of what is claimed.

@@ -12,7 +12,7 @@ from registered import forget
 import craftsim
 from craftsim.checking.setup import RANDOMIZE
 from craftsim.discrete.actions import footprint
-from craftsim.discrete.asynchronous import BEGUN, BLOCKED, WAITS, AsynchronousEpisodes, Timing
+from craftsim.discrete.asynchronous import BEGUN, BLOCKED, ILLEGAL, WAITS, AsynchronousEpisodes, Timing
 from craftsim.discrete.grid import Grid, Kind, Piece, check_values
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.rules import Rules
@@ -287,6 +287,48 @@ def test_a_deadlock_ends_the_episode_and_says_who_waits_for_whom():
     _, _, _, truncated, infos = envs.step(np.full((3, 2), STOP))
     assert infos["deadlock"].all()
     assert truncated.all()
+
+
+def _has_a_car_in_its_way(episodes, i, car):
+    """Return whether the rules would allow what a car asked for, were some other car not there."""
+    grid = episodes.grid(i)
+    asked = int(episodes.running.asked[i, car])
+    for other in range(episodes.n_cars):
+        without = grid.copy()
+        without.cars[other, 2] += 2 * grid.size[2]
+        if other != car and RULES.legal(without, car, asked) and not RULES.legal(grid, car, asked):
+            return True
+    return False
+
+
+def test_a_batch_finds_deadlocks_by_their_definition_and_writes_no_words_for_them(monkeypatch):
+    """Unmasked play asks in vain very often: whether another car is why is not looked up in words."""
+    task = make_task("simple_two_story", max_steps=40)
+    rng = np.random.default_rng(1)
+    episodes = AsynchronousEpisodes(task, rng, 200, timing=Timing(jitter=0.1))
+
+    def no_words(*_):
+        raise AssertionError("words that nobody reads")
+
+    monkeypatch.setattr("craftsim.discrete.asynchronous.explain", no_words)
+    deadlocks = 0
+    in_vain = 0
+    for _ in range(60):
+        offered = episodes.offered()
+        actions = rng.integers(0, len(Action), offered.shape[:2])
+        crowded = rng.random(len(actions)) < 0.5
+        actions[crowded] = rng.integers(Action.MOVE_FORWARD, Action.STOP, (int(crowded.sum()), 2))
+        event = episodes.step(actions, offered=offered)
+        vain = (episodes.running.outcome == ILLEGAL).all(1)
+        for i in np.flatnonzero(vain).tolist():
+            blocked = all(_has_a_car_in_its_way(episodes, i, car) for car in range(2))
+            assert event.deadlock[i] == blocked
+            in_vain += 1
+            deadlocks += blocked
+        assert not event.deadlock[~vain].any()
+        episodes.reset(np.flatnonzero(event.done | event.deadlock))
+    assert in_vain > 500
+    assert deadlocks > 3
 
 
 def test_registered_actions_run_beside_the_others_and_claim_their_cells():

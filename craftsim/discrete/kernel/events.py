@@ -26,6 +26,7 @@ from craftsim.discrete.kernel.search import SearchBuffers, due_of, moves_to_plan
 from craftsim.discrete.kernel.state import (
     AIR,
     BODY,
+    F_Z,
     FOOT,
     FSLOPE,
     Pose,
@@ -351,6 +352,58 @@ def close(
                 for action in range(offered.shape[2]):
                     stuck = stuck and (action == STOP or offered[i, car, action] == 0)
         waited[i] = waited[i] and (vain or stuck)
+
+
+@compiled
+def stands_against(
+    w: World, running: Running, i: int, car: int, action: int, other: int, row: Claims
+) -> bool:
+    """Return whether another car of world i is in the way of an action of the 15: a claim of it, or where it is.
+
+    The latter means that the rules forbid the action, and would not if that car were not there. ``row`` (MOST, 4) is
+    scratch.
+    """
+    pose = pose_of(w, car)
+    bit = 1 << action
+    if legal_actions(w, car, pose, action, action) & bit:
+        count = claims_of(w, pose, action, row)
+        for k in range(running.n_claims[i, other]):
+            claim = running.claims[i, other, k]
+            if conflict(row, count, claim[0], claim[1], claim[2], claim[3]):
+                return True
+        return False
+    level = w.cars[other, F_Z]
+    w.cars[other, F_Z] = level + 2 * w.cells.shape[2]  # above everything
+    legal = legal_actions(w, car, pose, action, action) & bit
+    w.cars[other, F_Z] = level
+    return legal != 0
+
+
+@compiled
+def asked_in_vain(
+    worlds: World, running: Running, rows: NDArray[np.int64], row: Claims, out: NDArray[np.bool_]
+) -> None:
+    """Write into out (k,) in which worlds ``rows`` (k,) each car is lost, or has asked for what another one prevents.
+
+    ``row`` (MOST, 4) is scratch.
+    """
+    for k in range(len(rows)):
+        i = rows[k]
+        w = World(worlds.cells[i], worlds.cars[i], worlds.corrections)
+        out[k] = True
+        for car in range(w.cars.shape[0]):
+            lost = running.action[i, car] == STOP and running.ends_s[i, car] == math.inf
+            if lost:
+                continue
+            action = running.asked[i, car]
+            prevented = False
+            if running.outcome[i, car] == ILLEGAL and action < N_ACTIONS and action != STOP:
+                for other in range(w.cars.shape[0]):
+                    if other != car and not prevented:
+                        prevented = stands_against(w, running, i, car, action, other, row)
+            if not prevented:
+                out[k] = False
+                break
 
 
 @compiled

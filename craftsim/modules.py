@@ -32,6 +32,12 @@ def import_own(name: str) -> ModuleType:
     return importlib.import_module(name)
 
 
+def names_code(text: str) -> bool:
+    """Return whether a text has the form of ``module:name``, for which :func:`find_named` imports a module."""
+    name, _, attribute = text.partition(":")
+    return all(part.isidentifier() for part in (*name.split("."), *attribute.split(".")))
+
+
 def find_named(text: str, what: str, example: str, allowed: str = "") -> Any:
     """Import a module, and return the object in it that ``module:name`` stands for; the name may have dots.
 
@@ -44,7 +50,7 @@ def find_named(text: str, what: str, example: str, allowed: str = "") -> Any:
     )
 
     name, _, attribute = text.partition(":")
-    if not all(part.isidentifier() for part in (*name.split("."), *attribute.split("."))):
+    if not names_code(text):
         raise InputError(f"{what}: must be {example}")
     try:
         module = import_own(name)

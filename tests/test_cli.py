@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+import yaml
 
 import craftsim
 from craftsim import cli
@@ -309,6 +310,74 @@ def test_every_option_of_a_command_comes_back_from_its_configuration(tmp_path):
         again.apply_defaults()
         differing = {name for name, value in bound.arguments.items() if again.arguments[name] != value}
         assert differing - {"out"} == set(), words
+
+
+def _bind_with_file(words, options, folder):
+    """Bind a command line with a configuration file of these options."""
+    (folder / "c.yaml").write_text(yaml.safe_dump({"options": options}))
+    return cli_app.bind([*words, "--config", str(folder / "c.yaml")])
+
+
+@pytest.mark.parametrize("words", EVERY, ids=" ".join)
+def test_no_option_of_a_command_takes_the_name_of_code_from_a_configuration(words, tmp_path):
+    for argument in _arguments(words):
+        name = argument.name.removeprefix("--")
+        for value in ("json:dumps", ["json:dumps"], ["json:dumps", "json:dumps"], ["strip", "json:dumps"]):
+            with pytest.raises(InputError):
+                _bind_with_file(words, {name: value}, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("words", "options", "add"),
+    [
+        ("validate", {"policy": "evil:f"}, "--policy evil:f"),
+        ("validate", {"policy": ["planner", "evil:f"]}, "--policy planner evil:f"),
+        ("validate", {"worlds": ["evil:f"]}, "add: evil:f"),
+        ("validate", {"skills": "evil:f"}, "--skills evil:f"),
+        ("validate", {"skills": "evil.f"}, "--skills evil.f"),
+        ("validate", {"out": "elsewhere"}, "--out elsewhere"),
+        ("validate", {"engine": "ray"}, "--engine ray"),
+        ("validate", {"resume": True}, "--resume"),
+        ("validate", {"workers": 8}, "--workers 8"),
+        ("demo", {"task": "evil:f"}, "add: evil:f"),
+        ("demo", {"robot": "example.org:80"}, "--robot example.org:80"),
+        ("robot serve", {"host": "0.0.0.0"}, "--host 0.0.0.0"),
+        ("view run", {"host": "0.0.0.0"}, "--host 0.0.0.0"),
+        ("show strip", {"export": ["elsewhere.xml"]}, "--export elsewhere.xml"),
+        ("train", {"task": "evil:f"}, "add: evil:f"),
+        (
+            "train",
+            {"set": ["stages=strip,evil:f", "stage_steps=5"]},
+            "--set stages=strip,evil:f stage_steps=5",
+        ),
+        ("train", {"set": ['stages="evil\\x3af"']}, "--set"),
+        ("train", {"set": ["engine=ray"]}, "--set engine=ray"),
+        ("replay bundle", {"skills": "evil:f"}, "--skills evil:f"),
+    ],
+)
+def test_a_configuration_sets_no_code_place_or_address_but_repeats_what_the_command_line_says(
+    words, options, add, tmp_path
+):
+    with pytest.raises(InputError) as error:
+        _bind_with_file(words.split(), options, tmp_path)
+    assert "given on the command line alone, never by a file" in str(error.value)
+    assert add in str(error.value)
+    repeated = shlex.split(str(error.value).partition("if you trust it add: ")[2])
+    _, bound = _bind_with_file([*words.split(), *repeated], options, tmp_path)
+    assert bound.arguments == cli_app.bind([*words.split(), *repeated])[1].arguments
+
+
+@pytest.mark.parametrize(
+    ("words", "name"), [("validate strip", "plan"), ("demo", "robot"), ("train", "study")]
+)
+def test_a_key_that_is_also_the_name_of_a_command_has_its_effect_or_is_refused(words, name, tmp_path):
+    words = words.split()
+    if name == "plan":
+        _, bound = _bind_with_file(words, {name: "auto"}, tmp_path)
+        assert bound.arguments == cli_app.bind([*words, "--plan", "auto"])[1].arguments
+    else:
+        with pytest.raises(InputError, match=f"Unknown option.*{name}|{name} is x"):
+            _bind_with_file(words, {name: "x"}, tmp_path)
 
 
 def test_a_run_of_training_writes_its_configuration_into_the_folder_that_it_names(tmp_path, monkeypatch):

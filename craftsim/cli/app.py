@@ -21,18 +21,32 @@ from cyclopts import (
     UnusedCliTokensError,
     ValidationError,
 )
+from cyclopts.argument import Argument, ArgumentCollection
 from cyclopts.config import Dict
 
 from craftsim.cli.commands import ALONE, BELOW, COMMANDS, MODULES
-from craftsim.cli.help import command_help, value_name
+from craftsim.cli.help import command_help, is_positional, value_name
 from craftsim.cli.text import print_error
 from craftsim.errors import InputError
+from craftsim.modules import names_code
 from craftsim.options import option_name, range_of
 
 CONFIG: Final = "config.yaml"
 """Configuration file that every run writes into its output folder, and ``--config`` reads."""
-NO_MATTER: Final = ("out", "workers", "engine", "resume")
+NO_MATTER: Final = ("out", "export", "workers", "engine", "resume", "host")
 """Options on which results do not depend."""
+NOT_FROM_A_FILE: Final[dict[str, str]] = {
+    "out": "where results are written is",
+    "export": "where files are written is",
+    "skills": "code is",
+    "robot": "an address to call is",
+    "host": "an address to wait on is",
+    **dict.fromkeys(("workers", "engine", "resume"), "how a run is carried out is"),
+}
+"""Options that a configuration file cannot set, and the beginning of the sentence that says so.
+
+Whoever wrote the file would choose what this process imports, where it writes, and with whom it talks.
+"""
 ASKED: Final[ContextVar[tuple[str, ...]]] = ContextVar("ASKED", default=())
 """The words of the present command line, with former names replaced."""
 FOLDER: Final[ContextVar[Path | None]] = ContextVar("FOLDER", default=None)
@@ -91,7 +105,7 @@ def bind(words: Sequence[str]) -> tuple[Callable[..., Any], inspect.BoundArgumen
     app = make_app()
     _command(app, words)
     if file is not None:
-        app.config = Dict(_configured(file, words), source=str(file), use_commands_as_keys=False)
+        app.config = _FileOptions(file, _configured(file, words))
     try:
         function, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
     except cyclopts.CycloptsError as error:
@@ -122,6 +136,67 @@ def _said(error: cyclopts.CycloptsError) -> str:
         named = [name for one in error.argument_collection for name in one.names if name.startswith("--")]
         text += f" Allowed: {', '.join(dict.fromkeys(named))}."
     return text
+
+
+class _FileOptions:
+    """The options of a configuration file, for those that the command line does not give."""
+
+    def __init__(self, file: Path, options: dict[str, Any]) -> None:
+        self.file = file
+        self.options = options
+
+    def __call__(self, app: App, commands: tuple[str, ...], arguments: ArgumentCollection) -> None:
+        """Add the file's values. Raises InputError for an option that a file cannot set and for the name of code."""
+        on_command_line = {argument.name for argument in arguments if argument.tokens}
+        for name in self.options:
+            # Cyclopts passes over keys that are names of commands, without a word.
+            if name in app:
+                raise InputError(f'{self.file}: Unknown option: "{name}"')
+        below_commands = self.options
+        for command in reversed(commands):
+            below_commands = {command: below_commands}
+        Dict(below_commands, source=str(self.file))(app, commands, arguments)
+        for argument in arguments:
+            if argument.tokens and argument.name not in on_command_line:
+                self._check(argument)
+
+    def _check(self, argument: Argument) -> None:
+        name = argument.name.removeprefix("--")
+        values = [token.value for token in argument.tokens]
+        reason = NOT_FROM_A_FILE.get(name)
+        if reason is None and any(names_code(word) for value in values for word in _words_in(name, value)):
+            reason = "code is"
+        if reason is None and name == "set" and any(setting(value)[0] in NO_MATTER for value in values):
+            reason = NOT_FROM_A_FILE["engine"]
+        if reason is None:
+            return
+        words = [value for value in values if value]
+        if argument.hint is bool:
+            words = [argument.name]
+        elif not is_positional(argument):
+            words = [argument.name, *words]
+        again = shlex.join(words)
+        raise InputError(
+            f"{self.file}: {name} is {', '.join(values)}: {reason} given on the command line alone, never by a "
+            f"file; leave it out there, or if you trust it add: {again}"
+        )
+
+
+def setting(word: str) -> tuple[str, Any]:
+    """Return name and value of ``NAME=VALUE``, as ``--set`` takes it. Raises InputError for another form."""
+    from craftsim.storage.yaml import parse_document
+
+    name, equals, value = word.partition("=")
+    if not equals or not name:
+        raise InputError(f"--set is '{word}'; allowed: NAME=VALUE, each name once")
+    return name, parse_document(f"value: {value}\n", Path("--set")).plain["value"]
+
+
+def _words_in(option: str, value: str) -> list[str]:
+    """Return the words of an option's value that may be a name of their own."""
+    if option != "set":
+        return [value]
+    return str(setting(value)[1]).split(",")
 
 
 def _without_config(words: list[str]) -> tuple[list[str], Path | None]:
@@ -156,7 +231,7 @@ def _configured(file: Path, words: Sequence[str]) -> dict[str, Any]:
     for name, version in was.items() if isinstance(was, dict) else ():
         if str(version) != now.get(name):
             print_error(f"{file} is of {name} {version}; here is {now.get(name, 'none')}: results may differ")
-    return {name: value for name, value in options.items() if value is not None}
+    return {name: value for name, value in options.items() if value not in (None, [])}
 
 
 def write_config(
@@ -173,8 +248,10 @@ def write_config(
     from craftsim.storage.writing import write_whole
 
     named = len(words) > 1 and words[1] in BELOW.get(words[0], ())
-    options = _options(inspect.unwrap(function), bound.arguments)
-    kept = {name: plain(value) for name, value in options if name not in NO_MATTER}
+    options = dict(_options(inspect.unwrap(function), bound.arguments))
+    if "set" in options:
+        options["set"] = [word for word in options["set"] if setting(word)[0] not in NO_MATTER]
+    kept = {name: plain(value) for name, value in options.items() if name not in NO_MATTER}
     document = {"command": " ".join(words[: 1 + named]), "versions": versions(), "options": kept}
     write_whole(out / CONFIG, yaml.safe_dump(document, sort_keys=False))
 

@@ -27,9 +27,7 @@ def command_help(app: App, found: Iterable[Argument], words: Sequence[str], belo
     arguments = [one for one in found if one.show]
     usage = ["usage: craftsim", *words]
     usage += [
-        value_name(one) if one.required else f"[{value_name(one)}]"
-        for one in arguments
-        if _is_positional(one)
+        value_name(one) if one.required else f"[{value_name(one)}]" for one in arguments if is_positional(one)
     ]
     usage.append("[OPTIONS]" if function is not None else "COMMAND")
     lines = _wrapped(" ".join(usage), width, "", "    ")
@@ -60,7 +58,7 @@ def _wrapped(text: str, width: int, first: str = "", others: str = "") -> list[s
 def _option(one: Argument, width: int) -> Iterator[str]:
     name = (
         value_name(one)
-        if _is_positional(one)
+        if is_positional(one)
         else " ".join(filter(None, [", ".join(_names(one)), value_name(one)]))
     )
     said = " ".join((one.parameter.help or "").split()).rstrip(".")
@@ -77,7 +75,8 @@ def _option(one: Argument, width: int) -> Iterator[str]:
         yield from explained[1:]
 
 
-def _is_positional(one: Argument) -> bool:
+def is_positional(one: Argument) -> bool:
+    """Return whether an argument is given by its place, without a name."""
     return one.index is not None
 
 
@@ -97,7 +96,7 @@ def value_name(one: Argument) -> str:
         return f"{{{','.join(choices)}}}{several}"
     if "bool" in f"{one.hint} {one.field_info.annotation}":
         return ""
-    return (one.names[0].strip("-").upper().rstrip("S") if _is_positional(one) else "TEXT") + several
+    return (one.names[0].strip("-").upper().rstrip("S") if is_positional(one) else "TEXT") + several
 
 
 def _default(one: Argument) -> str:
@@ -112,7 +111,7 @@ def _default(one: Argument) -> str:
 
 
 def _heading(one: Argument) -> str:
-    if _is_positional(one):
+    if is_positional(one):
         return "Arguments"
     groups: Any = one.parameter.group
     named = [group.name for group in groups or () if not isinstance(group, str)]

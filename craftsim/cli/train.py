@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 from craftsim.choices import AlgoName, Backend, PresetName
-from craftsim.cli.app import FOLDER
+from craftsim.cli.app import FOLDER, setting
 from craftsim.cli.progress import counting, progress_of, telling
 from craftsim.cli.text import print_safe
 from craftsim.errors import InputError, suggestion
@@ -164,15 +164,13 @@ def train(
 
 def _settings_of(words: Iterable[str]) -> dict[str, Any]:
     """Return the values that words such as ``width=128`` set, by name; several are divided by commas."""
-    from craftsim.storage.yaml import parse_document
-
-    found = dict[str, Any]()
+    settings = dict[str, Any]()
     for word in words:
-        name, equals, value = word.partition("=")
-        if not equals or not name or name in found:
+        name, value = setting(word)
+        if name in settings:
             raise InputError(f"--set is '{word}'; allowed: NAME=VALUE, each name once")
-        found[name] = parse_document(f"value: {value}\n", Path("--set")).plain["value"]
-    return found
+        settings[name] = value
+    return settings
 
 
 def _config(given: dict[str, Any], besides: dict[str, Any], run: Protocol, **flags: Any) -> TrainConfig:

@@ -70,6 +70,7 @@ SLOTS = (
     *("render gone.npz --beside @.npz --out film.png", "render @.npz f/", "render @ f/", "render @{bundle.json} f/"),
     *("render @{trajectories/a.npz} f/"),
     *("validate --config @.yaml --baseline gone", "audit --config @ --baseline gone"),
+    *("design --config @.yaml", "train --config @.yaml --task gone"),
     *("view @.npz", "view @.yaml --host 256.1.1.1", "view @ --host 256.1.1.1", "view gone.npz --host @"),
     *("robot excite --out @ --gains gone.yaml", *(f"robot excite --seed 1 {option}" for option in PHYSICS)),
     *("robot identify @.csv", "robot identify @.mcap"),

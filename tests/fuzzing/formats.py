@@ -16,6 +16,7 @@ import trimesh
 from bags import write_bag
 
 from craftsim.checking.setup import Setup, setup_of
+from craftsim.cli.app import bind
 from craftsim.designs.finding import find_design
 from craftsim.discrete.conformance import Checker, read_records
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint, read_blueprint
@@ -230,6 +231,13 @@ FORMATS = {
     ),
     "topics": _texts(
         "a.yaml", read_topics, "commands: /told\npose: /pose\njoint_names: {wheel_fl: left, board: lift}\n"
+    ),
+    "configuration": _texts(
+        "config.yaml",
+        lambda path: bind(["validate", "--config", str(path)]),
+        "command: validate\nversions: {craftsim: 0.4}\noptions:\n  worlds: [strip]\n  plan: null\n  policy: [planner]\n"
+        "  seed: 3\n  randomize: mild\n  gains: fast\n  trials: 2\n  area: []\n  video: none\n  minimize: true\n",
+        cases=300,
     ),
     "names": _texts(
         "name",

@@ -7,6 +7,7 @@ in whatever process.
 
 import contextlib
 import io
+import json
 import re
 import shutil
 import sys
@@ -132,3 +133,43 @@ def test_no_command_imports_what_a_policy_or_run_names(changes, place):
     ):
         _run(*words)
         assert not _imported(place), words
+
+
+@pytest.mark.parametrize(
+    ("words", "options"),
+    [
+        ("validate", {"worlds": [NAME]}),
+        ("validate", {"policy": [NAME]}),
+        ("validate", {"skills": NAME}),
+        ("validate --record minari", {"policy": [NAME], "worlds": ["strip"]}),
+        ("validate --plan auto", {"worlds": [NAME]}),
+        ("demo --no-video", {"task": NAME, "plan": "a.plan"}),
+        ("demo --no-video", {"skills": NAME}),
+        ("train", {"task": NAME}),
+        ("train", {"set": ["stages=" + NAME, "stage_steps=5"]}),
+        ("train", {"set": ['stages="' + NAME.replace(":", r"\x3a") + '"', "stage_steps=5"]}),
+        ("tune drive", {"skills": NAME}),
+        ("plan", {"start": NAME}),
+        ("render", {"what": NAME}),
+        ("render strip --out film.png", {"policy": NAME}),
+        ("audit --quick", {"skills": NAME}),
+        ("audit margins --quick", {"skills": NAME}),
+        ("replay gone", {"skills": NAME}),
+        ("robot serve --once", {"task": NAME}),
+        ("robot excite", {"skills": NAME}),
+    ],
+)
+def test_no_command_imports_what_a_configuration_names(words, options, place):
+    (place / "config.yaml").write_text(json.dumps({"options": options}))
+    assert _run(*words.split(), "--config", "config.yaml") == 2
+    assert not _imported(place)
+    assert not (place / "out").exists()
+
+
+def test_no_configuration_says_where_results_are_written(place):
+    (place / "config.yaml").write_text(
+        json.dumps({"options": {"what": ["wall"], "out": str(place / "elsewhere")}})
+    )
+    assert _run("design", "--config", "config.yaml") == 2
+    assert not (place / "elsewhere").exists()
+    assert not (place / "out").exists()

@@ -453,7 +453,7 @@ class AsynchronousEpisodes(Episodes):
             return np.zeros(0, np.bool_)
         offered = self.some(rows).legal()
         offered[..., _STOP] = False
-        return ~offered.any((1, 2))
+        return ~np.asarray(offered.any((1, 2)))
 
     def deadlock(self, i: int) -> Deadlock | None:
         """Return why nothing can go on in a world at an event, or None where something can: :meth:`deadlocked`."""

@@ -276,6 +276,55 @@ def test_a_structure_is_worth_what_its_parts_weigh():
         assert structure(world(pieces)) == score, pieces
 
 
+def _by_words(grid):
+    """Return what ``structure`` and ``complexity`` count beside platforms, and the stacks, cell by cell."""
+    structure_score = 0.0
+    complexity_score = 0.0
+    stacks = 0
+    landings = set()
+    for x, y, z in np.ndindex(*grid.kind.shape):
+        kind = grid.kind[x, y, z]
+        dx, dy = DIRECTIONS[grid.yaw[x, y, z]]
+        below = grid.kind_at((x, y, z - 1)) if z > 0 else Kind.AIR
+        behind = (int(x - dx), int(y - dy), z)
+        foot = (int(x + dx), int(y + dy), z)
+        if kind == Kind.BLOCK:
+            complexity_score += z - 1
+            structure_score += below == Kind.BLOCK
+            stacks += z == 3 and below == Kind.BLOCK and grid.kind_at((x, y, 1)) == Kind.BLOCK
+        if kind == Kind.FSLOPE:
+            structure_score += 5 * (below == Kind.BLOCK)
+        if kind == Kind.BODY:
+            structure_score += 10 * (below == Kind.BLOCK)
+            if grid.inside(behind) and grid.kind[behind] == Kind.BLOCK:
+                landings.add(behind)
+                structure_score += 25 * (below == Kind.BLOCK)
+                has_foot = grid.inside(foot) and grid.kind[foot] == Kind.FOOT
+                complexity_score += has_foot and grid.yaw[foot] == grid.yaw[x, y, z]
+    return structure_score + len(landings) + 50 * stacks, complexity_score, stacks
+
+
+def test_scores_of_free_buildings_are_what_they_say_of_any_world():
+    """Of 600 crowded arrangements, possible ones or not, in areas of all shapes."""
+    rng = np.random.default_rng(0)
+    no_designs = np.zeros((4, 0, 5), np.int64)
+    for _ in range(150):
+        size = tuple(int(side) for side in rng.integers(1, 7, 3))
+        grids = Grid.stack([Grid.empty(size) for _ in range(4)])
+        shape = grids.kind[..., 1:].shape
+        grids.kind[..., 1:] = rng.choice([Kind.AIR, Kind.BLOCK, Kind.FSLOPE, Kind.BODY, Kind.FOOT], shape)
+        grids.yaw[..., 1:] = rng.integers(0, 4, shape)
+        expected = np.array([_by_words(grids[i]) for i in range(4)])
+        structures = POTENTIALS["structure"](grids, no_designs, None)
+        complexities = POTENTIALS["complexity"](grids, no_designs, None)
+        platforms = POTENTIALS["platform"](grids, no_designs, None)
+        assert structures.tolist() == expected[:, 0].tolist()
+        assert (complexities - platforms).tolist() == expected[:, 1].tolist()
+        assert GOALS["three_high"](grids, no_designs, None).tolist() == (expected[:, 2] > 0).tolist()
+        one = POTENTIALS["structure"](grids[:1], no_designs[:1], None)
+        assert one.tolist() == expected[:1, 0].tolist()
+
+
 def test_three_blocks_from_the_floor_are_a_success_and_what_hangs_or_lies_is_none():
     def reached(pieces, grid=None):
         grid = world(pieces) if grid is None else grid

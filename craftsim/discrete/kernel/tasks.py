@@ -20,6 +20,7 @@ from craftsim.discrete.kernel.state import (
     Cars,
     Cells,
     World,
+    derived_landing,
     dir_x,
     dir_y,
     kind_at,
@@ -113,6 +114,92 @@ def largest_platforms(
                                 waiting += 1
                     largest = max(largest, size)
         out[i] = largest
+
+
+@compiled
+def is_stack(w: World, x: int, y: int) -> bool:
+    """Return whether three blocks stand on one another from the floor."""
+    low = kind_at(w, x, y, 1) == BLOCK and kind_at(w, x, y, 2) == BLOCK
+    return low and kind_at(w, x, y, 3) == BLOCK
+
+
+@compiled
+def count_stacks(cells: Cells, cars: Cars, out: NDArray[np.float64]) -> None:
+    """Write how many stacks of three blocks from the floor each world has into out (B,)."""
+    for i in range(out.shape[0]):
+        w = World(cells[i], cars[i], 0)
+        stacks = 0
+        for x in range(w.cells.shape[0]):
+            for y in range(w.cells.shape[1]):
+                if is_stack(w, x, y):
+                    stacks += 1
+        out[i] = stacks
+
+
+@compiled
+def leads_to_block(w: World, x: int, y: int, z: int, yaw: int) -> bool:
+    """Return whether there is a block behind the body of an unfolded slope in a cell."""
+    return kind_at(w, x - dir_x(yaw), y - dir_y(yaw), z) == BLOCK
+
+
+@compiled
+def score_structures(
+    cells: Cells, cars: Cars, weights: NDArray[np.float64], out: NDArray[np.float64]
+) -> None:
+    """Write the weighted sum of what is built in each world into out (B,).
+
+    ``weights`` (6,) are of a block behind the body of an unfolded slope; of a block, a folded slope and a body on a
+    block; of such a body with a block behind it; and of a stack of three blocks from the floor.
+    """
+    for i in range(out.shape[0]):
+        w = World(cells[i], cars[i], 0)
+        score = 0.0
+        for x in range(w.cells.shape[0]):
+            for y in range(w.cells.shape[1]):
+                if is_stack(w, x, y):
+                    score += weights[5]
+                for z in range(w.cells.shape[2]):
+                    kind = w.cells[x, y, z, KIND]
+                    if kind == BLOCK and derived_landing(w, x, y, z):
+                        score += weights[0]
+                    if z == 0 or w.cells[x, y, z - 1, KIND] != BLOCK:
+                        continue
+                    if kind == BLOCK:
+                        score += weights[1]
+                    elif kind == FSLOPE:
+                        score += weights[2]
+                    elif kind == BODY:
+                        score += weights[3]
+                        if leads_to_block(w, x, y, z, yaw_at(w, x, y, z)):
+                            score += weights[4]
+        out[i] = score
+
+
+@compiled
+def score_complexities(cells: Cells, cars: Cars, out: NDArray[np.float64]) -> None:
+    """Write the levels of all blocks above the floor, and the ramps to blocks, into out (B,), added up.
+
+    Such a ramp is a body with its foot below and a block behind it.
+    """
+    for i in range(out.shape[0]):
+        w = World(cells[i], cars[i], 0)
+        score = 0
+        for x in range(w.cells.shape[0]):
+            for y in range(w.cells.shape[1]):
+                for z in range(w.cells.shape[2]):
+                    kind = w.cells[x, y, z, KIND]
+                    if kind == BLOCK:
+                        score += z - 1
+                    elif kind == BODY:
+                        yaw = yaw_at(w, x, y, z)
+                        foot_x = x + dir_x(yaw)
+                        foot_y = y + dir_y(yaw)
+                        has_foot = (
+                            kind_at(w, foot_x, foot_y, z) == FOOT and yaw_at(w, foot_x, foot_y, z) == yaw
+                        )
+                        if has_foot and leads_to_block(w, x, y, z, yaw):
+                            score += 1
+        out[i] = score
 
 
 @compiled

@@ -10,16 +10,25 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from craftsim.discrete.geometry import DIRECTIONS
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.discrete.kernel.jit import seldom
-from craftsim.discrete.kernel.tasks import flag_distances, largest_platforms, score_buildings
+from craftsim.discrete.kernel.tasks import (
+    count_stacks,
+    flag_distances,
+    largest_platforms,
+    score_buildings,
+    score_complexities,
+    score_structures,
+)
 from craftsim.discrete.kinds import Action
 from craftsim.discrete.tasks.observation import Layout
 from craftsim.discrete.tasks.starts import Targets
 from craftsim.errors import InputError, suggestion
 
 _score_building = seldom(score_buildings)
+_score_complexity = seldom(score_complexities)
+_score_structure = seldom(score_structures)
+_count_stacks = seldom(count_stacks)
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -85,6 +94,7 @@ BETA: Final = 1.0
 STRUCTURE_WEIGHTS: Final = (1.0, 1.0, 5.0, 10.0, 25.0, 50.0)
 """Of the parts of :func:`structure`: ``block_near_unfold``, ``block_on_block``, ``fold_on_block``, ``unfold_on_block``,
 ``block_unfold_on_block`` and ``block_on_block_on_block`` of CraftEnv's ``free.yaml`` and ``flag.yaml``."""
+_WEIGHTS: Final = np.array(STRUCTURE_WEIGHTS)
 PUBLISHED_BONUS: Final = 20.0
 """From this CraftEnv's code subtracts the tick's number when the flag first reaches the goal."""
 
@@ -127,10 +137,10 @@ def complexity(grids: Grid, designs: Targets, layout: Layout) -> Floats:
 
     Such a ramp is an unfolded slope with its foot below and a block behind its body.
     """
-    storeys = ((grids.kind == Kind.BLOCK) * np.arange(-1, grids.size[2])).sum(axis=(1, 2, 3))
-    kinds, yaws, body, foot, behind = _ramps(grids)
-    leads = (kinds[foot] == Kind.FOOT) & (yaws[foot] == yaws[body]) & (kinds[behind] == Kind.BLOCK)
-    return platform(grids, designs, layout) + storeys + np.bincount(body[0][leads], minlength=len(grids))
+    extra = np.empty(len(grids))
+    score = _score_complexity if len(grids) == 1 else score_complexities
+    score(grids.cells, grids.cars, extra)
+    return platform(grids, designs, layout) + extra
 
 
 def structure(grids: Grid, designs: Targets, layout: Layout) -> Floats:
@@ -139,15 +149,10 @@ def structure(grids: Grid, designs: Targets, layout: Layout) -> Floats:
     A block behind the body of an unfolded slope counts 1, a block on a block 1, a folded slope on a block 5, an
     unfolded one 10, and 25 more where it leads to a block, and a stack of three blocks from the floor 50.
     """
-    kinds, _, body, _, behind = _ramps(grids)
-    block, landing = kinds == Kind.BLOCK, np.zeros(kinds.shape, np.bool_)
-    landing[behind] = True
-    on_block = [block[..., :-1] & (kinds[..., 1:] == kind) for kind in (Kind.BLOCK, Kind.FSLOPE, Kind.BODY)]
-    counts = [part.sum(axis=(1, 2, 3)) for part in (landing & block, *on_block)]
-    leads = block[behind] & block[(*body[:3], body[3] - 1)]
-    counts.append(np.bincount(body[0][leads], minlength=len(grids)))
-    counts.append(_stacks(grids).sum(axis=(1, 2)))
-    return np.array(STRUCTURE_WEIGHTS) @ np.array(counts)
+    out = np.empty(len(grids))
+    score = _score_structure if len(grids) == 1 else score_structures
+    score(grids.cells, grids.cars, _WEIGHTS, out)
+    return out
 
 
 POTENTIALS: Final[dict[str, Potential]] = {
@@ -170,7 +175,7 @@ GOALS: Final[dict[str, Goal]] = {
     # The flag, carried or not, is in the goal cell.
     "flag_at_goal": lambda grids, designs, layout: flag_nearness(grids, designs, layout) == 0,
     # Three blocks stand on one another from the floor.
-    "three_high": lambda grids, designs, layout: _stacks(grids).sum(axis=(1, 2)) > 0,
+    "three_high": lambda grids, designs, layout: _stacks(grids) > 0,
 }
 
 
@@ -258,20 +263,9 @@ def _platforms(grids: Grid, also: Kind, levels: int) -> Floats:
     return out
 
 
-Places = tuple[NDArray[np.intp], ...]
-"""Indices of cells: world, x, y, z."""
-
-
-def _ramps(grids: Grid) -> tuple[NDArray[np.int16], NDArray[np.int16], Places, Places, Places]:
-    """Return kinds and yaws of all cells, air around them; and of each body its cell, its foot's and that behind it."""
-    edge = (0, 0), (1, 1), (1, 1), (0, 1)
-    kinds, yaws = np.pad(grids.kind, edge), np.pad(grids.yaw, edge)
-    world, x, y, z = body = np.nonzero(kinds == Kind.BODY)
-    dx, dy = DIRECTIONS[yaws[body]].T
-    return kinds, yaws, body, (world, x + dx, y + dy, z), (world, x - dx, y - dy, z)
-
-
-def _stacks(grids: Grid) -> Bools:
-    """Return (B, L, W): where three blocks stand on one another from the floor."""
-    stacks: Bools = np.all(grids.kind[..., 1:4] == Kind.BLOCK, axis=-1) & (grids.size[2] >= 3)
-    return stacks
+def _stacks(grids: Grid) -> Floats:
+    """Return (B,): how many stacks of three blocks from the floor each world has."""
+    out = np.empty(len(grids))
+    count = _count_stacks if len(grids) == 1 else count_stacks
+    count(grids.cells, grids.cars, out)
+    return out

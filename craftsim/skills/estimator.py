@@ -2,8 +2,10 @@
 
 Cars are controlled by odometry. One Kalman filter a car estimates its errors, and the biases of localisations. A
 localisation is compared with where the car believed to be when it was taken. Line sensors below a block or a slope see
-a marker in the middle of its cell; a bias is corrected only while one is seen that no car has set down. A delay is
-found from the ways over a short window: the vertex of a parabola at the least mismatch, its width the variance.
+a marker in the middle of its cell; a bias is corrected only while one is seen that no car has set down. Markers stand
+a little beside their cells' middles, too: the pose is the mean of two hypotheses, that localisations have a bias and
+that they are exact, weighted by how well each explains the markers and how localisations scatter. A delay is found from
+the ways over a short window: the vertex of a parabola at the least mismatch, its width the variance.
 """
 
 from __future__ import annotations
@@ -52,8 +54,9 @@ _DOUBT: Final = 0.1
 """Share of an outlier's distance by which it widens the estimate, so that a car believes several in a row."""
 _OUTLIER: Final = 4.0
 """Standard deviations beyond which a measurement is an outlier; it is clipped there."""
-_LOWERED_M: Final = 0.003
-"""Below this height the board touches nothing: what is above stands where the map says."""
+_LOWERED_M: Final = 0.002
+"""Below this height the board touches nothing, not even the pads of a slope: what is above stands where the map
+says."""
 _LEVEL_RAD: Final = 0.05
 """A car that leans further stands on a slope, where nothing is above it."""
 _FEWEST: Final = 5
@@ -64,11 +67,16 @@ _SIDEWAYS_S: Final = 0.15
 """Correlation time of the sideways speed of a car on two wheels of a diagonal..."""
 _SIDEWAYS_M_S: Final = 0.05
 """...and the rolling speed beyond which it does not grow: a faster car rattles, which shares its weight out."""
-_X, _Y, _HEADING, _BIAS, _MARKER, _SLIP, _N = 0, 1, 2, 3, 6, 9, 11
+_EXACT_M: Final = 0.00015
+"""Standard deviation of localisations that may be exact: what scatters more may have a bias, too."""
+_MOST_LOG: Final = 700.0
+"""Beyond this an exponential is too large for a number."""
+_X, _Y, _HEADING, _BIAS, _MARKER, _SLIP, _FIRST, _N = 0, 1, 2, 3, 6, 9, 11, 14
 """Indices in the state: the errors of odometry in x, y and heading; the biases of localisations in these; the offset of
-the visible marker from the middle of its cell in these; the velocity of slip in x and y. Last, their number."""
+the visible marker from the middle of its cell in these; the velocity of slip in x and y; the biases at the start. Last,
+their number."""
 
-_FILTER: Final = layout(f8x11="state slopes shares", f8x11x11="covariance")
+_FILTER: Final = layout(f8x14="state slopes shares", f8x14x14="covariance")
 """A state and its covariance. ``slopes`` are the derivatives of the next measurement by the state; ``shares`` is
 scratch."""
 
@@ -77,15 +85,18 @@ _SEEN: Final = layout(f8x4="reach_m", f8="variance placed turned", i8="seen x y 
 position and of a marker's place and heading; whether a marker is seen, and its cell; whether the board was raised."""
 
 _ESTIMATE: Final = layout(
-    f8="period_s lever_m radius_m slip loose jitter counts delay delay_std",
+    f8="period_s lever_m radius_m slip loose jitter counts compared delay delay_std",
     i8="n_still",
     f8x6="drifts",
-    f8x3="noise scatter",
+    f8x3="noise scatter differences bias_variance weights",
+    f8x3x3="factor",
     known=_FILTER,
     marker=_SEEN,
 )
 """What one car estimates. ``drifts`` are the process variances of a period at rest; ``noise`` are the variances of
-localisations, and ``scatter`` the sums from which they are computed."""
+localisations, and ``scatter`` the sums from which they are computed, with what is assumed at first; ``differences`` are
+these sums without that, of so many as were ``compared``. ``bias_variance`` is what is assumed of their bias at first;
+``weights`` and ``factor`` are scratch."""
 
 
 def assume_delay(mismatches: Floats, delay: float, std: float) -> None:
@@ -150,8 +161,12 @@ class PoseEstimator:
             covariance = row["known"]["covariance"]
             for k, std in enumerate(stds):
                 bias, noise = std**2, row["noise"][k]
-                covariance[k, k], covariance[_BIAS + k, _BIAS + k] = bias + noise, bias
-                covariance[k, _BIAS + k] = covariance[_BIAS + k, k] = -bias
+                covariance[k, k] = bias + noise
+                for now, other in ((_BIAS, _BIAS), (_FIRST, _FIRST), (_BIAS, _FIRST), (_FIRST, _BIAS)):
+                    covariance[now + k, other + k] = bias
+                for now in (_BIAS, _FIRST):
+                    covariance[k, now + k] = covariance[now + k, k] = -bias
+                row["bias_variance"][k] = bias
         self._odometry = np.zeros((n, 3, n_delays + WINDOW))
         """x, y and heading by odometry alone at the end of each period; the newest first."""
         self._located = np.zeros((n, 3, WINDOW + 1))
@@ -201,8 +216,11 @@ def _update(
         now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
         now.heading = rolled[_HEADING, 0] + state[_HEADING]
         _update_marker(now, known, estimate.marker, moved)
-        now.x, now.y = rolled[_X, 0] + state[_X], rolled[_Y, 0] + state[_Y]
-        now.heading = wrap(rolled[_HEADING, 0] + state[_HEADING])
+        share = _share_exact(estimate)
+        now.x = rolled[_X, 0] + state[_X] - share * _change_without_bias(estimate, _X)
+        now.y = rolled[_Y, 0] + state[_Y] - share * _change_without_bias(estimate, _Y)
+        turn = share * _change_without_bias(estimate, _HEADING)
+        now.heading = wrap(rolled[_HEADING, 0] + state[_HEADING] - turn)
         # A coordinate is known from localisations up to their bias, and by a marker up to its place.
         now.position_std_m = 0.0
         for k in range(3):
@@ -331,8 +349,11 @@ def _learn(estimate: Record, mismatches: Floats, rolled: Floats, seen: Floats) -
     if n_still >= settled and math.isfinite(seen[_X, last]):
         fade = min(1.0, _MEMORY / (estimate.counts + 1))
         estimate.counts = fade * (estimate.counts + 1)
+        estimate.compared = fade * (estimate.compared + 1)
         for k in range(3):
-            estimate.scatter[k] = fade * (estimate.scatter[k] + (seen[k, 0] - seen[k, last]) ** 2 / 2)
+            square = (seen[k, 0] - seen[k, last]) ** 2 / 2
+            estimate.scatter[k] = fade * (estimate.scatter[k] + square)
+            estimate.differences[k] = fade * (estimate.differences[k] + square)
             noise[k] = estimate.scatter[k] / estimate.counts
 
 
@@ -351,7 +372,8 @@ def _at(past: Floats, row: int, delay: float) -> float:
 def _correct(known: Record, off: float, variance: float, n_held: int) -> bool:
     """Update a FILTER with a scalar measurement, ``off`` from what was expected; return False for an outlier.
 
-    The ``slopes`` are zero afterwards. The first ``n_held`` biases are not changed (Schmidt-Kalman).
+    The ``slopes`` are zero afterwards. The first ``n_held`` biases are not changed, now and at the start
+    (Schmidt-Kalman).
     """
     state, covariance, slopes, shares = known.state, known.covariance, known.slopes, known.shares
     expected = variance
@@ -364,13 +386,65 @@ def _correct(known: Record, off: float, variance: float, n_held: int) -> bool:
     pull = max(-most, min(most, off)) / expected
     for i in range(_N):
         slopes[i] = 0.0
-        held = _BIAS <= i < _BIAS + n_held
+        held = _is_bias(i, n_held)
         if not held:
             state[i] += shares[i] * pull
         for j in range(_N):
-            if not (held and _BIAS <= j < _BIAS + n_held):
+            if not (held and _is_bias(j, n_held)):
                 covariance[i, j] -= shares[i] * shares[j] / expected
     return abs(off) <= most
+
+
+@compiled
+def _is_bias(i: int, n: int) -> bool:
+    """Return whether this is the index of one of the first ``n`` biases, now or at the start."""
+    return _BIAS <= i < _BIAS + n or _FIRST <= i < _FIRST + n
+
+
+@compiled
+def _share_exact(estimate: Record) -> float:
+    """Return how probable it is that localisations are exact: that they had no bias at the start, and have no noise.
+
+    The filter assumes that they had a bias. The Savage-Dickey ratio compares that with none: how much more probable a
+    bias of zero is by now than it was at first. Before anything was seen both are equally probable. Writes the
+    ``weights`` by which a bias changes what :func:`_change_without_bias` returns.
+    """
+    known, factor, weights = estimate.known, estimate.factor, estimate.weights
+    covariance, state = known.covariance, known.state
+    log_ratio = 0.0
+    if estimate.compared > 0.0:
+        variance = (estimate.differences[_X] + estimate.differences[_Y]) / estimate.compared
+        log_ratio -= variance / (2 * _EXACT_M**2)
+    # The Cholesky factor of the covariance of these biases, and the biases divided by it: forwards, then backwards.
+    for k in range(3):
+        for j in range(k + 1):
+            rest = covariance[_FIRST + k, _FIRST + j]
+            for i in range(j):
+                rest -= factor[k, i] * factor[j, i]
+            if j < k:
+                factor[k, j] = rest / factor[j, j]
+            else:
+                factor[k, k] = math.sqrt(max(_LEAST, rest))
+        weights[k] = state[_FIRST + k]
+        for j in range(k):
+            weights[k] -= factor[k, j] * weights[j]
+        weights[k] /= factor[k, k]
+        at_first = max(_LEAST, estimate.bias_variance[k])
+        log_ratio += math.log(at_first) / 2 - math.log(factor[k, k]) - weights[k] ** 2 / 2
+    for k in range(2, -1, -1):
+        for j in range(k + 1, 3):
+            weights[k] -= factor[j, k] * weights[j]
+        weights[k] /= factor[k, k]
+    return 1 / (1 + math.exp(min(-log_ratio, _MOST_LOG)))
+
+
+@compiled
+def _change_without_bias(estimate: Record, row: int) -> float:
+    """Return by how much less a coordinate of the state would be if localisations had had no bias at the start."""
+    change = 0.0
+    for k in range(3):
+        change += estimate.known.covariance[row, _FIRST + k] * estimate.weights[k]
+    return change
 
 
 @compiled

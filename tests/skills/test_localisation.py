@@ -260,13 +260,70 @@ def _look(estimator: PoseEstimator, beside_m: float, n: int, **now) -> CarMeasur
 
 def test_however_long_a_car_looks_at_one_cross_the_next_one_says_as_much():
     estimator = _estimator(ASSUMED)
-    first = _look(estimator, 0.001, 500)
+    first = _look(estimator, 0.006, 500)
     # The car takes the cross for the middle, and what its localisations say instead for their bias.
-    assert first.y - MIDDLE_M == pytest.approx(-0.001, abs=1e-4)
+    assert first.y - MIDDLE_M == pytest.approx(-0.006, abs=3e-4)
     _update(estimator, AT_REST._replace(lines=NONE_SEEN))
-    second = _look(estimator, -0.001, 50)
-    assert second.y == pytest.approx(MIDDLE_M, abs=2e-4)
+    second = _look(estimator, 0.004, 50)
+    assert second.y - MIDDLE_M == pytest.approx(-0.005, abs=2e-4)
     assert math.sqrt(estimator._estimates[0]["known"]["covariance"][1, 1]) > 5e-4
+
+
+def test_a_cross_that_is_about_as_far_aside_as_crosses_are_does_not_move_a_car_that_is_localised_elsewhere():
+    estimator = _estimator(ASSUMED)
+    for beside_m in (0.001, -0.0005, 0.0008, 0.001):
+        view = _look(estimator, beside_m, 100)
+        assert abs(view.y - MIDDLE_M) < 1.5e-4
+        _update(estimator, AT_REST._replace(lines=NONE_SEEN))
+
+
+def _errors_m(n: int, bias_m: float, crosses: int, placement_m: float, noise_m: float = 0.0) -> np.ndarray:
+    """Return how far off along y n cars are that look at so many crosses, each so far (std) beside its place.
+
+    Their localisations have a bias of this length in a random direction.
+    """
+    rng, errors = np.random.default_rng(0), []
+    for _ in range(n):
+        estimator, towards = _estimator(ASSUMED), rng.uniform(0, math.tau)
+        x, y = MIDDLE_M + bias_m * math.cos(towards), MIDDLE_M + bias_m * math.sin(towards)
+        for _ in range(crosses):
+            aside, ahead = rng.normal(0.0, placement_m, 2)
+            for _ in range(40):
+                at_x, at_y = rng.normal((x, y), noise_m)
+                view = _update(estimator, STILL._replace(x=at_x, y=at_y, lines=(aside, aside, ahead, ahead)))
+            _update(estimator, STILL._replace(x=x, y=y, lines=NONE_SEEN))
+        errors.append(view.y - MIDDLE_M)
+    return np.array(errors)
+
+
+@pytest.mark.parametrize(
+    ("bias_m", "crosses", "least_m", "most_m"),
+    [
+        (0.0, 1, 0.0, 0.0005),
+        (0.0, 4, 0.0, 0.00025),
+        # Nothing but the crosses tells where the car is: their mean is as good as it gets.
+        (0.005, 1, 0.0008, 0.0012),
+        (0.005, 4, 0.0004, 0.0006),
+        # A small bias is hard to tell from crosses that stand aside; it does no more harm than its own length.
+        (0.001, 1, 0.0, 0.0011),
+    ],
+)
+def test_a_car_finds_out_whether_its_localisations_have_a_bias_at_all(bias_m, crosses, least_m, most_m):
+    placement_m = load_gains().localisation.placement
+    assert least_m <= math.sqrt(np.mean(_errors_m(60, bias_m, crosses, placement_m) ** 2)) < most_m
+
+
+@pytest.mark.parametrize("noise_m", [0.0005, 0.001])
+def test_localisations_that_scatter_may_have_a_small_bias_which_a_cross_shows(noise_m):
+    errors = _errors_m(40, 0.001, 1, 0.0, noise_m)
+    assert math.sqrt(np.mean(errors**2)) < 0.00025
+
+
+def test_a_board_that_is_about_to_lift_a_slope_says_nothing_of_where_its_cross_stands():
+    estimator = _estimator(ASSUMED)
+    # A slope's pads are 2.9 mm above the board, less what is made thicker.
+    view = _look(estimator, 0.006, 50, board_m=0.0025)
+    assert view.y == pytest.approx(MIDDLE_M, abs=1e-6)
 
 
 CYCLES = 200
@@ -302,7 +359,8 @@ def test_wheels_that_turn_on_the_spot_are_not_taken_for_a_bias_of_localisations(
     # Two millimetres to the left within half a second, by the wheels alone.
     view = _look(estimator, 0.0, 25, wheel_speeds=KINEMATICS.wheel_speeds([0.0, 0.004, 0.0]))
     assert np.abs(estimator._estimates[0]["known"]["state"][3:5]).max() < 1e-4
-    assert abs(view.y - MIDDLE_M) < 4e-4
+    assert abs(view.y - MIDDLE_M) < 5e-4
+    assert abs(_look(estimator, 0.0, 50).y - MIDDLE_M) < 2e-5
 
 
 def test_without_line_sensors_a_car_keeps_the_bias_of_its_localisation():

@@ -52,8 +52,8 @@ def show(
         plan: plan file, or the name of a shipped plan such as simple_two_story; checked by the physical rules.
         out: folder for the pictures.
         export: files to write the start or machine to: MJCF, or with the suffix .urdf URDF with a folder of meshes, for
-            RViz, Gazebo or Isaac. URDF has links, inertias, shapes and joints, but no contacts, motors or self-locking
-            gears.
+            RViz, Gazebo, Isaac or PyBullet. URDF has links, inertias, shapes and joints, but no contacts, motors or
+            self-locking gears. Of a start each machine becomes a file, and a CSV table says where each stands.
         drive: drive of the exported cars.
     """
     name = str(start)
@@ -132,8 +132,9 @@ def _export(spec_of: Callable[[Any], Any], files: Iterable[Path], drive: Drive) 
 
     machines = replace(NOMINAL, drive=drive)
     for file in files:
-        if file.suffix == ".urdf":
-            print_safe(f"URDF: {write_urdf(file, spec_of(machines))}")
+        if file.suffix.lower() == ".urdf":
+            for written in write_urdf(file, spec_of(machines)):
+                print_safe(f"URDF: {written}")
             print_safe(LACKS)
         else:
             print_safe(f"MJCF: {write_mjcf(file, spec_of(machines))}")

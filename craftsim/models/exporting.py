@@ -1,8 +1,9 @@
-"""Machines and worlds as MJCF text that opens alone in MuJoCo's viewer, and as URDF for RViz, Gazebo, Isaac and others.
+"""Machines and worlds as MJCF text that opens alone in MuJoCo's viewer, and machines as URDF for other simulators.
 
 ``python -m craftsim.models.exporting`` writes the nominal machines into ``craftsim/mjcf``, or into another folder. URDF
 has links, inertias, shapes, and joints with limits, damping and friction; LACKS says what it has not. Of a car on the
-reduced drive also what pushes it is left out.
+reduced drive also what pushes it is left out. A file holds one machine whose root is free, since readers such as
+PyBullet make of a floating joint to a world a fixed one.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from craftsim.errors import InputError
 from craftsim.mjcf.block import TABLE_NAMES, TABLES
-from craftsim.mjcf.building import SOLID_GROUP
+from craftsim.mjcf.building import SOLID_GROUP, TOUCHES
 from craftsim.mjcf.parameters import NOMINAL
 from craftsim.models.composition import MACHINES, machine_spec
 from craftsim.storage.folders import directory_within, output_directory
@@ -42,7 +43,7 @@ _SOURCE: Final = """
 LACKS: Final = (
     "URDF says nothing of contacts (what touches what, friction of surfaces), of motors besides the limits of joints, "
     "of the inertia of rotors, of gears that lock themselves, and of where joints are at the start: set these up in "
-    "your simulator."
+    "your simulator. PyBullet reads a sliding friction for each link; release its motors of the rollers."
 )
 _ROOT: Final = "world"
 _UNLIMITED: Final = "1e6"
@@ -79,8 +80,13 @@ def new_file(path: Path) -> Path:
     return output_directory(path.parent) / path.name
 
 
-def write_urdf(path: Path, spec: mujoco.MjSpec) -> Path:
-    """Write a spec as URDF, and its meshes into a folder beside it; return the path."""
+def write_urdf(path: Path, spec: mujoco.MjSpec) -> list[Path]:
+    """Write each machine of a spec as a URDF file, and its meshes into a folder beside it; return the paths.
+
+    The root of a file is the machine itself, and so free to move; a fixed machine hangs on a link ``world``. One
+    machine becomes ``path``. Several become files with their names added to that of ``path``, and a table of this name
+    with the ending .csv says where each stands: x, y, z in metres, and roll, pitch and yaw in radians.
+    """
     path, model = new_file(path), spec.compile()
     folder, meshes = f"{path.stem}_meshes", dict[str, str]()
     if exists(path.parent / folder) and not is_folder(path.parent / folder):
@@ -92,28 +98,64 @@ def write_urdf(path: Path, spec: mujoco.MjSpec) -> Path:
         meshes[name] = "\n".join([*lines, ""])
         return f"{folder}/{name}.obj"
 
-    robot = Xml.Element("robot", name=spec.modelname)
-    robot.append(Xml.Comment(f" {LACKS} "))
-    # Other readers pass over this: MuJoCo's drops what has no mass of its own otherwise, and the paths of meshes.
-    own = Xml.SubElement(robot, "mujoco")
-    off = dict.fromkeys(("strippath", "fusestatic", "balanceinertia"), "false")
-    Xml.SubElement(own, "compiler", off | {"discardvisual": "true"})
-    Xml.SubElement(robot, "link", name=_ROOT)
-    for body in range(1, model.nbody):
-        _add_link(robot, model, body, mesh_file)
-        _add_joint(robot, model, body)
-    Xml.indent(robot)
+    roots = [body for body in range(1, model.nbody) if model.body_parentid[body] == 0]
+    if not roots:
+        raise InputError(f"{path}: the world has no machines to write")
+    files = dict.fromkeys(roots, path)
+    if len(roots) > 1:
+        files = {root: path.with_name(f"{path.stem}_{_link(model, root)}{path.suffix}") for root in roots}
+    texts = {files[root]: _urdf_text(model, root, mesh_file) for root in roots}
     for name, text in meshes.items():
         write_whole(directory_within(path.parent, folder) / f"{name}.obj", text)
-    return write_whole(path, Xml.tostring(robot, encoding="unicode") + "\n")
+    for file, text in texts.items():
+        write_whole(file, text)
+    written = list(texts)
+    if len(roots) > 1:
+        written.append(_write_places(path.with_suffix(".csv"), model, files))
+    return written
+
+
+def _urdf_text(model: mujoco.MjModel, root: int, mesh_file: MeshFile) -> str:
+    """Return the URDF of the machine with this root, which stands at the origin."""
+    robot = Xml.Element("robot", name=_link(model, root))
+    robot.append(Xml.Comment(f" {LACKS} "))
+    # Other readers pass over this: MuJoCo's drops what has no mass of its own otherwise, and the paths of meshes.
+    mujoco_element = Xml.SubElement(robot, "mujoco")
+    off = dict.fromkeys(("strippath", "fusestatic", "balanceinertia"), "false")
+    Xml.SubElement(mujoco_element, "compiler", off | {"discardvisual": "true"})
+    if model.body_dofnum[root] == 0:
+        Xml.SubElement(robot, "link", name=_ROOT)
+        joint = _add(robot, "joint", name=f"{_link(model, root)}_fixed", type="fixed")
+        _add(joint, "parent", link=_ROOT)
+        _add(joint, "child", link=_link(model, root))
+    for body in np.flatnonzero(model.body_rootid == root).tolist():
+        _add_link(robot, model, body, mesh_file)
+        if body != root:
+            _add_joint(robot, model, body)
+    Xml.indent(robot)
+    return Xml.tostring(robot, encoding="unicode") + "\n"
+
+
+def _write_places(path: Path, model: mujoco.MjModel, files: dict[int, Path]) -> Path:
+    """Write the table of where machines stand, by body and file."""
+    lines = ["file,x_m,y_m,z_m,roll_rad,pitch_rad,yaw_rad"]
+    for root, file in files.items():
+        place = [*model.body_pos[root], *_angles(model.body_quat[root])]
+        lines.append(",".join([file.name, *_numbers(place).split()]))
+    return write_whole(path, "\n".join(lines) + "\n")
 
 
 def _link(model: mujoco.MjModel, body: int) -> str:
-    return _plain(model.body(body).name) if body else _ROOT
+    return _plain(model.body(body).name)
 
 
 def _add_link(robot: Xml.Element, model: mujoco.MjModel, body: int, mesh_file: MeshFile) -> None:
     link = _add(robot, "link", name=_link(model, body))
+    touching = [geom for geom in np.flatnonzero(model.geom_bodyid == body).tolist() if _is_solid(model, geom)]
+    if touching:
+        # Read by PyBullet, which multiplies the figures of two links; others pass over it.
+        contact = _add(link, "contact")
+        _add(contact, "lateral_friction", value=_friction(model, touching))
     if model.body_mass[body]:
         inertial = _add(link, "inertial")
         _add_origin(inertial, model.body_ipos[body], model.body_iquat[body])
@@ -121,13 +163,36 @@ def _add_link(robot: Xml.Element, model: mujoco.MjModel, body: int, mesh_file: M
         x, y, z = model.body_inertia[body]
         _add(inertial, "inertia", ixx=x, iyy=y, izz=z, ixy=0, ixz=0, iyz=0)
     for geom in np.flatnonzero(model.geom_bodyid == body).tolist():
-        if model.geom_contype[geom] or model.geom_conaffinity[geom]:
+        if _is_solid(model, geom):
             _add_shape(_add(link, "collision"), model, geom, mesh_file)
         if model.geom_group[geom] < SOLID_GROUP:
             visual = _add(link, "visual")
             _add_shape(visual, model, geom, mesh_file)
             material = _add(visual, "material", name=_plain(model.geom(geom).name))
             _add(material, "color", rgba=model.geom_rgba[geom])
+
+
+def _is_solid(model: mujoco.MjModel, geom: int) -> bool:
+    """Return whether a geom touches what it meets.
+
+    The guards of wheels do not: they touch other cars alone, which URDF cannot say, and on the floor they would roll in
+    the rollers' place.
+    """
+    touches = int(model.geom_contype[geom]), int(model.geom_conaffinity[geom])
+    guards = TOUCHES["guards"]
+    return touches not in ((0, 0), (guards["contype"], guards["conaffinity"]))
+
+
+def _friction(model: mujoco.MjModel, geoms: list[int]) -> float:
+    """Return the sliding friction of a link: of the geoms that it stands on, which have priority, else the largest."""
+    priority = model.geom_priority[geoms].max()
+    deciding = [geom for geom in geoms if model.geom_priority[geom] == priority]
+    return max(_sliding_friction(model, geom) for geom in deciding)
+
+
+def _sliding_friction(model: mujoco.MjModel, geom: int) -> float:
+    """Return a geom's sliding friction, which one with frictionless contacts does not have."""
+    return float(model.geom_friction[geom, 0]) if model.geom_condim[geom] > 1 else 0.0
 
 
 def _add_shape(parent: Xml.Element, model: mujoco.MjModel, geom: int, mesh_file: MeshFile) -> None:
@@ -162,7 +227,6 @@ def _add_joint(robot: Xml.Element, model: mujoco.MjModel, body: int) -> None:
     if number >= 0:
         name, limited = _plain(model.joint(number).name), bool(model.jnt_limited[number])
         kind = {
-            mujoco.mjtJoint.mjJNT_FREE: "floating",
             mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
             mujoco.mjtJoint.mjJNT_HINGE: "revolute" if limited else "continuous",
         }[mujoco.mjtJoint(model.jnt_type[number])]
@@ -170,7 +234,7 @@ def _add_joint(robot: Xml.Element, model: mujoco.MjModel, body: int) -> None:
     _add_origin(joint, model.body_pos[body], model.body_quat[body])
     _add(joint, "parent", link=_link(model, int(model.body_parentid[body])))
     _add(joint, "child", link=_link(model, body))
-    if kind in ("fixed", "floating"):
+    if kind == "fixed":
         return
     _add(joint, "axis", xyz=model.jnt_axis[number])
     dof = model.jnt_dofadr[number]
@@ -198,14 +262,20 @@ def _add(parent: Xml.Element, tag: str, **values: str | ArrayLike) -> Xml.Elemen
 
 
 def _numbers(values: ArrayLike) -> str:
-    return " ".join(f"{value:.10g}" for value in np.atleast_1d(np.asarray(values, float)).tolist())
+    # An added 0 takes the sign from -0.
+    return " ".join(f"{value + 0.0:.10g}" for value in np.atleast_1d(np.asarray(values, float)).tolist())
 
 
 def _add_origin(parent: Xml.Element, position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> None:
-    """Add a place: URDF turns about the fixed x, then y, then z axis."""
+    _add(parent, "origin", xyz=position, rpy=_angles(quaternion))
+
+
+def _angles(quaternion: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw in radians, as URDF takes them: about the fixed x, then y, then z axis."""
     from trimesh.transformations import euler_from_quaternion
 
-    _add(parent, "origin", xyz=position, rpy=euler_from_quaternion(quaternion, "sxyz"))
+    roll, pitch, yaw = euler_from_quaternion(quaternion, "sxyz")
+    return roll, pitch, yaw
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from importlib.resources import as_file, files
+from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import mujoco
@@ -15,6 +16,7 @@ from craftsim.discrete.files.blueprint import read_blueprint
 from craftsim.discrete.grid import Grid, Kind
 from craftsim.errors import InputError
 from craftsim.mjcf.block import TABLES
+from craftsim.mjcf.building import TOUCHES
 from craftsim.mjcf.parameters import NOMINAL, Drive, Machines, SmartcarParameters
 from craftsim.models.composition import compile_world, machine_spec, world_spec
 from craftsim.models.config import SimulationConfig
@@ -188,15 +190,27 @@ def _assert_same(read: mujoco.MjModel, own: mujoco.MjModel) -> None:
     assert one == pytest.approx(other, abs=1e-6)
 
 
+def _free(path: Path) -> mujoco.MjSpec:
+    """Return what MuJoCo reads in a file: it fixes the root, which other simulators leave free, to the world."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    root = spec.worldbody.first_body()
+    if "world" not in {link.get("name") for link in Xml.parse(path).iter("link")}:
+        root.add_freejoint()
+    return spec
+
+
 def test_mujoco_reads_the_same_machine(tmp_path):
     reduced = replace(NOMINAL, drive="reduced")
     names = ("smartcar", "slope", "block", "flag", "wall")
+    guards = TOUCHES["guards"]["contype"]
     for machine, machines in [*((name, NOMINAL) for name in names), ("smartcar", reduced)]:
-        path = write_urdf(tmp_path / "own.urdf", machine_spec(machine, machines))
+        written = write_urdf(tmp_path / "own.urdf", machine_spec(machine, machines))
+        assert written == [tmp_path / "own.urdf"]
         own = machine_spec(machine, machines).compile()
-        read = mujoco.MjModel.from_xml_path(str(path))
+        read = _free(written[0]).compile()
         _assert_same(read, own)
-        solid = (own.geom_contype | own.geom_conaffinity) != 0
+        # Guards stand in for wheels between cars alone, which URDF cannot say.
+        solid = ((own.geom_contype | own.geom_conaffinity) != 0) & (own.geom_contype != guards)
         assert read.ngeom == np.count_nonzero(solid & (own.geom_bodyid > 0))
 
 
@@ -205,12 +219,30 @@ def test_a_world_is_written_with_everything_where_it_stands(tmp_path):
         (4, 3, 2), [(Kind.WALL, (0, 0, 1), 0), (Kind.BODY, (1, 1, 1), 0)], [(3, 0, 1, 2), (3, 2, 1, 1)]
     )
     world = world_spec(grid, SimulationConfig())
-    path = write_urdf(tmp_path / "own.urdf", world)
-    _assert_same(mujoco.MjModel.from_xml_path(str(path)), world.compile())
+    own = world.compile()
+    *files, table = write_urdf(tmp_path / "own.urdf", world)
+    rows = table.read_text(encoding="utf-8").splitlines()[1:]
+    assert [row.split(",")[0] for row in rows] == [file.name for file in files]
+    whole = mujoco.MjSpec()
+    for row, file in zip(rows, files, strict=True):
+        x, y, z, roll, pitch, yaw = map(float, row.split(",")[1:])
+        machine = _free(file)
+        root = machine.worldbody.first_body()
+        root.pos = [x, y, z]
+        mujoco.mju_euler2Quat(root.quat, np.array([roll, pitch, yaw]), "XYZ")
+        whole.attach(machine, frame=whole.worldbody.add_frame(), prefix=f"{file.stem}/")
+    read = whole.compile()
+    assert read.nbody == own.nbody
+    assert read.body_mass == pytest.approx(own.body_mass)
+    ends = [mujoco.MjData(model) for model in (read, own)]
+    for model, data in zip((read, own), ends, strict=True):
+        mujoco.mj_forward(model, data)
+    assert ends[0].xpos == pytest.approx(ends[1].xpos, abs=1e-6)
+    assert ends[0].xmat == pytest.approx(ends[1].xmat, abs=1e-6)
 
 
 def test_limits_are_those_of_the_motors_and_the_file_says_what_it_lacks(tmp_path):
-    path = write_urdf(tmp_path / "car.urdf", machine_spec("smartcar", NOMINAL))
+    (path,) = write_urdf(tmp_path / "car.urdf", machine_spec("smartcar", NOMINAL))
     robot, car = Xml.parse(path).getroot(), NOMINAL.cars[0]
     limits = {joint.get("name"): joint.find("limit") for joint in robot.iter("joint")}
     board, wheel = (limits[name].attrib for name in ("board", "wheel_fl"))
@@ -227,7 +259,11 @@ def test_show_writes_a_machine_or_a_world(tmp_path, capsys):
         assert LACKS.split()[-1] in capsys.readouterr().out
         model = mujoco.MjModel.from_xml_path(str(tmp_path / "own.xml"))
         assert names <= {model.body(i).name for i in range(model.nbody)}
-        assert mujoco.MjModel.from_xml_path(str(tmp_path / "own.urdf")).nbody == model.nbody
+        n_bodies = 0
+        for file in tmp_path.glob("*.urdf"):
+            n_bodies += mujoco.MjModel.from_xml_path(str(file)).nbody - 1
+            file.unlink()
+        assert n_bodies == model.nbody - 1
     for words in ([], ["slope"]):
         assert main(["show", *words]) == 2
 

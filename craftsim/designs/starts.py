@@ -77,7 +77,7 @@ def make_start(
         spare_slopes = len({cell[2] for cell in design.of_kind(Kind.BLOCK)} - led_up_to)
     if size is None:
         n_blocks, n_slopes = _things(design, spare_blocks, spare_slopes)
-        size = _roomy(extent, margin, n_blocks + 2 * n_slopes + n_cars)
+        size = _roomy(design, margin, n_blocks + 2 * n_slopes + n_cars, barrier)
     check_size(size, n_cars)
     least = (extent[0] + 2 * margin, extent[1] + 2 * margin, extent[2])
     if any(side < needed for side, needed in zip(size, least, strict=True)):
@@ -85,12 +85,18 @@ def make_start(
             f"{design.path}: the area of {size} cells is too small for a design of {extent}; "
             f"allowed: at least {least} with a margin of {margin}"
         )
-    placed = design.moved((size[0] - extent[0]) // 2, (size[1] - extent[1]) // 2)
+    placed, walls = _place(design, size, barrier)
+    grid = spread(placed, size, n_cars, rng, spare_blocks, spare_slopes, walls=walls)
+    return DesignStart(grid, placed)
+
+
+def _place(design: Design, size: Cell, barrier: bool) -> tuple[Design, list[Cell]]:
+    """Return a design in the middle of an area of a size, and the cells of a barrier's walls."""
+    placed = design.moved((size[0] - design.size[0]) // 2, (size[1] - design.size[1]) // 2)
     columns = {target.cell[:2] for target in placed.targets}
     x = (min(columns)[0] + max(columns)[0]) // 2
     walls = [(x, y, 1) for y in range(size[1]) if barrier and (x, y) not in columns]
-    grid = spread(placed, size, n_cars, rng, spare_blocks, spare_slopes, walls=walls)
-    return DesignStart(grid, placed)
+    return placed, walls
 
 
 def spread(
@@ -117,12 +123,7 @@ def spread(
         raise InputError(
             f"{design.path}: {n_blocks} blocks and {n_slopes} slopes; allowed: {DESIGN_CELLS} together"
         )
-    free = np.ones(size[:2], np.bool_)
-    for column in [*(target.cell[:2] for target in design.targets), *taken, *(wall[:2] for wall in walls)]:
-        free[column] = False
-    # The largest piece: what a court of the design holds could not come out any more.
-    pieces, _ = pieces_of(free)
-    outside = pieces == 1 + np.argmax(np.bincount(pieces.ravel(), minlength=2)[1:])
+    outside = _outside(design, size, taken, walls)
     for i in range(_TRIES):
         grid, floor = Grid.empty(size, n_cars), FreeFloor(outside)
         for cell in walls:
@@ -139,6 +140,18 @@ def spread(
         f"{design.path}: no room for {n_blocks} blocks, {n_slopes} slopes and {n_cars} cars beside the "
         f"design in an area of {size} cells; try a larger one, or fewer of them"
     )
+
+
+def _outside(
+    design: Design, size: Cell, taken: Collection[Column] = (), walls: Collection[Cell] = ()
+) -> Mask:
+    """Return (L, W): the largest piece of the free floor; what a court of the design holds could not come out."""
+    free = np.ones(size[:2], np.bool_)
+    for column in [*(target.cell[:2] for target in design.targets), *taken, *(wall[:2] for wall in walls)]:
+        free[column] = False
+    pieces, _ = pieces_of(free)
+    outside: Mask = pieces == 1 + np.argmax(np.bincount(pieces.ravel(), minlength=2)[1:])
+    return outside
 
 
 def pieces_of(mask: Mask) -> tuple[NDArray[np.int32], int]:
@@ -206,11 +219,21 @@ def _things(design: Design, spare_blocks: int, spare_slopes: int) -> tuple[int, 
     return len(design.of_kind(Kind.BLOCK)) + spare_blocks, n_slopes + spare_slopes
 
 
-def _roomy(extent: Cell, margin: int, cells: int) -> Cell:
+def _roomy(design: Design, margin: int, cells: int, barrier: bool) -> Cell:
     """Return the size of the smallest area with a margin in which so many cells do not take too much of the floor."""
-    length, width = extent[0] + 2 * margin, extent[1] + 2 * margin
-    while cells > _SHARE * (length * width - extent[0] * extent[1]) and max(length, width) < MAX_SIDE:
-        length, width = length + 1, width + 1
+    extent = design.size
+    length = extent[0] + 2 * margin
+    width = extent[1] + 2 * margin
+    while max(length, width) < MAX_SIDE:
+        free = length * width - extent[0] * extent[1]
+        if barrier:
+            # Things lie on one side of the walls.
+            placed, walls = _place(design, (length, width, extent[2]), barrier)
+            free = int(_outside(placed, (length, width, extent[2]), walls=walls).sum())
+        if cells <= _SHARE * free:
+            break
+        length += 1
+        width += 1
     height = min(extent[2] + 1, MAX_CELLS // (length * width))
     return length, width, max(height, extent[2])
 

@@ -6,7 +6,7 @@ from designs.building import build
 from tiny_worlds import tiny_world
 
 from craftsim.designs.drawn import random_start, random_structure
-from craftsim.designs.library import make_design
+from craftsim.designs.library import LIBRARY, make_design, sizes_of
 from craftsim.designs.starts import FreeFloor, make_start
 from craftsim.discrete.files.blueprint import blueprint_text, parse_blueprint
 from craftsim.discrete.grid import Kind, beside, check_grid
@@ -106,6 +106,17 @@ def test_a_barrier_leaves_a_gap_where_the_design_is_and_no_other():
     assert len({x for x, _, _ in walls.tolist()}) == 1
     assert len(walls) == start.grid.size[1] - 2
     assert not start.grid.kind[tuple(np.array([target.cell for target in start.design.targets]).T)].any()
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_an_area_that_is_not_given_has_room_for_all_on_one_side_of_a_barrier(name):
+    rng = np.random.default_rng(len(name))
+    for _ in range(8):
+        sizes = rng.integers(3, 7, len(sizes_of(name))).tolist()
+        design = make_design(name, sizes, "CAR" if name == "letters" else None)
+        start = make_start(design, 4, rng, barrier=True)
+        assert (start.grid.kind == Kind.WALL).any()
+        assert (start.grid.kind == Kind.BLOCK).sum() >= len(design.of_kind(Kind.BLOCK))
 
 
 def test_what_has_no_room_is_refused_with_what_would_do():
